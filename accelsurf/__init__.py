@@ -28,6 +28,7 @@ _HOMES = {
     "open_volume": "accelsurf.io",
     "read": "accelsurf.io",
     "read_labels": "accelsurf.io",
+    "read_sequence": "accelsurf.io",
     "write": "accelsurf.io",
     "RunConfig": "accelsurf.settings.run_config",
     "Surface": "accelsurf.analysis.surface_mesh",
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
     from accelsurf.io import open_volume as open_volume
     from accelsurf.io import read as read
     from accelsurf.io import read_labels as read_labels
+    from accelsurf.io import read_sequence as read_sequence
     from accelsurf.io import write as write
     from accelsurf.report.document import report_of as report_of
     from accelsurf.segmentation.api import evolve as evolve

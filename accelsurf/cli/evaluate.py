@@ -39,6 +39,7 @@ def evaluate(
     labels: Annotated[str | None, Parameter(name="--labels", metavar="IDS")] = None,
     tolerance: Annotated[str | None, Parameter(name="--tolerance", metavar="MM")] = None,
     pairs: Annotated[Path | None, Parameter(name="--pairs", metavar="TABLE")] = None,
+    tracks: Annotated[bool, Parameter(name="--tracks", negative=(), show_default=False)] = False,
     names: Annotated[Path | None, Parameter(name=("--label-table", "--names"), metavar="TABLE")] = None,
     as_json: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
     table: Table = None,
@@ -63,6 +64,10 @@ def evaluate(
         Surface Dice (NSD): the part of both surfaces that lies so near the other one, in mm; several with commas.
     pairs
         A table of many pairs: CSV with the columns pred, ref and, if wanted, case.
+    tracks
+        PRED and REF are tracked sequences: folders of the Cell Tracking Challenge, or label maps with time and
+        NAME_tracks.csv beside NAME_labels.*. Prints SEG, DET and TRA of the challenge, Dice by identity, and how often
+        an identity is switched; --csv has a row for each frame.
     names
         Names of labels: a table as --label-table of segment takes it (ITK-SNAP, 3D Slicer, BIDS, CSV, .seg.nrrd).
     as_json
@@ -74,6 +79,11 @@ def evaluate(
     """
     asked = Asked(_labels(labels), _tolerances(tolerance))
     _check_table(table, as_json, overwrite)
+    if tracks:
+        from accelsurf.cli.evaluate_tracks import evaluate_tracks
+
+        _refuse_with_tracks({"labels": labels, "tolerance": tolerance, "pairs": pairs, "label-table": names})
+        return evaluate_tracks(pred, ref, as_json, table)
     known = _names(names)
     found = _pairs(pred, ref, pairs)
     if isinstance(found, list):
@@ -95,6 +105,13 @@ def _check_table(table: str | None, as_json: bool, overwrite: bool) -> None:
         raise UsageError(f"--csv: {table} was given, expected the name of a file", "as in --csv table.csv, or --csv -")
     elif Path(table).exists() and not overwrite:
         raise OutputError(f"{table}: exists already", "choose another name, or add --overwrite")
+
+
+def _refuse_with_tracks(given: dict[str, Any]) -> None:
+    """Refuse options that say nothing of tracks."""
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(f"--{name}: was given with --tracks, which has no use for it", "leave it out")
 
 
 def _labels(text: str | None) -> IdRanges | None:

@@ -127,13 +127,13 @@ def movie(
 
 def _check_target(target: Path, preview: bool, size: tuple[int, int]) -> None:
     """Refuse a file that cannot be written here, before anything is computed."""
-    from accelsurf.viewer.frontends import movie_file
+    from accelsurf.report import movies
 
     if not preview:
         if target.suffix.lower() == ".png":
-            formats = ", ".join(movie_file.FORMATS)
+            formats = ", ".join(movies.FORMATS)
             raise UsageError(f"{target.name}: .png was given, expected {formats}", "or add --preview")
-        movie_file.check_target(target, size)
+        movies.check_target(target, size)
     elif target.suffix.lower() != ".png":
         raise UsageError(f"{target.name}: {target.suffix or 'no suffix'} was given, expected .png with --preview",
                          f"write {target.with_suffix('.png').name}, or leave --preview out")
@@ -172,13 +172,14 @@ def _scene(
 
 def _draw(run: Run, scene: Scene, target: Path, movie: MovieSettings | None, watcher: Watcher) -> str:
     """Run to the end; write the movie, or without its settings a picture of the last step; describe the file."""
+    from accelsurf.report import movies
     from accelsurf.viewer.frontends import movie_file
 
     if movie is None:
         movie_file.run_to_last(run, scene, watcher.on_step)
         scene.screenshot(target)
         return "picture"
-    count = movie_file.write(target, movie_file.pictures(run, scene, movie, watcher.on_step), movie)
+    count = movies.write(target, movie_file.pictures(run, scene, movie, watcher.on_step), movie.size, movie.fps)
     return f"{count} frames, {count / movie.fps:.1f} s"
 
 

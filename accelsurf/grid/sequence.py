@@ -23,12 +23,15 @@ class ImageSequence(ABC):
         Grid of every frame.
     source : str
         File or folder, or what else the frames come from.
+    notes : tuple of str
+        What a person should know of it: gaps, times that were guessed.
     """
 
     times: tuple[float, ...]
     time_unit: str
     geometry: Geometry
     source: str
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Number of frames."""

@@ -7,11 +7,14 @@ from accelsurf.io.label_store import LabelStore
 from accelsurf.io.lazy_volume import LazyVolume, open_volume
 from accelsurf.io.memory import available_memory
 from accelsurf.io.metadata import WARNING_KEY
+from accelsurf.io.sequence_writing import SequenceWriter
+from accelsurf.io.sequences import read_sequence
 from accelsurf.settings.file_formats import image_suffixes, written_suffixes
 
 __all__ = [
     "LabelStore",
     "LazyVolume",
+    "SequenceWriter",
     "WARNING_KEY",
     "available_memory",
     "image_suffixes",
@@ -20,6 +23,7 @@ __all__ = [
     "open_volume",
     "read",
     "read_labels",
+    "read_sequence",
     "sha256",
     "split_name",
     "write",

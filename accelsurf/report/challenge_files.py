@@ -42,12 +42,11 @@ def write(tracks: TrackSet, folder: Path) -> None:
     folder.mkdir()
     digits = frame_digits(len(tracks.sequence))
     for number in range(len(tracks.sequence)):
-        labels = tracks.labels(number)
-        shown = np.zeros(labels.shape, np.uint16)
+        label_of = np.zeros(max((one.id for one in found), default=0) + 1, np.uint16)
         for one in found:
             if one.first <= number <= one.last:
-                shown[labels == one.id] = one.label
-        io.write(Volume(shown, tracks.geometry), folder / f"mask{number:0{digits}d}.tif")
+                label_of[one.id] = one.label
+        io.write(Volume(label_of[tracks.labels(number)], tracks.geometry), folder / f"mask{number:0{digits}d}.tif")
     write_bytes(folder / "res_track.txt", track_lines(found).encode())
 
 

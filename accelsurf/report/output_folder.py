@@ -9,9 +9,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from accelsurf.errors import OutputError
-from accelsurf.io import is_stored
 from accelsurf.io.file_set import FileSet, opened
-from accelsurf.report.result_sets import is_failure_report
+from accelsurf.report.result_sets import is_failure_report, is_output
 
 #: Of a file's name, on the usual file systems.
 MAX_NAME_BYTES = 255
@@ -39,7 +38,7 @@ def refuse_existing(paths: dict[str, Path], overwrite: bool) -> None:
     if results and not overwrite:
         more = f" and {len(results) - 1} more" if len(results) > 1 else ""
         raise OutputError(f"{results[0]}{more}: exists already", "choose another folder with -o, or add --overwrite")
-    folders = [path for path in existing if path.is_dir() and not is_stored(path)]
+    folders = [path for path in existing if path.is_dir() and not is_output(path)]
     if folders:
         raise OutputError(f"{folders[0]}: is a folder, a file is to be written there", "choose another folder with -o")
     for folder in {path.parent for path in paths.values()}:

@@ -12,6 +12,7 @@ from accelsurf.errors import AccelsurfError
 from accelsurf.io import is_stored, sha256
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_formats import TRACK_FORMATS
 
 #: What the names of a failed run's files have after the name of the case, where a result stands already.
 FAILED = "_failed"
@@ -28,6 +29,17 @@ def report_name(name: str) -> str:
     ('scan_report.json', 'scan_failed_report.json')
     """
     return f"{name}_report.json"
+
+
+def is_output(path: Path) -> bool:
+    """Whether a path names a file, or a folder of which accelsurf writes one as a whole: an image, or tracks.
+
+    Examples
+    --------
+    >>> is_output(Path("absent_RES"))
+    False
+    """
+    return is_stored(path) or any((path / form.mark).is_file() for form in TRACK_FORMATS.values() if form.mark)
 
 
 def load_report(path: Path) -> dict[str, Any] | None:
@@ -113,7 +125,7 @@ def unchanged_outputs(report: Path, besides: Collection[str]) -> list[str]:
     for name, checksum in _entries(document["outputs"] if document is not None else ()):
         path = report.parent / name
         try:
-            if name not in besides and is_stored(path) and sha256(path) == checksum:
+            if name not in besides and is_output(path) and sha256(path) == checksum:
                 found.append(name)
         except AccelsurfError:
             continue

@@ -99,6 +99,24 @@ def open_slice(
     anatomical: bool,
 ) -> Slice:
     """Draw the image of one slice with its frame into a panel, as large as fits; the panel's margins stay free."""
+    shown = lay_slice(canvas, panel, image, geometry, view, ranges, window)
+    up, (vertical, horizontal) = shown.up, IN_PLANE[view.plane]
+    where = f"{up.names[view.plane]} = {up.coordinate(view.plane, view.index):.4g} mm"
+    shown.axes.title(", ".join(word for word in (view.why, plane_name(view.plane, anatomical), where) if word))
+    shown.axes.frame(f"{up.names[horizontal]} (mm)", f"{up.names[vertical]} (mm)")
+    return shown
+
+
+def lay_slice(
+    canvas: Canvas,
+    panel: Box,
+    image: NDArray[Any],
+    geometry: Geometry,
+    view: SliceView,
+    ranges: Ranges,
+    window: GreyWindow,
+) -> Slice:
+    """Draw the image of one slice into a panel, as large as fits, without frame and title."""
     left, top, right, bottom = panel
     ranges = fitted(ranges, view.plane, geometry, (right - left) / (bottom - top))
     up, (vertical, horizontal) = DisplayOrientation.of(geometry), IN_PLANE[view.plane]
@@ -115,9 +133,6 @@ def open_slice(
     shown = Slice(axes, view, ranges, up, geometry)
     grey = window.grey(shown.section(image))
     canvas.image(grey if view.plane == 0 else grey[::-1], box, smooth=True)
-    where = f"{up.names[view.plane]} = {up.coordinate(view.plane, view.index):.4g} mm"
-    axes.title(", ".join(word for word in (view.why, plane_name(view.plane, anatomical), where) if word))
-    axes.frame(f"{up.names[horizontal]} (mm)", f"{up.names[vertical]} (mm)")
     return shown
 
 
@@ -137,7 +152,7 @@ def draw_slice(
     if content.anatomical:
         write_letters(shown)
     draw_scale_bar(shown, content.unit)
-    _write_legend(shown, named)
+    write_legend(shown, named)
     return shown
 
 
@@ -315,7 +330,7 @@ def write_letters(shown: Slice) -> None:
         shown.axes.canvas.boxed_text(at, letter, 13)
 
 
-def _write_legend(shown: Slice, lines: list[tuple[str, str, Dashes]]) -> None:
+def write_legend(shown: Slice, lines: list[tuple[str, str, Dashes]]) -> None:
     """Write what each line is, in the lower left corner."""
     if not lines:
         return

@@ -13,6 +13,7 @@ from accelsurf.report.environment import peak_rss_mb, versions
 from accelsurf.report.file_entries import describe_input
 from accelsurf.report.track_frames import TrackSet
 from accelsurf.report.track_tables import ML
+from accelsurf.report.volume_curves import beats_of
 
 __all__ = ["Status", "build", "to_json"]
 
@@ -94,9 +95,9 @@ def _checksum(source: Path) -> str | None:
 
 def describe_tracks(tracks: TrackSet) -> list[dict[str, Any]]:
     """Return an entry for each identity: its life, where it came from, and how large it was."""
-    entries = []
+    entries, beats = [], beats_of(tracks)
     for track in tracks.lineage.tracks:
-        seen = [one for _, one in tracks.of_object(track.id) if one.seen]
+        seen = [one for _, one in tracks.by_object.get(track.id, ()) if one.seen]
         volumes = [one.volume_mm3 * ML for one in seen]
         entries.append({
             "id": track.id,
@@ -109,6 +110,7 @@ def describe_tracks(tracks: TrackSet) -> list[dict[str, Any]]:
             "frames_seen": len(seen),
             "volume_ml_smallest": min(volumes, default=None),
             "volume_ml_largest": max(volumes, default=None),
+            "beat": beats[track.id]._asdict() if track.id in beats else None,
             "quality_lowest": min((one.quality for one in seen), default=None),
         })
     return entries

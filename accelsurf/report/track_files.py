@@ -55,6 +55,10 @@ class TrackFiles:
         if self.labels not in IMAGE_FORMATS or IMAGE_FORMATS[self.labels].write is None:
             written = ", ".join(name for name, form in IMAGE_FORMATS.items() if form.write is not None)
             raise UsageError(f"format: {self.labels} was given, expected {written}", "nii.gz is the default")
+        if not self.per_frame and IMAGE_FORMATS[self.labels].write_frames is None:
+            raise UsageError(
+                f"format: {self.labels} was given, one file of it holds no time", "add --per-frame, or take nii.gz"
+            )
         if IMAGE_FORMATS[self.labels].only_2d and geometry.shape[0] > 1:
             raise UsageError(f"format: {self.labels} was given for volumes, it holds one slice", "take nii.gz or tif")
         for kind in self.mesh:

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,12 +92,21 @@ class FrameStore:
     Parameters
     ----------
     folder : Path
-        Made if it is not there; what is in it counts.
+        Made if it is not there.
+    resume : bool
+        Whether the frames in it count, those that can be read; else it is emptied.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, resume: bool = False) -> None:
         self.folder = folder
+        if not resume:
+            shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True, exist_ok=True)
+        for number in self.numbers():
+            try:
+                self.row(number)
+            except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+                self._path(number).unlink()  # damaged when the machine stopped: it is made again
 
     def numbers(self) -> list[int]:
         """The frames that are there, rising."""
@@ -212,12 +223,14 @@ class TrackSet:
                 frames.setdefault(own, []).append(row.frame)
         return frames
 
-    def of_object(self, own: int) -> Iterator[tuple[FrameRow, ObjectRow]]:
-        """The frames of an object in which it is seen or predicted, rising."""
+    @cached_property
+    def by_object(self) -> dict[int, list[tuple[FrameRow, ObjectRow]]]:
+        """Of each object, by id, the frames in which it is seen or predicted, rising."""
+        found: dict[int, list[tuple[FrameRow, ObjectRow]]] = {}
         for row in self.rows:
             for one in row.objects:
-                if one.id == own:
-                    yield row, one
+                found.setdefault(one.id, []).append((row, one))
+        return dict(sorted(found.items()))
 
 
 def frame_digits(count: int) -> int:
@@ -257,13 +270,3 @@ def _box(arrays: Mapping[str, NDArray[Any]], own: int) -> Box:
 def _mask(arrays: Mapping[str, NDArray[Any]], own: int) -> NDArray[np.bool_]:
     shape = tuple(int(n) for n in arrays[f"shape_{own}"])
     return np.unpackbits(arrays[f"mask_{own}"], count=int(np.prod(shape))).reshape(shape).view(np.bool_)
-
-
-def is_damaged(path: Path) -> bool:
-    """Whether the file of a frame cannot be read."""
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            _row_of(arrays)
-    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
-        return True
-    return False

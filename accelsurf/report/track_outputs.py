@@ -16,7 +16,7 @@ from accelsurf.errors import AccelsurfError
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
-from accelsurf.report import output_folder, result_sets, track_document, track_tables
+from accelsurf.report import film_strip, output_folder, result_sets, track_document, track_tables, volume_curves
 from accelsurf.report.file_entries import describe_drafts
 from accelsurf.report.track_files import TrackFiles, labels_name, mesh_name
 from accelsurf.report.track_frames import FrameStore, TrackSet, frame_digits
@@ -52,8 +52,10 @@ class TrackOutputs:
     overwrite : bool
         Whether files of the same names are replaced.
     store : Path, optional
-        A folder for the frames that survives a run that is killed or interrupted, for ``--resume``; it is removed when
-        the files are complete. By default they lie in a hidden folder, which goes with the run.
+        A folder for the frames that survives a run that is killed or interrupted; it is removed when the files are
+        complete. By default they lie in a hidden folder, which goes with the run.
+    resume : bool
+        Whether the frames that an earlier run has left in ``store`` count; else they are removed.
 
     Raises
     ------
@@ -75,6 +77,7 @@ class TrackOutputs:
         argv: Sequence[str] = (),
         overwrite: bool = False,
         store: Path | None = None,
+        resume: bool = False,
     ) -> None:
         self.name, self.sequence, self.files = name, sequence, files or TrackFiles()
         self.files.check(sequence.geometry)
@@ -83,7 +86,7 @@ class TrackOutputs:
             self._set = stack.enter_context(output_folder.opened_set(folder, name))
             output_folder.refuse_existing(self.files.paths(folder, name), overwrite)
             self._own_store = store is not None
-            self._store = FrameStore(self._set.drafts.parent / "frames" if store is None else store)
+            self._store = FrameStore(self._set.drafts.parent / "frames" if store is None else store, resume)
             self._stack = stack.pop_all()
 
     def __enter__(self) -> TrackOutputs:
@@ -95,7 +98,7 @@ class TrackOutputs:
         self.abort(error)
 
     def frames(self) -> list[int]:
-        """The numbers of the frames that are there, rising: after a resumed run also those of the earlier one."""
+        """The numbers of the frames that are there, rising: of a resumed run also those of the earlier one."""
         return self._store.numbers()
 
     def add(self, result: FrameResult) -> None:
@@ -227,32 +230,30 @@ class TrackOutputs:
         for kind, text in (texts | ({"config": self._toml} if self._toml else {})).items():
             write_bytes(self._set.drafts / names[kind], text.encode())
             kinds[names[kind]] = kind
+        pictures = {"preview": film_strip.film_strip_png(tracks), "curves-picture": volume_curves.curves_png(tracks)}
+        for kind, picture in pictures.items():
+            write_bytes(self._set.drafts / names[kind], picture)
+            kinds[names[kind]] = kind
         for kind in self.files.also:
             load(TRACK_FORMATS[kind].write)(tracks, self._set.drafts / names[kind])
             kinds[names[kind]] = kind
         return kinds
 
     def _write_frames(self, tracks: TrackSet) -> list[str]:
-        """Write a label map for each frame that was reached; their names."""
+        """Write a label map for each frame that was reached, all of one type, with the ids as they are; their names."""
         names = []
         for row in tracks.rows:
             volume = Volume(tracks.labels(row.frame), tracks.geometry)
             names.append(labels_name(self.name, f"{row.frame:0{self._digits}d}", self.files.labels))
-            io.write_labels(volume, self._set.drafts / names[-1])
+            io.write(volume, self._set.drafts / names[-1])
         return names
 
     def _write_sequence(self, tracks: TrackSet, path: Path) -> None:
         """Write the label maps of all frames as one file with time."""
-        from accelsurf.io.sequences import SequenceWriter
-
-        sequence = self.sequence
-        writer = SequenceWriter(path, sequence.geometry, sequence.times, sequence.time_unit, tracks.label_type)
-        try:
+        sequence, kind = self.sequence, tracks.label_type
+        with io.SequenceWriter(path, sequence.geometry, sequence.times, sequence.time_unit, kind) as writer:
             for number in range(len(sequence)):
                 writer.write(number, tracks.labels(number))
-            writer.commit()
-        finally:
-            writer.abort()
 
     def _commit(self, report: str, failed: bool = False) -> None:
         written = [path.name for path in self._set.drafts.iterdir()]

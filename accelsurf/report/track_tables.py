@@ -36,7 +36,7 @@ def curves_csv(tracks: TrackSet) -> str:
 
     A cell is empty where an object is not seen.
     """
-    ids = sorted({one.id for row in tracks.rows for one in row.objects})
+    ids = list(tracks.by_object)
     lines = []
     for row in tracks.rows:
         seen = {one.id: one.volume_mm3 * ML for one in row.objects if one.seen}

@@ -53,6 +53,12 @@ class ImageFormat:
     store : str or callable, optional
         Of a Path, a Geometry, a type of values, metadata and a path to the image or None, returns what label maps are
         written with box by box (``write``, ``read``, ``finish``, as of `accelsurf.io.LabelStore`); None: it cannot be.
+    sequence : str or callable, optional
+        Of a Path, ReadOptions and the memory in bytes or None, returns the
+        `accelsurf.io.sequence_sources.FileSequence` that is in it; None: one time point is read like the other.
+    write_frames : str or callable, optional
+        Of a Path, which it makes, and an `accelsurf.io.sequence_writing.FrameStack`: writes a sequence with its times;
+        None: it cannot hold one.
     has_levels : bool
         Whether a file may hold several levels, channels and time points.
     folder_marks : tuple of str
@@ -91,6 +97,8 @@ class ImageFormat:
     write_labels: Function | None = None
     open: Function | None = None
     store: Function | None = None
+    sequence: Function | None = None
+    write_frames: Function | None = None
     has_levels: bool = False
     folder_marks: tuple[str, ...] = ()
     is_folder: Function | None = None
@@ -117,6 +125,8 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nifti_volumes:read",
         f"{_FORMATS}.nifti_volumes:write_compressed",
         _PARTS,
+        sequence="accelsurf.io.packed_sequences:NiftiFrames",
+        write_frames=f"{_FORMATS}.sequence_files:write_packed_nifti",
         read_channels=f"{_FORMATS}.nifti_volumes:read_channels",
         is_anatomical=f"{_FORMATS}.nifti_grid:is_anatomical",
     ),
@@ -128,6 +138,8 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.nifti_volumes:read",
         f"{_FORMATS}.nifti_volumes:write",
         _PARTS,
+        sequence="accelsurf.io.packed_sequences:NiftiFrames",
+        write_frames=f"{_FORMATS}.sequence_files:write_nifti",
         read_channels=f"{_FORMATS}.nifti_volumes:read_channels",
         is_anatomical=f"{_FORMATS}.nifti_grid:is_anatomical",
         open=f"{_FORMATS}.nifti_volumes:open_lazily",
@@ -141,6 +153,8 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.itk_volumes:read",
         f"{_FORMATS}.itk_volumes:write_nrrd",
         _PARTS,
+        sequence="accelsurf.io.packed_sequences:ItkFrames",
+        write_frames=f"{_FORMATS}.sequence_files:write_nrrd",
         read_channels=f"{_FORMATS}.itk_volumes:read_channels",
         is_anatomical=f"{_FORMATS}.nrrd_metaimage:is_anatomical",
         open=f"{_FORMATS}.itk_volumes:open_lazily",
@@ -154,6 +168,8 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
             f"{_FORMATS}.itk_volumes:read",
             f"{_FORMATS}.itk_volumes:write_metaimage",
             _PARTS,
+            sequence="accelsurf.io.packed_sequences:ItkFrames",
+            write_frames=f"{_FORMATS}.sequence_files:write_metaimage",
             read_channels=f"{_FORMATS}.itk_volumes:read_channels",
             open=f"{_FORMATS}.itk_volumes:open_lazily",
         )
@@ -170,6 +186,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.ome_zarr:read",
         f"{_FORMATS}.ome_zarr:write",
         ("level", *_PARTS),
+        write_frames=f"{_FORMATS}.ome_zarr_frames:write",
         read_channels=f"{_FORMATS}.ome_zarr:read_channels",
         write_labels=f"{_FORMATS}.ome_zarr:write_labels",
         open=f"{_FORMATS}.ome_zarr:open_lazily",
@@ -199,6 +216,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.tiff_image:read",
         f"{_FORMATS}.tiff_file:write",
         ("level", *_PARTS, "spacing"),
+        write_frames=f"{_FORMATS}.tiff_frames:write",
         read_channels=f"{_FORMATS}.tiff_image:read_channels",
         open=f"{_FORMATS}.tiff_image:open_lazily",
         has_levels=True,

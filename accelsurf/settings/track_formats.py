@@ -26,7 +26,9 @@ class TrackFormat:
     write : str or callable
         Of an `accelsurf.report.track_frames.TrackSet` and a Path, writes it.
     check : str or callable, optional
-        Of the grid, refuses with a UsageError what cannot be written here, before anything is computed.
+        Of the grid, refuses what cannot be written here, before anything is computed.
+    mark : str
+        A file in it, where it is a folder: by this it is known as one that may be replaced. Empty: it is a file.
     """
 
     name: str
@@ -34,19 +36,29 @@ class TrackFormat:
     ending: str
     write: Function
     check: Function | None = None
+    mark: str = ""
 
 
 TRACK_FORMATS: Registry[TrackFormat] = Registry(
     "format of tracks",
     TrackFormat(
         "ctc", "folder of the Cell Tracking Challenge: res_track.txt and a TIFF for each frame", "RES",
-        "accelsurf.report.challenge_files:write",
+        "accelsurf.report.challenge_files:write", mark="res_track.txt",
     ),
     TrackFormat(
         "geff", "folder of the Graph Exchange File Format", "tracks.geff", "accelsurf.report.geff_file:write",
-        "accelsurf.report.geff_file:check",
+        "accelsurf.report.geff_file:check", mark=".zattrs",
     ),
     TrackFormat("trackmate", "XML file of TrackMate", "trackmate.xml", "accelsurf.report.trackmate_file:write"),
+    TrackFormat(
+        "mp4", "movie of slices, prediction beside correction", "movie.mp4", "accelsurf.report.track_movie:write",
+        "accelsurf.report.track_movie:check_mp4",
+    ),
+    TrackFormat("gif", "the same as GIF", "movie.gif", "accelsurf.report.track_movie:write"),
+    TrackFormat(
+        "webp", "the same as WebP", "movie.webp", "accelsurf.report.track_movie:write",
+        "accelsurf.report.track_movie:check_webp",
+    ),
 )
 
 

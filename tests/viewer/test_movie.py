@@ -12,6 +12,7 @@ from PIL import Image, ImageSequence
 
 from accelsurf import cli, io
 from accelsurf.errors import InputError, UsageError
+from accelsurf.report import movies
 from accelsurf.segmentation.run import Run
 from accelsurf.viewer.frontends import movie_file
 from accelsurf.viewer.scene.scene import Scene
@@ -203,16 +204,16 @@ def test_nothing_is_left_when_a_frame_fails(tmp_path):
 
     for name in ("a.gif", "a.webp", *(["a.mp4"] if importlib.util.find_spec("imageio_ffmpeg") else [])):
         with pytest.raises(InputError, match="disk is full"):
-            movie_file.write(tmp_path / name, frames(), movie_file.MovieSettings(size=(320, 180)))
+            movies.write(tmp_path / name, frames(), (320, 180), 15.0)
         assert list(tmp_path.iterdir()) == []
 
 
 def test_mp4_without_its_encoder_is_one_line(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(UsageError, match="imageio-ffmpeg is not installed") as caught:
-        movie_file.check_target(tmp_path / "a.mp4", (320, 180))
+        movies.check_target(tmp_path / "a.mp4", (320, 180))
     assert "accelsurf[viewer]" in caught.value.hint
-    movie_file.check_target(tmp_path / "a.gif", (320, 180))
+    movies.check_target(tmp_path / "a.gif", (320, 180))
 
 
 # -- without a screen ---------------------------------------------------------------------------------------

@@ -14,16 +14,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import GeometryError, InputError
+from accelsurf.grid.geometry import Geometry
 from accelsurf.io import selection
 from accelsurf.io.formats.deflate import GZIP_START, TRUNCATED_HINT, first_bytes, inflate
 from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
+from accelsurf.io.formats.sequence_files import times_text_in
+from accelsurf.io.frame_times import single_precision
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 ITK_NAME = "NiftiImageIO"
@@ -37,6 +40,8 @@ _BEGINNINGS = {
 }
 _MAGIC = {1: (344, b"n+1\0"), 2: (4, b"n+2\0\r\n\x1a\n")}
 _QFORM = ("quatern_b", "quatern_c", "quatern_d", "qoffset_x", "qoffset_y", "qoffset_z")
+#: Bytes before the voxels that are searched for times.
+_MAX_EXTENSION = 1 << 24
 _REAL = (2, 4, 8, 16, 64, 256, 512, 768, 1024, 1280)  # type codes: integers of 1 to 8 bytes, floats of 4 and 8
 #: Intents of components: matrices, vectors, colours.
 _VECTORS = frozenset((1004, 1005, 1006, 1007, 2003, 2004))
@@ -142,6 +147,11 @@ class NiftiFile(RawHeader):
         """How many values are read, those of all channels together."""
         return len(self.selected()) * math.prod(self.nifti.size[:3])
 
+    @property
+    def geometry(self) -> Geometry:
+        """The grid of a volume."""
+        return self.nifti.grid.geometry()
+
     def selected(self) -> list[int]:
         """Numbers of the volumes that are read as channels.
 
@@ -197,14 +207,25 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
         if compressed:
             file.seek(0)
             start = first_bytes(file, max(HEADER_BYTES.values()))
-    header = parse(start)
+        header = parse(start)
+        extension = _extensions(file, header, compressed) if len(header.size) > 3 else b""
     header.grid.check_forms()
     metadata = {METADATA_KEY: header.grid.fields}
     encoding: Encoding = "deflate" if compressed else "raw"
     return NiftiFile(
         path, 0, encoding, ITK_NAME, header.claimed_bytes, None, metadata, channels=header.channels,
         time_points=header.time_points, seconds=header.seconds, asked=options, nifti=header,
+        times_text=times_text_in(extension, _BEGINNINGS[start[:4]][1]),
     )
+
+
+def _extensions(file: BinaryIO, header: NiftiHeader, compressed: bool) -> bytes:
+    """What lies between the header with its flags and the voxels; nothing where that is longer than our own line."""
+    begin, end = HEADER_BYTES[header.version] + 4, header.data_offset
+    if not begin < end <= _MAX_EXTENSION:
+        return b""
+    file.seek(0)
+    return (first_bytes(file, end) if compressed else file.read(end))[begin:]
 
 
 read_plain_header = partial(read_header, compressed=False)
@@ -275,7 +296,7 @@ def parse(raw: bytes) -> NiftiHeader:
 
 def _time_step(header: Any) -> tuple[float | None, bool]:
     """Seconds from one volume to the next, and whether anything is said of time."""
-    step = float(header["pixdim"][4])
+    step = single_precision(float(header["pixdim"][4])) if math.isfinite(header["pixdim"][4]) else math.nan
     unit = _SECONDS.get(int(header["xyzt_units"]) & 0x38, 0.0)
     seconds = step * unit if unit and math.isfinite(step) and step > 0 else None
     return seconds, unit > 0 or step not in (0.0, 1.0)

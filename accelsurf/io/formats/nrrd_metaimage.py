@@ -16,6 +16,7 @@ import numpy as np
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.io.formats.raw_header import ByteOrder, Encoding, RawHeader
+from accelsurf.io.frame_times import TIMES_KEY
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
@@ -101,8 +102,8 @@ def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
         ) from None
     _check_nrrd_axes(fields, len(sizes))
     axis = _nrrd_fourth_axis(fields, lines, sizes)
-    lengths = [unit for unit in re.findall(r"\S+", fields.get("units", "").replace('"', " ")) if unit not in _SECONDS]
-    _check_units([*fields.get("space units", "").replace('"', " ").split(), *lengths])
+    said = " ".join(fields.get(key, "") for key in ("space units", "units")).replace('"', " ").split()
+    _check_units([unit for unit in said if unit not in _SECONDS])
     data = path
     if detached := fields.get("data file") or fields.get("datafile"):
         data, offset = _detached(path, detached), 0
@@ -135,15 +136,27 @@ def _nrrd_fourth_axis(fields: Mapping[str, str], lines: Sequence[str], sizes: Se
         raise InputError(
             "the time axis of the NRRD comes first, before those of space", "save it last, or as an axis of kind list"
         )
-    steps, units = fields.get("spacings", "").split(), re.findall(r'"([^"]*)"', fields.get("units", ""))
-    if kinds[0] in ("", "domain", "space"):
-        seconds = _SECONDS.get(units[3], 0.0) if len(units) == 4 else 0.0
-        step = float(steps[3]) if len(steps) == 4 and re.fullmatch(r"[0-9.eE+-]{1,30}", steps[3]) else 0.0
-        found = seconds * step if math.isfinite(step) and step > 0 else 0.0
-        return {"time_points": sizes[3], "seconds": found or None}
     said = {key.strip().lower(): value.strip().lower() for key, _, value in (line.partition(":=") for line in lines)}
+    times = said.get(TIMES_KEY, "")
+    if kinds[0] in ("", "domain", "space"):
+        return {"time_points": sizes[3], "seconds": _nrrd_seconds(fields), "times_text": times}
     is_time = said.get("axis 0 index type") == "time" or "multivolume.framelabels" in said
-    return {"time_points" if is_time else "channels": sizes[0], "is_interleaved": True}
+    return {"time_points" if is_time else "channels": sizes[0], "is_interleaved": True, "times_text": times}
+
+
+def _nrrd_seconds(fields: Mapping[str, str]) -> float | None:
+    """Seconds along the fourth axis, by its spacing, or in a space of four axes by its direction."""
+    steps, units = fields.get("spacings", "").split(), re.findall(r'"([^"]*)"', fields.get("units", ""))
+    if not steps and "space units" in fields:
+        last = fields.get("space directions", "").rpartition("(")[2].rstrip(") ").split(",")
+        steps, units = [""] * 3 + last[-1:], re.findall(r'"([^"]*)"', fields["space units"])
+    if len(steps) != 4 or len(units) != 4 or re.fullmatch(r"[0-9.eE+-]{1,30}", steps[3].strip()) is None:
+        return None
+    try:
+        seconds = float(steps[3]) * _SECONDS.get(units[3], 0.0)
+    except ValueError:
+        return None
+    return seconds if math.isfinite(seconds) and seconds > 0 else None
 
 
 def _nrrd_position(fields: dict[str, str], coding: Encoding, offset: int) -> int | None:
@@ -241,7 +254,7 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     offset = max(skip, offset)  # a positive one counts from the start of the file
     position = None if encoding != "raw" else -1 if skip < 0 else offset
     count, order = numbers * item, _meta_order(fields)
-    axis = _meta_fourth_axis(numbers // math.prod(sizes), sizes)
+    axis = _meta_fourth_axis(numbers // math.prod(sizes), sizes) | {"times_text": fields.get(TIMES_KEY, "")}
     return RawHeader(
         data, offset, encoding, METAIMAGE_ITK_NAME, count, stored, {}, numbers, position, order, **axis, asked=options
     )

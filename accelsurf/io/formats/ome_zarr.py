@@ -19,10 +19,12 @@ from accelsurf.io import selection
 from accelsurf.io.formats.ome_metadata import OmeMetadata, parse_attributes
 from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
 from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, library, open_array
+from accelsurf.io.frame_times import TIMES_KEY, FrameTimes
 from accelsurf.io.headers import check_within_store, split_name
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.levels import checked_level
 from accelsurf.io.memory import check_memory
+from accelsurf.io.metadata import FRAME_KEY
 from accelsurf.settings.reading import AS_IT_IS, Level, ReadOptions
 
 _SERIES_KEY = "bioformats2raw.layout"
@@ -69,6 +71,21 @@ class OmeHeader:
     def time_points(self) -> int:
         """How many there are."""
         return self.count("time")
+
+    @property
+    def frame_times(self) -> FrameTimes | None:
+        """When they are; None where the metadata do not say it."""
+        count = self.count("time")
+        if (text := self.ome.metadata.get(TIMES_KEY)) is not None:
+            return FrameTimes.from_text(text, count)
+        found = self.ome.metadata.get(FRAME_KEY)
+        return None if found is None else FrameTimes.regular(count, float(found))
+
+    @property
+    def geometry(self) -> Geometry:
+        """The grid of the level that is read."""
+        grids = _grids(self)
+        return grids[checked_level(self.options.level, [grid.shape for grid in grids])]
 
     def count(self, kind: str) -> int:
         """How many channels ("channel") or time points ("time") there are."""

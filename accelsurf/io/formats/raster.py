@@ -60,6 +60,11 @@ class RasterHeader(ABC):
         """How many pixels the image has; colours become one value."""
         return math.prod(self.shape)
 
+    @property
+    def geometry(self) -> Geometry | None:
+        """The grid; None for a PNG whose scale ITK reads."""
+        return None if self.spacing is None else Geometry(self.shape, self.spacing)
+
     @abstractmethod
     def check_complete(self) -> None:
         """Refuse a file that does not hold all its rows.

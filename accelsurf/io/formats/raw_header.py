@@ -12,6 +12,7 @@ from typing import Literal
 from accelsurf.errors import InputError
 from accelsurf.io import selection
 from accelsurf.io.formats.deflate import TRUNCATED_HINT, inflate
+from accelsurf.io.frame_times import FrameTimes
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
@@ -55,6 +56,8 @@ class RawHeader:
         Whether all values of a voxel lie together.
     asked : ReadOptions
         Which channel and time point is read.
+    times_text : str
+        A line of our own with the times; empty where there is none.
     """
 
     data: Path
@@ -72,6 +75,20 @@ class RawHeader:
     seconds: float | None = None
     is_interleaved: bool = False
     asked: ReadOptions = AS_IT_IS
+    times_text: str = ""
+
+    @property
+    def frame_times(self) -> FrameTimes | None:
+        """The times of the frames; None where the file does not say them.
+
+        Raises
+        ------
+        InputError
+            When what it says is damaged.
+        """
+        if self.times_text:
+            return FrameTimes.from_text(self.times_text, self.time_points)
+        return None if self.seconds is None else FrameTimes.regular(self.time_points, self.seconds)
 
     @property
     def values(self) -> int:

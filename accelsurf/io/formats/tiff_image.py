@@ -36,6 +36,7 @@ from accelsurf.io.formats.tiff_directories import (
 )
 from accelsurf.io.formats.tiff_pages import TiffPages, library
 from accelsurf.io.formats.tiff_stack import TiffStack, stack_of
+from accelsurf.io.frame_times import FrameTimes
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout, VoxelSource
 from accelsurf.io.levels import checked_level
 from accelsurf.io.memory import check_memory
@@ -92,6 +93,16 @@ class TiffImage:
     def time_points(self) -> int:
         """How many there are."""
         return self.stack.time_points
+
+    @property
+    def frame_times(self) -> FrameTimes | None:
+        """When they are; None where the file does not say it."""
+        return self.stack.frame_times
+
+    @property
+    def geometry(self) -> Geometry:
+        """The grid of the level that is read."""
+        return self.grids[self.level]
 
     @property
     def values(self) -> int:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.io.formats.raster import TRUNCATED_HINT
 from accelsurf.io.formats.tiff_directories import DESCRIPTION, RES_UNIT, X_RES, Y_RES, Page
+from accelsurf.io.frame_times import TIMES_KEY, FrameTimes
 from accelsurf.settings import budgets
 
 _MM = {
@@ -52,6 +53,8 @@ class TiffStack:
         From one time point to the next.
     counts_all : bool
         Whether the numbers of pages count thumbnails, too.
+    times : FrameTimes or None
+        Where each time point has its own.
     """
 
     pages: NDArray[np.int64]
@@ -62,6 +65,14 @@ class TiffStack:
     files: tuple[str, ...] = ("",)
     file_numbers: NDArray[np.int64] | None = None
     counts_all: bool = False
+    times: FrameTimes | None = None
+
+    @property
+    def frame_times(self) -> FrameTimes | None:
+        """When the time points are; None where it is not said."""
+        if self.times is None and self.seconds is not None:
+            return FrameTimes.regular(self.time_points, self.seconds)
+        return self.times
 
     @property
     def time_points(self) -> int:
@@ -192,7 +203,9 @@ class _OmeReader:
         self.images, self.binary_only, self.own = 0, "", ""
         self.pixels: dict[str, str] = {}
         self.data: list[tuple[dict[str, str], list[str]]] = []  # attributes of TiffData; its file's name and UUID
-        self._in_uuid = False
+        self.delays: dict[int, float] = {}  # seconds of the first plane of each time point
+        self.times_text = ""
+        self._in_uuid = self._in_times = False
         parser = expat.ParserCreate()
         parser.buffer_text = True
         parser.StartDoctypeDeclHandler = self._refuse
@@ -222,13 +235,34 @@ class _OmeReader:
         elif name == "UUID" and self.data and self.images == 1:
             self.data[-1][1][0] = attributes.get("FileName", "")
             self._in_uuid = True
+        elif name == "Plane" and self.images == 1 and "DeltaT" in attributes:
+            self._delay(attributes)
+        elif name == "CommentAnnotation":
+            self._in_times = attributes.get("Namespace") == TIMES_KEY
+
+    def _delay(self, attributes: dict[str, str]) -> None:
+        seconds = float(attributes["DeltaT"]) * _SECONDS.get(attributes.get("DeltaTUnit", "s"), math.nan)
+        number = int(attributes.get("TheT", 0))
+        self.delays[number] = min(seconds, self.delays.get(number, math.inf))
 
     def _end(self, name: str) -> None:
         self._in_uuid = False
+        if name.rpartition(":")[2] == "CommentAnnotation":
+            self._in_times = False
 
     def _text(self, text: str) -> None:
         if self._in_uuid:
             self.data[-1][1][1] += text.strip()
+        elif self._in_times:
+            self.times_text += text
+
+    def times(self, count: int) -> FrameTimes | None:
+        """When so many time points are, where each has its own time, and they rise."""
+        if self.times_text.strip():
+            return FrameTimes.from_text(self.times_text, count)
+        values = tuple(self.delays.get(number, math.nan) for number in range(count))
+        rising = all(math.isfinite(b) and a < b for a, b in zip(values, values[1:], strict=False))
+        return FrameTimes(values, "s") if count > 1 and math.isfinite(values[0]) and rising else None
 
 
 def _ome_stack(text: str, pages: int, samples: int) -> TiffStack:
@@ -266,7 +300,7 @@ def _ome_stack(text: str, pages: int, samples: int) -> TiffStack:
     seconds = float(fields.get("TimeIncrement", 0)) * _SECONDS.get(fields.get("TimeIncrementUnit", "s"), 0.0)
     return TiffStack(
         table[1], spacing, unit, known, seconds if math.isfinite(seconds) and seconds > 0 else None, tuple(names),
-        table[0], True,
+        table[0], True, said.times(times),
     )
 
 

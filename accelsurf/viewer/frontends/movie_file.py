@@ -1,35 +1,25 @@
-"""Movies of a run: pictures into mp4, gif or webp; no file is left incomplete."""
+"""Movies of a run: which pictures there are, and the run in a folder of results."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-from PIL import Image, features
 
 from accelsurf import io
-from accelsurf.errors import InputError, OutputError, UsageError
+from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import StepRecord
-from accelsurf.io.files import SPACE_HINT, staging
 from accelsurf.report import result_sets
+from accelsurf.report.movies import MAX_SIDE, MIN_SIDE, Picture
 from accelsurf.segmentation.run import Run
 from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, histories_of_run
 from accelsurf.viewer.scene.scene import SIZE, Scene
 
-FORMATS = (".mp4", ".gif", ".webp")
-#: Smallest and largest side of a movie, pixels: smaller text cannot be read, larger pictures encoders refuse.
-MIN_SIDE, MAX_SIDE = 160, 4096
-
-Picture = NDArray[np.uint8]
 #: Called with each record and the id of its object (None for one without an id); a true value ends the run.
 OnStep = Callable[[StepRecord, int | None], bool | None]
 
@@ -76,27 +66,6 @@ class MovieSettings:
             raise UsageError(f"size: {given} was given, expected {expected}", "as in 1280x720")
 
 
-def check_target(path: Path, size: tuple[int, int]) -> None:
-    """Refuse a movie that cannot be written here, before anything is computed.
-
-    Raises
-    ------
-    UsageError
-        For an unknown suffix, a size that the format cannot have, or an encoder that is not installed.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise UsageError(
-            f"{path.name}: {suffix or 'no suffix'} was given, expected {', '.join(FORMATS)}", f"write {path.stem}.mp4"
-        )
-    if suffix == ".mp4":
-        if any(side % 2 for side in size):
-            raise UsageError(f"size: {size[0]}x{size[1]} was given, expected even numbers for mp4", "as in 1280x720")
-        _ffmpeg()
-    if suffix == ".webp" and not features.check("webp"):
-        raise UsageError("webp: Pillow was built without it here", "take .mp4 or .gif")
-
-
 def pictures(run: Run, scene: Scene, movie: MovieSettings, on_step: OnStep | None = None) -> Iterator[Picture]:
     """Run to the end and draw the steps.
 
@@ -141,97 +110,6 @@ def _steps(run: Run, on_step: OnStep | None) -> Iterator[int]:
             if on_step is not None and on_step(step.record, step.object_id if run.has_ids else None):
                 run.request_stop()
         yield run.step_number - 1
-
-
-def write(path: Path, frames: Iterable[Picture], movie: MovieSettings) -> int:
-    """Write frames as a movie by suffix; the file appears whole or not at all. Returns how many there were.
-
-    Raises
-    ------
-    UsageError
-        As `check_target`.
-    OutputError
-        When the file cannot be written.
-    """
-    check_target(path, movie.size)
-    encode = _mp4 if path.suffix.lower() == ".mp4" else _animation
-    with staging(path) as files:
-        draft = files.drafts / path.name
-        count = encode(draft, frames, movie)
-        _check_draft(draft, count)
-        files.commit()
-    return count
-
-
-def _check_draft(draft: Path, count: int) -> None:
-    """Refuse a movie that does not hold all its frames: encoders may say nothing of a full disk.
-
-    Raises
-    ------
-    OutputError
-        With the number that it holds.
-    """
-    try:
-        if draft.suffix.lower() == ".mp4":
-            found, _ = _ffmpeg().count_frames_and_secs(str(draft))
-        else:
-            with Image.open(draft) as movie:
-                # Frames that are alike are joined: the last one must be whole.
-                found = count
-                movie.seek(getattr(movie, "n_frames", 1) - 1)
-                movie.load()
-    except (OSError, EOFError, SyntaxError, ValueError, RuntimeError) as error:
-        raise OutputError(f"{draft.name}: cannot be written (it is damaged: {error})", SPACE_HINT) from error
-    if found != count:
-        raise OutputError(f"{draft.name}: cannot be written ({found} of {count} frames arrived)", SPACE_HINT)
-
-
-def _mp4(path: Path, frames: Iterable[Picture], movie: MovieSettings) -> int:
-    ffmpeg = _ffmpeg()
-    # yuv420p and faststart: what any browser and any slide show plays.
-    writer = ffmpeg.write_frames(
-        str(path), movie.size, fps=movie.fps, codec="libx264", quality=8, macro_block_size=2,
-        ffmpeg_log_level="error", output_params=["-movflags", "+faststart", "-threads", "2"],
-    )
-    writer.send(None)
-    count = 0
-    try:
-        for frame in frames:
-            writer.send(np.ascontiguousarray(frame))
-            count += 1
-    except OSError as error:
-        raise OutputError(f"{path.name}: ffmpeg failed ({error})", SPACE_HINT) from error
-    finally:
-        writer.close()
-    return count
-
-
-def _animation(path: Path, frames: Iterable[Picture], movie: MovieSettings) -> int:
-    count = 0
-
-    def images() -> Iterator[Image.Image]:
-        nonlocal count
-        for frame in frames:
-            count += 1
-            yield Image.fromarray(frame)
-
-    stream = images()
-    first = next(stream)
-    # A GIF counts hundredths of a second; viewers ignore less than two.
-    duration = max(20, round(1000 / movie.fps))
-    options: dict[str, Any] = {"quality": 80, "method": 4} if path.suffix.lower() == ".webp" else {"disposal": 1}
-    first.save(path, save_all=True, append_images=stream, duration=duration, loop=0, **options)
-    return count
-
-
-def _ffmpeg() -> Any:
-    try:
-        import imageio_ffmpeg
-    except ImportError:
-        raise UsageError(
-            "mp4: imageio-ffmpeg is not installed", 'pip install "accelsurf[viewer]"; .gif and .webp need nothing more'
-        ) from None
-    return imageio_ffmpeg
 
 
 # -- from a folder of results -----------------------------------------------------------------------------------

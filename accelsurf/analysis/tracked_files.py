@@ -1,0 +1,165 @@
+"""Tracks in files: a folder of the Cell Tracking Challenge, or label maps with time and a table beside them."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.analysis.track_graph import Stretch, stretches
+from accelsurf.analysis.tracking_scores import TrackedLabels, TrackingScores, score
+from accelsurf.errors import InputError
+from accelsurf.grid.sequence import ImageSequence
+from accelsurf.io.challenge import ChallengeFolder, is_challenge, open_challenge
+from accelsurf.io.files import naming
+from accelsurf.settings import budgets
+
+#: End of the name of label maps, and of the table that belongs to them.
+_LABELS, _TABLE = "_labels", "_tracks.csv"
+
+
+@dataclass(frozen=True)
+class TrackedFile:
+    """Tracks that were opened.
+
+    Attributes
+    ----------
+    path : Path
+    labels : TrackedLabels
+    outlines : tuple of (int, Path)
+        Frames with outlines that SEG is measured on; empty: the label maps.
+    table : Path or None
+        Where the parents are from; None: nothing says who came from whom.
+    """
+
+    path: Path
+    labels: TrackedLabels
+    outlines: tuple[tuple[int, Path], ...] = ()
+    table: Path | None = None
+
+
+def open_tracks(path: Path) -> TrackedFile:
+    """Open tracks; label maps are read frame by frame later.
+
+    Parameters
+    ----------
+    path : Path
+        A folder of the challenge; or a sequence of label maps, whose table of tracks is found beside it:
+        ``NAME_tracks.csv`` beside ``NAME_labels.nii.gz``.
+
+    Raises
+    ------
+    InputError
+        When something cannot be read.
+    """
+    if is_challenge(path):
+        return _of_challenge(path, open_challenge(path))
+    from accelsurf.io.sequences import read_sequence
+
+    sequence = read_sequence(path)
+    table = table_beside(path)
+    frames, parents = _read_table(table) if table is not None else (_frames_shown(sequence), {})
+    tracks = stretches(frames, parents)
+    return TrackedFile(path, TrackedLabels(len(sequence), lambda n: _as_labels(sequence, n), tracks), (), table)
+
+
+def compare(result: TrackedFile, reference: TrackedFile) -> TrackingScores:
+    """Score tracks by their reference.
+
+    Raises
+    ------
+    InputError
+        When they have not the same number of frames, or not the same grid.
+    """
+    if result.labels.frames != reference.labels.frames:
+        raise InputError(
+            f"{result.path} has {result.labels.frames} frames, {reference.path} has {reference.labels.frames}: as many "
+            "expected"
+        )
+    shape, wanted = result.labels.labels(0).shape, reference.labels.labels(0).shape
+    if shape != wanted:
+        raise InputError(f"{result.path} has frames of {shape} voxels (z, y, x), {reference.path} of {wanted}")
+    return score(result.labels, reference.labels, _outlines(reference) if reference.outlines else None)
+
+
+def table_beside(path: Path) -> Path | None:
+    """The table of tracks that belongs to label maps; None where there is none.
+
+    Examples
+    --------
+    >>> table_beside(Path("absent_labels.nii.gz")) is None
+    True
+    """
+    stem, mark, _ = path.name.rpartition(_LABELS)
+    table = path.with_name(stem + _TABLE)
+    return table if mark and table.is_file() else None
+
+
+def _of_challenge(path: Path, found: ChallengeFolder) -> TrackedFile:
+    tracks = [
+        Stretch(one.label, one.label, one.first, one.last, (one.parent,) if one.parent else ()) for one in found.tracks
+    ]
+    return TrackedFile(path, TrackedLabels(len(found.frames), found.labels, tracks), found.outlines, found.folder)
+
+
+def _outlines(reference: TrackedFile) -> Iterator[tuple[int, NDArray[Any]]]:
+    from accelsurf.io import read_labels
+
+    for number, path in reference.outlines:
+        if number < reference.labels.frames:
+            yield number, read_labels(path).array
+
+
+def _as_labels(sequence: ImageSequence, number: int) -> NDArray[Any]:
+    """A frame as whole numbers."""
+    array = sequence.frame(number).array
+    if array.dtype.kind in "uib":
+        return array
+    whole = array.astype(np.int64)
+    if not np.array_equal(whole, array):
+        raise InputError(f"{sequence.source}: frame {number} has values that are no whole numbers, labels expected")
+    return whole
+
+
+def _frames_shown(sequence: ImageSequence) -> dict[int, list[int]]:
+    """Of each id the frames that have it."""
+    frames: dict[int, list[int]] = {}
+    for number in range(len(sequence)):
+        for own in np.unique(_as_labels(sequence, number)):
+            if own > 0:
+                frames.setdefault(int(own), []).append(number)
+    return frames
+
+
+def _read_table(path: Path) -> tuple[dict[int, list[int]], dict[int, tuple[int, ...]]]:
+    """Of each id the frames in which it is seen, and its parents, from the columns frame, id, parent and seen."""
+    with naming(path):
+        budgets.CASES.check(path.stat().st_size, "the table of tracks")
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            lines = csv.DictReader(file, strict=True)
+            try:
+                return _tracks_in(lines.fieldnames or (), lines)
+            except (csv.Error, UnicodeDecodeError, ValueError) as error:
+                raise InputError(f"line {lines.line_num}: not a line of a table of tracks ({error})") from None
+
+
+def _tracks_in(
+    columns: Sequence[str], lines: Iterator[Mapping[str, str]]
+) -> tuple[dict[int, list[int]], dict[int, tuple[int, ...]]]:
+    for name in ("frame", "id"):
+        if name not in columns:
+            raise InputError(f"no column {name}", "frame, id and parent are expected, as accelsurf track writes them")
+    frames: dict[int, set[int]] = {}
+    parents: dict[int, tuple[int, ...]] = {}
+    for line in lines:
+        own = int(line["id"])
+        if line.get("seen", "1") != "0":
+            frames.setdefault(own, set()).add(int(line["frame"]))
+        if line.get("parent"):
+            parents[own] = tuple(int(one) for one in line["parent"].split(";"))
+    return {own: sorted(numbers) for own, numbers in frames.items()}, parents

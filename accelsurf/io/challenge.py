@@ -1,0 +1,118 @@
+"""Folders of the Cell Tracking Challenge: a table of tracks, and a label map for each frame.
+
+A result has ``res_track.txt`` and ``mask000.tif``; a reference ``TRA/man_track.txt`` and ``TRA/man_track000.tif``, and
+in ``SEG`` outlines of some frames, ``man_seg000.tif``.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+
+from accelsurf.errors import InputError
+from accelsurf.io.files import naming
+from accelsurf.io.images import read_labels
+from accelsurf.settings import budgets
+
+_TABLES = ("res_track.txt", "man_track.txt")
+_FRAME = re.compile(r"(?:mask|man_track)([0-9]+)\.tiff?", re.IGNORECASE)
+_OUTLINE = re.compile(r"man_seg_?([0-9]+)\.tiff?", re.IGNORECASE)
+_SLICE = re.compile(r"man_seg_?[0-9]+_[0-9]+\.tiff?", re.IGNORECASE)
+
+
+class ChallengeTrack(NamedTuple):
+    """A line of the table: label, first and last frame, label of the parent or 0."""
+
+    label: int
+    first: int
+    last: int
+    parent: int
+
+
+@dataclass(frozen=True)
+class ChallengeFolder:
+    """What is in such a folder; nothing of a label map is read yet.
+
+    Attributes
+    ----------
+    folder : Path
+        Where the table is.
+    tracks : tuple of ChallengeTrack
+    frames : tuple of Path
+        Label maps in the order of the frames.
+    outlines : tuple of (int, Path)
+        Frames with outlines of their own, and their label maps.
+    """
+
+    folder: Path
+    tracks: tuple[ChallengeTrack, ...]
+    frames: tuple[Path, ...]
+    outlines: tuple[tuple[int, Path], ...]
+
+    def labels(self, number: int) -> NDArray[Any]:
+        """The label map (nz, ny, nx) of a frame."""
+        return read_labels(self.frames[number]).array
+
+
+def is_challenge(path: Path) -> bool:
+    """Whether a path is a folder of the challenge, or one of a reference, with a folder ``TRA`` in it."""
+    return any((folder / table).is_file() for folder in (path, path / "TRA") for table in _TABLES)
+
+
+def open_challenge(path: Path) -> ChallengeFolder:
+    """Read the table of tracks, and list the label maps.
+
+    Raises
+    ------
+    InputError
+        When there is no table, a line of it is none, or a frame lacks.
+    """
+    folder = path / "TRA" if any((path / "TRA" / table).is_file() for table in _TABLES) else path
+    table = next((folder / name for name in _TABLES if (folder / name).is_file()), None)
+    if table is None:
+        raise InputError(f"{path}: neither {' nor '.join(_TABLES)} in it", "is it a folder of tracks?")
+    with naming(table):
+        tracks = _read_tracks(table)
+    frames = _numbered(folder, _FRAME)
+    lacking = next((n for n in range(len(frames)) if n not in frames), None)
+    if not frames or lacking is not None:
+        raise InputError(f"{folder}: the label map of frame {lacking or 0} is not there", "are all files there?")
+    exact = folder.parent / "SEG" if folder.name == "TRA" else folder
+    slices = [one.name for one in exact.glob("man_seg*") if _SLICE.fullmatch(one.name)]
+    if slices:
+        raise InputError(f"{exact / slices[0]}: an outline of one slice of a volume, outlines of whole frames expected",
+                         "give the folder TRA alone: SEG is then measured on its label maps")
+    return ChallengeFolder(
+        folder, tracks, tuple(frames[n] for n in range(len(frames))), tuple(sorted(_numbered(exact, _OUTLINE).items()))
+    )
+
+
+def _numbered(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
+    """Files by the number in their names."""
+    files = folder.iterdir() if folder.is_dir() else ()
+    return {int(found[1]): path for path in sorted(files) if (found := pattern.fullmatch(path.name))}
+
+
+def _read_tracks(table: Path) -> tuple[ChallengeTrack, ...]:
+    budgets.CASES.check(table.stat().st_size, "the table of tracks")
+    tracks: dict[int, ChallengeTrack] = {}
+    for number, line in enumerate(table.read_bytes().decode("ascii", "replace").splitlines(), 1):
+        if not line.strip():
+            continue
+        try:
+            one = ChallengeTrack(*(int(word) for word in line.split()))
+        except (TypeError, ValueError):
+            raise InputError(
+                f"line {number}: {line[:40]!r} given, expected four whole numbers: label, first and last frame, parent"
+            ) from None
+        if not (0 < one.label < 2**32 and 0 <= one.first <= one.last and one.parent >= 0):
+            raise InputError(f"line {number}: {line[:40]!r} given, expected a label above 0, and first <= last frame")
+        if one.label in tracks:
+            raise InputError(f"line {number}: a second track with the label {one.label}")
+        tracks[one.label] = one
+    return tuple(tracks.values())
+

@@ -1,0 +1,142 @@
+"""Sequences whose voxels are packed as a whole: unpacked once, into a temporary file; then any frame is read by itself.
+
+Unpacking from the start for each frame would take a time that grows with the square of their number, and backwards
+there is no other way. The file has no name that lasts: it goes with the sequence.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from accelsurf.errors import InputError
+from accelsurf.grid.boxes import whole_box
+from accelsurf.grid.volume import Volume
+from accelsurf.io import itk
+from accelsurf.io.files import file_version
+from accelsurf.io.formats import itk_volumes
+from accelsurf.io.formats.deflate import inflate
+from accelsurf.io.formats.nifti import NiftiFile
+from accelsurf.io.formats.raw_header import RawHeader
+from accelsurf.io.formats.raw_voxels import CHANGED
+from accelsurf.io.frame_times import FrameTimes
+from accelsurf.io.lazy_volume import Opening
+from accelsurf.io.memory import check_memory
+from accelsurf.io.sequence_sources import FileFrames, read_volumes, with_time
+from accelsurf.settings.reading import ReadOptions
+
+
+class _PackedFrames(FileFrames):
+    """Frames of a file that is perhaps packed."""
+
+    header: RawHeader
+    _unpacked: IO[bytes] | None = None
+
+    def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
+        super().__init__(path, options, memory_bytes)
+        self._version = file_version(self.header.data.stat())
+
+    def unpacked_header(self) -> RawHeader:
+        """The header of the voxels as they are, in a temporary file where the file itself is packed."""
+        if file_version(self.header.data.stat()) != self._version:
+            raise InputError(*CHANGED)
+        if self.header.encoding != "deflate":
+            return self.header
+        if self._unpacked is None:
+            self._unpacked = self._unpack()
+        return self._within(Path(self._unpacked.name))
+
+    def _within(self, data: Path) -> RawHeader:
+        """The header of what was unpacked."""
+        return replace(self.header, data=data, offset=0, encoding="raw", stored_bytes=None, position=0)
+
+    def _unpack(self) -> IO[bytes]:
+        """Unpack the voxels, which are all there then."""
+        header = self.header
+        file: IO[bytes] = tempfile.NamedTemporaryFile(prefix="accelsurf-")
+        free = shutil.disk_usage(Path(file.name).parent).free
+        if header.claimed_bytes > free:
+            raise InputError(
+                f"unpacked it has {header.claimed_bytes / 1e9:.2f} GB, in {Path(file.name).parent} "
+                f"{free / 1e9:.2f} GB are free",
+                "name another folder by the variable TMPDIR, or save the sequence uncompressed",
+            )
+        with header.data.open("rb") as packed:
+            packed.seek(header.offset)
+            header.check_present(_copied(inflate(packed, header.stored_bytes, header.claimed_bytes), file))
+        file.flush()
+        return file
+
+
+def _copied(pieces: Iterable[bytes], file: IO[bytes]) -> int:
+    """Write pieces; their bytes."""
+    return sum(file.write(piece) for piece in pieces)
+
+
+class NiftiFrames(_PackedFrames):
+    """The volumes of a NIfTI. A few of which nothing is said are time points here, where `read` takes channels."""
+
+    header: NiftiFile
+
+    def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
+        super().__init__(path, options, memory_bytes)
+        fields = self.header.nifti
+        if fields.are_channels_guessed:
+            times = self.header.times_text and FrameTimes.from_text(self.header.times_text, fields.volumes)
+            self.place(self.geometry, times or FrameTimes.regular(fields.volumes, None))
+
+    def read(self, number: int) -> list[Volume]:
+        """Read the channels of a frame."""
+        header = self.unpacked_header()
+        if self.header.nifti.are_channels_guessed:
+            header = replace(header, asked=replace(header.asked, channel_index=number))
+        return read_volumes(self.path, self.form, with_time(header, number), self.memory)
+
+    def _within(self, data: Path) -> RawHeader:
+        return replace(self.header, data=data, encoding="raw")
+
+
+class ItkFrames(_PackedFrames):
+    """The time points of an NRRD or MetaImage."""
+
+    def read(self, number: int) -> list[Volume]:
+        """Read a frame."""
+        if self.header.encoding not in ("raw", "deflate") or (self.header.encoding == "raw" and (
+            self.header.position is None
+        )):
+            return super().read(number)
+        header = self.unpacked_header()
+        reader = itk.open_reader(self.path, header.itk_name)
+        check_memory(self.geometry.size, itk.voxel_type(reader).itemsize, self.memory)
+        if header.is_interleaved:
+            return [Volume(_interleaved(header, reader, number), self.geometry, dict(header.metadata), self.path)]
+        lazy = itk_volumes.open_lazily(self.path, with_time(header, number), Opening())
+        return [Volume(lazy.voxels.read(whole_box(lazy.shape)), self.geometry, lazy.metadata, self.path)]
+
+
+def _interleaved(header: RawHeader, reader: Any, number: int) -> np.ndarray:
+    """One of the values of each voxel, read plane by plane."""
+    geometry, count = itk.geometry_of(reader), header.time_points
+    itk.check_kind(reader, count, True)
+    stored = itk.voxel_type(reader).newbyteorder(header.order or "=")
+    nz, ny, nx = geometry.shape
+    plane = ny * nx * count
+    begin = header.position or 0
+    if begin < 0:
+        begin = header.data.stat().st_size - math.prod(geometry.shape) * count * stored.itemsize
+    out = np.empty(geometry.shape, stored.newbyteorder("="))
+    with header.data.open("rb") as file:
+        for z in range(nz):
+            file.seek(begin + z * plane * stored.itemsize)
+            values = np.fromfile(file, stored, plane)
+            if len(values) < plane:
+                header.check_present(begin + z * plane * stored.itemsize - header.offset)
+            out[z] = values.reshape(ny, nx, count)[..., number]
+    return out

@@ -1,0 +1,259 @@
+"""Where the frames of sequences come from: the time points of a file, the slices of a volume, the files of a folder."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+from accelsurf.errors import InputError
+from accelsurf.grid.boxes import whole_box
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.sequence import ImageSequence
+from accelsurf.grid.volume import Volume
+from accelsurf.io import headers, itk
+from accelsurf.io.files import naming
+from accelsurf.io.formats.slices import in_order
+from accelsurf.io.frame_times import TIMES_KEY, FrameTimes
+from accelsurf.io.lazy_volume import LazyVolume, open_volume
+from accelsurf.io.memory import available_memory, check_memory
+from accelsurf.io.metadata import FRAME_KEY, WARNING_KEY
+from accelsurf.settings import budgets
+from accelsurf.settings.file_formats import ImageFormat
+from accelsurf.settings.reading import ReadOptions
+from accelsurf.settings.registry import load
+
+_MAX_SHOWN = 8
+_LOSSY = (".jpg", ".jpeg")
+
+
+class FileSequence(ImageSequence):
+    """A sequence in files, each frame read when it is asked for.
+
+    Parameters
+    ----------
+    path : Path
+        What was given.
+    options : ReadOptions
+        How it is read.
+    memory_bytes : int or None
+        Memory to plan with; None for what there is when a frame is read.
+    """
+
+    def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
+        self.path, self.source = path, str(path)
+        self._options, self._memory_bytes = options, memory_bytes
+        self._outside_data = headers.is_outside_data_allowed()
+
+    def place(self, geometry: Geometry, times: FrameTimes, notes: Sequence[str] = ()) -> None:
+        """Say where and when the frames are."""
+        self.geometry, self.times, self.time_unit = geometry, times.values, times.unit
+        self.notes = tuple(note for note in notes if note)
+
+    def set_step(self, seconds: float) -> None:
+        """Let frames be so many seconds apart; where files are missing between them, as many times that."""
+        places = self.times if self.time_unit == "frame" else range(len(self.times))
+        self.times, self.time_unit = tuple(place * seconds for place in places), "s"
+
+    @property
+    def memory(self) -> int:
+        """Bytes to plan with."""
+        return available_memory() if self._memory_bytes is None else self._memory_bytes
+
+    def _channels(self, number: int) -> list[Volume]:
+        with naming(self.path), headers.outside_data_allowed(self._outside_data):
+            found = self.read(number)
+        out = []
+        for volume in found:
+            if difference := self.geometry.difference(volume.geometry):
+                raise InputError(f"{self.path}: frame {number} lies on another grid than frame 0: {difference}")
+            said = {key: text for key, text in volume.metadata.items() if key not in (TIMES_KEY, FRAME_KEY)}
+            out.append(Volume(volume.array, self.geometry, said, volume.source))
+        return out
+
+    def read(self, number: int) -> list[Volume]:
+        """Read the channels of a frame that exists."""
+        raise NotImplementedError
+
+
+class FileFrames(FileSequence):
+    """The time points of one file whose format reads one of them like the other."""
+
+    def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
+        super().__init__(path, options, memory_bytes)
+        self.form, self.header = headers.parse(path, options)
+        count = int(getattr(self.header, "time_points", 1))
+        times = getattr(self.header, "frame_times", None) or FrameTimes.regular(count, None)
+        self.place(geometry_of(path, self.header), times)
+
+    def read(self, number: int) -> list[Volume]:
+        """Read the channels of a frame."""
+        return read_volumes(self.path, self.form, with_time(self.header, number), self.memory)
+
+
+class SliceFrames(FileSequence):
+    """The slices of a volume as frames of one slice."""
+
+    def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
+        super().__init__(path, options, memory_bytes)
+        form, header = headers.parse(path, options)
+        if getattr(header, "time_points", 1) > 1:
+            raise InputError(
+                f"{header.time_points} time points are in it: its slices are no frames",
+                "leave out --frames-from-slices (frames_from_slices=True)",
+            )
+        self._volume = self._opened(form, header)
+        nz, ny, nx = self._volume.shape
+        whole = self._volume.geometry
+        geometry = Geometry((1, ny, nx), whole.spacing, whole.origin, whole.direction)
+        self.place(geometry, FrameTimes.regular(nz, None), [self._volume.metadata.get(WARNING_KEY, "")])
+
+    def _opened(self, form: ImageFormat, header: Any) -> LazyVolume:
+        """The volume, box by box; one that is packed as a whole is read."""
+        if form.open is not None:
+            asked = self._options
+            return open_volume(
+                self.path, level=asked.level, channel_index=asked.channel_index, spacing=asked.spacing,
+                outside_data=self._outside_data,
+            )
+        return LazyVolume.of_array(load(form.read)(self.path, header, self.memory))
+
+    def read(self, number: int) -> list[Volume]:
+        """Read a slice."""
+        _, rows, columns = whole_box(self._volume.shape)
+        box = (slice(number, number + 1), rows, columns)
+        check_memory(self.geometry.size, self._volume.dtype.itemsize, self.memory)
+        said = {key: text for key, text in self._volume.metadata.items() if key != WARNING_KEY}
+        return [Volume(self._volume.voxels.read(box), self.geometry, said, self.path)]
+
+
+class FrameFolder(FileSequence):
+    """A file for each frame, in a folder or by a pattern; times are the numbers in their names."""
+
+    def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
+        super().__init__(path, options, memory_bytes)
+        self.files = frame_files(path)
+        geometry = None
+        for number, file in enumerate(self.files):
+            with naming(file):
+                _, header = self._parsed(file)
+                if getattr(header, "time_points", 1) > 1:
+                    raise InputError(
+                        f"{header.time_points} time points are in it, a frame expected", "give the file alone"
+                    )
+                here = geometry_of(file, header)
+            geometry = geometry or here
+            if difference := geometry.difference(here):
+                raise InputError(
+                    f"{file.name}: frame {number} lies on another grid than {self.files[0].name}: {difference}",
+                    "resample the frames to one grid, or give a pattern of those that belong together",
+                )
+        assert geometry is not None
+        times, note = times_of_names([file.name for file in self.files])
+        self.place(geometry, times, [note])
+
+    def _parsed(self, file: Path) -> tuple[ImageFormat, Any]:
+        return headers.parse(file, self._options.among(headers.options_of(file)))
+
+    def read(self, number: int) -> list[Volume]:
+        """Read a file."""
+        file = self.files[number]
+        with naming(file):
+            return read_volumes(file, *self._parsed(file), self.memory)
+
+
+def read_volumes(path: Path, form: ImageFormat, header: Any, available: int) -> list[Volume]:
+    """The channels of an image whose header was read."""
+    if form.read_channels is None:
+        return [load(form.read)(path, header, available)]
+    found: list[Volume] = load(form.read_channels)(path, header, available)
+    return found
+
+
+def with_time(header: Any, number: int) -> Any:
+    """A header, with a time point asked for; as it is where it has one only."""
+    name = "asked" if hasattr(header, "asked") else "options"
+    if getattr(header, "time_points", 1) == 1:
+        return header
+    return replace(header, **{name: replace(getattr(header, name), time_index=number)})
+
+
+def geometry_of(path: Path, header: Any) -> Geometry:
+    """The grid that a header describes."""
+    found: Geometry | None = getattr(header, "geometry", None)
+    return itk.geometry_of(itk.open_reader(path, header.itk_name)) if found is None else found
+
+
+def holds_frames(path: Path) -> bool:
+    """Whether a path is a folder with a file for each frame, or a pattern of such files."""
+    if headers.is_pattern(path):
+        return True
+    if not path.is_dir() or headers.is_stored(path):
+        return False
+    try:
+        return headers.format_of(path).name == "slices"
+    except InputError:  # no image by itself: a folder of volumes, perhaps
+        return any(headers.split_name(entry)[1] for entry in path.iterdir())
+
+
+def frame_files(path: Path) -> list[Path]:
+    """The files of a folder or a pattern, in the order of the numbers in their names.
+
+    Raises
+    ------
+    InputError
+        When there are none, too many, or of several kinds.
+    """
+    folder, pattern = (path, "*") if path.is_dir() else (path.parent, path.name)
+    if not folder.is_dir():
+        raise InputError("there is no such folder", "check the path")
+    names = [
+        entry.name for entry in folder.iterdir()
+        if fnmatchcase(entry.name, pattern) and not entry.name.startswith(".") and (
+            entry.is_file() or headers.is_stored(entry)
+        )
+    ]
+    if lossy := [name for name in names if name.lower().endswith(_LOSSY)]:
+        raise InputError(f"{lossy[0]} is a JPEG, whose values are not those that were measured", "export it as TIFF")
+    kinds = {headers.split_name(name)[1] for name in names} - {""}
+    names = [name for name in names if headers.split_name(name)[1]]
+    budgets.SLICES.check(len(names))
+    if not names:
+        raise InputError("no image fits", "check the folder and the pattern")
+    if len(kinds) > 1:
+        raise InputError(
+            f"files of several kinds are there: {', '.join(sorted(kinds))}, one expected",
+            "give a pattern, as 'FOLDER/*.tif'",
+        )
+    return [folder / name for name in in_order(names)]
+
+
+def times_of_names(names: Sequence[str]) -> tuple[FrameTimes, str]:
+    """The times of frames by the numbers in the names of their files, and what is to be said of it.
+
+    The first is at 0. Numbers are divided by their largest common step.
+
+    Examples
+    --------
+    >>> times_of_names(["t2.tif", "t3.tif", "t5.tif"])[0].values, times_of_names(["a.tif", "b.tif"])[0].values
+    ((0.0, 1.0, 3.0), (0.0, 1.0))
+    """
+    plain = FrameTimes.regular(len(names), None)
+    numbers = [[int(n) for n in re.findall(r"[0-9]{1,18}", headers.split_name(name)[0])] for name in names]
+    if len(names) < 2 or len({len(some) for some in numbers}) != 1 or not numbers[0]:
+        return plain, ""
+    columns = [column for column in zip(*numbers, strict=True) if len(set(column)) > 1]
+    if len(columns) != 1 or len(set(columns[0])) < len(names):
+        return plain, "several numbers in the names of the files change: the frames are counted in their order"
+    found = columns[0]
+    step = math.gcd(*(b - a for a, b in zip(found, found[1:], strict=False)))
+    values = tuple(float((n - found[0]) // step) for n in found)
+    gaps = [n for n in range(found[0], found[-1], step) if n not in set(found)] if values[-1] < 1e7 else []
+    if not gaps:
+        return FrameTimes(values), ""
+    text = ", ".join(map(str, gaps[:_MAX_SHOWN])) + (" ..." if len(gaps) > _MAX_SHOWN else "")
+    return FrameTimes(values), f"frames are missing: no file has the number {text}; the times have the gap"

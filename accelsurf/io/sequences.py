@@ -1,0 +1,100 @@
+"""Sequences of images: a file with a time axis, a folder of frames, a DICOM cine. Frames are read when asked for."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.sequence import ImageSequence
+from accelsurf.io import headers
+from accelsurf.io.files import naming
+from accelsurf.io.sequence_sources import FileFrames, FileSequence, FrameFolder, SliceFrames, holds_frames
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+from accelsurf.settings.registry import load
+
+#: A step between frames that can be meant, seconds.
+_SHORTEST, _LONGEST = 1e-15, 1e12
+
+
+def read_sequence(
+    path: str | os.PathLike[str],
+    *,
+    frame_time: float | None = None,
+    frames_from_slices: bool = False,
+    options: ReadOptions = AS_IT_IS,
+    memory_bytes: int | None = None,
+    outside_data: bool = False,
+) -> ImageSequence:
+    """Open a sequence of images: its headers are read now, a frame when it is asked for.
+
+    Parameters
+    ----------
+    path : path-like
+        A NIfTI, NRRD or MetaImage with a fourth axis, an OME-Zarr or TIFF with an axis T, an .npy (t, z, y, x), a
+        folder of frames or a pattern of their names (``frames/*.tif``; in the order of the numbers in them), or DICOM
+        with several images at one place.
+    frame_time : float, optional
+        Seconds from one frame to the next; by default what the file says. Where it says nothing the frames are counted.
+    frames_from_slices : bool
+        Whether the slices of one volume are the frames, as of a stack in TIFF that does not name its axis.
+    options : ReadOptions, optional
+        As for `accelsurf.io.read`.
+    memory_bytes : int, optional
+        Memory to plan with; by default what the machine has when a frame is read.
+    outside_data : bool
+        Whether a header may name a data file in another folder than its own.
+
+    Returns
+    -------
+    ImageSequence
+        ``notes`` has what a person should know, as gaps in the numbers of files.
+
+    Raises
+    ------
+    InputError
+        As `accelsurf.io.read`, and when there is no sequence, or the frames lie on several grids.
+    UsageError
+        When the format has not what is asked for, or ``frame_time`` is no positive number.
+    """
+    found = opened(
+        path, frame_time=frame_time, frames_from_slices=frames_from_slices, options=options, memory_bytes=memory_bytes,
+        outside_data=outside_data,
+    )
+    if len(found) < 2:
+        raise InputError(
+            f"{path}: one image given, a sequence expected",
+            "give a file with a time axis, a folder of frames, or a pattern, as 'frames/*.tif'; where the slices are "
+            "the frames, add --frames-from-slices (frames_from_slices=True)",
+        )
+    return found
+
+
+def opened(
+    path: str | os.PathLike[str],
+    *,
+    frame_time: float | None = None,
+    frames_from_slices: bool = False,
+    options: ReadOptions = AS_IT_IS,
+    memory_bytes: int | None = None,
+    outside_data: bool = False,
+) -> FileSequence:
+    """As `read_sequence`, also where there is one frame only."""
+    path = Path(path)
+    if frame_time is not None and not _SHORTEST <= frame_time <= _LONGEST:
+        raise UsageError(f"frame time {frame_time:g} given, a positive number of seconds expected")
+    if options.time_index is not None or options.channels_from_time:
+        raise UsageError("a sequence is all time points: time-index and channels-from-time do not go with it")
+    with naming(path), headers.outside_data_allowed(outside_data):
+        found: FileSequence
+        if frames_from_slices:
+            found = SliceFrames(path, options, memory_bytes)
+        elif holds_frames(path):
+            found = FrameFolder(path, options, memory_bytes)
+        else:
+            form = headers.format_of(path)
+            kind = FileFrames if form.sequence is None else load(form.sequence)
+            found = kind(path, options, memory_bytes)
+        if frame_time is not None:
+            found.set_step(frame_time)
+    return found

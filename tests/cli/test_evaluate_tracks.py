@@ -1,0 +1,144 @@
+"""accelsurf evaluate --tracks: folders of the Cell Tracking Challenge."""
+
+import csv
+import io as text_io
+import json
+
+import numpy as np
+import pytest
+
+from accelsurf import cli, io
+from accelsurf.grid.volume import Volume
+from accelsurf.report.track_files import TrackFiles
+from accelsurf.report.track_outputs import TrackOutputs
+from tests.support.trackings import dividing_cells
+
+#: Two objects in three frames: 1 is 4 voxels, 2 is 6.
+TWO = np.array([[[0, 0, 1, 1, 1, 1, 0, 0, 2, 2, 2, 2, 2, 2, 0, 0]] * 2], np.uint16)
+ALONE = "1 0 2 0\n2 0 2 0\n"
+
+
+def put(folder, frames, lines, *, reference=False):
+    """Write a folder of the challenge."""
+    inner = folder / "TRA" if reference else folder
+    inner.mkdir(parents=True)
+    for number, labels in enumerate(frames):
+        name = f"man_track{number:03d}.tif" if reference else f"mask{number:03d}.tif"
+        io.write(Volume.from_array(labels, (1.0, 1.0, 1.0)), inner / name)
+    (inner / ("man_track.txt" if reference else "res_track.txt")).write_text(lines)
+    return folder
+
+
+@pytest.fixture
+def reference(tmp_path):
+    return put(tmp_path / "01_GT", [TWO] * 3, ALONE, reference=True)
+
+
+@pytest.fixture
+def said(capsys):
+    def run(*words):
+        capsys.readouterr()
+        code = cli.execute(["evaluate", "--tracks", *map(str, words)])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
+def test_scores_of_a_folder_of_the_challenge(tmp_path, reference, said):
+    gap = np.where(TWO == 2, 0, TWO).astype(np.uint16)
+    result = put(tmp_path / "01_RES", [TWO, gap, np.where(TWO == 2, 3, TWO).astype(np.uint16)],
+                 "1 0 2 0\n2 0 0 0\n3 2 2 2\n")  # fmt: skip
+    code, out, _ = said(result, reference)
+    values = dict(row.split() for row in out.splitlines())
+    assert code == 0
+    assert float(values["SEG"]) == pytest.approx(5 / 6, rel=1e-5)
+    assert float(values["DET"]) == pytest.approx(1 - 10 / 60, rel=1e-5)
+    assert float(values["TRA"]) == pytest.approx(1 - (10 + 1 + 3) / 66, rel=1e-5)
+    assert (values["missing"], values["false_edges"], values["missing_edges"]) == ("1", "1", "2")
+    # ids of the challenge change after a gap: the identity of 2 is that of its longer half, here either
+    assert values["identity_switches"] == "1"
+
+
+def test_outlines_of_their_own_are_what_overlap_is_measured_on(tmp_path, reference, said):
+    (reference / "SEG").mkdir()
+    half = np.where(TWO == 1, 1, 0).astype(np.uint16)
+    half[..., 5] = 0
+    io.write(Volume.from_array(half, (1.0, 1.0, 1.0)), reference / "SEG" / "man_seg001.tif")
+    code, out, _ = said(put(tmp_path / "01_RES", [TWO] * 3, ALONE), reference)
+    assert (code, out.splitlines()[0].split()) == (0, ["SEG", "0.75"])
+    assert "note: SEG is measured on the 1 frames with outlines of their own" in out
+
+
+def test_json_and_a_table_of_frames(tmp_path, reference, said):
+    result = put(tmp_path / "01_RES", [TWO] * 3, ALONE)
+    code, out, _ = said(result, reference, "--json", "--csv", tmp_path / "frames.csv")
+    document = json.loads(out)
+    assert (code, document["TRA"], document["identities"]) == (0, 1.0, {"1": 1, "2": 2})
+    rows = list(csv.DictReader(text_io.StringIO((tmp_path / "frames.csv").read_text())))
+    assert rows[2] == {"frame": "2", "reference": "2", "result": "2", "matched": "2", "dice": "1.0"}
+    code, out, _ = said(result, reference, "--csv", "-")
+    assert out.splitlines()[0] == "frame,reference,result,matched,dice"
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("1 0 2\n", "line 1: '1 0 2' given, expected four whole numbers"),
+        ("1 0 2 0\n2 3 1 0\n", "line 2: '2 3 1 0' given, expected a label above 0, and first <= last frame"),
+        ("1 0 2 0\n1 0 2 0\n", "line 2: a second track with the label 1"),
+        ("a b c d\n", "line 1: 'a b c d' given, expected four whole numbers"),
+    ],
+)
+def test_a_table_that_is_none_is_refused(tmp_path, reference, said, lines, message):
+    code, out, err = said(put(tmp_path / "01_RES", [TWO] * 3, lines), reference)
+    assert (code, out) == (3, "")
+    assert f"res_track.txt: {message}" in err
+
+
+def test_sequences_of_other_lengths_grids_and_frames_that_lack(tmp_path, reference, said):
+    code, _, err = said(put(tmp_path / "short", [TWO] * 2, "1 0 1 0\n2 0 1 0\n"), reference)
+    assert (code, "has 2 frames" in err) == (3, True)
+    code, _, err = said(put(tmp_path / "wide", [np.concatenate([TWO, TWO], axis=2)] * 3, ALONE), reference)
+    assert (code, "(1, 2, 32) voxels" in err) == (3, True)
+    result = put(tmp_path / "01_RES", [TWO] * 3, ALONE)
+    (result / "mask001.tif").unlink()
+    code, _, err = said(result, reference)
+    assert (code, "the label map of frame 1 is not there" in err) == (3, True)
+
+
+def test_options_of_label_maps_are_refused(reference, said):
+    for words in (("--labels", "all"), ("--tolerance", "1"), ("--pairs", "pairs.csv")):
+        code, _, err = said(reference, reference, *words)
+        assert (code, f"{words[0]}: was given with --tracks" in err) == (2, True)
+    assert said(reference)[0] == 2
+
+
+def test_label_maps_with_time_and_their_table_are_as_the_folder_of_the_challenge(tmp_path, said):
+    made = dividing_cells()
+    with TrackOutputs(tmp_path, "cells", made.sequence, TrackFiles(labels="nrrd", also=("ctc",))) as outputs:
+        for result in made.results:
+            outputs.add(result)
+        outputs.finish(made.lineage)
+    labels, folder = tmp_path / "cells_labels.nrrd", tmp_path / "cells_RES"
+    for pair in ((labels, folder), (folder, labels)):
+        code, out, _ = said(*pair)
+        values = dict(row.split() for row in out.splitlines())
+        assert code == 0
+        assert [values[name] for name in ("SEG", "DET", "TRA", "AOGM")] == ["1", "1", "1", "0"]
+    (tmp_path / "cells_tracks.csv").unlink()
+    code, out, _ = said(labels, folder)
+    values = dict(row.split(maxsplit=1) for row in out.splitlines() if not row.startswith("note"))
+    assert values["missing_edges"] == "2"  # of the division; a gap can be seen in the label maps themselves
+    assert "note: cells_labels.nrrd: no table of tracks beside it" in out
+
+
+def test_a_table_that_lacks_a_column_is_refused(tmp_path, reference, said):
+    with io.SequenceWriter(tmp_path / "a_labels.nrrd", Volume.from_array(TWO).geometry, (0, 1, 2), "frame",
+                           np.uint16) as writer:  # fmt: skip
+        for number in range(3):
+            writer.write(number, TWO)
+    for text, message in (("frame,name\n0,1\n", "no column id"), ("frame,id\n0,x\n", "line 2: not a line of a table")):
+        (tmp_path / "a_tracks.csv").write_text(text)
+        code, _, err = said(tmp_path / "a_labels.nrrd", reference)
+        assert (code, message in err) == (3, True)

@@ -1,0 +1,134 @@
+import io as streams
+import json
+
+import numpy as np
+import pytest
+from PIL import Image, ImageColor
+
+from accelsurf.grid.geometry import Geometry
+from accelsurf.report import film_strip, track_movie, volume_curves
+from accelsurf.report.canvas import GREEN, ORANGE, SKY
+from accelsurf.report.track_files import TrackFiles
+from accelsurf.report.track_frames import FrameStore, TrackSet
+from accelsurf.report.track_outputs import TrackOutputs
+from tests.support.trackings import Ball, dividing_cells, flat_cells, tracking
+
+
+def set_of(made, folder) -> TrackSet:
+    store = FrameStore(folder / "frames")
+    for result in made.results:
+        store.put(result)
+    rows = tuple(store.row(number) for number in store.numbers())
+    return TrackSet("cells", made.sequence, rows, made.lineage, store)
+
+
+def pixels_of(png: bytes) -> np.ndarray:
+    return np.asarray(Image.open(streams.BytesIO(png)).convert("RGB")).astype(int)
+
+
+def is_color(pixels: np.ndarray, color: str) -> np.ndarray:
+    return np.abs(pixels - np.array(ImageColor.getrgb(color))).max(axis=-1) < 30
+
+
+def panel(pixels: np.ndarray, number: int) -> np.ndarray:
+    """A panel of the first line of a film strip, with room for its rounding, below the title."""
+    step = film_strip.PANEL + film_strip.GAP
+    return pixels[film_strip.TOP : film_strip.TOP + 220, 14 + number * step : 14 + number * step + film_strip.PANEL]
+
+
+def test_film_strip_shows_prediction_and_correction(tmp_path):
+    pixels = pixels_of(film_strip.film_strip_png(set_of(flat_cells(), tmp_path)))
+    counts = [[int(is_color(panel(pixels, n), color).sum()) for color in (SKY, ORANGE, GREEN)] for n in range(4)]
+    assert [sky > 100 for sky, _, _ in counts[1:]] == [True, True, False]  # what begins was not predicted
+    assert [orange > 300 for _, orange, _ in counts] == [True, True, True, False]
+    assert [green > 300 for _, _, green in counts[:3]] == [True] * 3
+    # object 1 moves by 1 mm to the right, of 14 mm that are 320 pixels wide; its prediction is where it was before
+    middle = [np.flatnonzero(is_color(panel(pixels, n), ORANGE)[:150].any(axis=0)) for n in (1, 2)]
+    middle = [0.5 * (columns.min() + columns.max()) for columns in middle]
+    predicted = np.flatnonzero(is_color(panel(pixels, 2), SKY)[:150, :160].any(axis=0))
+    assert middle[1] - middle[0] == pytest.approx(film_strip.PANEL / _width_mm(tmp_path), abs=3)
+    assert predicted.min() < middle[1] - 40
+
+
+def _width_mm(folder) -> float:
+    from accelsurf.report.track_slices import TrackView
+
+    low, high = TrackView.of(set_of(flat_cells(), folder)).ranges[2]
+    return 0.5 * (high - low)
+
+
+@pytest.mark.parametrize("direction", [np.eye(3), np.diag([-1.0, -1.0, 1.0]), np.eye(3)[[1, 2, 0]]])
+def test_contours_lie_on_the_objects_in_any_orientation(tmp_path, direction):
+    geometry = Geometry((12, 20, 24), (2.0, 1.0, 1.0), (3.0, 4.0, 5.0), direction)
+    made = tracking(geometry, [{1: Ball((4.0, 6.0, 7.0), 4.0)}, {1: Ball((6.0, 13.0, 16.0), 4.0)}])
+    pixels = pixels_of(film_strip.film_strip_png(set_of(made, tmp_path)))
+    left = (pixels.shape[1] - 2 * (film_strip.PANEL + film_strip.GAP) + film_strip.GAP) // 2
+    first = left + film_strip.PANEL + film_strip.GAP  # the second panel, which has no legend
+    own = pixels[film_strip.TOP : -64, first : first + film_strip.PANEL]
+    found = np.argwhere(is_color(own, ORANGE))
+    bright = np.argwhere(own.min(axis=-1) > 235)
+    np.testing.assert_allclose(found.mean(axis=0), bright.mean(axis=0), atol=6)
+    assert (bright.min(axis=0) > found.min(axis=0) - 12).all()
+    assert (bright.max(axis=0) < found.max(axis=0) + 12).all()
+
+
+def test_film_strip_of_many_frames_has_the_first_and_the_last(tmp_path):
+    geometry = Geometry((1, 16, 16), (1.0, 1.0, 1.0))
+    made = tracking(geometry, [{1: Ball((0.0, 8.0, 8.0), 3.0)}] * 26)
+    tracks = set_of(made, tmp_path)
+    shown = [row.frame for row in film_strip.picked(tracks.rows)]
+    assert (shown[0], shown[-1], len(shown)) == (0, 25, film_strip.MAX_FRAMES)
+    assert pixels_of(film_strip.film_strip_png(tracks)).shape[1] > 4 * film_strip.PANEL
+
+
+def test_pictures_of_no_object_can_be_drawn(tmp_path):
+    tracks = set_of(tracking(flat_cells().sequence.geometry, [{}, {}]), tmp_path)
+    assert not is_color(pixels_of(film_strip.film_strip_png(tracks)), ORANGE)[:, 200:].any()
+    assert pixels_of(volume_curves.curves_png(tracks)).shape == (volume_curves.HEIGHT, volume_curves.WIDTH, 3)
+
+
+def test_curves_have_a_gap_where_the_object_is_not_seen(tmp_path):
+    geometry = Geometry((1, 16, 16), (1.0, 1.0, 1.0))
+    frames = [{1: Ball((0.0, 8.0, 8.0), 3.0 + 0.1 * n, seen=n not in (4, 5))} for n in range(10)]
+    pixels = pixels_of(volume_curves.curves_png(set_of(tracking(geometry, frames), tmp_path)))
+    drawn = is_color(pixels, ORANGE).any(axis=0)
+    inner = drawn[90:870]
+    gap = inner[round(3.2 / 9 * 780) : round(5.8 / 9 * 780)]
+    assert not gap.any()
+    assert inner[: round(2.9 / 9 * 780)].mean() > 0.95
+
+
+def test_report_has_the_beat(tmp_path):
+    geometry = Geometry((1, 24, 24), (1.0, 1.0, 1.0))
+    radii = 6 + 2 * np.cos(2 * np.pi * np.arange(20) / 8)
+    frames = [{1: Ball((0.0, 12.0, 12.0), float(radius))} for radius in radii]
+    made = tracking(geometry, frames, (), [0.1 * n for n in range(20)], "s")
+    with TrackOutputs(tmp_path, "heart", made.sequence, TrackFiles(labels="nii")) as outputs:
+        for result in made.results:
+            outputs.add(result)
+        outputs.finish(made.lineage)
+    (track,) = json.loads((tmp_path / "heart_report.json").read_text())["tracks"]
+    assert (track["beat"]["kind"], track["beat"]["period"]) == ("repeats", pytest.approx(0.8, rel=0.02))
+    assert track["beat"]["ejection_fraction"] == pytest.approx(1 - 16 / 64, rel=1e-6)
+
+
+@pytest.mark.parametrize("suffix", ["gif", "mp4"])
+def test_movie_has_a_picture_for_each_frame(tmp_path, suffix):
+    pytest.importorskip("imageio_ffmpeg")
+    tracks = set_of(dividing_cells(), tmp_path)
+    track_movie.write(tracks, tmp_path / f"cells.{suffix}")
+    if suffix == "gif":
+        with Image.open(tmp_path / "cells.gif") as movie:
+            assert (movie.n_frames, movie.size) == (5, track_movie.SIZE)
+    else:
+        import imageio_ffmpeg
+
+        assert imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "cells.mp4"))[0] == 5
+
+
+def test_movie_has_the_prediction_at_the_left_and_the_correction_at_the_right(tmp_path):
+    pictures = list(track_movie.pictures(set_of(flat_cells(), tmp_path)))
+    half = track_movie.SIZE[0] // 2
+    left, right = pictures[1][:, :half].astype(int), pictures[1][:, half:].astype(int)
+    assert [bool(is_color(side, SKY).sum() > 100) for side in (left, right)] == [True, False]
+    assert [bool(is_color(side, ORANGE).sum() > 100) for side in (left, right)] == [False, True]
