@@ -104,19 +104,24 @@ def start_of_run(
         if not several or several[0].id != NO_OBJECT:
             several = _no_object(prepared, config) + several
         starts = [within(one, prepared) for one in several]
-        contexts = [
-            _with_clicks(
-                # Of a surface that was predicted the rim may be wrong.
-                prepared.context.of_object(
-                    one.corner, core_of(one.psi, prepared.geometry.spacing) if surfaces else one.psi < 0
-                ),
-                prepared.clicks, one.id,
-            )
-            for one in starts
-        ]
+        contexts = [_context_of(one, prepared, bool(surfaces)) for one in starts]
         if table is not None and uses_model(config):
             starts = _of_models(starts, contexts, str(labels), prepared.geometry)
     return RunStart(config, has_ids, tuple(by_array), digest_of(by_array), prepared, starts, contexts)
+
+
+def _context_of(one: ObjectStart, prepared: PreprocessedInput, is_surface: bool) -> ImageContext:
+    """The context of one of several objects.
+
+    Of a first surface that was given, a prediction, the rim may be wrong: models learn from its core, and that of the
+    clicks takes its size for the object's.
+    """
+    spacing = prepared.geometry.spacing
+    context = prepared.context.of_object(one.corner, core_of(one.psi, spacing) if is_surface else one.psi < 0)
+    if is_surface and context.model_inputs.size_mm3 is None:
+        size = float(np.count_nonzero(one.psi < 0)) * prepared.geometry.voxel_volume
+        context = context.with_model_inputs(context.model_inputs._replace(size_mm3=size))
+    return _with_clicks(context, prepared.clicks, one.id)
 
 
 def _masks_of(clicks: Sequence[Click], geometry: Geometry) -> dict[str, NDArray[Any]]:

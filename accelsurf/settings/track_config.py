@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,6 +15,8 @@ from accelsurf.settings.track_fields import TrackFields
 
 #: Table of a configuration file with the settings of tracking; those of the run are at its top level.
 TABLE = "track"
+#: Friction that ``auto`` is, per frame (docs/decisions/0084-the-loop-over-frames.md has what was measured).
+AUTO_FRICTION = 0.5
 
 
 class TrackConfig(TrackFields):
@@ -58,8 +61,11 @@ class TrackConfig(TrackFields):
 
     def _check_together(self) -> None:
         """Refuse values that are valid one by one but not together."""
-        if self.friction and not energy_expression.MAGNITUDES[0] <= self.friction <= energy_expression.MAGNITUDES[1]:
-            raise UsageError(f"friction: {self.friction:g} was given, expected 0 or a number that can be computed with")
+        low, high = energy_expression.MAGNITUDES
+        for key in ("friction", "frame_time"):
+            value = getattr(self, key)
+            if isinstance(value, float) and value and not low <= value <= high:
+                raise UsageError(f"{key}: {value:g} was given, expected a size of {low:g} to {high:g}")
         before, after = self.direction == "backward", self.direction == "forward"
         for one in self.correct:
             if (before and one.frame > self.frame) or (after and one.frame < self.frame):
@@ -68,15 +74,23 @@ class TrackConfig(TrackFields):
                     "give --direction both, or another --frame",
                 )
         given = [key for key in ("time_index", "label_group", "checkpoint") if getattr(self.run, key) is not None]
-        given += ["channels_from_time"] * self.run.channels_from_time + ["layout"] * (self.run.layout != "plain")
+        given += [key for key in ("channels_from_time", "save_sdf") if getattr(self.run, key)]
         if given:
-            raise UsageError(f"{given[0]}: it was given for a sequence, expected it for a single image only", "leave it out")
+            raise UsageError(f"{given[0]}: it was given for a sequence, it is of a single image", "leave it out")
 
     @property
     def gains(self) -> tuple[float, float]:
         """Gains of the observer: of the surface and of the velocity."""
         psi, velocity = (float(text) for text in self.observer.split(","))
         return psi, velocity
+
+    def friction_for(self, times: Sequence[float]) -> float:
+        """Friction per unit of time for a sequence with these times of its frames."""
+        if self.friction != "auto":
+            return self.friction
+        if self.model != "flowable-mass" or len(times) < 2:
+            return 0.0
+        return AUTO_FRICTION * (len(times) - 1) / (times[-1] - times[0])
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some settings changed, of tracking or of the run, validated again."""

@@ -11,8 +11,12 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from accelsurf.settings.entry import SettingEntry, SettingGroup, setting
+from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, label_formats
 from accelsurf.settings.frame_corrections import FrameCorrection, corrections_of
-from accelsurf.settings.written_values import checked_expression
+from accelsurf.settings.known_names import OneOf
+from accelsurf.settings.mesh_formats import MESH_FORMATS
+from accelsurf.settings.track_formats import TRACK_FORMATS, track_format_help
+from accelsurf.settings.written_values import all_split, checked_expression
 
 TRACK = SettingGroup.TRACK
 #: Two gains, each from 0 to 1, as they are written.
@@ -59,12 +63,11 @@ class TrackFields(BaseModel):
         "the surface goes, and part of the missing velocity that is added. Less is steadier in noise, and slower.",
         entry=SettingEntry(TRACK, metavar="KPSI,KV"),
     )
-    friction: float = setting(
-        0.0,
+    friction: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
+        "auto",
         "Friction between frames, per unit of the sequence's time: relative motion within the surface (flowable-mass), or "
-        "all of it (constant-density), falls by exp(-A) in a unit.",
-        entry=SettingEntry(TRACK, unit="1/time", metavar="A"),
-        ge=0,
+        "all of it (constant-density), falls by exp(-A) in a unit. auto is 0.5 per frame for flowable-mass, else 0.",
+        entry=SettingEntry(TRACK, unit="1/time", metavar="A|auto"),
     )
     next_energy: Annotated[str, BeforeValidator(_energy_or_auto)] = setting(
         "auto",
@@ -100,4 +103,41 @@ class TrackFields(BaseModel):
         "Correction of a frame, from which the tracking goes on: 'frame=12 inside=point:X,Y,Z object=2', or with "
         "outside, new, remove, split or merge, as accelsurf refine takes them; may be repeated.",
         entry=SettingEntry(TRACK, metavar="WORDS", repeated=True),
+    )
+    frame_time: float | None = setting(
+        None,
+        "Time from one frame to the next, s; by default what the file says, else times are numbers of frames.",
+        entry=SettingEntry(SettingGroup.IMAGE, unit="s", metavar="S"),
+        gt=0,
+    )
+    frames_from_slices: bool = setting(
+        False,
+        "The slices of a volume are frames, as in a TIFF stack that does not name its axis.",
+        entry=SettingEntry(SettingGroup.IMAGE),
+    )
+    format: Annotated[str, OneOf(label_formats)] = setting(
+        DEFAULT_IMAGE_FORMAT,
+        "Format of the label maps: {}.",
+        entry=SettingEntry(SettingGroup.FILES, metavar="NAME", listed=lambda: ", ".join(label_formats())),
+    )
+    per_frame: bool = setting(
+        False,
+        "Write a label map for each frame in place of one file with time.",
+        entry=SettingEntry(SettingGroup.FILES),
+    )
+    mesh: Annotated[tuple[Annotated[str, OneOf(lambda: MESH_FORMATS)], ...], BeforeValidator(all_split)] = setting(
+        (),
+        "Formats of meshes, separated by commas, of each object in each frame: {}; none by default. The vertices are the "
+        "same material points from frame to frame.",
+        entry=SettingEntry(SettingGroup.FILES, metavar="NAMES", repeated=True, listed=lambda: ", ".join(MESH_FORMATS)),
+    )
+    mesh_space: Literal["lps", "ras"] = setting(
+        "lps",
+        "Coordinates of meshes.",
+        entry=SettingEntry(SettingGroup.FILES, metavar="lps|ras"),
+    )
+    also: Annotated[tuple[Annotated[str, OneOf(lambda: TRACK_FORMATS)], ...], BeforeValidator(all_split)] = setting(
+        (),
+        "Further files, separated by commas: {}.",
+        entry=SettingEntry(SettingGroup.FILES, metavar="NAMES", repeated=True, listed=track_format_help),
     )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.sequence import ImageSequence
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import Workers
@@ -56,8 +56,8 @@ class Follower:
     Parameters
     ----------
     config : TrackConfig
-    geometry : Geometry
-        Of the frames.
+    sequence : ImageSequence
+        Its grid and times count here.
     identities : Identities
     workers : Workers
     energy : Energy or callable, optional
@@ -69,13 +69,14 @@ class Follower:
     def __init__(
         self,
         config: TrackConfig,
-        geometry: Geometry,
+        sequence: ImageSequence,
         identities: Identities,
         workers: Workers,
         energy: EnergyLike | None = None,
         meshes: bool = False,
     ) -> None:
-        self._config, self._geometry, self._identities, self._workers = config, geometry, identities, workers
+        self._config, self._geometry, self._identities, self._workers = config, sequence.geometry, identities, workers
+        self._friction = config.friction_for(sequence.times)
         self._energy, self._meshes = energy, meshes
         self._run: RunConfig = following_settings(config.run, config.next_energy)
         self._gains = Gains(*config.gains)
@@ -106,7 +107,7 @@ class Follower:
         return one
 
     def _momentum(self) -> SurfaceMomentum:
-        return make_momentum(self._config.model, self._config.friction, self._workers)
+        return make_momentum(self._config.model, self._friction, self._workers)
 
     # -- the next frame ------------------------------------------------------------------------------------
 

@@ -65,7 +65,7 @@ class Tracking:
         Called with each `StepRecord` of the first frame and the id of its object; a true value ends the tracking.
     checkpoint_to : path-like, optional
         File of the state after each frame. Where it exists the tracking goes on from it, to the same bytes, and yields
-        the frames that were not done; it is removed when the last one is.
+        the frames that were not done. It stays when the last one is done: the caller removes it.
 
     Attributes
     ----------
@@ -121,8 +121,9 @@ class Tracking:
                 raise UsageError(f"{key}: frame {number} was given, expected 0 to {count - 1}: there are {count} frames")
 
     def _new_follower(self) -> Follower:
-        geometry, identities = self.sequence.geometry, self._identities
-        return Follower(self.config, geometry, identities, self._workers, self._energy, self._meshes)
+        return Follower(
+            self.config, self.sequence, self._identities, self._workers, self._energy, self._meshes
+        )
 
     # -- to run --------------------------------------------------------------------------------------------
 
@@ -130,6 +131,7 @@ class Tracking:
         """The frames that are not done yet, each in the order of `visits`."""
         while self.done < len(self.visits) and not self.interrupted:
             yield self._step()
+            self._save()  # what the caller did with the frame is done too
         self._workers.close()
 
     def _step(self) -> FrameResult:
@@ -149,9 +151,7 @@ class Tracking:
         if self.done == len(self.visits) or self.visits[self.done].number < self.visits[self.done - 1].number:
             if number >= before:
                 self._follower.note_missing()
-        result = FrameResult(number, arrival.time, arrival.channels[0], objects, time.perf_counter() - began)
-        self._save()
-        return result
+        return FrameResult(number, arrival.time, arrival.channels[0], objects, time.perf_counter() - began)
 
     def _frame(self, number: int) -> list[Volume]:
         channels = self.sequence.channels(number)
@@ -196,11 +196,8 @@ class Tracking:
     # -- checkpoints ---------------------------------------------------------------------------------------
 
     def _save(self) -> None:
-        """Write the state after a frame, or remove it after the last one."""
+        """Write the state after a frame."""
         if self._path is None or self.interrupted:
-            return
-        if self.done == len(self.visits):
-            self._path.unlink(missing_ok=True)
             return
         track_state.write(self._path, self._state(), track_state.header_of(self.sequence, self.config, self._meshes))
 
