@@ -131,7 +131,7 @@ class Tracking:
         """The frames that are not done yet, each in the order of `visits`."""
         while self.done < len(self.visits) and not self.interrupted:
             yield self._step()
-            self._save()  # what the caller did with the frame is done too
+            self.save()  # what the caller did with the frame is done too
         self._workers.close()
 
     def _step(self) -> FrameResult:
@@ -195,7 +195,7 @@ class Tracking:
 
     # -- checkpoints ---------------------------------------------------------------------------------------
 
-    def _save(self) -> None:
+    def save(self) -> None:
         """Write the state after a frame."""
         if self._path is None or self.interrupted:
             return
