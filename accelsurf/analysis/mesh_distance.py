@@ -15,6 +15,8 @@ from accelsurf.analysis.surface_mesh import Surface
 Floats = NDArray[np.float64]
 #: Points looked up at once, for the sake of memory.
 BATCH = 1 << 14
+#: The first so many of the points that may be the farthest.
+FIRST = 1 << 8
 #: Parts of the side of a large triangle on which points are taken, at most.
 MAX_PARTS = 64
 
@@ -42,10 +44,15 @@ def largest_distance(one: Surface, other: Surface, limit: float = np.inf) -> flo
     step, largest = mean_side(one), 0.0
     for own, index in ((other, TriangleIndex(one)), (one, TriangleIndex(other))):
         points = samples(own, step)
-        for begin in range(0, len(points), BATCH):
-            largest = max(largest, float(index.closest(points[begin : begin + BATCH])[0].max()))
-            if largest > limit:
-                return largest
+        # The farthest come first by a bound that is cheap: what lies nearer than one that was found need not be found.
+        bounds = index.bounds(points)
+        order, begin, size = np.argsort(-bounds, kind="stable"), 0, FIRST
+        while begin < len(points) and largest <= limit and bounds[order[begin]] > largest:
+            some = order[begin : begin + size]
+            largest = max(largest, float(index.closest(points[some])[0].max()))
+            begin, size = begin + size, min(2 * size, BATCH)
+        if largest > limit:
+            return largest
     return largest
 
 
@@ -109,11 +116,15 @@ class TriangleIndex:
             found.append((cKDTree(centres[members]), members, float(radii[members].max())))
         return found
 
-    def closest(self, points: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Distance (n,), nearest place (n, 3) and its triangle (n,) for points (n, 3) in mm."""
+    def bounds(self, points: Floats) -> Floats:
+        """A distance (n,) that that of points (n, 3) is not above: to the nearest vertex, or to a triangle near by."""
         near = self._centres.query(points)[1]
         bound = np.linalg.norm(nearest_in(points, self._corners[near]) - points, axis=1)
-        reach = np.minimum(bound, self._vertices.query(points)[0]) * (1 + 1e-9) + 1e-12
+        return np.asarray(np.minimum(bound, self._vertices.query(points)[0]))
+
+    def closest(self, points: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
+        """Distance (n,), nearest place (n, 3) and its triangle (n,) for points (n, 3) in mm."""
+        reach = self.bounds(points) * (1 + 1e-9) + 1e-12
         whose, which = [], []
         for tree, members, radius in self._classes:
             lists = tree.query_ball_point(points, reach + radius * (1 + 1e-9), return_sorted=False)

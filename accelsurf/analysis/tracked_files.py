@@ -17,10 +17,12 @@ from accelsurf.errors import InputError
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.io.challenge import ChallengeFolder, is_challenge, open_challenge
 from accelsurf.io.files import naming
+from accelsurf.io.headers import split_name
 from accelsurf.settings import budgets
 
-#: End of the name of label maps, and of the table that belongs to them.
-_LABELS, _TABLE = "_labels", "_tracks.csv"
+#: Ends of the names of label maps, and of the table that belongs to them.
+_TRUTH, _TABLE = "_truth", "_tracks.csv"
+_MARKS = ("_labels", _TRUTH)
 
 
 @dataclass(frozen=True)
@@ -90,14 +92,19 @@ def compare(result: TrackedFile, reference: TrackedFile) -> TrackingScores:
 def table_beside(path: Path) -> Path | None:
     """The table of tracks that belongs to label maps; None where there is none.
 
+    Of ``NAME_labels.nii.gz`` it is ``NAME_tracks.csv``, of ``NAME_truth.nii.gz`` also ``NAME_truth.csv``; of any other
+    name that name with ``_tracks.csv``.
+
     Examples
     --------
     >>> table_beside(Path("absent_labels.nii.gz")) is None
     True
     """
-    stem, mark, _ = path.name.rpartition(_LABELS)
-    table = path.with_name(stem + _TABLE)
-    return table if mark and table.is_file() else None
+    stem = split_name(path)[0]
+    names = [stem + _TABLE, *(stem.removesuffix(mark) + _TABLE for mark in _MARKS if stem.endswith(mark))]
+    if stem.endswith(_TRUTH):
+        names.append(f"{stem}.csv")
+    return next((path.with_name(name) for name in names if path.with_name(name).is_file()), None)
 
 
 def _of_challenge(path: Path, found: ChallengeFolder) -> TrackedFile:

@@ -16,8 +16,8 @@ from accelsurf.levelset import NO_CELLS, BandChange, LevelSet
 class Energy(ABC):
     """The protocol of energies. A subclass gives `value` and `force`; all other methods have a default.
 
-    The loop calls `start` once; then, in each step, `set_time`, `value` and `force`, `project` after the surface has moved, and
-    `follow` after it was redistanced. What `value` computes for the surface may be stored for the `force`
+    The loop calls `start` once; then, in each step, `set_time`, `value` and `force`, `project` after the surface has
+    moved, and `follow` after it was redistanced. What `value` computes for the surface may be stored for the `force`
     that follows. An energy with a state that goes from step to step returns it from `state` and sets it in `restore`.
 
     Attributes

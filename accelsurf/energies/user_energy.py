@@ -23,7 +23,8 @@ class CheckedEnergy(Energy):
     ----------
     energy : object
         With ``alpha`` and the methods `METHODS` of `Energy`; it need not derive from it. ``set_time``,
-        ``project``, ``state`` and ``restore`` are called where it has them. Only this class tests whether a method exists.
+        ``project``, ``state`` and ``restore`` are called where it has them. Only this class tests whether a method
+        exists.
 
     Attributes
     ----------

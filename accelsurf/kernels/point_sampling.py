@@ -1,4 +1,4 @@
-"""Values at given points: of dense arrays, of fields of the band, and of an array that lies turned on another grid."""
+"""Values at given points: of dense arrays, of fields of the band, and of an array that lies shifted on another grid."""
 
 from __future__ import annotations
 
@@ -36,15 +36,12 @@ def value_and_gradient_at_points(start, stop, array, grid, points, out):
 
 
 @kernel(stage=Stage.ADVANCE)
-def resample_affine(start, stop, array, grid, matrix, target, out):
+def resample_shifted(start, stop, array, grid, first, target, out):
     """A raveled dense array at the places of the voxels of the ``target`` grid, raveled, into ``out``.
 
-    ``matrix`` (3, 4) takes an index of the target to one of ``grid``.
+    ``first`` (3,), index coordinates of ``grid``: where the first voxel of the target lies; spacings are the same.
     """
     w = np.empty(24)
-    at = np.empty(3)
     for cell in range(start, stop):
         iz, iy, ix = unravel(cell, target)
-        for a in range(3):
-            at[a] = matrix[a, 0] * iz + matrix[a, 1] * iy + matrix[a, 2] * ix + matrix[a, 3]
-        out[cell] = value_at(array, grid, at[0], at[1], at[2], w)
+        out[cell] = value_at(array, grid, first[0] + iz, first[1] + iy, first[2] + ix, w)

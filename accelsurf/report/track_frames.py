@@ -97,14 +97,14 @@ class FrameStore:
         Whether the frames in it count, those that can be read; else it is emptied.
     """
 
-    def __init__(self, folder: Path, resume: bool = False) -> None:
+    def __init__(self, folder: Path, resume: bool = True) -> None:
         self.folder = folder
         if not resume:
             shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True, exist_ok=True)
         for number in self.numbers():
             try:
-                self.row(number)
+                self.frame_row(number)
             except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
                 self._path(number).unlink()  # damaged when the machine stopped: it is made again
 
@@ -138,7 +138,7 @@ class FrameStore:
         np.savez_compressed(draft, **arrays)  # type: ignore[arg-type]
         os.replace(draft, self._path(result.frame))
 
-    def row(self, number: int) -> FrameRow:
+    def frame_row(self, number: int) -> FrameRow:
         """The numbers of a frame."""
         with self._opened(number) as arrays:
             return _row_of(arrays)

@@ -55,7 +55,7 @@ class TrackOutputs:
         A folder for the frames that survives a run that is killed or interrupted; it is removed when the files are
         complete. By default they lie in a hidden folder, which goes with the run.
     resume : bool
-        Whether the frames that an earlier run has left in ``store`` count; else they are removed.
+        Whether frames that an earlier run has left in ``store`` count; else they are removed.
 
     Raises
     ------
@@ -77,7 +77,7 @@ class TrackOutputs:
         argv: Sequence[str] = (),
         overwrite: bool = False,
         store: Path | None = None,
-        resume: bool = False,
+        resume: bool = True,
     ) -> None:
         self.name, self.sequence, self.files = name, sequence, files or TrackFiles()
         self.files.check(sequence.geometry)
@@ -146,7 +146,7 @@ class TrackOutputs:
             When a file cannot be written; then all are as they were.
         """
         with output_folder.naming_final(self._set):
-            rows = tuple(self._store.row(number) for number in self.frames())
+            rows = tuple(self._store.frame_row(number) for number in self.frames())
             tracks = TrackSet(self.name, self.sequence, rows, lineage, self._store)
             kinds = self._write_all(tracks)
             entries = describe_drafts(self._set, kinds)

@@ -86,7 +86,7 @@ class BoxedSurface(NamedTuple):
         psi = self.surface.psi
         return np.array([[bool((psi.take(end, axis) < 0).any()) for axis in range(3)] for end in (0, -1)])
 
-    def with_room(self, room: Sequence[int]) -> BoxedSurface:
+    def with_room(self, room: Sequence[int] | NDArray[np.int64]) -> BoxedSurface:
         """The surface on a box with at least ``room`` (z, y, x) voxels and a margin around its band; itself if it is.
 
         Where the box cuts the object it has the border of the grid there, or what has come in over it: the surface
@@ -110,7 +110,7 @@ class BoxedSurface(NamedTuple):
 
     def widened(self, half_width: float) -> BoxedSurface:
         """The surface with a band of another half width (voxels), on a box with room for it."""
-        room = np.where(self.wide, int(np.ceil(half_width)), 0)
+        room = np.where(self.wide, int(np.ceil(half_width)), 0).astype(np.int64)
         larger = self.with_room(room)
         return larger._replace(surface=self._made(larger.surface.psi, half_width))
 
@@ -140,7 +140,7 @@ def boxed(
 def on_larger_box(
     psi: NDArray[np.float32], corner: NDArray[np.int64], first: NDArray[np.int64], last: NDArray[np.int64]
 ) -> NDArray[np.float32]:
-    """psi of a box from ``corner`` on the box from ``first`` to ``last``: beyond its edge it is that of the edge."""
+    """Psi of a box from ``corner`` on the box from ``first`` to ``last``: beyond its edge it is that of the edge."""
     index = [
         np.clip(np.arange(a, b) - c, 0, n - 1) for a, b, c, n in zip(first, last, corner, psi.shape, strict=True)
     ]

@@ -11,6 +11,9 @@ from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, sample_fields
 
 #: Voxels that a surface may move in a step.
 CFL = 0.5
+#: Steps of a motion at most: speeds that run away, as where paths cross or a surface of constant density is folded, end
+#: it.
+MAX_STEPS = 200
 #: A remainder of the time below this part of it is rounding.
 END = 1e-9
 
@@ -39,7 +42,9 @@ def coast(
     """
     flow.start_moving(on.surface, fields)
     left, points = duration, points.copy()
-    while left > END * duration and on.surface.size:
+    for _ in range(MAX_STEPS):
+        if left <= END * duration or not on.surface.size:
+            break
         if on.is_tight():
             on = _relaid(on, flow)
         now = _now(on, flow)

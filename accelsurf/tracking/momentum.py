@@ -45,13 +45,13 @@ class SurfaceMomentum(ABC):
 
     Attributes
     ----------
-    fit : {"affine", "rigid", "translation", "none"}
+    fit : {"shift", "none"}
         What the observer fits of a displacement before the rest goes along the normal, see `tracking.observer`.
     """
 
     #: Half width of the narrow band, voxels.
     half_width: ClassVar[float] = 3.0
-    fit: ClassVar[Fit] = "affine"
+    fit: ClassVar[Fit] = "shift"
 
     def __init__(self, friction: float = 0.0, workers: Workers | None = None) -> None:
         self.friction, self.workers = float(friction), workers or Workers(1)
@@ -139,12 +139,12 @@ class SurfaceMomentum(ABC):
         found = displacement(predicted, measured, self.fit)
         fields = self._corrected_fields(found, duration, gains.velocity)
         new = between(predicted, measured, found, gains.psi)
-        way = found.fitted.scaled(gains.psi)
-        values, known = sample_fields(predicted, fields, way.inverse().at(new.closest_points()))
+        way = gains.psi * found.shift
+        values, known = sample_fields(predicted, fields, new.closest_points() - way)
         self._on = new
         self._fields = self._fields_on(new, values, known)
         if len(self._points):
-            self._points = _onto(new, way.at(self._points))
+            self._points = _onto(new, self._points + way)
         return self.piece
 
     # -- what it is now ------------------------------------------------------------------------------------

@@ -13,11 +13,13 @@ from accelsurf.levelset import Workers
 from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, transferred
 from accelsurf.tracking.coasting import coast
 from accelsurf.tracking.momentum import Gains, SurfaceMomentum
-from accelsurf.tracking.observer import Displacement, corrected_velocity
+from accelsurf.tracking.observer import Displacement, missing_velocity
 from accelsurf.tracking.records import SurfacePiece
 
 #: Density of new surface.
 RHO = 1.0
+#: Voxels that a place may move relative to the whole in one prediction.
+MAX_RELATIVE = 32.0
 
 
 class FlowableMomentum(SurfaceMomentum):
@@ -38,7 +40,7 @@ class FlowableMomentum(SurfaceMomentum):
 
     def _mean_velocity(self) -> Floats:
         mass = self._on.surface.fraction_and_area()[1] * self._fields[3]
-        total = float(mass.sum())
+        total = max(float(mass.sum()), 1e-300)
         return np.array([float((mass * field).sum()) / total for field in self._fields[:3]])
 
     def _coast(self, duration: float) -> None:
@@ -49,6 +51,8 @@ class FlowableMomentum(SurfaceMomentum):
         slowed = math.exp(-self.friction * abs(duration))
         left = (mean * duration - voxels * h) / free
         own = [sign * (field - m) + v for field, m, v in zip(self._fields[:3], mean, left, strict=True)]
+        voxel = min(self._on.surface.spacings)
+        own = list(_clipped(np.stack(own, axis=1), MAX_RELATIVE * voxel / free).T)
         fields = [np.asarray(field, np.float32) for field in (*own, self._fields[3])]
         on = self._with_room(fields[:3], free)
         fields = transferred(self._on, fields, on)
@@ -64,17 +68,23 @@ class FlowableMomentum(SurfaceMomentum):
         h, frame = self._on.spacing, np.array(self._on.geometry.shape)
         fastest = np.array([float(np.abs(field).max(initial=0.0)) for field in velocity])
         room = np.minimum(np.ceil(fastest * duration / h), frame).astype(np.int64)
-        return self._on.with_room(np.where(self._on.wide, room, 0))
+        return self._on.with_room(np.where(self._on.wide, room, 0).astype(np.int64))
 
     def _corrected_fields(self, found: Displacement, duration: float, gain: float) -> list[np.ndarray]:
-        velocity = np.stack(self._fields[:3], axis=1)
-        new = corrected_velocity(self._on, velocity, found, duration, gain)
-        return [*(np.ascontiguousarray(new[:, c]) for c in range(3)), self._fields[3]]
+        missing = gain * missing_velocity(self._on, found, duration)
+        moving = [field + missing[:, c] for c, field in enumerate(self._fields[:3])]
+        return [*(np.asarray(field, np.float32) for field in moving), self._fields[3]]
 
     def _fields_on(self, new: BoxedSurface, values: Floats, known: NDArray[np.bool_]) -> list[np.ndarray]:
         fields = super()._fields_on(new, values, known)
         fields[3] = np.where(known, np.maximum(fields[3], 0.0), np.float32(RHO)).astype(np.float32)
         return fields
+
+
+def _clipped(velocity: Floats, most: float) -> Floats:
+    """Velocities (n, 3) of at most ``most``, in their directions."""
+    speed = np.linalg.norm(velocity, axis=1)
+    return np.asarray(velocity * np.minimum(1.0, most / np.maximum(speed, 1e-300))[:, None])
 
 
 class ConstantDensityMomentum(SurfaceMomentum):
@@ -107,8 +117,8 @@ class ConstantDensityMomentum(SurfaceMomentum):
 
     def _corrected_fields(self, found: Displacement, duration: float, gain: float) -> list[np.ndarray]:
         normal = self._on.surface.normals()
-        change = corrected_velocity(self._on, np.zeros_like(normal), found, duration, gain)
-        return [np.asarray(self._fields[0] + (change * normal).sum(axis=1), np.float32)]
+        along = (missing_velocity(self._on, found, duration) * normal).sum(axis=1)
+        return [np.asarray(self._fields[0] + gain * along, np.float32)]
 
 
 class LastDisplacement(SurfaceMomentum):

@@ -16,7 +16,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from benchmarks.viewer_tasks.person import ROOT, Person
 from tests.support.screen import own_screen
@@ -60,6 +63,21 @@ def window_picture(words: list[str], width: int, height: int, factor: float, the
 
 def page_pictures(words: list[str], theme: str, folder: Path) -> None:
     """Pictures of the page at each width, after some steps."""
+    with page_after(words, theme, STEPS) as browser:
+        for width, height in PAGES:
+            take(browser, width, height, folder / f"page-{width}x{height}-{theme}.png")
+
+
+def take(browser: Any, width: int, height: int, path: Path) -> None:
+    """A picture of a page in a window of a size."""
+    browser.set_window_size(width, height)
+    time.sleep(4.0)
+    browser.save_screenshot(str(path))
+
+
+@contextmanager
+def page_after(words: list[str], theme: str, steps: int) -> Iterator[Any]:
+    """A browser at the page of a command, with a run that is paused after some steps."""
     from selenium import webdriver
 
     command = [sys.executable, "-m", "accelsurf", *words, "--browser", "--no-open", "--theme", theme]
@@ -76,12 +94,9 @@ def page_pictures(words: list[str], theme: str, folder: Path) -> None:
         browser.get(address)
         wait(lambda: bool(browser.find_elements("id", "picture")), 120)
         browser.find_element("id", "play").click()
-        wait(lambda: int(browser.find_element("id", "step").text.split()[1]) >= STEPS, 300)
+        wait(lambda: int(browser.find_element("id", "step").text.split()[1]) >= steps, 300)
         browser.find_element("id", "play").click()
-        for width, height in PAGES:
-            browser.set_window_size(width, height)
-            time.sleep(4.0)
-            browser.save_screenshot(str(folder / f"page-{width}x{height}-{theme}.png"))
+        yield browser
     finally:
         browser.quit()
         server.send_signal(signal.SIGINT)

@@ -25,6 +25,7 @@ from accelsurf.settings.mesh_formats import MESH_FORMATS, MeshFormat, Shape
 from accelsurf.settings.messages import expected
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.trace_columns import TRACE_COLUMNS
+from accelsurf.settings.track_formats import TRACK_FORMATS
 from docs.reference.report_keys import REPORT_KEYS
 
 HERE = Path(__file__).parent
@@ -173,6 +174,7 @@ def _file_formats() -> str:
         for name, form in IMAGE_FORMATS.items()
     ]
     meshes = [(f"`{name}`", form.help, *_uses(form)) for name, form in MESH_FORMATS.items()]
+    tracks = [(f"`{name}`", form.help, f"`NAME_{form.ending}`") for name, form in TRACK_FORMATS.items()]
     lines = [
         "# File formats",
         "",
@@ -196,6 +198,11 @@ def _file_formats() -> str:
         "`mesh:FILE` is read from those that say so.",
         "",
         *_table(("Format", "What it is", "Surface", "Contours", "Start"), meshes),
+        "## Tracks",
+        "",
+        "`accelsurf track --also NAMES` writes, beside label maps and tables:",
+        "",
+        *_table(("Name", "What it is", "File or folder"), tracks),
     ]
     return "\n".join(lines)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
+from accelsurf.analysis.tracked_files import table_beside
 from accelsurf.grid.volume import Volume
 from accelsurf.report.track_files import TrackFiles
 from accelsurf.report.track_outputs import TrackOutputs
@@ -142,3 +143,17 @@ def test_a_table_that_lacks_a_column_is_refused(tmp_path, reference, said):
         (tmp_path / "a_tracks.csv").write_text(text)
         code, _, err = said(tmp_path / "a_labels.nrrd", reference)
         assert (code, message in err) == (3, True)
+
+
+@pytest.mark.parametrize(
+    ("labels", "table"),
+    [
+        ("a_labels.nii.gz", "a_tracks.csv"), ("a_truth.nii.gz", "a_tracks.csv"), ("a_truth.nii.gz", "a_truth.csv"),
+        ("a_truth.nii.gz", "a_truth_tracks.csv"), ("a.tif", "a_tracks.csv"),
+    ],
+)  # fmt: skip
+def test_the_table_is_found_by_its_name(tmp_path, labels, table):
+    (tmp_path / "b_tracks.csv").touch()
+    assert table_beside(tmp_path / labels) is None
+    (tmp_path / table).touch()
+    assert table_beside(tmp_path / labels) == tmp_path / table

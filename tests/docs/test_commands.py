@@ -1,8 +1,10 @@
 """The commands that README and the tutorial show: each is run on small inputs; each script that they name exists."""
 
+import contextlib
 import os
 import re
 import shlex
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -14,9 +16,12 @@ from accelsurf import cli, io
 from accelsurf.batch import pool
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.report.track_files import TrackFiles
+from accelsurf.report.track_outputs import TrackOutputs
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
 from tests.support.batch_jobs import InlinePool
 from tests.support.dicom_series import Series, save
+from tests.support.trackings import dividing_cells
 
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", ROOT / "docs" / "tutorial" / "first-scan.md")
@@ -110,6 +115,15 @@ def test_every_script_of_the_page_exists_and_has_help(page):
             assert done.returncode == 0 and "Usage:" in done.stderr, done.stderr
 
 
+@pytest.fixture(scope="module")
+def readers_folder(tmp_path_factory):
+    """A folder with what the how-to pages take for granted, to be copied."""
+    folder = tmp_path_factory.mktemp("reader")
+    with contextlib.chdir(folder):
+        folder_of_a_reader()
+    return folder
+
+
 def folder_of_a_reader():
     """Make what the how-to pages take for granted: scans, labels, a picture, tables, a first result."""
     for name in ("scan", "ct", "t2", "cells", "sub-01_T1w", "LIV_001_0000"):
@@ -132,10 +146,25 @@ def folder_of_a_reader():
     io.write(Volume((100.0 * (x**2 + y**2 + z**2 < 30**2)).astype(np.float32), store), "ct.ome.zarr")
     study_of_a_reader(Path("study"))
     of_a_microscope()
+    tracked_cells()
     Path("seeds.csv").write_text("id,x,y,z,r\n1,-12,0,0,6\n2,12,0,0,6\n")
     first = "segment scan.nii.gz -o out --max-steps 2 --keep-state yes --quiet"
     assert cli.execute(first.split()) == 0
     Path("out/run.toml").write_text("max_steps = 2\n")
+
+
+def tracked_cells():
+    """A tracking of phantoms, and the same as the reference of a challenge."""
+    made = dividing_cells()
+    with TrackOutputs(Path(), "cells", made.sequence, TrackFiles(also=("ctc",))) as outputs:
+        for result in made.results:
+            outputs.add(result)
+        outputs.finish(made.lineage)
+    reference = Path("01_GT/TRA")
+    reference.mkdir(parents=True)
+    for path in Path("cells_RES").iterdir():
+        name = path.name.replace("mask", "man_track").replace("res_track", "man_track")
+        (reference / name).write_bytes(path.read_bytes())
 
 
 def study_of_a_reader(folder):
@@ -171,14 +200,14 @@ HOW_TO = [page for page in sorted((ROOT / "docs" / "how-to").glob("*.md")) if CO
 
 
 @pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.name)
-def test_every_command_of_a_how_to_page_is_accepted(page, tmp_path, monkeypatch, capsys):
+def test_every_command_of_a_how_to_page_is_accepted(page, readers_folder, tmp_path, monkeypatch, capsys):
     """Each runs for two steps, in place of X,Y,Z with the middle; windows and pages are left to the viewer's tests.
 
     Cases of a batch run in this process.
     """
+    shutil.copytree(readers_folder, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(pool, "LocalPool", InlinePool)
-    folder_of_a_reader()
     for name, text in FILE.findall(page.read_text(encoding="utf-8")):
         Path(name).write_text(text)
     for words in commands(page):

@@ -43,7 +43,10 @@ def disk(n=96):
 # ----------------------------------------------------------------------------------------------------- what it gives
 
 
-@pytest.mark.parametrize("flow", ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"])
+SLOW = pytest.param("flowable-mass", marks=pytest.mark.slow)  # half a minute
+
+
+@pytest.mark.parametrize("flow", ["constant-density", SLOW, "gradient", "sobolev", "momentum"])
 def test_the_same_surface_for_less(cube, flow):
     options = {**START, "flow": flow, "smoothness": 0.05}
     one, two = (segment(cube.image, levels=levels, **options) for levels in (1, 2))

@@ -3,11 +3,13 @@
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from accelsurf import io
+from accelsurf.cli import execute
 from accelsurf.grid.volume import Volume
 
 START = ("--start", "ball:12,11,10,4")
@@ -29,11 +31,25 @@ def scans(tmp_path_factory):
     return folder
 
 
-def called(words, folder):
-    """The real program in the folder of the scans."""
-    return subprocess.run(
-        [sys.executable, "-m", "accelsurf", *words], cwd=folder, capture_output=True, text=True, timeout=120
-    )
+@pytest.fixture
+def called(scans, monkeypatch, capfd):
+    """What calls the command line in the folder of the scans, and returns its exit code and what it said."""
+
+    def call(words):
+        monkeypatch.chdir(scans)
+        code = execute(words)
+        out, err = capfd.readouterr()
+        return SimpleNamespace(returncode=code, stdout=out, stderr=err)
+
+    return call
+
+
+def test_the_program_says_what_the_command_line_says(scans, called, tmp_path):
+    words = ["segment", "ball.nii.gz", "-o", str(tmp_path / "out"), "--quiet", "--start", "blob:1,2,3"]
+    command = [sys.executable, "-m", "accelsurf", *words]
+    done = subprocess.run(command, cwd=scans, capture_output=True, text=True, timeout=120)
+    check(done, 2, "unknown kind")
+    assert called(words).stderr == done.stderr
 
 
 #: What is typed after `segment ball.nii.gz -o DIR`, the exit code, and words of the line that tells.
@@ -88,9 +104,9 @@ BAD = [
 @pytest.mark.parametrize(
     ("words", "code", "told"), BAD, ids=lambda value: " ".join(value) if isinstance(value, tuple) else None
 )
-def test_bad_words_are_one_clear_line(words, code, told, scans, tmp_path):
+def test_bad_words_are_one_clear_line(words, code, told, called, tmp_path):
     out = tmp_path / "out"
-    done = called(("segment", "ball.nii.gz", "-o", str(out), "--quiet", *words), scans)
+    done = called(["segment", "ball.nii.gz", "-o", str(out), "--quiet", *words])
     check(done, code, told)
     written = {path.name for path in out.iterdir()} if out.exists() else set()
     assert written <= {"ball_report.json"}
@@ -112,8 +128,8 @@ def test_bad_words_are_one_clear_line(words, code, told, scans, tmp_path):
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, tuple) else None,
 )
-def test_bad_files_are_one_clear_line(words, code, told, scans, tmp_path):
-    check(called([word.replace("{out}", str(tmp_path / "out")) for word in words], scans), code, told)
+def test_bad_files_are_one_clear_line(words, code, told, called, tmp_path):
+    check(called([word.replace("{out}", str(tmp_path / "out")) for word in words]), code, told)
     left = set((tmp_path / "out").iterdir()) if (tmp_path / "out").exists() else set()
     assert all(path.name.endswith("_report.json") for path in left)
 

@@ -16,7 +16,7 @@ def set_of(made, folder) -> TrackSet:
     store = FrameStore(folder / "frames")
     for result in made.results:
         store.put(result)
-    rows = tuple(store.row(number) for number in store.numbers())
+    rows = tuple(store.frame_row(number) for number in store.numbers())
     return TrackSet("cells", made.sequence, rows, made.lineage, store)
 
 

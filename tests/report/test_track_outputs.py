@@ -214,7 +214,7 @@ def test_a_resumed_run_goes_on_from_the_frames_that_are_there(folder, tmp_path):
         for result in made.results[:3]:
             outputs.add(result)
     (store / "frame_000001.npz").write_bytes(b"the machine stopped")
-    more = {"store": store, "resume": True, "toml": "frame = 0\n"}
+    more = {"store": store, "toml": "frame = 0\n"}
     with TrackOutputs(tmp_path / "out", "cells", made.sequence, EVERY, **more) as outputs:
         assert outputs.frames() == [0, 2]
         for result in made.results[1:]:
@@ -224,11 +224,11 @@ def test_a_resumed_run_goes_on_from_the_frames_that_are_there(folder, tmp_path):
     assert not store.exists()
 
 
-def test_frames_of_an_earlier_run_do_not_count_unless_it_is_resumed(tmp_path):
+def test_frames_of_an_earlier_run_do_not_count_where_none_is_resumed(tmp_path):
     made, store = dividing_cells(), tmp_path / "cells_frames"
     with TrackOutputs(tmp_path / "out", "cells", made.sequence, PLAIN, store=store) as outputs:
         outputs.add(made.results[0])
-    with TrackOutputs(tmp_path / "out", "cells", made.sequence, PLAIN, store=store) as outputs:
+    with TrackOutputs(tmp_path / "out", "cells", made.sequence, PLAIN, store=store, resume=False) as outputs:
         assert outputs.frames() == []
 
 

@@ -95,8 +95,8 @@ def hello(token):
     return packed({**call_of("wslink.hello", {"secret": token}), "id": "system:test:0"})
 
 
-async def _talk(served, messages, headers=None):
-    """Send messages; return the answers of the next moments, unpacked."""
+async def _talk(served, messages, headers=None, last=None):
+    """Send messages; return the answers of the next moments, unpacked, or those up to the answer to call ``last``."""
     answers = []
     async with aiohttp.ClientSession() as client:
         async with client.ws_connect(f"{served.origin}/ws", headers=headers or {}, max_msg_size=0) as ws:
@@ -113,11 +113,13 @@ async def _talk(served, messages, headers=None):
                 if answer.type != aiohttp.WSMsgType.BINARY:
                     break
                 answers.append(msgpack.unpackb(answer.data[12:], strict_map_key=False))
+                if last is not None and answers[-1].get("id") == last:
+                    break
     return answers
 
 
-def talk(served, *messages, headers=None):
-    return asyncio.run(_talk(served, messages, headers))
+def talk(served, *messages, headers=None, last=None):
+    return asyncio.run(_talk(served, messages, headers, last))
 
 
 def get(served, path, headers=None):
@@ -133,7 +135,8 @@ def get(served, path, headers=None):
 
 
 def state(served):
-    answers = talk(served, hello(served.token), packed(call_of("trame.state.get")))
+    call = call_of("trame.state.get")
+    answers = talk(served, hello(served.token), packed(call), last=call["id"])
     return next(a["result"]["state"] for a in answers if isinstance(a.get("result"), dict) and "state" in a["result"])
 
 
@@ -463,6 +466,7 @@ def _drive(browser, server, folder):
     assert not [message for message in severe if "/paraview/" not in message], severe
 
 
+@pytest.mark.slow
 def test_a_stroke_and_the_list_of_changes_in_the_page(tmp_path):
     from selenium.webdriver import ActionChains
     from selenium.webdriver.common.keys import Keys

@@ -17,9 +17,9 @@ def graphics():
     viewing.needs_graphics()
 
 
-@pytest.fixture
-def served(tmp_path):
-    server = Served(tmp_path)
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    server = Served(tmp_path_factory.mktemp("served"))
     yield server
     assert server.close() == 0, server.log_text()
 

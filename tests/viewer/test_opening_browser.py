@@ -281,6 +281,7 @@ def walk(browser, limit=200):
     return order, unseen
 
 
+@pytest.mark.slow
 def test_from_the_start_page_to_a_saved_result_by_keys_and_mouse(served, tmp_path):
     from selenium.webdriver import ActionChains, Keys
 

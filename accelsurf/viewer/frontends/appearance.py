@@ -32,12 +32,14 @@ ALARM = {"dark": "#FF9A7A", "light": "#B03A00"}
 
 def page_of_help(keys: Mapping[str, Key]) -> str:
     """Return what keys and mouse do, as rich text."""
-    own = [("F1  H", "this page"), ("Escape", "look"), ("Ctrl+Q", "close")]
+    own = [("F1  H", "this page"), ("Ctrl+Q", "close")]
     rows = [*help_rows(keys), *own]
     half = -(-len(rows) // 2)
-    columns = ("".join(f"<tr><td><b>{a}</b>&nbsp;&nbsp;</td><td>{b}</td></tr>" for a, b in part)
+    # The keys stay in one line; what they do may take two where the window is narrow.
+    columns = ("".join(f"<tr><td style='white-space: pre'><b>{a}</b>  </td><td>{b}</td></tr>" for a, b in part)
                for part in (rows[:half], rows[half:]))
-    return "<table><tr>" + "".join(f"<td><table>{column}</table></td>" for column in columns) + "</tr></table>"
+    cells = "".join(f"<td width='50%'><table>{column}</table></td>" for column in columns)
+    return f"<table width='100%'><tr>{cells}</tr></table>"
 
 
 def palette(theme: str) -> QPalette:

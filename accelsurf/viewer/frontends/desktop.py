@@ -38,6 +38,8 @@ from accelsurf.viewer.workplace.workplace import Workplace
 
 #: How often the window looks for something new, milliseconds.
 POLL_MS = 15
+#: Width of the page of keys where there is room, and what stays free beside it, pixels.
+HELP_WIDTH, HELP_MARGIN = 1240, 12
 
 
 def application() -> QApplication:
@@ -128,6 +130,7 @@ class Window(QMainWindow):
         self.setCentralWidget(whole)
         self.help = QLabel(page_of_help(self.workplace.keys), whole)
         self.help.setObjectName("help")
+        self.help.setWordWrap(True)
         self.help.hide()
 
     def _connect(self) -> None:
@@ -236,9 +239,12 @@ class Window(QMainWindow):
         self._place_help()
 
     def _place_help(self) -> None:
+        # As wide as its lines are long, and no wider than the window has room.
+        room = self.help.parentWidget().size()
+        self.help.setFixedWidth(min(HELP_WIDTH, room.width() - 2 * HELP_MARGIN))
         self.help.adjustSize()
-        x = max((self.canvas.width() - self.help.width()) // 2, 0)
-        self.help.move(x, max((self.canvas.height() - self.help.height()) // 2, 0))
+        left, above = ((room.width() - self.help.width()) // 2, (room.height() - self.help.height()) // 2)
+        self.help.move(max(left, 0), max(above, 0))
         self.help.raise_()
 
     def leave(self) -> None:
