@@ -56,6 +56,19 @@ class Profile(NamedTuple):
         return _mean(self.values[LAYERS + 1 :])
 
 
+def median_profile(profiles: Sequence[Profile]) -> Profile:
+    """The median of each layer over several profiles.
+
+    Examples
+    --------
+    >>> median_profile([Profile((1.0, float("nan"))), Profile((3.0, float("nan"))), Profile((9.0, 2.0))])
+    Profile(values=(3.0, 2.0))
+    """
+    layers = zip(*(one.values for one in profiles), strict=True)
+    known = ([value for value in layer if np.isfinite(value)] for layer in layers)
+    return Profile(tuple(float(np.median(layer)) if layer else float("nan") for layer in known))
+
+
 def profile(image: Volume, surface: SurfacePiece, others: Sequence[SurfacePiece] = ()) -> Profile:
     """Values of a frame across a surface.
 

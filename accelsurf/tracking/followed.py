@@ -42,6 +42,8 @@ class Followed:
     missing : int
         Number of frames since in which it was not seen.
     mesh : MeshCarrier or None
+    whole_profile, whole_mm3
+        ``profile`` and ``volume_mm3`` of the last frame in which no border of the grid cut it.
     """
 
     id: int
@@ -56,6 +58,17 @@ class Followed:
     quality: float = 0.0
     missing: int = 0
     mesh: MeshCarrier | None = None
+    whole_profile: Profile | None = None
+    whole_mm3: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.whole_profile is None:
+            self.whole_profile, self.whole_mm3 = self.profile, self.volume_mm3
+
+    @property
+    def like(self) -> Profile:
+        """What it looks like when it lies within the grid as a whole."""
+        return self.whole_profile or self.profile
 
     @property
     def is_in_grid(self) -> bool:
@@ -78,6 +91,8 @@ class Followed:
         self.centroid, self.velocity = self.momentum.centroid(), self.momentum.mean_velocity()
         self.time, self.quality, self.missing = time, found.quality, 0
         self.at_border = lies_on_border(found.surface, geometry)
+        if not self.at_border:
+            self.whole_profile, self.whole_mm3 = profile, found.volume_mm3
 
     def in_frame(self, predicted: SurfacePiece | None, geometry: Geometry) -> TrackedObject:
         """What is told of it in a frame."""
@@ -94,14 +109,16 @@ class Followed:
         """State as a value, for `restored`."""
         plain = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
         mesh = None if self.mesh is None else self.mesh.state()
-        return plain | {"momentum": self.momentum.state(), "profile": self.profile.values, "mesh": mesh}
+        looks = {"profile": self.profile.values, "whole_profile": self.like.values}
+        return plain | looks | {"momentum": self.momentum.state(), "mesh": mesh}
 
 
 def restored(state: dict[str, Any], momentum: SurfaceMomentum, geometry: Geometry) -> Followed:
     """An object as it was; ``momentum`` is one without a surface yet."""
     momentum.restore(state["momentum"], geometry)
     mesh = None if state["mesh"] is None else MeshCarrier.restored(state["mesh"])
-    return Followed(**(state | {"momentum": momentum, "profile": Profile(tuple(state["profile"])), "mesh": mesh}))
+    looks = {key: Profile(tuple(state[key])) for key in ("profile", "whole_profile")}
+    return Followed(**(state | looks | {"momentum": momentum, "mesh": mesh}))
 
 
 def lies_on_border(surface: SurfacePiece, geometry: Geometry) -> bool:

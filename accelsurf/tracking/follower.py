@@ -220,7 +220,8 @@ class Follower:
         seen = [one for one in self.objects if one.missing == 0]
         if len(seen) < 2:
             return
-        edge = float(np.nanmean([0.5 * (one.profile.inner + one.profile.outer) for one in seen]))
+        like = evidence.median_profile([one.like for one in seen])
+        edge = 0.5 * (like.inner + like.outer)
         pairs = parts.touching([one.momentum.piece for one in seen], arrival.channels[0], edge)
         for group in parts.groups_of(pairs):
             old = [seen[place] for place in group]
@@ -240,8 +241,8 @@ class Follower:
         known = [one for one in self.objects if one.missing == 0] or absent
         if not known:
             return
-        like = Profile(tuple(np.nanmedian([one.profile.values for one in known], axis=0).tolist()))
-        volumes = [one.volume_mm3 for one in self.objects]
+        like = evidence.median_profile([one.like for one in known])
+        volumes = [one.whole_mm3 for one in self.objects]
         there = [one.momentum.piece for one in self.objects if one.missing == 0]
         first = entering.appearing(arrival.channels[0], there, like, (min(volumes), max(volumes)))
         if not first:
@@ -267,7 +268,7 @@ class Follower:
                 float(np.linalg.norm(place - np.array(there)))
                 for there in (one.centroid, one.predicted_place(arrival.time))
             )
-            fits = size <= FACTOR * one.volume_mm3 and (size * FACTOR >= one.volume_mm3 or one.at_border)
+            fits = size <= FACTOR * one.whole_mm3 <= FACTOR**2 * size
             if fits and away < nearest and away <= self._search_range(one, arrival.time):
                 nearest, old = away, one
         if old is not None:
@@ -282,9 +283,9 @@ class Follower:
         """How far from where it was an object may come back, mm: its diameter, and as far as it would have moved."""
         geometry = self._geometry
         if geometry.slice_axis is None:
-            diameter = 2.0 * (3.0 * one.volume_mm3 / (4.0 * np.pi)) ** (1.0 / 3.0)
+            diameter = 2.0 * (3.0 * one.whole_mm3 / (4.0 * np.pi)) ** (1.0 / 3.0)
         else:
-            diameter = 2.0 * (one.volume_mm3 / geometry.spacing[geometry.slice_axis] / np.pi) ** 0.5
+            diameter = 2.0 * (one.whole_mm3 / geometry.spacing[geometry.slice_axis] / np.pi) ** 0.5
         return float(diameter + np.linalg.norm(one.velocity) * abs(time - one.time))
 
     def _lose(self, one: Followed, arrival: Arrival) -> None:
