@@ -85,17 +85,17 @@ def track(
         Go on from the last frame that a killed or interrupted run has done, to the same bytes; begin where there is
         none.
     """
-    chosen = track_config(follow, settings, config)
+    wanted = track_config(follow, settings, config)
     if dump_config:
-        print(chosen.to_toml(), end="")
+        print(wanted.to_toml(), end="")
         return 0
     from accelsurf.cli.progress import Watcher
 
     display = display or Display()
     source = required(input, "SEQUENCE")
     folder = required(output, "-o DIR, the output folder,")
-    sequence = _opened(source, chosen)
-    case = _Case(sequence, chosen, folder, _name_of(source), overwrite)
+    sequence = _opened(source, wanted)
+    case = _Case(sequence, wanted, folder, _name_of(source), overwrite)
     _look_at_state(case, resume)
     lineage, code = _run(case, Watcher(display), display)
     if not display.quiet:

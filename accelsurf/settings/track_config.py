@@ -54,7 +54,7 @@ class TrackConfig(TrackFields):
         others = {key: value for key, value in values.items() if key not in own and key != "run"}
         run = values.get("run") or RunConfig()
         try:
-            super().__init__(**own, run=run.replace(**others) if others else run)
+            super().__init__(**own, **{"run": run.replace(**others) if others else run})
         except ValidationError as error:
             raise messages.usage_error(error, own, TrackFields) from None
         self._check_together()

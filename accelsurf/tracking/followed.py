@@ -6,15 +6,12 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from accelsurf.grid.geometry import Geometry
 from accelsurf.tracking.carried_mesh import MeshCarrier
 from accelsurf.tracking.evidence import Profile
 from accelsurf.tracking.frame_run import Measured
 from accelsurf.tracking.momentum import SurfaceMomentum, Triple
-from accelsurf.tracking.records import CarriedMesh, SurfacePiece, TrackedObject
+from accelsurf.tracking.records import SurfacePiece, TrackedObject
 
 VANISHED, LEFT = "vanished", "left"
 

@@ -91,7 +91,7 @@ class Follower:
 
     def _add(self, id: int, found: Measured, arrival: Arrival, velocity: Triple | None) -> Followed:
         """Begin to follow an object."""
-        momentum = self._momentum()
+        momentum = self._new_momentum()
         momentum.start(found.surface.psi, found.surface.corner, self._geometry, velocity)
         return self._put(id, momentum, found, arrival)
 
@@ -106,7 +106,7 @@ class Follower:
         self._identities.see(id, arrival.number)
         return one
 
-    def _momentum(self) -> SurfaceMomentum:
+    def _new_momentum(self) -> SurfaceMomentum:
         return make_momentum(self._config.model, self._friction, self._workers)
 
     # -- the next frame ------------------------------------------------------------------------------------
@@ -128,7 +128,7 @@ class Follower:
             self._merge(arrival)
         self._look_for_more(arrival)
         for one in [one for one in self.objects if one.missing > self._config.max_gap]:
-            self._lose(one, arrival)
+            self._end(one, arrival)
         self.objects.sort(key=lambda one: one.id)
         return self.in_frame(predicted)
 
@@ -257,7 +257,7 @@ class Follower:
         if not found.surface.psi.size:
             return
         found = self._largest(found)
-        momentum = self._momentum()
+        momentum = self._new_momentum()
         momentum.start(found.surface.psi, found.surface.corner, self._geometry)
         if profile(arrival.channels[0], found.surface).strength(like) * FACTOR < 1.0:
             return
@@ -288,7 +288,7 @@ class Follower:
             diameter = 2.0 * (one.whole_mm3 / geometry.spacing[geometry.slice_axis] / np.pi) ** 0.5
         return float(diameter + np.linalg.norm(one.velocity) * abs(time - one.time))
 
-    def _lose(self, one: Followed, arrival: Arrival) -> None:
+    def _end(self, one: Followed, arrival: Arrival) -> None:
         """End an object that was not seen for too long."""
         self.objects.remove(one)
         if arrival.before < arrival.number:
@@ -308,7 +308,7 @@ class Follower:
 
     def restore(self, state: Sequence[dict[str, Any]]) -> None:
         """Go back to a `state`."""
-        self.objects = [restored(one, self._momentum(), self._geometry) for one in state]
+        self.objects = [restored(one, self._new_momentum(), self._geometry) for one in state]
 
 
 def measured_part(piece: SurfacePiece, momentum: SurfaceMomentum, quality: float) -> Measured:

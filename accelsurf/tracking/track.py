@@ -118,7 +118,7 @@ class Tracking:
         count = len(sequence)
         for key, number in (("frame", config.frame), *(("correct", one.frame) for one in config.correct)):
             if number >= count:
-                raise UsageError(f"{key}: frame {number} was given, expected 0 to {count - 1}: there are {count} frames")
+                raise UsageError(f"{key}: frame {number} was given, expected 0 to {count - 1}")
 
     def _new_follower(self) -> Follower:
         return Follower(

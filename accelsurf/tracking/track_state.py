@@ -25,7 +25,8 @@ _BEGIN = "begin anew without --resume, with --overwrite"
 
 class Header(NamedTuple):
     """Of which tracking a state is: ``version`` of the file, ``versions`` of what the numbers depend on, ``digest`` of
-    the sequence, and ``settings``."""
+    the sequence, and ``settings``.
+    """
 
     version: int
     versions: dict[str, str]
