@@ -25,8 +25,12 @@ if TYPE_CHECKING:
 
 SequenceFile = Annotated[
     Path | None,
-    Parameter(name=("--input", "-i"), group=FILES, help=f"The sequence: images of one grid with time: {input_help()}; a "
-              "folder of frames, or a pattern of their names in quotes."),
+    Parameter(
+        name=("--input", "-i"),
+        group=FILES,
+        help=f"The sequence: an image with time ({input_help()}), a folder of frames, or a pattern of their names in "
+        "quotes.",
+    ),
 ]
 
 
@@ -212,8 +216,8 @@ def _doubts(tracking: Tracking) -> list[str]:
     for one in tracking.lineage.tracks:
         if one.end == "vanished" and tracking.done == count:
             out.append(
-                f"object {one.id}: not seen after frame {one.last}; look there, and try --correct 'frame={one.last + 1} "
-                f"inside=point:X,Y,Z object={one.id}', or a larger --max-gap"
+                f"object {one.id}: not seen after frame {one.last}; look there, and try --correct "
+                f"'frame={one.last + 1} inside=point:X,Y,Z object={one.id}', or a larger --max-gap"
             )
     return out[:10]
 
@@ -225,5 +229,6 @@ def _summary(case: _Case, lineage: Lineage) -> list[str]:
         ends[one.end] = ends.get(one.end, 0) + 1
     objects = len(lineage.tracks)
     lines = [f"{case.name}: {objects} object{'' if objects == 1 else 's'} in {len(case.sequence)} frames"]
-    lines += [f"  {count} to the {why}" if why == "end of sequence" else f"  {count} {why}" for why, count in ends.items()]
+    words = {"end of sequence": "to the end of the sequence"}
+    lines += [f"  {count} {words.get(why, why)}" for why, count in ends.items()]
     return [*lines, f"  {(case.folder / case.name).absolute()}_tracks.csv"]

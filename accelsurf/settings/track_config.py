@@ -54,7 +54,8 @@ class TrackConfig(TrackFields):
         others = {key: value for key, value in values.items() if key not in own and key != "run"}
         run = values.get("run") or RunConfig()
         try:
-            super().__init__(**own, **{"run": run.replace(**others) if others else run})
+            values = {**own, "run": run.replace(**others) if others else run}
+            super().__init__(**values)
         except ValidationError as error:
             raise messages.usage_error(error, own, TrackFields) from None
         self._check_together()
@@ -70,7 +71,7 @@ class TrackConfig(TrackFields):
         for one in self.correct:
             if (before and one.frame > self.frame) or (after and one.frame < self.frame):
                 raise UsageError(
-                    f"correct: frame {one.frame} was given, but the tracking goes {self.direction} from frame {self.frame}",
+                    f"correct: frame {one.frame} was given, the tracking goes {self.direction} from frame {self.frame}",
                     "give --direction both, or another --frame",
                 )
         given = [key for key in ("time_index", "label_group", "checkpoint") if getattr(self.run, key) is not None]

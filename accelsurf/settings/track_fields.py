@@ -59,14 +59,14 @@ class TrackFields(BaseModel):
     )
     observer: Annotated[Annotated[str, Field(pattern=GAINS)], BeforeValidator(_gains_text)] = setting(
         "1,1",
-        "Gains of the correction on each frame, 0 to 1: part of the way from the prediction to what the frame shows that "
-        "the surface goes, and part of the missing velocity that is added. Less is steadier in noise, and slower.",
+        "Gains of the correction on each frame, 0 to 1: part of the way from the prediction to what the frame shows "
+        "that the surface goes, and part of the missing velocity that is added. Less is steadier in noise, and slower.",
         entry=SettingEntry(TRACK, metavar="KPSI,KV"),
     )
     friction: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
         "auto",
-        "Friction between frames, per unit of the sequence's time: relative motion within the surface (flowable-mass), or "
-        "all of it (constant-density), falls by exp(-A) in a unit. auto is 0.5 per frame for flowable-mass, else 0.",
+        "Friction between frames, per unit of the sequence's time: relative motion within the surface (flowable-mass), "
+        "or all of it (constant-density), falls by exp(-A) in a unit. auto is 0.5 per frame for flowable-mass, else 0.",
         entry=SettingEntry(TRACK, unit="1/time", metavar="A|auto"),
     )
     next_energy: Annotated[str, BeforeValidator(_energy_or_auto)] = setting(
@@ -127,8 +127,8 @@ class TrackFields(BaseModel):
     )
     mesh: Annotated[tuple[Annotated[str, OneOf(lambda: MESH_FORMATS)], ...], BeforeValidator(all_split)] = setting(
         (),
-        "Formats of meshes, separated by commas, of each object in each frame: {}; none by default. The vertices are the "
-        "same material points from frame to frame.",
+        "Formats of meshes, separated by commas, of each object in each frame: {}; none by default. The vertices are "
+        "the same material points from frame to frame.",
         entry=SettingEntry(SettingGroup.FILES, metavar="NAMES", repeated=True, listed=lambda: ", ".join(MESH_FORMATS)),
     )
     mesh_space: Literal["lps", "ras"] = setting(
