@@ -43,7 +43,7 @@ def tracked(cells: Path, out: Path, *options: str) -> int:
 def test_a_tracking_leaves_labels_tracks_and_a_report(cells: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert tracked(cells, out) == 0
-    rows = list(csv.DictReader((out / "cells_tracks.csv").open()))
+    rows = list(csv.DictReader((out / "cells_tracks.csv").read_text().splitlines()))
     assert [row["id"] for row in rows] == ["1", "2"] * 5
     assert [float(row["x_mm"]) for row in rows if row["id"] == rows[0]["id"]] == pytest.approx(
         [5 + n for n in range(5)] if float(rows[0]["x_mm"]) < 14 else [23 - n for n in range(5)], abs=0.15
