@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from accelsurf.flows import StepInput, StepLimits, StepPlan
 from accelsurf.flows.accelerated import Accelerated
+from accelsurf.flows.step_limits import voxel_rates
 from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, sample_fields, transferred
 
 #: Voxels that a surface may move in a step.
@@ -48,7 +49,9 @@ def coast(
         if on.is_tight():
             on = _relaid(on, flow)
         now = _now(on, flow)
-        plan = flow.move(now, StepLimits(CFL, 100.0, left))
+        # The step follows the speed now; its curvature may speed a surface up, which must not be clipped.
+        step = min(left, CFL / max(_fastest(now, flow), CFL / duration))
+        plan = flow.move(now, StepLimits(2.0 * CFL, 100.0, step))
         if not plan.dt > 0:
             break
         if len(points):
@@ -72,6 +75,17 @@ def _now(on: BoxedSurface, flow: Accelerated) -> StepInput:
     front = surface.front(flow.stencil_width(surface))
     none = np.zeros(surface.size, np.float32)
     return StepInput(surface, front, none, surface.curvature(front), surface.fraction_and_area()[1], 0.0)
+
+
+def _fastest(now: StepInput, flow: Accelerated) -> float:
+    """The largest speed of the front, voxels per unit of time."""
+    surface, velocity = now.surface, flow.fields[:3]
+    if len(velocity) < 3:
+        rates = voxel_rates(surface, now.front, velocity[0])
+    else:
+        h = surface.grid.hz, surface.grid.hy, surface.grid.hx
+        rates = np.sqrt(sum((field / step) ** 2 for field, step in zip(velocity, h, strict=True)))
+    return float(rates[now.front].max(initial=0.0))
 
 
 def _relaid(on: BoxedSurface, flow: Accelerated) -> BoxedSurface:

@@ -29,6 +29,8 @@ from scipy.integrate import solve_ivp
 
 #: The force of a region energy at points (n, 2): (x, y) in the plane, (|r|, z) beside the axis of revolution.
 Force = Callable[[np.ndarray], np.ndarray]
+#: The same at a time.
+MovingForce = Callable[[np.ndarray, float], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -204,8 +206,8 @@ def star(radius: Callable[[np.ndarray], np.ndarray], n: int = 128, revolved: boo
 class _Rates:
     """The right hand side of a law for the points of one start."""
 
-    def __init__(self, start: Curve, force: Force, law: Law) -> None:
-        self.start, self.force, self.law = start, force, law
+    def __init__(self, start: Curve, force: Force, law: Law, moving: MovingForce | None = None) -> None:
+        self.start, self.force, self.law, self.moving = start, force, law, moving
         self.density = law.rho if start.density is None else start.density
         #: Mass per parameter.
         self.mass = self.density * start.geometry().measure
@@ -237,7 +239,10 @@ class _Rates:
         return np.concatenate([self.start.points + 0.5 * t**law.k * pull, 0.5 * law.k * t ** (law.k - 1.0) * pull])
 
     def __call__(self, t: float, state: np.ndarray) -> np.ndarray:
-        law = self.law
+        law, moving = self.law, self.moving
+        if moving is not None:
+            now = t
+            self.force = lambda points: moving(points, now)
         t = t + law.t0
         points, velocity = state.reshape(2, -1, 2)
         curve = self.curve(points)
@@ -271,9 +276,19 @@ class _Rates:
         return np.asarray(-divergence[:, None] * velocity - along - (q * at.curvature)[:, None] * at.normal)
 
 
-def solve(start: Curve, force: Force, law: Law, times: Sequence[float], tolerance: float = 1e-11) -> list[Curve]:
-    """The curve at each of ``times`` (ascending, above 0), started at rest unless ``start`` has a velocity."""
-    rates = _Rates(start, force, law)
+def solve(
+    start: Curve,
+    force: Force,
+    law: Law,
+    times: Sequence[float],
+    tolerance: float = 1e-11,
+    moving: MovingForce | None = None,
+) -> list[Curve]:
+    """The curve at each of ``times`` (ascending, above 0), started at rest unless ``start`` has a velocity.
+
+    ``moving`` is a force that depends on time, instead of ``force``.
+    """
+    rates = _Rates(start, force, law, moving)
     velocity = np.zeros_like(start.points) if start.velocity is None else start.velocity
     first, state = 0.0, np.concatenate([start.points, velocity])
     if not law.is_stationary:
