@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -176,7 +176,8 @@ class TrackOutputs:
             if not self._set.committed:
                 self._set.discard()
                 if isinstance(error, AccelsurfError):
-                    self._report_failure(error)
+                    with suppress(AccelsurfError, OSError):  # what went wrong first matters more
+                        self._report_failure(error)
         finally:
             self._stack.close()
 

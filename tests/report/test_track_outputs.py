@@ -208,6 +208,16 @@ def test_aborted_leaves_nothing(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["cells_report.json"]
 
 
+def test_a_report_that_cannot_be_written_does_not_hide_what_went_wrong(tmp_path, monkeypatch):
+    def fail(path, content):
+        raise OutputError("the disk is full")
+
+    monkeypatch.setattr("accelsurf.report.track_outputs.write_bytes", fail)
+    with pytest.raises(InputError, match="frame 3"), TrackOutputs(tmp_path, "cells", dividing_cells().sequence):
+        raise InputError("frame 3 cannot be read")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_resumed_run_goes_on_from_the_frames_that_are_there(folder, tmp_path):
     made, store = dividing_cells(), tmp_path / "cells_frames"
     with TrackOutputs(tmp_path / "out", "cells", made.sequence, EVERY, store=store) as outputs:
