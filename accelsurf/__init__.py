@@ -37,6 +37,8 @@ _HOMES = {
     "segment": "accelsurf.segmentation.api",
     "evolve": "accelsurf.segmentation.api",
     "segment_objects": "accelsurf.segmentation.api",
+    "TrackConfig": "accelsurf.settings.track_config",
+    "track": "accelsurf.tracking.track",
     "segment_many": "accelsurf.cli.many",
     "refine": "accelsurf.segmentation.refine",
     "Refiner": "accelsurf.segmentation.refiner",
@@ -79,6 +81,8 @@ if TYPE_CHECKING:
 
     ObjectsResult = Result
     from accelsurf.settings.run_config import RunConfig as RunConfig
+    from accelsurf.settings.track_config import TrackConfig as TrackConfig
+    from accelsurf.tracking.track import track as track
     from accelsurf.viewer.frontends.notebook import show as show
 
 

@@ -53,6 +53,7 @@ app.command("accelsurf.cli.look:look", name="look", help="Show slices of an imag
 app.command("accelsurf.cli.segment:segment", name="segment", help="Segment one object in a volume.")
 app.command("accelsurf.cli.batch:batch", name="batch", help="Segment many images, each as segment does.")
 app.command("accelsurf.cli.refine:refine", name="refine", help="Correct a result by clicks; the rest stays as it is.")
+app.command("accelsurf.cli.track:track", name="track", help="Follow objects through a sequence of images.")
 app.command("accelsurf.cli.synth:synth", name="synth", help="Make a synthetic volume and its truth from a recipe.")
 app.command("accelsurf.cli.compare:compare", name="compare", help="Run several flows on one volume side by side.")
 app.command("accelsurf.cli.movie:movie", name="movie", help="Make a movie of a run, without a screen.")

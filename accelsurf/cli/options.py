@@ -30,7 +30,7 @@ Output = Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)]
 OutputFolder = Annotated[Path, Parameter(name=("--output", "-o"), group=FILES)]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)]
 
-def _settings(
+def settings_class(
     name: str, leave_out: tuple[str, ...] = (), groups: tuple[SettingGroup, ...] = tuple(SettingGroup)
 ) -> type:
     """Return a dataclass with an option for each field of RunConfig; ``None`` where the option was not given.
@@ -65,17 +65,17 @@ def _completions(key: str, context: object) -> dict[str, str]:
 
 
 _WITHOUT_FILES = tuple(group for group in SettingGroup if group is not SettingGroup.FILES)
-Settings = _settings("Settings")
+Settings = settings_class("Settings")
 #: For commands that read a folder in a layout of its own.
-SettingsWithoutLayout = _settings("SettingsWithoutLayout", leave_out=("layout",))
+SettingsWithoutLayout = settings_class("SettingsWithoutLayout", leave_out=("layout",))
 #: For commands that write none of a run's files.
-RunSettings = _settings("RunSettings", groups=_WITHOUT_FILES)
+RunSettings = settings_class("RunSettings", groups=_WITHOUT_FILES)
 #: For commands that choose the flow and the files themselves.
-SharedSettings = _settings("SharedSettings", leave_out=("flow",), groups=_WITHOUT_FILES)
+SharedSettings = settings_class("SharedSettings", leave_out=("flow",), groups=_WITHOUT_FILES)
 #: For commands that only read an image.
-ReadSettings = _settings("ReadSettings", groups=(SettingGroup.IMAGE,))
+ReadSettings = settings_class("ReadSettings", groups=(SettingGroup.IMAGE,))
 #: As ReadSettings, for those that choose a level themselves.
-ReadWithoutLevel = _settings("ReadWithoutLevel", leave_out=("level",), groups=(SettingGroup.IMAGE,))
+ReadWithoutLevel = settings_class("ReadWithoutLevel", leave_out=("level",), groups=(SettingGroup.IMAGE,))
 
 
 def run_config(settings: Any, file: Path | Mapping[str, Any] | None = None, **forced: Any) -> RunConfig:

@@ -143,6 +143,33 @@ class Watcher:
         return self.interrupted
 
 
+    def on_frame(self, done: int, count: int, frame: int, objects: int, seconds: float) -> bool:
+        """Show a frame of a tracking that is done.
+
+        Parameters
+        ----------
+        done, count : int
+            How many frames are done, and of how many.
+        frame : int
+            Its number.
+        objects : int
+            How many are seen in it.
+        seconds : float
+
+        Returns
+        -------
+        bool
+            True to ask the tracking to stop.
+        """
+        if self._bar is not None:
+            self._bar.frame(done, count, f"frame {frame}, {objects} object{'' if objects == 1 else 's'}")
+        if self._show_json:
+            line = {"frame": frame, "done": done, "frames": count, "objects": objects, "seconds": seconds}
+            print_json({"event": "frame", "run": self._label, **line})
+        self._interrupts.check()
+        return self.interrupted
+
+
 def shown_kind(display: Display) -> ProgressKind:
     """The kind of progress to show: as asked for, else a bar on a terminal."""
     return display.progress or ("bar" if sys.stderr.isatty() and not display.quiet else "none")
@@ -163,12 +190,12 @@ class _Bar:
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(bar_width=24),
-            TextColumn("step {task.completed:.0f}/{task.total:.0f}"),
+            TextColumn("{task.fields[unit]} {task.completed:.0f}/{task.total:.0f}"),
             TextColumn("{task.fields[state]}"),
             TimeElapsedColumn(),
             console=Console(stderr=True),
         )
-        self._task = self._progress.add_task(label, total=max_steps, state=PREPARING)
+        self._task = self._progress.add_task(label, total=max_steps, state=PREPARING, unit="step")
         self._progress.start()
 
     def step(self, record: StepRecord, prefix: str) -> None:
@@ -176,6 +203,9 @@ class _Bar:
         if record.level:
             state = f"level {record.level}, {state}"
         self._progress.update(self._task, completed=record.step, state=state)
+
+    def frame(self, done: int, count: int, state: str) -> None:
+        self._progress.update(self._task, completed=done, total=count, state=state, unit="frame")
 
     def window(self, size: str) -> None:
         self._progress.update(self._task, completed=0, state=f"a window of {size} voxels")

@@ -30,6 +30,8 @@ from accelsurf.settings import budgets
 MAX_ID = 2**32 - 1
 #: Columns of a table: world mm (LPS), or voxel indices with the radius in voxels of the smallest spacing.
 WORLD_COLUMNS, VOXEL_COLUMNS = ("id", "x", "y", "z", "r"), ("id", "x_vox", "y_vox", "z_vox", "r_vox")
+#: What is deeper in a surface that is given than this part of its greatest depth is surely of the object.
+CORE_DEPTH = 0.5
 _BYTES_PER_VOXEL = 16  # image, psi twice, and an index of the band
 _FORM = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS), or {','.join(VOXEL_COLUMNS)}"
 
@@ -270,8 +272,32 @@ def ball_start(
     return ObjectStart(own, corner_of(box), psi)
 
 
-def separated(objects: list[ObjectStart], name: str, geometry: Geometry) -> list[ObjectStart]:
-    """Starts without overlap: a voxel of two goes to the one that is deeper there, at a tie to the lower id."""
+def core_of(psi: NDArray[np.float32], spacing: Sequence[float]) -> NDArray[np.bool_]:
+    """The voxels inside that are deeper than `CORE_DEPTH` of the greatest depth; beyond the box an object goes on.
+
+    Parameters
+    ----------
+    psi : ndarray (nz, ny, nx)
+        Negative inside.
+    spacing : (hz, hy, hx)
+        mm.
+
+    Examples
+    --------
+    >>> core_of(np.array([[[1, -1, -2, -3, -2, -1, 1]]]), (1.0, 1.0, 1.0)).astype(int)
+    array([[[0, 0, 1, 1, 1, 0, 0]]])
+    """
+    around = [(1, 1) if n > 1 else (0, 0) for n in psi.shape]
+    depth = ndimage.distance_transform_edt(np.pad(psi < 0, around, mode="edge"), sampling=spacing)
+    depth = depth[tuple(slice(low, n + low) for (low, _), n in zip(around, psi.shape, strict=True))]
+    return np.asarray((psi < 0) & (depth > CORE_DEPTH * depth.max()))
+
+
+def apart(objects: Sequence[ObjectStart]) -> list[ObjectStart]:
+    """Starts without overlap: a voxel of two goes to the one that is deeper there, at a tie to the lower id.
+
+    Of one that lies entirely within others nothing is left.
+    """
     out = [one._replace(psi=one.psi.copy()) for one in objects]
     low = np.array([one.corner for one in objects])
     for i, near in enumerate(meeting(low, low + np.array([one.psi.shape for one in objects]))):
@@ -283,6 +309,18 @@ def separated(objects: list[ObjectStart], name: str, geometry: Geometry) -> list
             np.maximum(separated, 0.5 * (mine - theirs), out=separated)
             # Just off the boundary where both are equally deep.
             separated[(mine == theirs) & (mine < 0)] = -1e-3 if i < j else 1e-3
+    return out
+
+
+def separated(objects: list[ObjectStart], name: str, geometry: Geometry) -> list[ObjectStart]:
+    """Starts without overlap, as of `apart`.
+
+    Raises
+    ------
+    InputError
+        When nothing is left of one.
+    """
+    out = apart(objects)
     for one in out:
         if not (one.psi < 0).any():
             raise InputError(

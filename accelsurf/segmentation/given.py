@@ -21,6 +21,7 @@ from accelsurf.initialization.clicks import (
     point_voxels,
     read_clicks,
 )
+from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.io import meshes
 
 #: Settings that may be given as arrays, volumes, meshes or lists of balls.
@@ -43,9 +44,20 @@ def _is_text(value: Any) -> bool:
 def given_arrays(objects: Any, arrays: Mapping[str, NDArray[np.float32]] | None) -> dict[str, NDArray[Any]]:
     """What a run was given as arrays, by setting: psi, and the label map of several objects."""
     given: dict[str, NDArray[Any]] = dict(arrays or {})
-    if objects is not None and not isinstance(objects, str):
+    if surfaces := surfaces_of(objects):
+        for one in surfaces:
+            given[f"object {one.id}"] = one.psi
+            given[f"corner of object {one.id}"] = np.array(one.corner)
+    elif objects is not None and not isinstance(objects, str):
         given["objects"] = plain_array(objects.array if isinstance(objects, Volume) else objects, "objects")
     return given
+
+
+def surfaces_of(objects: Any) -> list[ObjectStart]:
+    """First surfaces of several objects where they were given as such, in order of their ids; else none."""
+    if not isinstance(objects, (tuple, list)) or not all(isinstance(one, ObjectStart) for one in objects):
+        return []
+    return sorted(objects, key=lambda one: one.id)
 
 
 def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:

@@ -59,8 +59,8 @@ class Run:
         In place of the energy that ``config`` names; see `accelsurf.segment`.
     channels : sequence of Volume, optional
         Further channels, before those that ``config`` names.
-    objects : str, Volume or ndarray, optional
-        First voxels of several objects, in place of those that ``config`` names.
+    objects : str, Volume, ndarray or sequence of ObjectStart, optional
+        First voxels of several objects, or their first surfaces, in place of those that ``config`` names.
     arrays : mapping of str to ndarray, optional
         psi (nz, ny, nx) on the image's grid in place of the settings ``start``, ``mask``, ``foreground`` and
         ``background``.

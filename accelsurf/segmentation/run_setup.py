@@ -36,8 +36,8 @@ THICK = 4.0
 #: What `segment` takes for an energy: a name, an energy, or a function that makes one of the image, (nz, ny, nx)
 #: float32 as in `Result.image`, and the spacing, (hz, hy, hx) mm.
 EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
-#: What `segment_objects` takes for the first voxels of objects: a file, a label map.
-ObjectsLike = str | Volume | NDArray[Any]
+#: What `segment_objects` takes for the first voxels of objects: a file, a label map, first surfaces.
+ObjectsLike = str | Volume | NDArray[Any] | Sequence[ObjectStart]
 
 
 def choose_levels(

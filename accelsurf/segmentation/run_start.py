@@ -15,10 +15,10 @@ from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import object_clicks, object_starts
-from accelsurf.initialization.object_starts import ObjectStart
+from accelsurf.initialization.object_starts import ObjectStart, core_of
 from accelsurf.io.channels import read_further
 from accelsurf.segmentation.ensemble import union_of, within
-from accelsurf.segmentation.given import given_arrays
+from accelsurf.segmentation.given import given_arrays, surfaces_of
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.preprocessing import PreprocessedInput, preprocess, uses_model
 from accelsurf.segmentation.run_checkpoint import digest_of
@@ -77,17 +77,20 @@ def start_of_run(
         As of `accelsurf.segment`.
     """
     labels = config.objects if objects is None else objects
+    surfaces = surfaces_of(labels)
     by_array = given_arrays(labels, arrays) | _masks_of(clicks, volume.geometry)
-    table = None if labels is None else object_clicks.read(labels, volume.geometry)
+    table = None if labels is None or surfaces else object_clicks.read(labels, volume.geometry)
     if table is not None:
         clicks = [*clicks, *table.clicks]
         if "energy" not in config.model_fields_set:
             config = config.replace(energy="seeded")
-    if labels is not None and any(click.id == 1 for click in clicks) and table is None:
+    if labels is not None and any(click.id == 1 for click in clicks) and table is None and not surfaces:
         raise UsageError("inside: clicks were given with objects", "give a table of objects with a column side")
     volumes = [volume, *channels, *([] if part is not None else read_further(config.channel, config.reading))]
     has_ids = labels is not None
-    if part is not None and part.starts is not None:
+    if surfaces:
+        several = surfaces
+    elif part is not None and part.starts is not None:
         several, has_ids = list(part.starts), True
     else:
         several = _several(labels, table, clicks, config, volume.geometry)
@@ -101,12 +104,24 @@ def start_of_run(
         if not several or several[0].id != NO_OBJECT:
             several = _no_object(prepared, config) + several
         starts = [within(one, prepared) for one in several]
-        contexts = [
-            _with_clicks(prepared.context.of_object(one.corner, one.psi < 0), prepared.clicks, one.id) for one in starts
-        ]
+        contexts = [_context_of(one, prepared, bool(surfaces)) for one in starts]
         if table is not None and uses_model(config):
             starts = _of_models(starts, contexts, str(labels), prepared.geometry)
     return RunStart(config, has_ids, tuple(by_array), digest_of(by_array), prepared, starts, contexts)
+
+
+def _context_of(one: ObjectStart, prepared: PreprocessedInput, is_surface: bool) -> ImageContext:
+    """The context of one of several objects.
+
+    Of a first surface that was given, a prediction, the rim may be wrong: models learn from its core, and that of the
+    clicks takes its size for the object's.
+    """
+    spacing = prepared.geometry.spacing
+    context = prepared.context.of_object(one.corner, core_of(one.psi, spacing) if is_surface else one.psi < 0)
+    if is_surface and context.model_inputs.size_mm3 is None:
+        size = float(np.count_nonzero(one.psi < 0)) * prepared.geometry.voxel_volume
+        context = context.with_model_inputs(context.model_inputs._replace(size_mm3=size))
+    return _with_clicks(context, prepared.clicks, one.id)
 
 
 def _masks_of(clicks: Sequence[Click], geometry: Geometry) -> dict[str, NDArray[Any]]:

@@ -18,6 +18,7 @@ class SettingGroup(StrEnum):
     """Groups of the help and of the reference pages, in their order."""
 
     RUN = "What to run"
+    TRACK = "From frame to frame"
     FLOW = "Fine control of the flow"
     IMAGE = "The image"
     FILES = "Files"

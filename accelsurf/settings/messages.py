@@ -4,37 +4,49 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from accelsurf.errors import UsageError
-from accelsurf.settings.catalogue import help_of
+from accelsurf.settings.entry import entry_of
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.intervals import INTERVAL
 from accelsurf.settings.run_fields import VOXELS
+from accelsurf.settings.track_fields import GAINS
 from accelsurf.settings.volumes import VOLUME
 from accelsurf.settings.wording import did_you_mean, shown
 
 
-def usage_error(error: ValidationError, values: dict[str, Any]) -> UsageError:
-    """Turn pydantic's errors into one line about the first of them."""
+def usage_error(
+    error: ValidationError, values: dict[str, Any], fields: type[BaseModel] = SettingFields
+) -> UsageError:
+    """Turn pydantic's errors into one line about the first of them; ``fields`` has the settings."""
     key = str(error.errors()[0]["loc"][0])
-    if key in SettingFields.model_fields:
-        return UsageError(*complaint(key, values.get(key)))
-    guess = did_you_mean(key, SettingFields.model_fields)
-    known = "accelsurf info lists them" if guess else f"valid are {', '.join(SettingFields.model_fields)}"
-    return UsageError(f"{shown(key)}: there is no such setting", guess + known)
+    if key in fields.model_fields:
+        return UsageError(*complaint(key, values.get(key), fields))
+    return UsageError(*no_such_setting(key, fields))
 
 
-def complaint(key: str, value: Any) -> tuple[str, str]:
+def no_such_setting(key: str, fields: type[BaseModel] = SettingFields) -> tuple[str, str]:
+    """Return message and hint for a setting that there is not."""
+    guess = did_you_mean(key, fields.model_fields)
+    known = "accelsurf info lists them" if guess else f"valid are {', '.join(fields.model_fields)}"
+    return f"{shown(key)}: there is no such setting", guess + known
+
+
+def complaint(key: str, value: Any, fields: type[BaseModel] = SettingFields) -> tuple[str, str]:
     """Return message and hint for a value that ``key`` does not take."""
     given = [one.strip() for one in value.split(",")] if isinstance(value, str) else value
-    names = choices(key)
+    names = choices(key, fields)
     wrong = [one for one in given if one not in names] if isinstance(given, (list, tuple)) else [given]
     guess = did_you_mean(wrong[0], names) if wrong else ""
-    return f"{key}: {shown(value)} was given, expected {expected(key)}", guess + help_of(key)
+    field = fields.model_fields[key]
+    return (
+        f"{key}: {shown(value)} was given, expected {expected(key, fields)}",
+        guess + entry_of(field).completed(field.description or ""),
+    )
 
 
-def choices(key: str) -> list[str]:
+def choices(key: str, fields: type[BaseModel] = SettingFields) -> list[str]:
     """Names that a field takes, besides numbers and other texts.
 
     Examples
@@ -42,7 +54,7 @@ def choices(key: str) -> list[str]:
     >>> choices("diffusion"), choices("cfl")
     (['auto', 'free'], [])
     """
-    return _names_in(SettingFields.model_json_schema()["properties"][key])
+    return _names_in(fields.model_json_schema()["properties"][key])
 
 
 def _names_in(schema: dict[str, Any]) -> list[str]:
@@ -53,20 +65,22 @@ def _names_in(schema: dict[str, Any]) -> list[str]:
     return [schema["const"]] if "const" in schema else list(schema.get("enum", ()))
 
 
-def expected(key: str) -> str:
+def expected(key: str, fields: type[BaseModel] = SettingFields) -> str:
     """Say in words which values a field takes.
 
     Parameters
     ----------
     key : str
-        Name of a field of RunConfig.
+        Name of a field.
+    fields : type, optional
+        Those of RunConfig by default.
 
     Examples
     --------
     >>> expected("diffusion"), expected("restart")
     ('a number at least 0, auto or free', 'auto or off')
     """
-    words = _in_words(SettingFields.model_json_schema()["properties"][key])
+    words = _in_words(fields.model_json_schema()["properties"][key])
     return " or ".join(words) if len(words) < 3 else ", ".join(words[:-1]) + " or " + words[-1]
 
 
@@ -99,6 +113,8 @@ def _in_words(schema: dict[str, Any]) -> list[str]:
             return ["a volume such as 250ml"]
         case "string" if schema.get("pattern") == INTERVAL:
             return ["a number of steps such as 50, or a time such as 30s"]
+        case "string" if schema.get("pattern") == GAINS:
+            return ["two numbers from 0 to 1, such as 1,0.5"]
         case _:
             return ["a text"]
 

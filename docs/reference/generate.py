@@ -17,7 +17,7 @@ from accelsurf.settings.budgets import BUDGETS
 from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of
 from accelsurf.settings.energy_expression import MAGNITUDES, MAX_TERMS
 from accelsurf.settings.energy_terms import TERMS, TermSpec
-from accelsurf.settings.entry import SettingGroup
+from accelsurf.settings.entry import SettingGroup, entry_of
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, ImageFormat
 from accelsurf.settings.flow_specs import FLOWS
@@ -25,6 +25,7 @@ from accelsurf.settings.mesh_formats import MESH_FORMATS, MeshFormat, Shape
 from accelsurf.settings.messages import expected
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.trace_columns import TRACE_COLUMNS
+from accelsurf.settings.track_fields import TrackFields
 from accelsurf.settings.track_formats import TRACK_FORMATS
 from docs.reference.report_keys import REPORT_KEYS
 
@@ -102,11 +103,33 @@ def _settings() -> str:
         "",
     ]
     for group in SettingGroup:
+        if group is SettingGroup.TRACK:
+            continue
         lines += [f"## {group}", ""]
         for key in SettingFields.model_fields:
             if entry(key).group is group:
                 lines += _setting(key)
-    return "\n".join(lines)
+    return "\n".join([*lines, *_track_settings()])
+
+
+def _track_settings() -> list[str]:
+    """The settings of tracking, those of its own and of its files."""
+    lines = [
+        "## Tracking",
+        "",
+        "Options of `accelsurf track`, beside those of the run on each frame; in TOML they are in a table `[track]`.",
+        "",
+    ]
+    for key, field in TrackFields.model_fields.items():
+        said, default = entry_of(field), as_typed(field.default)
+        facts = [("Option", f"`--{key.replace('_', '-')}`")]
+        if key != "correct":
+            facts.append(("Values", expected(key, TrackFields).replace("*", "\\*")))
+        facts.append(("Default", f"`{default}`" if default else "not set"))
+        facts += [("Unit", said.unit)] if said.unit else []
+        facts += [("Repeated", "the option may be given several times")] if said.repeated else []
+        lines += [f"### {key} (tracking)", "", said.completed(field.description or ""), "", *_table(("", ""), facts)]
+    return lines
 
 
 def _setting(key: str) -> list[str]:

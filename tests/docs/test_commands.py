@@ -147,10 +147,22 @@ def folder_of_a_reader():
     study_of_a_reader(Path("study"))
     of_a_microscope()
     tracked_cells()
+    moving_cell()
     Path("seeds.csv").write_text("id,x,y,z,r\n1,-12,0,0,6\n2,12,0,0,6\n")
     first = "segment scan.nii.gz -o out --max-steps 2 --keep-state yes --quiet"
     assert cli.execute(first.split()) == 0
     Path("out/run.toml").write_text("max_steps = 2\n")
+
+
+def moving_cell():
+    """A disc that travels around the world's origin through four frames of one slice."""
+    y, x = np.indices((40, 40)) - 19.5
+    plane = Geometry((1, 40, 40), (1.0, 1.0, 1.0), origin=(-19.5, -19.5, 0.0))
+    with io.SequenceWriter("moving.nii.gz", plane, (0.0, 1.0, 2.0, 3.0), "s", np.float32) as writer:
+        for number in range(4):
+            disc = np.hypot(x - number, y) < 8
+            noise = np.random.default_rng(number).normal(0, 4, x.shape)
+            writer.write(number, (100.0 * disc + noise)[None].astype(np.float32))
 
 
 def tracked_cells():

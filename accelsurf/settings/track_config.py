@@ -1,0 +1,137 @@
+"""Everything a tracking needs, validated once: how objects are followed, and the run on each frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import ValidationError
+
+from accelsurf.errors import UsageError
+from accelsurf.settings import energy_expression, messages, toml
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_fields import TrackFields
+
+#: Table of a configuration file with the settings of tracking; those of the run are at its top level.
+TABLE = "track"
+#: Friction that ``auto`` is, per frame (docs/decisions/0084-the-loop-over-frames.md has what was measured).
+AUTO_FRICTION = 0.5
+
+
+class TrackConfig(TrackFields):
+    """Settings of a tracking, and in ``run`` those of the run on each frame.
+
+    Parameters
+    ----------
+    **values
+        Settings by name: of tracking, or of `RunConfig`. Where both have one (``friction``) it is that of tracking.
+    run : RunConfig, optional
+        Under the other settings of the run.
+
+    Raises
+    ------
+    UsageError
+        When a key is unknown or a value is out of bounds.
+
+    Examples
+    --------
+    >>> config = TrackConfig(start="ball:0,0,0,20", model="none")
+    >>> config.model, config.run.start, config.gains
+    ('none', ('ball:0,0,0,20',), (1.0, 1.0))
+    >>> print(config.to_toml())
+    energy = "chan-vese"
+    ...
+    [track]
+    frame = 0
+    ...
+    """
+
+    run: RunConfig = RunConfig()
+
+    def __init__(self, **values: Any) -> None:
+        own = {key: value for key, value in values.items() if key in TrackFields.model_fields}
+        others = {key: value for key, value in values.items() if key not in own and key != "run"}
+        run = values.get("run") or RunConfig()
+        try:
+            values = {**own, "run": run.replace(**others) if others else run}
+            super().__init__(**values)
+        except ValidationError as error:
+            raise messages.usage_error(error, own, TrackFields) from None
+        self._check_together()
+
+    def _check_together(self) -> None:
+        """Refuse values that are valid one by one but not together."""
+        low, high = energy_expression.MAGNITUDES
+        for key in ("friction", "frame_time"):
+            value = getattr(self, key)
+            if isinstance(value, float) and value and not low <= value <= high:
+                raise UsageError(f"{key}: {value:g} was given, expected a size of {low:g} to {high:g}")
+        before, after = self.direction == "backward", self.direction == "forward"
+        for one in self.correct:
+            if (before and one.frame > self.frame) or (after and one.frame < self.frame):
+                raise UsageError(
+                    f"correct: frame {one.frame} was given, the tracking goes {self.direction} from frame {self.frame}",
+                    "give --direction both, or another --frame",
+                )
+        given = [key for key in ("time_index", "label_group", "checkpoint") if getattr(self.run, key) is not None]
+        given += [key for key in ("channels_from_time", "save_sdf") if getattr(self.run, key)]
+        if given:
+            raise UsageError(f"{given[0]}: it was given for a sequence, it is of a single image", "leave it out")
+
+    @property
+    def gains(self) -> tuple[float, float]:
+        """Gains of the observer: of the surface and of the velocity."""
+        psi, velocity = (float(text) for text in self.observer.split(","))
+        return psi, velocity
+
+    def friction_for(self, times: Sequence[float]) -> float:
+        """Friction per unit of time for a sequence with these times of its frames."""
+        if self.friction != "auto":
+            return self.friction
+        if self.model != "flowable-mass" or len(times) < 2:
+            return 0.0
+        return AUTO_FRICTION * (len(times) - 1) / (times[-1] - times[0])
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a copy with some settings changed, of tracking or of the run, validated again."""
+        own = {key: getattr(self, key) for key in TrackFields.model_fields}
+        return type(self)(**{**own, "run": self.run, **changes})
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Self:
+        """Read a configuration file: settings of the run, and those of tracking in its table ``track``.
+
+        Raises
+        ------
+        UsageError
+            When the file cannot be read, has an unknown key, or a value is out of bounds.
+        """
+        run, track = split_table(toml.read(path))
+        return cls(run=RunConfig(**run), **track)
+
+    def to_toml(self) -> str:
+        """Return the configuration as TOML; `from_toml` gives an equal object back."""
+        own = self.model_dump(exclude={"run", "correct"})
+        table = toml.written(own, tables=())
+        corrections = "".join(
+            f"\n[[{TABLE}.correct]]\n{toml.written(one.model_dump(), tables=())}" for one in self.correct
+        )
+        return f"{self.run.to_toml()}\n[{TABLE}]\n{table}{corrections}"
+
+
+def split_table(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What a configuration file says of the run, and of tracking.
+
+    Raises
+    ------
+    UsageError
+        When the table is none, or has an unknown key.
+    """
+    table = values.get(TABLE, {})
+    if not isinstance(table, dict):
+        raise UsageError(f"{TABLE}: a table was expected", f"write [{TABLE}], and the settings of tracking below it")
+    for key in table:
+        if key not in TrackFields.model_fields:
+            raise UsageError(*messages.no_such_setting(key, TrackFields))
+    return {key: value for key, value in values.items() if key != TABLE}, table

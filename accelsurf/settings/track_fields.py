@@ -1,0 +1,143 @@
+"""The settings of tracking, one entry each: type, bounds, default, help and unit.
+
+The command line, TOML files, the report and the reference pages take them from here. Those of the run on each frame are
+in `accelsurf.settings.fields`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from accelsurf.settings.entry import SettingEntry, SettingGroup, setting
+from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, label_formats
+from accelsurf.settings.frame_corrections import FrameCorrection, corrections_of
+from accelsurf.settings.known_names import OneOf
+from accelsurf.settings.mesh_formats import MESH_FORMATS
+from accelsurf.settings.track_formats import TRACK_FORMATS, track_format_help
+from accelsurf.settings.written_values import all_split, checked_expression
+
+TRACK = SettingGroup.TRACK
+#: Two gains, each from 0 to 1, as they are written.
+GAINS = r"^(0|1|0?\.[0-9]{1,9}|1\.0{1,9}|0\.[0-9]{1,9}),(0|1|0?\.[0-9]{1,9}|1\.0{1,9}|0\.[0-9]{1,9})$"
+
+
+def _gains_text(value: Any) -> Any:
+    """Two numbers as their text."""
+    if isinstance(value, (list, tuple)):
+        return ",".join(f"{one:g}" if isinstance(one, (int, float)) else str(one) for one in value)
+    return value.replace(" ", "") if isinstance(value, str) else value
+
+
+def _energy_or_auto(value: Any) -> Any:
+    return value if value == "auto" else checked_expression(value)
+
+
+class TrackFields(BaseModel):
+    """How objects are followed from frame to frame."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+
+    frame: int = setting(
+        0,
+        "Frame, from 0, in which the start lies and objects are segmented first.",
+        entry=SettingEntry(TRACK, metavar="N"),
+        ge=0,
+    )
+    direction: Literal["forward", "backward", "both"] = setting(
+        "forward",
+        "From that frame to the last one, back to the first, or both.",
+        entry=SettingEntry(TRACK, metavar="WAY"),
+    )
+    model: Literal["flowable-mass", "constant-density", "last-displacement", "none"] = setting(
+        "flowable-mass",
+        "What carries a surface from frame to frame: its momentum as flowable mass (it may travel, turn and deform) or "
+        "as constant density; the last displacement of its centroid; or nothing, each frame begins where the last one "
+        "ended.",
+        entry=SettingEntry(TRACK, metavar="NAME"),
+    )
+    observer: Annotated[Annotated[str, Field(pattern=GAINS)], BeforeValidator(_gains_text)] = setting(
+        "1,1",
+        "Gains of the correction on each frame, 0 to 1: part of the way from the prediction to what the frame shows "
+        "that the surface goes, and part of the missing velocity that is added. Less is steadier in noise, and slower.",
+        entry=SettingEntry(TRACK, metavar="KPSI,KV"),
+    )
+    friction: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
+        "auto",
+        "Friction between frames, per unit of the sequence's time: relative motion within the surface (flowable-mass), "
+        "or all of it (constant-density), falls by exp(-A) in a unit. auto is 0.5 per frame for flowable-mass, else 0.",
+        entry=SettingEntry(TRACK, unit="1/time", metavar="A|auto"),
+    )
+    next_energy: Annotated[str, BeforeValidator(_energy_or_auto)] = setting(
+        "auto",
+        "Energy of the frames after the first; auto is that of the first. What it learns it learns anew in each frame, "
+        "from the inner half of the prediction.",
+        entry=SettingEntry(TRACK, metavar="EXPRESSION"),
+    )
+    max_gap: int = setting(
+        5,
+        "Number of frames after which an object that is not seen ends; until then it goes on by its momentum, and can "
+        "come back.",
+        entry=SettingEntry(TRACK, metavar="FRAMES"),
+        ge=0,
+    )
+    divide: Literal["yes", "no"] = setting(
+        "yes",
+        "Whether parts of a surface that come apart become objects of their own, if they are no crumbs: a fifth of the "
+        "largest part.",
+        entry=SettingEntry(TRACK, metavar="yes|no"),
+    )
+    merge: Literal["yes", "no"] = setting(
+        "no",
+        "Whether objects that touch, without an edge of the image between them, become one. Otherwise they stay apart.",
+        entry=SettingEntry(TRACK, metavar="yes|no"),
+    )
+    enter: Literal["yes", "no"] = setting(
+        "no",
+        "Whether what appears in later frames, as bright as the tracked objects and about as large, is followed too.",
+        entry=SettingEntry(TRACK, metavar="yes|no"),
+    )
+    correct: Annotated[tuple[FrameCorrection, ...], BeforeValidator(corrections_of)] = setting(
+        (),
+        "Correction of a frame, from which the tracking goes on: 'frame=12 inside=point:X,Y,Z object=2', or with "
+        "outside, new, remove, split or merge, as accelsurf refine takes them; may be repeated.",
+        entry=SettingEntry(TRACK, metavar="WORDS", repeated=True),
+    )
+    frame_time: float | None = setting(
+        None,
+        "Time from one frame to the next, s; by default what the file says, else times are numbers of frames.",
+        entry=SettingEntry(SettingGroup.IMAGE, unit="s", metavar="S"),
+        gt=0,
+    )
+    frames_from_slices: bool = setting(
+        False,
+        "The slices of a volume are frames, as in a TIFF stack that does not name its axis.",
+        entry=SettingEntry(SettingGroup.IMAGE),
+    )
+    format: Annotated[str, OneOf(label_formats)] = setting(
+        DEFAULT_IMAGE_FORMAT,
+        "Format of the label maps: {}.",
+        entry=SettingEntry(SettingGroup.FILES, metavar="NAME", listed=lambda: ", ".join(label_formats())),
+    )
+    per_frame: bool = setting(
+        False,
+        "Write a label map for each frame in place of one file with time.",
+        entry=SettingEntry(SettingGroup.FILES),
+    )
+    mesh: Annotated[tuple[Annotated[str, OneOf(lambda: MESH_FORMATS)], ...], BeforeValidator(all_split)] = setting(
+        (),
+        "Formats of meshes, separated by commas, of each object in each frame: {}; none by default. The vertices are "
+        "the same material points from frame to frame.",
+        entry=SettingEntry(SettingGroup.FILES, metavar="NAMES", repeated=True, listed=lambda: ", ".join(MESH_FORMATS)),
+    )
+    mesh_space: Literal["lps", "ras"] = setting(
+        "lps",
+        "Coordinates of meshes.",
+        entry=SettingEntry(SettingGroup.FILES, metavar="lps|ras"),
+    )
+    also: Annotated[tuple[Annotated[str, OneOf(lambda: TRACK_FORMATS)], ...], BeforeValidator(all_split)] = setting(
+        (),
+        "Further files, separated by commas: {}.",
+        entry=SettingEntry(SettingGroup.FILES, metavar="NAMES", repeated=True, listed=track_format_help),
+    )

@@ -1,0 +1,100 @@
+"""Identities: who begins where, is seen in which frames, came from whom, and why it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from accelsurf.tracking.records import Lineage, Link, Track
+
+END = "end of sequence"
+
+
+@dataclass
+class _Life:
+    """Frames in which an identity is seen, and why it ends after the last."""
+
+    seen: set[int] = field(default_factory=set)
+    end: str = END
+
+
+class Identities:
+    """The identities of a tracking while it goes on, in rising and in falling order of the frames.
+
+    What is a division in one order of the frames is a merging in the other: tracks and links are always told in rising
+    order of time.
+    """
+
+    def __init__(self) -> None:
+        self._lives: dict[int, _Life] = {}
+        self._links: list[Link] = []
+
+    def new_id(self) -> int:
+        """The lowest number above all so far."""
+        return max(self._lives, default=0) + 1
+
+    def see(self, id: int, frame: int) -> None:
+        """Note that a frame shows an object; its identity begins there if there is none."""
+        self._lives.setdefault(id, _Life()).seen.add(frame)
+
+    def forget(self, id: int, frame: int) -> None:
+        """Note that a frame shows others in place of an object."""
+        self._lives[id].seen.discard(frame)
+
+    def end(self, id: int, why: str) -> None:
+        """Note why an object is not seen after its last frame."""
+        self._lives[id].end = why
+
+    def last_seen(self, id: int) -> int | None:
+        """The last frame, in time, that shows an object."""
+        return max(self._lives[id].seen) if id in self._lives and self._lives[id].seen else None
+
+    def divide(self, one: int, several: Sequence[int], frame: int, before: int) -> None:
+        """Note that an object became several.
+
+        Parameters
+        ----------
+        one : int
+        several : sequence of int
+            Seen in ``frame``.
+        frame, before : int
+            The frame, and the one that was done before it: in falling order that is the later one.
+        """
+        if before < frame:
+            self._links += [Link(one, id, frame, "division") for id in several]
+            self.end(one, "divided")
+        else:
+            self._links += [Link(id, one, before, "merging") for id in several]
+            for id in several:
+                self.end(id, "merged")
+
+    def merge(self, several: Sequence[int], one: int, frame: int, before: int) -> None:
+        """Note that several objects became one, seen in ``frame``; ``before`` as for `divide`."""
+        if before < frame:
+            self._links += [Link(id, one, frame, "merging") for id in several]
+            for id in several:
+                self.end(id, "merged")
+        else:
+            self._links += [Link(one, id, before, "division") for id in several]
+            self.end(one, "divided")
+
+    def lineage(self) -> Lineage:
+        """All tracks and links so far."""
+        tracks = []
+        for id, life in sorted(self._lives.items()):
+            if life.seen:
+                first, last = min(life.seen), max(life.seen)
+                gaps = tuple(n for n in range(first, last) if n not in life.seen)
+                tracks.append(Track(id, first, last, gaps, life.end))
+        return Lineage(tuple(tracks), tuple(sorted(self._links, key=lambda one: (one.frame, one.parent, one.child))))
+
+    def state(self) -> dict[str, Any]:
+        """State as a value, for `restore`."""
+        lives = [[id, life.end, sorted(life.seen)] for id, life in sorted(self._lives.items())]
+        return {"lives": lives, "links": [list(one) for one in self._links]}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go back to a `state`."""
+        self._lives = {id: _Life(set(seen), end) for id, end, seen in state["lives"]}
+        self._links = [Link(*one) for one in state["links"]]

@@ -1,0 +1,276 @@
+"""track(): objects through a sequence of images, frame by frame."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.sequence import ImageSequence
+from accelsurf.grid.volume import Volume
+from accelsurf.levelset import Workers
+from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike, seeded, thread_count
+from accelsurf.settings.track_config import TrackConfig
+from accelsurf.tracking import track_state
+from accelsurf.tracking.first_frame import OnStep, first_objects
+from accelsurf.tracking.follower import Arrival, Follower
+from accelsurf.tracking.frame_run import Measured
+from accelsurf.tracking.lineage import Identities
+from accelsurf.tracking.momentum import Triple
+from accelsurf.tracking.records import FrameResult, Lineage
+
+
+class Visit(NamedTuple):
+    """A frame and the one that is done before it; itself for the first."""
+
+    number: int
+    before: int
+
+
+def visits(config: TrackConfig, count: int) -> list[Visit]:
+    """The frames in the order in which they are done.
+
+    Examples
+    --------
+    >>> [tuple(one) for one in visits(TrackConfig(frame=1, direction="both"), 4)]
+    [(1, 1), (2, 1), (3, 2), (0, 1)]
+    """
+    first = config.frame
+    out = [Visit(first, first)]
+    if config.direction != "backward":
+        out += [Visit(number, number - 1) for number in range(first + 1, count)]
+    if config.direction != "forward":
+        out += [Visit(number, number + 1) for number in range(first - 1, -1, -1)]
+    return out
+
+
+class Tracking:
+    """A tracking: iterate over it, each frame is done when it is asked for; then it has a `lineage`.
+
+    No more than two frames are held at any time, whatever the length of the sequence.
+
+    Parameters
+    ----------
+    sequence : ImageSequence
+    config : TrackConfig
+    energy : Energy or callable, optional
+        One of the user's own, as for `accelsurf.segment`.
+    objects : str, Volume or ndarray, optional
+        First voxels of several objects, as for `accelsurf.segment_objects`.
+    meshes : bool
+        Whether meshes are carried along: `TrackedObject.mesh`.
+    on_step : callable, optional
+        Called with each `StepRecord` of the first frame and the id of its object; a true value ends the tracking.
+    checkpoint_to : path-like, optional
+        File of the state after each frame. Where it exists the tracking goes on from it, to the same bytes, and yields
+        the frames that were not done. It stays when the last one is done: the caller removes it.
+
+    Attributes
+    ----------
+    config : TrackConfig
+        With the seed that was drawn if one is needed and none was given.
+    visits : list of Visit
+        The frames in the order in which they are done.
+    done : int
+        How many of them are done.
+    warnings : list of str
+        Of the first frame.
+    interrupted : bool
+        Whether ``on_step`` has ended the tracking.
+
+    Raises
+    ------
+    UsageError
+        When there is no such frame.
+    InputError
+        When the checkpoint is damaged or of another tracking.
+    """
+
+    def __init__(
+        self,
+        sequence: ImageSequence,
+        config: TrackConfig,
+        energy: EnergyLike | None = None,
+        objects: ObjectsLike | None = None,
+        meshes: bool = False,
+        on_step: OnStep | None = None,
+        checkpoint_to: str | Path | None = None,
+    ) -> None:
+        self._check(sequence, config)
+        self.sequence, self._energy, self._objects, self._on_step = sequence, energy, objects, on_step
+        self.config = config.replace(run=seeded(config.run))
+        self._meshes, self._path = meshes, None if checkpoint_to is None else Path(checkpoint_to)
+        self.visits, self.done = visits(config, len(sequence)), 0
+        self.warnings: list[str] = []
+        self.interrupted = False
+        self._identities = Identities()
+        self._first: tuple[tuple[int, Measured], ...] = ()
+        self._velocities: dict[int, Triple] = {}
+        self._workers = Workers(thread_count(config.run))
+        self._follower = self._new_follower()
+        if self._path is not None and self._path.exists():
+            self._restore(track_state.read(self._path))
+
+    @staticmethod
+    def _check(sequence: ImageSequence, config: TrackConfig) -> None:
+        count = len(sequence)
+        for key, number in (("frame", config.frame), *(("correct", one.frame) for one in config.correct)):
+            if number >= count:
+                raise UsageError(f"{key}: frame {number} was given, expected 0 to {count - 1}")
+
+    def _new_follower(self) -> Follower:
+        return Follower(
+            self.config, self.sequence, self._identities, self._workers, self._energy, self._meshes
+        )
+
+    # -- to run --------------------------------------------------------------------------------------------
+
+    def __iter__(self) -> Iterator[FrameResult]:
+        """The frames that are not done yet, each in the order of `visits`."""
+        while self.done < len(self.visits) and not self.interrupted:
+            yield self._step()
+            self.save()  # what the caller did with the frame is done too
+        self._workers.close()
+
+    def _step(self) -> FrameResult:
+        began, (number, before) = time.perf_counter(), self.visits[self.done]
+        times = self.sequence.times
+        wanted = tuple(one.refinement for one in self.config.correct if one.frame == number)
+        arrival = Arrival(number, before, times[number], times[number] - times[before], self._frame(number), wanted)
+        if number == before:
+            objects = self._begin_at(arrival)
+        else:
+            if before == self.config.frame and number < before and self.done > 1:
+                self._turn_back()
+            objects = self._follower.advance(arrival)
+            if before == self.config.frame and number > before:
+                self._note_velocities(before)
+        self.done += 1
+        if self.done == len(self.visits) or self.visits[self.done].number < self.visits[self.done - 1].number:
+            if number >= before:
+                self._follower.note_missing()
+        return FrameResult(number, arrival.time, arrival.channels[0], objects, time.perf_counter() - began)
+
+    def _frame(self, number: int) -> list[Volume]:
+        channels = self.sequence.channels(number)
+        if difference := self.sequence.geometry.difference(channels[0].geometry):
+            raise InputError(f"frame {number} lies on another grid than the sequence: {difference}")
+        return channels
+
+    def _begin_at(self, arrival: Arrival) -> Any:
+        """Segment the first frame."""
+        first = first_objects(
+            arrival.channels, self.config.run, arrival.refinements, self.config.divide == "yes", self._energy,
+            self._objects, self._on_step,
+        )
+        self._first, self.interrupted = first.found, first.interrupted
+        self.warnings += first.warnings
+        self._follower.start(self._first, arrival, {})
+        return self._follower.in_frame({})
+
+    def _turn_back(self) -> None:
+        """Go on from the first frame again, in falling order, with the velocities that were found after it."""
+        first = self.config.frame
+        arrival = Arrival(first, first, self.sequence.times[first], 0.0, self._frame(first))
+        self._follower = self._new_follower()
+        self._follower.start(self._first, arrival, self._velocities)
+
+    def _note_velocities(self, before: int) -> None:
+        """Note the velocities of the first objects after the first step."""
+        ids = {id for id, _ in self._first}
+        self._velocities = {
+            one.id: one.velocity for one in self._follower.objects if one.id in ids and one.missing == 0
+        }
+
+    @property
+    def lineage(self) -> Lineage:
+        """All tracks and links of the frames that are done."""
+        return self._identities.lineage()
+
+    def close(self) -> None:
+        """End the threads."""
+        self._workers.close()
+
+    # -- checkpoints ---------------------------------------------------------------------------------------
+
+    def save(self) -> None:
+        """Write the state after a frame."""
+        if self._path is None or self.interrupted:
+            return
+        track_state.write(self._path, self._state(), track_state.header_of(self.sequence, self.config, self._meshes))
+
+    def _state(self) -> track_state.TrackState:
+        return track_state.TrackState(
+            self.done, self.config.run.seed, self._first, dict(self._velocities), self._identities.state(),
+            tuple(self._follower.state()), tuple(self.warnings),
+        )
+
+    def _restore(self, found: tuple[track_state.Header, track_state.TrackState]) -> None:
+        header, state = found
+        if state.seed is not None and self.config.run.seed != state.seed:
+            self.config = self.config.replace(run=self.config.run.replace(seed=state.seed))
+        assert self._path is not None  # it was read
+        track_state.refuse_another(
+            self._path, header, track_state.header_of(self.sequence, self.config, self._meshes)
+        )
+        self._identities.restore(state.identities)
+        self._follower = self._new_follower()
+        self._follower.restore(state.objects)
+        self.done, self.warnings = state.done, list(state.warnings)
+        self._first, self._velocities = state.first, state.velocities
+
+
+def track(
+    sequence: ImageSequence,
+    config: TrackConfig | None = None,
+    *,
+    energy: EnergyLike | None = None,
+    objects: ObjectsLike | None = None,
+    meshes: bool = False,
+    on_step: Callable[[Any, int], bool | None] | None = None,
+    checkpoint_to: str | Path | None = None,
+    **options: Any,
+) -> Tracking:
+    """Follow objects through a sequence of images.
+
+    Parameters
+    ----------
+    sequence : ImageSequence
+        As `accelsurf.read_sequence` returns it.
+    config : TrackConfig, optional
+    energy, objects, meshes, on_step, checkpoint_to : optional
+        As of `Tracking`.
+    **options
+        Settings by name, of tracking or of the run on each frame, over those of ``config``.
+
+    Returns
+    -------
+    Tracking
+        To be iterated: it yields a `FrameResult` for each frame; its ``lineage`` says who came from whom.
+
+    Raises
+    ------
+    UsageError, InputError
+        As of `accelsurf.segment`, and when there is no such frame.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from accelsurf.grid.sequence import VolumeSequence
+    >>> from accelsurf.grid.volume import Volume
+    >>> z, y, x = np.indices((20, 20, 30)) - 9.5
+    >>> frames = [Volume.from_array(100.0 * (z**2 + y**2 + (x - 2 * n) ** 2 < 36)) for n in range(4)]
+    >>> tracking = track(VolumeSequence(frames), start="ball:9,9,9,4vox")
+    >>> [round(result.objects[0].centroid[0], 1) for result in tracking]
+    [9.5, 11.5, 13.5, 15.5]
+    >>> tracking.lineage.tracks[0]
+    Track(id=1, first=0, last=3, gaps=(), end='end of sequence')
+    """
+    if isinstance(energy, str):
+        options, energy = {**options, "energy": energy}, None
+    settings = config or TrackConfig()
+    return Tracking(
+        sequence, settings.replace(**options) if options else settings, energy, objects, meshes, on_step, checkpoint_to
+    )
