@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from accelsurf.cli.options import Output, Overwrite, required
+
+if TYPE_CHECKING:
+    from accelsurf.phantoms.recipes import Recipe
 
 
 def synth(
@@ -19,7 +23,8 @@ def synth(
     """Make a synthetic volume and its truth from a recipe.
 
     Writes NAME.nii.gz (the image), NAME_truth.nii.gz (the labels) and NAME.json (the recipe as used, and the exact
-    volume and area where a formula gives them).
+    volume and area where a formula gives them). A recipe in time makes sequences, and NAME_truth.csv: of each body and
+    frame the parent, the centre and the exact volume.
 
     Parameters
     ----------
@@ -32,6 +37,18 @@ def synth(
     overwrite
         Replace outputs that exist.
     """
+    from accelsurf.cli.synth_sequence import synth_sequence
+    from accelsurf.phantoms import motions, recipes
+
+    folder = required(output, "-o DIR, the output folder,")
+    if (moving := motions.load_motion(recipe)) is not None:
+        return synth_sequence(moving if seed is None else moving.model_copy(update={"seed": seed}), folder, overwrite)
+    used = recipes.load_recipe(recipe)
+    return _synth_volume(used if seed is None else used.changed(seed=seed), folder, overwrite)
+
+
+def _synth_volume(used: Recipe, folder: Path, overwrite: bool) -> int:
+    """Write the files of a recipe of a single volume into a folder; returns the exit code."""
     from accelsurf import io
     from accelsurf.io.files import write_bytes
     from accelsurf.phantoms import recipes
@@ -40,10 +57,6 @@ def synth(
     from accelsurf.report.file_entries import describe_drafts
     from accelsurf.report.output_folder import naming_final, opened_set, refuse_existing
 
-    folder = required(output, "-o DIR, the output folder,")
-    used = recipes.load_recipe(recipe)
-    if seed is not None:
-        used = used.changed(seed=seed)
     paths = {
         "image": folder / f"{used.name}.nii.gz",
         "labels": folder / f"{used.name}_truth.nii.gz",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import shutil
 import tempfile
+import weakref
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -61,6 +62,7 @@ class _PackedFrames(FileFrames):
         """Unpack the voxels, which are all there then."""
         header = self.header
         file: IO[bytes] = tempfile.NamedTemporaryFile(prefix="accelsurf-")
+        weakref.finalize(self, file.close)
         free = shutil.disk_usage(Path(file.name).parent).free
         if header.claimed_bytes > free:
             raise InputError(

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.io import headers
 from accelsurf.io.files import naming
-from accelsurf.io.sequence_sources import FileFrames, FileSequence, FrameFolder, SliceFrames, holds_frames
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.registry import load
+
+if TYPE_CHECKING:
+    from accelsurf.io.sequence_sources import FileSequence
 
 #: A step between frames that can be meant, seconds.
 _SHORTEST, _LONGEST = 1e-15, 1e12
@@ -80,6 +83,9 @@ def opened(
     outside_data: bool = False,
 ) -> FileSequence:
     """As `read_sequence`, also where there is one frame only."""
+    # Not before it is needed: this loads ITK, and the reader of stacks.
+    from accelsurf.io.sequence_sources import FileFrames, FrameFolder, SliceFrames, holds_frames
+
     path = Path(path)
     if frame_time is not None and not _SHORTEST <= frame_time <= _LONGEST:
         raise UsageError(f"frame time {frame_time:g} given, a positive number of seconds expected")
