@@ -1,6 +1,6 @@
 """Where momentum helps tracking: four models on phantoms in time, at four speeds, with noise and hidden frames.
 
-Usage: python -m benchmarks.tracking [-o FILE] [--quick]
+Usage: python -m benchmarks.tracking [-o FILE] [--seeds N] [--quick]
 
 Each sequence is followed by each model from the true surface of its first frame. What counts is the share of the later
 frames in which the object is where it should be (Dice of 0.9 or more), and of the hidden frames apart. ``cost`` has the
@@ -35,7 +35,6 @@ NOISE = (0.3, 1.0)
 #: Hidden frames: none, or three in a row.
 HIDDEN: tuple[tuple[int, ...], ...] = ((), (5, 6, 7))
 MOTIONS = ("translation", "acceleration")
-SEEDS = (0, 1, 2)
 RADIUS, GOOD = 7.0, 0.9
 FRAMES = 11
 
@@ -44,8 +43,9 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/tracking.json")
     options.add_argument("--quick", action="store_true", help="one seed and two speeds, to see that it works")
+    options.add_argument("--seeds", type=int, default=3, help="sequences of each kind")
     given = options.parse_args()
-    speeds, seeds = (SPEEDS[::2], SEEDS[:1]) if given.quick else (SPEEDS, SEEDS)
+    speeds, seeds = (SPEEDS[::2], (0,)) if given.quick else (SPEEDS, tuple(range(given.seeds)))
     cases = list(itertools.product(MOTIONS, speeds, NOISE, HIDDEN, seeds, MODELS))
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         rows = list(pool.map(followed, cases))

@@ -1,4 +1,4 @@
-"""Sequences of images: a file with a time axis, a folder of frames, a DICOM cine. Frames are read when asked for."""
+"""Sequences of images: a file with a time axis, a folder of frames. Frames are read when they are asked for."""
 
 from __future__ import annotations
 
@@ -35,8 +35,7 @@ def read_sequence(
     ----------
     path : path-like
         A NIfTI, NRRD or MetaImage with a fourth axis, an OME-Zarr or TIFF with an axis T, an .npy (t, z, y, x), a
-        folder of frames or a pattern of their names (``frames/*.tif``; in the order of the numbers in them), or DICOM
-        with several images at one place.
+        folder of frames or a pattern of their names (``frames/*.tif``; in the order of the numbers in them).
     frame_time : float, optional
         Seconds from one frame to the next; by default what the file says. Where it says nothing the frames are counted.
     frames_from_slices : bool

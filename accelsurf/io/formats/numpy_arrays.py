@@ -28,6 +28,7 @@ from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
 from accelsurf.io.lazy_volume import LazyVolume, Opening
 from accelsurf.io.memory import check_memory
 from accelsurf.io.metadata import with_warnings
+from accelsurf.io.selection import single
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
@@ -51,11 +52,13 @@ class ArrayHeader:
     stored : numpy.dtype
         Of the values.
     shape : tuple of int
-        As it is stored: (ny, nx) or (nz, ny, nx).
+        As it is stored: (ny, nx), (nz, ny, nx), or in an .npy also (nt, nz, ny, nx).
     is_fortran : bool
         Whether the first index runs fastest.
     geometry : Geometry
     metadata : dict of str to str
+    options : ReadOptions
+        As asked for: which time point.
     """
 
     data: Path
@@ -66,11 +69,28 @@ class ArrayHeader:
     is_fortran: bool
     geometry: Geometry
     metadata: dict[str, str]
+    options: ReadOptions = AS_IT_IS
+
+    @property
+    def time_points(self) -> int:
+        """How many images are in it."""
+        return self.shape[0] if len(self.shape) == 4 else 1
 
     @property
     def values(self) -> int:
         """How many values the image has."""
-        return math.prod(self.shape)
+        return math.prod(self.geometry.shape)
+
+    def image_offset(self) -> int:
+        """Bytes before the values of the image that is asked for.
+
+        Raises
+        ------
+        InputError
+            Where there are several and none is named.
+        """
+        number, _ = single(1, self.time_points, self.options)
+        return self.offset + number * self.values * self.stored.itemsize
 
 
 def parse(path: Path, options: ReadOptions = AS_IT_IS) -> ArrayHeader:
@@ -138,19 +158,20 @@ def _header(path: Path, member: str, file: Any, size: int, options: ReadOptions)
     dtype, shape, is_fortran, offset = _fields(file)
     if dtype.kind not in "buif":
         raise InputError(f"values of type {dtype} given, one real number per voxel expected", "save one field of it")
-    if not 2 <= len(shape) <= 3 or min(shape) < 1:
+    most = 3 if member or is_fortran else 4
+    if not 2 <= len(shape) <= most or min(shape) < 1:
         raise InputError(
-            f"an array of shape {shape} given, (z, y, x) or (y, x) expected",
-            "save one channel or time point, with its axes in the order z, y, x",
+            f"an array of shape {shape} given, (z, y, x) or (y, x) expected" + ", or (t, z, y, x)" * (most == 4),
+            "save one channel, with its axes in the order z, y, x; of a sequence (t, z, y, x) as an .npy in C order",
         )
     needed = offset + math.prod(shape) * dtype.itemsize
     if needed > size:
         raise InputError(f"the header announces {needed} bytes, the array has {size}", TRUNCATED_HINT)
     x, y, z = options.spacing or (1.0, 1.0, 1.0)
-    nz, ny, nx = (*[1] * (3 - len(shape)), *shape)
+    nz, ny, nx = (*[1] * (3 - len(shape)), *shape[-3:])
     geometry = Geometry((nz, ny, nx), (z, y, x))
     metadata = with_warnings({}, "" if options.spacing else _NOTE)
-    return ArrayHeader(path, member, offset, dtype, shape, is_fortran, geometry, metadata)
+    return ArrayHeader(path, member, offset, dtype, shape, is_fortran, geometry, metadata, options)
 
 
 def _fields(file: BinaryIO) -> tuple[np.dtype[Any], tuple[int, ...], bool, int]:
@@ -192,13 +213,13 @@ def read(path: Path, header: ArrayHeader, available: int) -> Volume:
     count = header.values
     if not header.member:
         with header.data.open("rb") as file:
-            file.seek(header.offset)
+            file.seek(header.image_offset())
             flat = np.fromfile(file, header.stored, count)
     else:
         with _damage_named(), zipfile.ZipFile(header.data) as archive, archive.open(header.member) as member:
             raw = member.read()  # to its end, so that its checksum counts
         flat = np.frombuffer(raw, header.stored, count, header.offset)
-    array = flat.reshape(header.shape, order="F" if header.is_fortran else "C").reshape(header.geometry.shape)
+    array = flat.reshape(header.shape[-3:], order="F" if header.is_fortran else "C").reshape(header.geometry.shape)
     plain: NDArray[Any] = np.ascontiguousarray(array, header.stored.newbyteorder("="))
     return Volume(plain, header.geometry, dict(header.metadata), path)
 
@@ -225,7 +246,7 @@ def open_lazily(path: Path, header: ArrayHeader, opening: Opening) -> LazyVolume
             "the values are packed the other way round (Fortran order): no box can be read by itself",
             "save it with numpy.ascontiguousarray",
         )
-    voxels = RawVoxels(RawLayout(path, header.offset, header.stored, header.geometry.shape))
+    voxels = RawVoxels(RawLayout(path, header.image_offset(), header.stored, header.geometry.shape))
     return LazyVolume(voxels, header.geometry, dict(header.metadata), path)
 
 

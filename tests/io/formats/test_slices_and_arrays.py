@@ -187,3 +187,22 @@ def test_damaged_archives_are_refused(tmp_path):
         archive.writestr("a.npy", npy("(3000, 30000)", "'|u1'", body=20_000_000))
     with pytest.raises(InputError, match="announces 900000.. bytes, the array has 20000"):
         io.read(tmp_path / "a.npz")
+
+
+def test_an_array_of_four_axes_is_a_sequence(tmp_path):
+    frames = np.arange(3 * 2 * 4 * 5, dtype=np.int16).reshape(3, 2, 4, 5)
+    np.save(tmp_path / "moving.npy", frames)
+    sequence = io.read_sequence(tmp_path / "moving.npy", frame_time=0.5)
+    assert sequence.times == (0.0, 0.5, 1.0) and sequence.geometry.shape == (2, 4, 5)
+    for number in (2, 0, 1):
+        np.testing.assert_array_equal(sequence.frame(number).array, frames[number])
+    with pytest.raises(InputError, match="a sequence of 3 time points"):
+        io.read(tmp_path / "moving.npy")
+    one = io.read(tmp_path / "moving.npy", options=ReadOptions(time_index=2))
+    np.testing.assert_array_equal(one.array, frames[2])
+    box = (slice(1, 2), slice(0, 3), slice(2, 5))
+    lazily = io.open_volume(tmp_path / "moving.npy", time_index=1)
+    np.testing.assert_array_equal(lazily.voxels.read(box), frames[1][box])
+    np.save(tmp_path / "fortran.npy", np.asfortranarray(frames))
+    with pytest.raises(InputError, match="expected"):
+        io.read_sequence(tmp_path / "fortran.npy")
