@@ -25,7 +25,7 @@ def warmup(
     import time
 
     from accelsurf.kernels import storage
-    from accelsurf.segmentation import warmup as runs
+    from accelsurf.tracking import warmup as runs
 
     began = time.perf_counter()
     if storage.STORAGE is None:
