@@ -21,7 +21,7 @@ import numpy as np
 from accelsurf import io
 from accelsurf.analysis import metrics
 from accelsurf.grid.volume import Volume
-from accelsurf.phantoms import recipes
+from accelsurf.phantoms import recipe_files, recipes
 from accelsurf.report.environment import versions
 from benchmarks import typed
 from benchmarks.clicks.person import next_click
@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--only", default="", help="names of phantoms and scans, separated by semicolons")
     options = parser.parse_args()
-    names = [name.strip() for name in options.only.split(";") if name.strip()] or [*recipes.recipe_names(), *SCANS]
+    names = [name.strip() for name in options.only.split(";") if name.strip()] or [*recipe_files.recipe_names(), *SCANS]
     facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"rows": {}}
     for name in names:
         rows = scan(name, options.threads) if name in SCANS else phantom(name, options.threads)
@@ -63,7 +63,7 @@ def main() -> None:
 def write(facts: dict[str, Any]) -> None:
     """The JSON and the page's table."""
     facts["versions"] = {key: value for key, value in versions().items() if key != "platform"}
-    order = [*recipes.recipe_names(), *SCANS]
+    order = [*recipe_files.recipe_names(), *SCANS]
     facts["rows"] = dict(sorted(facts["rows"].items(), key=lambda item: order.index(item[1]["input"])))
     FACTS.write_text(json.dumps(facts, indent=1) + "\n")
     put_table(PAGE, "defaults", text_of(facts["rows"].values()))

@@ -158,7 +158,7 @@ def _known() -> dict[str, Any]:
     from accelsurf.cli import EXIT_CODES
     from accelsurf.evolution.records import StopReason
     from accelsurf.initialization import starts
-    from accelsurf.phantoms import motions, recipes
+    from accelsurf.phantoms import recipe_files
     from accelsurf.report.environment import versions
     from accelsurf.settings.energy_terms import TERMS, image_terms
     from accelsurf.settings.file_formats import image_suffixes
@@ -174,8 +174,8 @@ def _known() -> dict[str, Any]:
         "stop_reasons": list(get_args(StopReason)),
         "volume_formats": list(image_suffixes()),
         "mesh_formats": list(MESH_FORMATS),
-        "recipes": recipes.recipe_names(),
-        "recipes_in_time": motions.motion_names(),
+        "recipes": recipe_files.recipe_names(),
+        "recipes_in_time": recipe_files.sequence_names(),
         "energy_terms": {
             name: spec.help + (f" (settings: {', '.join(spec.settings)})" if spec.settings else "")
             for name, spec in TERMS.items()

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
+from pydantic.fields import FieldInfo
 
 from accelsurf.errors import UsageError
 from accelsurf.settings import toml
-from accelsurf.settings.catalogue import default_shown, entry, help_of, is_switch, names_of
-from accelsurf.settings.entry import SettingGroup
+from accelsurf.settings.catalogue import default_shown, entry, is_switch, names_of
+from accelsurf.settings.entry import SettingGroup, entry_of, full_help
 from accelsurf.settings.file_formats import input_help
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
@@ -43,17 +44,29 @@ def settings_class(
         said = entry(key)
         if key in leave_out or said.group not in groups:
             continue
-        kind: Any = bool if is_switch(key) else tuple[str, ...] if said.repeated else str
-        parameter = Parameter(
-            name="--" + key.replace("_", "-"),
-            help=help_of(key),
-            group=GROUPS[said.group],
-            show_default=default_shown(key) or False,
-            metavar=said.metavar or key.upper(),
-            negative_iterable=(),
-            completer=None if is_switch(key) else partial(_completions, key),
-        )
-        members.append((key, Annotated[kind | None, parameter], None))
+        completer = None if is_switch(key) else partial(_completions, key)
+        members.append(option(key, RunConfig.model_fields[key], default_shown(key), completer=completer))
+    return options_class(name, members)
+
+
+def option(key: str, field: FieldInfo, default: str, **more: Any) -> tuple[str, Any, Any]:
+    """Return the member of `options_class` for a setting; ``more`` as of cyclopts' Parameter."""
+    said, switch = entry_of(field), field.annotation is bool
+    kind: Any = bool if switch else tuple[str, ...] if said.repeated else str
+    parameter = Parameter(
+        name="--" + key.replace("_", "-"),
+        help=full_help(field),
+        group=GROUPS[said.group],
+        show_default=default or False,
+        metavar=said.metavar or key.upper(),
+        negative_iterable=(),
+        **more,
+    )
+    return key, Annotated[kind | None, parameter], None
+
+
+def options_class(name: str, members: list[tuple[str, Any, Any]]) -> type:
+    """Return a dataclass of options that commands take."""
     # Cyclopts looks into a class only when its module is not the standard library's, where it would be put here.
     made = make_dataclass(name, members, frozen=True, namespace={"__module__": __name__})
     return Parameter(name="*")(made)

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
 from accelsurf.cli.options import Output, Overwrite, required
-
-if TYPE_CHECKING:
-    from accelsurf.phantoms.recipes import Recipe
 
 
 def synth(
@@ -37,47 +33,17 @@ def synth(
     overwrite
         Replace outputs that exist.
     """
-    from accelsurf.cli.synth_sequence import synth_sequence
-    from accelsurf.phantoms import motions, recipes
+    from accelsurf.cli.synth_files import write_sequence, write_volume
+    from accelsurf.phantoms import motions, recipe_files, recipes
 
     folder = required(output, "-o DIR, the output folder,")
-    if (moving := motions.load_motion(recipe)) is not None:
-        return synth_sequence(moving if seed is None else moving.model_copy(update={"seed": seed}), folder, overwrite)
-    used = recipes.load_recipe(recipe)
-    return _synth_volume(used if seed is None else used.changed(seed=seed), folder, overwrite)
-
-
-def _synth_volume(used: Recipe, folder: Path, overwrite: bool) -> int:
-    """Write the files of a recipe of a single volume into a folder; returns the exit code."""
-    from accelsurf import io
-    from accelsurf.io.files import write_bytes
-    from accelsurf.phantoms import recipes
-    from accelsurf.report.document import to_json
-    from accelsurf.report.environment import versions
-    from accelsurf.report.file_entries import describe_drafts
-    from accelsurf.report.output_folder import naming_final, opened_set, refuse_existing
-
-    paths = {
-        "image": folder / f"{used.name}.nii.gz",
-        "labels": folder / f"{used.name}_truth.nii.gz",
-        "facts": folder / f"{used.name}.json",
-    }
-    with opened_set(folder, used.name) as files:
-        refuse_existing(paths, overwrite)
-        phantom = recipes.make(used)
-        with naming_final(files):
-            io.write(phantom.image, files.drafts / paths["image"].name)
-            io.write_labels(phantom.truth, files.drafts / paths["labels"].name)
-            facts = {
-                "recipe": used.model_dump(mode="json"),
-                "volume_mm3": phantom.volume_mm3,
-                "area_mm2": phantom.area_mm2,
-                "truth_voxels": int(phantom.truth.array.sum()),
-                "versions": versions(),
-                "outputs": describe_drafts(files, {paths[kind].name: kind for kind in ("image", "labels")}),
-            }
-            write_bytes(files.drafts / paths["facts"].name, (to_json(facts) + "\n").encode())
-            files.commit(last=paths["facts"].name)
-    for kind, path in paths.items():
-        print(f"{kind:6} {path.absolute()}")
+    path, values = recipe_files.read_recipe(recipe)
+    if seed is not None:
+        values["seed"] = seed
+    if "motion" in values:
+        paths = write_sequence(motions.motion_from(values, str(path)), folder, overwrite)
+    else:
+        paths = write_volume(recipes.recipe_from(values, str(path)), folder, overwrite)
+    for kind, written in paths.items():
+        print(f"{kind:6} {written.absolute()}")
     return 0

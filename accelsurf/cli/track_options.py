@@ -2,38 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, make_dataclass
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import Parameter
-
-from accelsurf.cli.options import GROUPS, run_config, settings_class
+from accelsurf.cli.options import option, options_class, run_config, settings_class
 from accelsurf.settings import toml
 from accelsurf.settings.catalogue import as_typed
-from accelsurf.settings.entry import SettingGroup, entry_of
+from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.track_config import TrackConfig, split_table
 from accelsurf.settings.track_fields import TrackFields
 
 
 def _track_settings() -> type:
     """A dataclass with an option for each setting of tracking; ``None`` where it was not given."""
-    members: list[tuple[str, Any, Any]] = []
+    members = []
     for key, field in TrackFields.model_fields.items():
-        said, is_switch = entry_of(field), field.annotation is bool
-        parameter = Parameter(
-            name="--" + key.replace("_", "-"),
-            help=said.completed(field.description or ""),
-            group=GROUPS[said.group],
-            show_default=False if is_switch else as_typed(field.default) or False,
-            metavar=said.metavar or key.upper(),
-            negative_iterable=(),
-            negative=() if is_switch else None,
-        )
-        kind: Any = bool if is_switch else tuple[str, ...] if said.repeated else str
-        members.append((key, Annotated[kind | None, parameter], None))
-    made = make_dataclass("TrackSettings", members, frozen=True, namespace={"__module__": __name__})
-    return Parameter(name="*")(made)
+        is_switch = field.annotation is bool
+        default = "" if is_switch else as_typed(field.default)
+        members.append(option(key, field, default, negative=() if is_switch else None))
+    return options_class("TrackSettings", members)
 
 
 TrackSettings = _track_settings()

@@ -6,7 +6,7 @@ import errno
 import hashlib
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -81,6 +81,35 @@ def staging(path: Path, folder_marks: tuple[str, ...] = ()) -> Iterator[FileSet]
         ) from error
     except RuntimeError as error:
         raise OutputError(f"{path}: cannot be written ({_itk_reason(error)})", hint=SPACE_HINT) from error
+
+
+@contextmanager
+def undone_on_failure(path: Path, files: FileSet, undo: Callable[[], None]) -> Iterator[None]:
+    """Turn what goes wrong while drafts are written into one line with the name of the file, after ``undo``.
+
+    Parameters
+    ----------
+    path : Path
+        What is to be written.
+    files : FileSet
+        That of its drafts, whose folder no message names.
+    undo : callable
+        Removes what was written.
+    """
+    try:
+        yield
+    except AccelsurfError as error:
+        undo()
+        raise type(error)(error.message.replace(str(files.drafts), str(path.parent)), error.hint) from error
+    except OSError as error:
+        undo()
+        raise OutputError(
+            f"{path}: cannot be written ({error.strerror or error})",
+            f"does the folder {path.parent} exist, is it writable? {SPACE_HINT}",
+        ) from error
+    except BaseException:
+        undo()
+        raise
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.errors import AccelsurfError, OutputError, UsageError
+from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io import headers
-from accelsurf.io.files import SPACE_HINT, naming, staging
+from accelsurf.io.files import naming, staging, undone_on_failure
 from accelsurf.io.lazy_volume import check_box
 from accelsurf.settings.file_formats import IMAGE_FORMATS, image_format
 from accelsurf.settings.registry import load
@@ -148,24 +148,8 @@ class LabelStore:
     def _close(self) -> None:
         self._stack.pop_all().close()
 
-    @contextmanager
-    def _naming(self) -> Iterator[None]:
-        """Turn what goes wrong into one line with the name of the file, and remove what was written."""
-        try:
-            yield
-        except AccelsurfError as error:
-            self._close()
-            message = error.message.replace(str(self._files.drafts), str(self.path.parent))
-            raise type(error)(message, error.hint) from error
-        except OSError as error:
-            self._close()
-            raise OutputError(
-                f"{self.path}: cannot be written ({error.strerror or error})",
-                f"does the folder {self.path.parent} exist, is it writable? {SPACE_HINT}",
-            ) from error
-        except BaseException:
-            self._close()
-            raise
+    def _naming(self) -> AbstractContextManager[None]:
+        return undone_on_failure(self.path, self._files, self._close)
 
     def _relative(self, source: str | os.PathLike[str] | None) -> str | None:
         """The path of an image that is a folder, as seen from the labels."""

@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from accelsurf.grid.sequence import ImageSequence
 from accelsurf.grid.volume import Volume
 from accelsurf.io import headers, itk
 from accelsurf.io.files import naming
-from accelsurf.io.formats.slices import in_order
+from accelsurf.io.formats.slices import fitting_names, in_order
 from accelsurf.io.frame_times import TIMES_KEY, FrameTimes
 from accelsurf.io.lazy_volume import LazyVolume, open_volume
 from accelsurf.io.memory import available_memory, check_memory
@@ -28,7 +27,6 @@ from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.registry import load
 
 _MAX_SHOWN = 8
-_LOSSY = (".jpg", ".jpeg")
 
 
 class FileSequence(ImageSequence):
@@ -208,17 +206,7 @@ def frame_files(path: Path) -> list[Path]:
     InputError
         When there are none, too many, or of several kinds.
     """
-    folder, pattern = (path, "*") if path.is_dir() else (path.parent, path.name)
-    if not folder.is_dir():
-        raise InputError("there is no such folder", "check the path")
-    names = [
-        entry.name for entry in folder.iterdir()
-        if fnmatchcase(entry.name, pattern) and not entry.name.startswith(".") and (
-            entry.is_file() or headers.is_stored(entry)
-        )
-    ]
-    if lossy := [name for name in names if name.lower().endswith(_LOSSY)]:
-        raise InputError(f"{lossy[0]} is a JPEG, whose values are not those that were measured", "export it as TIFF")
+    folder, names = fitting_names(path, stores=True)
     kinds = {headers.split_name(name)[1] for name in names} - {""}
     names = [name for name in names if headers.split_name(name)[1]]
     budgets.SLICES.check(len(names))

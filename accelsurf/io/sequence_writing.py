@@ -6,7 +6,7 @@ import os
 import sys
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.errors import AccelsurfError, InputError, OutputError, UsageError
+from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import headers, images
-from accelsurf.io.files import SPACE_HINT, staging
+from accelsurf.io.files import SPACE_HINT, staging, undone_on_failure
 from accelsurf.io.frame_times import FrameTimes
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format
 from accelsurf.settings.registry import load
@@ -137,9 +137,9 @@ class SequenceWriter:
         self._sums: dict[int, int] = {}
         self._stack = ExitStack()
         try:
+            one = self.path.with_name(self.path.name.replace("*", "_"))
+            self._files = self._stack.enter_context(staging(one, self._form.folder_marks))
             with self._naming():
-                one = self.path.with_name(self.path.name.replace("*", "_"))
-                self._files = self._stack.enter_context(staging(one, self._form.folder_marks))
                 scratch = self._files.drafts.parent / "frames.raw"
                 self._frames = FrameStack(scratch, geometry, self.times, self.dtype)
                 with scratch.open("wb") as file:
@@ -242,23 +242,8 @@ class SequenceWriter:
         if difference:
             raise OutputError(f"{self.path}: cannot be written ({difference})", SPACE_HINT)
 
-    @contextmanager
-    def _naming(self) -> Iterator[None]:
-        """Turn what goes wrong into one line with the name of the file, and remove what was written."""
-        try:
-            yield
-        except AccelsurfError:
-            self.abort()
-            raise
-        except OSError as error:
-            self.abort()
-            raise OutputError(
-                f"{self.path}: cannot be written ({error.strerror or error})",
-                f"does the folder {self.path.parent} exist, is it writable? {SPACE_HINT}",
-            ) from error
-        except BaseException:
-            self.abort()
-            raise
+    def _naming(self) -> AbstractContextManager[None]:
+        return undone_on_failure(self.path, self._files, self.abort)
 
 
 def sequence_suffixes() -> tuple[str, ...]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,20 +17,18 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.grid.volume import Volume
-from accelsurf.phantoms.recipes import MAX_VOXELS, Count, NotNegative, Positive, Real, Seed, recipe_folder
+from accelsurf.phantoms.recipe_files import checked, read_recipe
+from accelsurf.phantoms.recipes import MAX_VOXELS, Count, NotNegative, Positive, Real, Seed
 
 Floats = NDArray[np.float64]
 Motion = Literal[
     "translation", "acceleration", "rotation", "deformation", "beat", "division", "passing", "bounce", "return"
 ]
-#: Folder of the recipes in time that come with accelsurf, beside those of single volumes.
-FOLDER = "sequences"
 #: Sample points of a voxel along each axis.
 SAMPLES = 3
 #: Axes of a body that turns, over its radius.
@@ -309,56 +306,18 @@ class MovingPhantom(ImageSequence):
         return np.asarray(sum((a * x + b * y + c * z) ** 2 for a, b, c in inverse) < 1.0)
 
 
-def motion_from(values: Mapping[str, Any], name: str = "") -> MotionRecipe:
-    """A recipe of values, checked.
-
-    Raises
-    ------
-    UsageError
-        When a key is unknown or a value impossible; the message names the key.
-    """
-    try:
-        return MotionRecipe.model_validate({"name": name, **_tuples(values)})
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        said = str(first["msg"]).removeprefix("Value error, ")
-        raise UsageError(f"{name or 'recipe'}: {where + ': ' if where else ''}{said}") from None
+def motion_from(values: Mapping[str, Any], where: str = "recipe") -> MotionRecipe:
+    """A recipe from its keys and values; parameters and errors as `accelsurf.phantoms.recipes.recipe_from`."""
+    return checked(MotionRecipe, values, where)
 
 
-def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
-
-
-def load_motion(recipe: str | Path) -> MotionRecipe | None:
-    """Read a recipe in time: a TOML file, or by its bare name one that comes with accelsurf.
-
-    Returns
-    -------
-    MotionRecipe or None
-        None where the recipe is that of a single volume, or cannot be read: `accelsurf.phantoms.recipes` then says why.
-
-    Raises
-    ------
-    UsageError
-        When a key is unknown or a value impossible.
-    """
-    path = Path(recipe)
-    if not path.suffix and not path.exists():
-        path = recipe_folder() / FOLDER / f"{recipe}.toml"
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return motion_from(values, path.stem) if "motion" in values else None
-
-
-def motion_names() -> list[str]:
-    """Names of the recipes in time that come with accelsurf.
+def load_motion(recipe: str | Path) -> MotionRecipe:
+    """Read a recipe in time; parameter and errors as `accelsurf.phantoms.recipes.load_recipe`.
 
     Examples
     --------
-    >>> "ball_moving" in motion_names()
-    True
+    >>> load_motion("ball_moving").motion
+    'translation'
     """
-    return sorted(path.stem for path in (recipe_folder() / FOLDER).glob("*.toml"))
+    path, values = read_recipe(recipe)
+    return motion_from(values, str(path))

@@ -12,10 +12,8 @@ show where in the voxel the surface is. The truth label is that of the voxel's c
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import math
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,14 +21,15 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.spatial.transform import Rotation
 
-from accelsurf.errors import InputError, UsageError
+from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.slabs import slabs
 from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import Volume
+from accelsurf.phantoms.recipe_files import checked, read_recipe
 from accelsurf.phantoms.solids import SOLIDS, Solid
 
 Floats = NDArray[np.float64]
@@ -296,24 +295,6 @@ def _degraded(image: NDArray[np.float32], recipe: Recipe) -> NDArray[np.float32]
     return image
 
 
-def recipe_folder() -> Path:
-    """Where the recipes that come with accelsurf lie: inside the installed package, or volumes_synth/ of a checkout."""
-    here = Path(__file__).parents[1]
-    packaged = here / "_recipes"
-    return packaged if packaged.is_dir() else here.parent / "volumes_synth"
-
-
-def recipe_names() -> list[str]:
-    """Names of the recipes that come with accelsurf.
-
-    Examples
-    --------
-    >>> "cube_noisy" in recipe_names()
-    True
-    """
-    return sorted(path.stem for path in recipe_folder().glob("*.toml"))
-
-
 def load_recipe(recipe: str | Path) -> Recipe:
     """Read a recipe: a TOML file, or by its bare name one that comes with accelsurf.
 
@@ -329,21 +310,8 @@ def load_recipe(recipe: str | Path) -> Recipe:
     >>> load_recipe("cube_noisy").side
     48.0
     """
-    path = Path(recipe)
-    if path.suffix != ".toml" and path.name == str(recipe) and not path.is_file():
-        path = recipe_folder() / f"{recipe}.toml"
-        if not path.is_file():
-            raise UsageError(f"no recipe is called {str(recipe)!r}", hint=f"there are: {', '.join(recipe_names())}")
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"{path}: the recipe cannot be read ({error.strerror})",
-            hint=f"give a TOML file, or a name out of: {', '.join(recipe_names())}",
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: the recipe is not TOML ({error})") from error
-    return recipe_from({"name": path.stem} | values, str(path))
+    path, values = read_recipe(recipe)
+    return recipe_from(values, str(path))
 
 
 def recipe_from(values: Mapping[str, Any], where: str = "recipe") -> Recipe:
@@ -361,21 +329,4 @@ def recipe_from(values: Mapping[str, Any], where: str = "recipe") -> Recipe:
     UsageError
         When a key is unknown or missing, or a value impossible; the message names the key.
     """
-    try:
-        return Recipe(**values)
-    except ValidationError as error:
-        raise UsageError(*_message_and_hint(error.errors()[0], where)) from None
-
-
-def _message_and_hint(problem: Any, where: str) -> tuple[str, str]:
-    """Message and hint for the first thing pydantic found wrong."""
-    key = ".".join(str(part) for part in problem["loc"])
-    if problem["type"] == "extra_forbidden":
-        close = difflib.get_close_matches(key, Recipe.model_fields, n=1)
-        hint = f"did you mean {close[0]}?" if close else f"known keys: {', '.join(Recipe.model_fields)}"
-        return f"{where}: unknown key {key!r}", hint
-    if problem["type"] == "missing":
-        return f"{where}: {key} is missing", ""
-    if not key:
-        return f"{where}: {problem['msg'].removeprefix('Value error, ')}", ""
-    return f"{where}: {key} = {problem['input']!r} given; {problem['msg'][0].lower()}{problem['msg'][1:]}", ""
+    return checked(Recipe, values, where)

@@ -16,6 +16,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.io.formats.zarr_voxels import library
 from accelsurf.report.track_frames import TrackSet
 from accelsurf.report.track_spots import SpotGraph, spots_of
+from accelsurf.report.track_tables import ML
 
 VERSION = "1.1"
 #: Unit and meaning of what is known of a node.
@@ -93,7 +94,7 @@ def _node_values(graph: SpotGraph) -> dict[str, NDArray[Any]]:
         "id": np.array([one.id for one in own], np.int64),
         "lineage": lineage,
         "radius": np.array([spot.radius for spot in graph.spots], np.float64),
-        "volume_ml": np.array([one.volume_mm3 * 1e-3 for one in own], np.float64),
+        "volume_ml": np.array([one.volume_mm3 * ML for one in own], np.float64),
         "area_mm2": np.array([one.area_mm2 for one in own], np.float64),
         "quality": np.array([one.quality for one in own], np.float64),
     }

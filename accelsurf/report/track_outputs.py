@@ -190,7 +190,7 @@ class TrackOutputs:
             old.unlink()
         for kind in self.files.mesh:
             for one in result.objects:
-                if one.seen and (one.surface.psi < 0).any():
+                if one.seen and one.surface.has_inside:
                     shape = "surface" if self.sequence.geometry.slice_axis is None else "contour"
                     path = folder / mesh_name(self.name, shape, one.id, number, kind)
                     self._mesh_of(one).write(path, self.files.mesh_space)

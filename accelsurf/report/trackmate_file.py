@@ -13,6 +13,7 @@ from xml.etree import ElementTree as Xml
 from accelsurf.io.files import write_bytes
 from accelsurf.report.track_frames import TrackSet
 from accelsurf.report.track_spots import Spot, SpotGraph, spots_of
+from accelsurf.report.track_tables import ML
 
 _VERSION = "7.11.1"
 #: Features of spots, edges and tracks: name, what it is, dimension, whether it is a whole number.
@@ -91,7 +92,7 @@ def _add_spots(model: Xml.Element, tracks: TrackSet, graph: SpotGraph) -> None:
             "RADIUS": spot.radius, "VISIBILITY": 1, "OBJECT_ID": spot.own.id,
             **dict(zip(("WORLD_X", "WORLD_Y", "WORLD_Z"), spot.own.centroid, strict=True)),
             **dict(zip(("VELOCITY_X", "VELOCITY_Y", "VELOCITY_Z"), spot.own.velocity, strict=True)),
-            "VOLUME_ML": spot.own.volume_mm3 * 1e-3, "SURFACE_AREA": spot.own.area_mm2,
+            "VOLUME_ML": spot.own.volume_mm3 * ML, "SURFACE_AREA": spot.own.area_mm2,
         }
         Xml.SubElement(in_frame[spot.row.frame], "Spot", {name: _text(value) for name, value in values.items()})
 

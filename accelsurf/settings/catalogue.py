@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from accelsurf.settings.energy_terms import TERMS
-from accelsurf.settings.entry import SettingEntry, SettingGroup, entry_of
+from accelsurf.settings.entry import SettingEntry, SettingGroup, entry_of, full_help
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.flow_specs import FLOWS
 
@@ -26,7 +26,7 @@ def help_of(key: str) -> str:
     >>> help_of("cfl")
     'Largest motion of the surface in one step, in voxels.'
     """
-    return entry(key).completed(SettingFields.model_fields[key].description or "")
+    return full_help(SettingFields.model_fields[key])
 
 
 def default_of(key: str) -> Any:

@@ -128,6 +128,11 @@ def setting(default: Any, help: str, *, entry: SettingEntry, **bounds: Any) -> A
     return Field(default, description=help, json_schema_extra=entry, **bounds)
 
 
+def full_help(field: FieldInfo) -> str:
+    """The help of a setting, with the registered names."""
+    return entry_of(field).completed(field.description or "")
+
+
 def entry_of(field: FieldInfo) -> SettingEntry:
     """Return what `setting` has put into a field.
 

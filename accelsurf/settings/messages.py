@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from accelsurf.errors import UsageError
-from accelsurf.settings.entry import entry_of
+from accelsurf.settings.entry import full_help
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.intervals import INTERVAL
 from accelsurf.settings.run_fields import VOXELS
@@ -39,11 +39,8 @@ def complaint(key: str, value: Any, fields: type[BaseModel] = SettingFields) -> 
     names = choices(key, fields)
     wrong = [one for one in given if one not in names] if isinstance(given, (list, tuple)) else [given]
     guess = did_you_mean(wrong[0], names) if wrong else ""
-    field = fields.model_fields[key]
-    return (
-        f"{key}: {shown(value)} was given, expected {expected(key, fields)}",
-        guess + entry_of(field).completed(field.description or ""),
-    )
+    message = f"{key}: {shown(value)} was given, expected {expected(key, fields)}"
+    return message, guess + full_help(fields.model_fields[key])
 
 
 def choices(key: str, fields: type[BaseModel] = SettingFields) -> list[str]:

@@ -33,7 +33,7 @@ class MeshCarrier:
     def in_frame(self, momentum: SurfaceMomentum, geometry: Geometry) -> CarriedMesh | None:
         """The mesh now, in an image of more than one slice; None where nothing of the object lies in the grid."""
         piece = momentum.piece
-        if geometry.slice_axis is not None or not (piece.psi < 0).any() or (piece.psi < 0).all():
+        if geometry.slice_axis is not None or not piece.has_inside or (piece.psi < 0).all():
             return None
         topology = _topology_of(piece)
         points = momentum.points

@@ -7,16 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import ndimage
 
-from accelsurf.grid.boxes import bounding_box, corner_of, widened
+from accelsurf.grid.boxes import corner_of, widened
 from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import Volume
 from accelsurf.tracking.evidence import FACTOR, Profile
-from accelsurf.tracking.records import SurfacePiece
+from accelsurf.tracking.records import BAND, SurfacePiece
 
 #: What is nearer to a tracked object than so many voxels is no object of its own.
 APART = 2
-#: Voxels around a first surface on its box.
-BAND = 5
 
 
 def appearing(
@@ -55,12 +53,9 @@ def appearing(
     near = set(np.unique(labels[taken]).tolist()) | {0}
     found = [number for number in np.argsort(-sizes, kind="stable").tolist()
              if number not in near and low <= sizes[number] <= high]
-    return [_surface_of(labels, number, min(geometry.steps)) for number in found]
-
-
-def _surface_of(labels: np.ndarray, number: int, step: float) -> SurfacePiece:
-    tight = bounding_box(labels == number)
-    assert tight is not None  # a component has voxels
-    box = widened(tight, labels.shape, (BAND, BAND, BAND))
-    half = np.float32(0.5 * step)
-    return SurfacePiece(corner_of(box), np.where(labels[box] == number, -half, half))
+    half, boxes = np.float32(0.5 * min(geometry.steps)), ndimage.find_objects(labels) if found else []
+    out = []
+    for number in found:
+        box = widened(boxes[number - 1], labels.shape, (BAND, BAND, BAND))
+        out.append(SurfacePiece(corner_of(box), np.where(labels[box] == number, -half, half)))
+    return out

@@ -70,7 +70,7 @@ class Followed:
     @property
     def is_in_grid(self) -> bool:
         """Whether something of it lies within the grid."""
-        return bool((self.momentum.piece.psi < 0).any())
+        return self.momentum.piece.has_inside
 
     @property
     def why_gone(self) -> str:

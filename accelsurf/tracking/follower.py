@@ -138,7 +138,7 @@ class Follower:
 
     def _measure(self, predicted: dict[int, SurfacePiece], arrival: Arrival) -> dict[int, Measured]:
         """What the frame shows: of those that were seen last, then of the others in what these leave free."""
-        there = [one for one in self.objects if (predicted[one.id].psi < 0).any()]
+        there = [one for one in self.objects if predicted[one.id].has_inside]
         starts = {one.id: ObjectStart(one.id, *predicted[one.id]) for one in there}
         first = [starts[one.id] for one in there if one.missing == 0]
         then = [starts[one.id] for one in there if one.missing > 0]
@@ -196,7 +196,7 @@ class Follower:
         for id in sorted(found.keys() - ids):
             if found[id].surface.psi.size:
                 self._add(id, found[id], arrival, None)
-        for one in [one for one in self.objects if one.id not in found and (one.momentum.piece.psi < 0).any()]:
+        for one in [one for one in self.objects if one.id not in found and one.is_in_grid]:
             self.objects.remove(one)
 
     def _divide(self, found: dict[int, Measured], arrival: Arrival) -> None:

@@ -32,8 +32,6 @@ from accelsurf.tracking.records import SurfacePiece
 MIN_AROUND, AROUND_PART = 12, 0.75
 #: A run is made again on more of the frame where a surface comes so near to the edge of what it saw.
 NEAR_EDGE = 3
-#: Voxels around a surface on its box.
-BAND = 5
 #: Settings of a first frame that mean places or steps there, and how following frames have them instead.
 _OF_FIRST = ("start", "inside", "outside", "objects", "foreground", "background", "channel", "edit", "refine",
              "checkpoint", "time_index", "size")
@@ -212,12 +210,9 @@ def _comes_near(result: Result, box: Box, geometry: Geometry) -> bool:
 
 def measured(one: SegmentedObject, box: Box) -> Measured:
     """What a run on a box of the frame has left of an object, on the frame's grid."""
-    inner = bounding_box(one.labels > 0)
-    if inner is None:
+    z, y, x = (a + b for a, b in zip(corner_of(one.box), corner_of(box), strict=True))
+    whole = SurfacePiece((z, y, x), one.psi)
+    if not whole.has_inside:
         return NOTHING
-    part = widened(inner, one.psi.shape, (BAND, BAND, BAND))
-    first = zip(corner_of(part), corner_of(one.box), corner_of(box), strict=True)
-    z, y, x = (a + b + c for a, b, c in first)
     last = one.history[-1]
-    psi = np.ascontiguousarray(one.psi[part])
-    return Measured(SurfacePiece((z, y, x), psi), last.volume_mm3, last.area_mm2, one.quality.probability)
+    return Measured(whole.tight(), last.volume_mm3, last.area_mm2, one.quality.probability)

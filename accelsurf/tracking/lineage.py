@@ -46,10 +46,6 @@ class Identities:
         """Note why an object is not seen after its last frame."""
         self._lives[id].end = why
 
-    def last_seen(self, id: int) -> int | None:
-        """The last frame, in time, that shows an object."""
-        return max(self._lives[id].seen) if id in self._lives and self._lives[id].seen else None
-
     def divide(self, one: int, several: Sequence[int], frame: int, before: int) -> None:
         """Note that an object became several.
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.grid.volume import Volume
 from accelsurf.tracking.records import SurfacePiece
 
@@ -17,8 +16,6 @@ from accelsurf.tracking.records import SurfacePiece
 OWN_PART = 0.2
 #: Two objects become one where they touch along at least this part of the surface of the smaller one.
 TOUCHING_PART = 0.1
-#: Voxels around a part on its box.
-BAND = 5
 
 
 def separate_parts(surface: SurfacePiece) -> list[SurfacePiece]:
@@ -46,12 +43,7 @@ def separate_parts(surface: SurfacePiece) -> list[SurfacePiece]:
 
 def _one_part(surface: SurfacePiece, inside: NDArray[np.bool_]) -> SurfacePiece:
     """A surface without the voxels inside that are not of one part."""
-    tight = bounding_box(inside)
-    assert tight is not None  # a part has voxels
-    box = widened(tight, surface.psi.shape, (BAND, BAND, BAND))
-    z, y, x = (a + b for a, b in zip(corner_of(box), surface.corner, strict=True))
-    psi = surface.psi[box]
-    return SurfacePiece((z, y, x), np.where(inside[box], psi, np.abs(psi)))
+    return surface._replace(psi=np.where(inside, surface.psi, np.abs(surface.psi))).tight()
 
 
 def touching(surfaces: Sequence[SurfacePiece], image: Volume, edge: float) -> list[tuple[int, int]]:
@@ -107,14 +99,3 @@ def groups_of(pairs: Sequence[tuple[int, int]]) -> list[list[int]]:
         own = set(pair).union(*(one for one in found if one & set(pair)))
         found = [one for one in found if not one & own] + [own]
     return sorted(sorted(one) for one in found)
-
-
-def united(surfaces: Sequence[SurfacePiece]) -> SurfacePiece:
-    """The union of surfaces on a box around all."""
-    low = np.min([one.corner for one in surfaces], axis=0)
-    high = np.max([np.add(one.corner, one.psi.shape) for one in surfaces], axis=0)
-    psi = np.full((high - low).tolist(), max(float(np.abs(one.psi).max()) for one in surfaces), np.float32)
-    for one in surfaces:
-        z, y, x = (slice(c - a, c - a + n) for c, a, n in zip(one.corner, low.tolist(), one.psi.shape, strict=True))
-        np.minimum(psi[z, y, x], one.psi, out=psi[z, y, x])
-    return SurfacePiece((int(low[0]), int(low[1]), int(low[2])), psi)

@@ -8,10 +8,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, Corner, box_at
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io.images import label_type
+
+#: Voxels around what is inside that a surface has on its box.
+BAND = 5
 
 
 class SurfacePiece(NamedTuple):
@@ -23,6 +26,19 @@ class SurfacePiece(NamedTuple):
 
     corner: Corner
     psi: NDArray[np.float32]
+
+    @property
+    def has_inside(self) -> bool:
+        """Whether a voxel is inside."""
+        return bool((self.psi < 0).any())
+
+    def tight(self) -> SurfacePiece:
+        """The same on the box of what is inside, of which there is something, with `BAND` voxels around."""
+        inner = bounding_box(self.psi < 0)
+        assert inner is not None  # something is inside
+        part = widened(inner, self.psi.shape, (BAND, BAND, BAND))
+        z, y, x = (a + b for a, b in zip(corner_of(part), self.corner, strict=True))
+        return SurfacePiece((z, y, x), np.ascontiguousarray(self.psi[part]))
 
     @property
     def box(self) -> Box:

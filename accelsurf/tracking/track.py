@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -199,7 +200,12 @@ class Tracking:
         """Write the state after a frame."""
         if self._path is None or self.interrupted:
             return
-        track_state.write(self._path, self._state(), track_state.header_of(self.sequence, self.config, self._meshes))
+        track_state.write(self._path, self._state(), self._header)
+
+    @cached_property
+    def _header(self) -> track_state.Header:
+        # Once: it reads the first frame.
+        return track_state.header_of(self.sequence, self.config, self._meshes)
 
     def _state(self) -> track_state.TrackState:
         return track_state.TrackState(
@@ -212,9 +218,7 @@ class Tracking:
         if state.seed is not None and self.config.run.seed != state.seed:
             self.config = self.config.replace(run=self.config.run.replace(seed=state.seed))
         assert self._path is not None  # it was read
-        track_state.refuse_another(
-            self._path, header, track_state.header_of(self.sequence, self.config, self._meshes)
-        )
+        track_state.refuse_another(self._path, header, self._header)
         self._identities.restore(state.identities)
         self._follower = self._new_follower()
         self._follower.restore(state.objects)

@@ -9,7 +9,8 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.errors import UsageError
-from accelsurf.phantoms.motions import MotionRecipe, MovingPhantom, load_motion, motion_from, motion_names
+from accelsurf.phantoms.motions import MotionRecipe, MovingPhantom, load_motion, motion_from
+from accelsurf.phantoms.recipe_files import sequence_names
 
 SMALL = {"shape": [40, 24, 24], "radius": 6.0}
 
@@ -109,7 +110,7 @@ def test_what_cannot_be_made_is_refused(values: dict, told: str) -> None:
         motion_from({"motion": "translation", **SMALL, **values})
 
 
-@pytest.mark.parametrize("name", motion_names())
+@pytest.mark.parametrize("name", sequence_names())
 def test_recipes_that_come_with_accelsurf_show_their_bodies(name: str) -> None:
     recipe = load_motion(name)
     assert isinstance(recipe, MotionRecipe) and recipe.name == name
@@ -134,3 +135,10 @@ def test_the_command_writes_the_sequence_its_truth_and_a_table(tmp_path, capsys)
     assert facts["recipe"]["motion"] == "beat" and len(facts["outputs"]) == 3
     capsys.readouterr()
     assert cli.execute(words) != 0 and "overwrite" in capsys.readouterr().err
+
+
+def test_a_seed_and_a_name_that_cannot_be_are_one_clear_line(tmp_path, capsys) -> None:
+    assert cli.execute(["synth", "ball_moving", "-o", str(tmp_path), "--seed", "-1"]) == 2
+    assert "seed = -1 given" in capsys.readouterr().err
+    assert cli.execute(["synth", "ball_flying", "-o", str(tmp_path)]) == 2
+    assert "ball_moving" in capsys.readouterr().err and not list(tmp_path.iterdir())

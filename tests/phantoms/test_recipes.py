@@ -12,14 +12,13 @@ from scipy.special import erf
 
 from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid import slabs
-from accelsurf.phantoms import recipes
+from accelsurf.phantoms import recipe_files
+from accelsurf.phantoms.recipe_files import recipe_folder, recipe_names
 from accelsurf.phantoms.recipes import (
     Recipe,
     distance_at,
     load_recipe,
     make,
-    recipe_folder,
-    recipe_names,
     signed_distance,
 )
 from accelsurf.phantoms.solids import Ball, Cuboid, Torus, TwoBalls, Vessel
@@ -376,7 +375,7 @@ def test_recipes_come_from_the_package_when_it_carries_them(monkeypatch: pytest.
     installed = tmp_path / "accelsurf"
     (installed / "_recipes").mkdir(parents=True)
     (installed / "_recipes" / "mine.toml").write_text(BALL)
-    monkeypatch.setattr(recipes, "__file__", str(installed / "phantoms" / "recipes.py"))
+    monkeypatch.setattr(recipe_files, "__file__", str(installed / "phantoms" / "recipe_files.py"))
     assert recipe_names() == ["mine"]
     assert load_recipe("mine").radius == 5.0
 

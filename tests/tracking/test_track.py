@@ -1,6 +1,7 @@
 """The loop over frames: places, identities, gaps, orders of the frames, the same bytes after a resume."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.sequence import VolumeSequence
 from accelsurf.grid.volume import Volume
+from accelsurf.tracking import track_state
 from accelsurf.tracking.lineage import Identities
 from accelsurf.tracking.records import FrameResult, Lineage
 from accelsurf.tracking.track import Tracking, track
@@ -293,3 +295,12 @@ def test_identities_tell_divisions_and_mergings_in_either_order() -> None:
         ]
         assert [tuple(link) for link in lineage.links] == expected
         assert lineage == ids.lineage() and ids.new_id() == 4
+
+
+def test_the_state_reads_the_first_frame_once_for_its_header(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+    header_of = track_state.header_of
+    monkeypatch.setattr(track_state, "header_of", lambda *given: made.append(1) or header_of(*given))
+    frames = [Volume.from_array(100.0 * (np.hypot(*(np.indices((24, 24)) - 11.5)) < 6)[None]) for _ in range(3)]
+    list(track(VolumeSequence(frames), start="ball:11,11,0,4vox", checkpoint_to=tmp_path / "state.npz"))
+    assert len(made) == 1

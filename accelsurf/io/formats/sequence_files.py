@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from accelsurf.io.formats.deflate import gzip_file
 from accelsurf.io.frame_times import TIMES_KEY, single_precision
@@ -131,7 +130,7 @@ def write_metaimage(path: Path, frames: FrameStack) -> None:
     pack, count = zlib.compressobj(_LEVEL), 0
     with data.open("wb") as out:
         for array in frames:
-            count += out.write(pack.compress(_bytes(array)))
+            count += out.write(pack.compress(array.tobytes()))
         count += out.write(pack.flush())
     local = data.parent != path.parent
     header = "".join(f"{key} = {value}\n" for key, value in _meta_fields(frames, count).items())
@@ -160,10 +159,6 @@ def _meta_fields(frames: FrameStack, packed_bytes: int) -> Mapping[str, Any]:
     if not times.is_count:
         fields[TIMES_KEY] = f"s {times.seconds!r}" if times.seconds else times.text
     return fields | {"ElementType": _META_TYPES[frames.dtype.str[1:]]}
-
-
-def _bytes(array: NDArray[Any]) -> bytes:
-    return array.tobytes()
 
 
 def _words(numbers: list[Any]) -> str:

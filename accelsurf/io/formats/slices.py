@@ -66,6 +66,37 @@ class SliceFolder:
         return math.prod(self.geometry.shape)
 
 
+def fitting_names(path: Path, stores: bool = False) -> tuple[Path, list[str]]:
+    """The folder of a path, and the names of the files in it, or of those that fit its pattern; without hidden ones.
+
+    Parameters
+    ----------
+    path : Path
+        A folder, or a folder and a pattern of names.
+    stores : bool
+        Whether folders that are images count too.
+
+    Raises
+    ------
+    InputError
+        When there is no such folder, or a file is a JPEG.
+    """
+    folder, pattern = (path, "*") if path.is_dir() else (path.parent, path.name)
+    if not folder.is_dir():
+        raise InputError("there is no such folder", "check the path")
+    names = [
+        entry.name for entry in folder.iterdir()
+        if fnmatchcase(entry.name, pattern) and not entry.name.startswith(".")
+        and (entry.is_file() or (stores and headers.is_stored(entry)))
+    ]
+    if lossy := [name for name in names if name.lower().endswith(_LOSSY)]:
+        raise InputError(
+            f"{lossy[0]} is a JPEG, whose values are not those of the microscope or scanner",
+            "export the images as TIFF or PNG",
+        )
+    return folder, names
+
+
 def is_slices(folder: Path) -> bool:
     """Whether a folder holds slices."""
     return any(entry.suffix.lower() in (*_SUFFIXES, *_LOSSY) for entry in folder.iterdir())
@@ -143,18 +174,7 @@ def _files(path: Path) -> list[Path]:
     InputError
         When there are none, too many, or of several kinds.
     """
-    folder, pattern = (path, "*") if path.is_dir() else (path.parent, path.name)
-    if not folder.is_dir():
-        raise InputError("there is no such folder", "check the path")
-    names = [
-        entry.name for entry in folder.iterdir()
-        if fnmatchcase(entry.name, pattern) and not entry.name.startswith(".") and entry.is_file()
-    ]
-    if lossy := [name for name in names if name.lower().endswith(_LOSSY)]:
-        raise InputError(
-            f"{lossy[0]} is a JPEG, whose values are not those of the microscope or scanner",
-            "export the slices as TIFF or PNG",
-        )
+    folder, names = fitting_names(path)
     names = [name for name in names if name.lower().endswith(_SUFFIXES)]
     budgets.SLICES.check(len(names))
     if not names:

@@ -13,7 +13,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import channels, headers
 from accelsurf.io.files import naming
-from accelsurf.phantoms import recipes
+from accelsurf.phantoms import recipe_files, recipes
 from accelsurf.segmentation.fitting_level import fitting_level
 from accelsurf.segmentation.memory_need import allowed_bytes
 from accelsurf.settings import energy_expression
@@ -183,7 +183,7 @@ def make_phantom(name: str, config: RunConfig) -> OpenedImage:
 def phantom_texts() -> dict[str, str]:
     """Return the phantoms by name, each with its size."""
     found: dict[str, str] = {}
-    for name in recipes.recipe_names():
+    for name in recipe_files.recipe_names():
         recipe = recipes.load_recipe(name)
         found[name] = f"{recipe.kind}, {' x '.join(map(str, recipe.shape))} voxels"
     return found
