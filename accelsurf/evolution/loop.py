@@ -194,10 +194,11 @@ class Evolution:
             flow.start(surface)
         fields = flow.fields
         if change_psi is not None or surface.requested_half_width != half_width:
-            slot = surface.dense.slot.copy()
+            slot, inside = surface.dense.slot.copy(), surface.labels > 0
             if change_psi is not None:
                 change_psi(surface)
             surface.reinitialize(half_width)
+            flow.change_region(surface, inside)
             here = Level(0, (1, 1, 1), surface.shape, (surface.grid.hz, surface.grid.hy, surface.grid.hx))
             fields = transfer_fields(fields, flow.fill_values, slot, here, surface, here)
         state = self.state.on_next_grid(with_fields=True)

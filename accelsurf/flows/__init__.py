@@ -10,6 +10,8 @@ from accelsurf.flows.flowable_mass import FlowableMass
 from accelsurf.flows.heavy_ball import HeavyBall
 from accelsurf.flows.noise import Noise
 from accelsurf.flows.protocol import EnergyRates, Flow, StepInput, StepLimits, StepPlan
+from accelsurf.flows.region_mass import RegionMass
+from accelsurf.flows.region_pressure import RegionPressure
 from accelsurf.flows.sobolev import Sobolev
 
 __all__ = [
@@ -22,6 +24,8 @@ __all__ = [
     "HeavyBall",
     "StepPlan",
     "Noise",
+    "RegionMass",
+    "RegionPressure",
     "StepInput",
     "Sobolev",
 ]

@@ -104,6 +104,19 @@ class Clock:
             return self.lambda_ * 0.5 * self.k * half ** (self.k - 1.0)
         return half * self.weight() / (1.0 + 0.5 * half * self.gamma)
 
+    def kick(self, dt: float) -> tuple[float, float]:
+        """Factor of V and gain per f/rho over the kick around now, exact for a constant f/rho.
+
+        (t^(k+1) V)_t = lambda k^2 t^(2k-1) f/rho; with a constant friction a, (e^(at) V)_t = lambda e^(at) f/rho. The
+        kick lasts from half the last step before now to half of ``dt`` after; from rest only the latter.
+        """
+        start, stop = self.time - 0.5 * self.last_dt, self.time + 0.5 * dt
+        if self.friction is not None:
+            a, tau = self.friction, stop - start
+            return math.exp(-a * tau), self.lambda_ * (-math.expm1(-a * tau) / a if a > 0 else tau)
+        k, ratio = self.k, start / stop
+        return ratio ** (k + 1.0), 0.5 * self.lambda_ * k * stop ** (k - 1.0) * (1.0 - ratio ** (2.0 * k))
+
     def first_dt(self, peak: float, stiffness: float, h: float, cfl: float) -> float:
         """Largest first step: CFL, beta(dt/2) dt <= cfl with f/rho = ``peak`` (voxels), and the wave bound.
 

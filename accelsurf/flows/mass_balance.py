@@ -44,11 +44,11 @@ def lattice_shape(surface: LevelSet) -> tuple[np.ndarray, tuple[int, ...]]:
     return stride, tuple(3 + math.ceil((n - 1) / s) for n, s in zip(surface.shape, stride, strict=True))
 
 
-def layer_area(surface: LevelSet) -> np.ndarray:
-    """Area (mm2) of the surface at every cell (n,), in a layer wide enough to compare its parts."""
+def layer_area(surface: LevelSet, width: float = LAYER_WIDTH) -> np.ndarray:
+    """Area (mm2) of the surface at every cell (n,), in a layer of ``width``; the default can compare its parts."""
     out = np.empty(surface.size)
     surface.workers.parallel(
-        region.wide_areas, surface.size, surface.dense.psi, surface.grid, surface.band, LAYER_WIDTH, out
+        region.wide_areas, surface.size, surface.dense.psi, surface.grid, surface.band, width, out
     )
     # A single slice is thicker or thinner than the grid has it.
     grid = surface.grid

@@ -138,6 +138,15 @@ class Flow(ABC):
         """Values of the fields on surface that was not there before; 0, without momentum."""
         return [0.0 for _ in self.fields]
 
+    def change_grid(self, surface: LevelSet, place: np.ndarray) -> None:  # noqa: B027
+        """Take what the flow has beyond its `fields` to the grid of ``surface``.
+
+        ``place`` (2, 3): factors and additions that take an index (z, y, x) there to one on the grid before.
+        """
+
+    def change_region(self, surface: LevelSet, before: np.ndarray) -> None:  # noqa: B027
+        """Follow an edit of ``surface``; ``before`` (nz, ny, nx) says which voxels were inside."""
+
     def normal_velocity(self, surface: LevelSet) -> np.ndarray:
         """Speed (n,) along the inward normal that the momentum alone gives the surface, mm per unit time."""
         return np.zeros(surface.size, np.float32)

@@ -133,6 +133,8 @@ def advected(
 
     The first three are the velocity's components; what it transports, such as a density, is interpolated and limited.
     """
+    if not fields:
+        return []
     values = np.stack(fields, axis=1).astype(np.float32, copy=False)
     out = np.empty((new.cells.size, len(fields)), np.float32)
     motion = four_columns(velocity), dt, 3

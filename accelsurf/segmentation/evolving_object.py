@@ -178,6 +178,7 @@ class EvolvingObject:
         psi = prolong(before.surface.psi, mine, theirs)
         self._clicks.apply(psi, self.level, box_at(self.corner, shape))
         surface, fields = prolong_surface(psi, before.surface, before.flow, mine, theirs, self._setup.half_width)
+        self._setup.flow.change_grid(surface, theirs.places_in(mine))
         self._evolve(surface, before.state.on_next_grid(with_fields=True), fields)
 
     def failed_on_level(self) -> Stop | None:
@@ -207,6 +208,8 @@ class EvolvingObject:
         fields = None
         if before is not None:
             fields = shift_fields(before.flow.fields, before.surface, at, surface, self.corner)
+            by = np.array(self.corner) - at
+            self._setup.flow.change_grid(surface, np.stack([np.ones(3), by]))
         self._evolve(surface, state, fields)
 
     def _evolve(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, HeavyBall, Noise, Sobolev
+from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, HeavyBall, Noise, RegionMass, RegionPressure, Sobolev
 from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
@@ -19,6 +19,13 @@ def flowable_mass(config: RunConfig) -> Flow:
     terms = energy_expression.parse(config.energy)
     area_weight = config.smoothness + sum(term.weight for term in terms if term.name == "area")
     return FlowableMass(config.gravity, area_weight, **_heavy_ball(config))
+
+
+def region_mass(config: RunConfig) -> Flow:
+    """Momentum of mass on the whole grid, or with gravity inside the surface."""
+    if config.gravity > 0:
+        return RegionPressure(config.gravity, **_clock(config))
+    return RegionMass(**_clock(config))
 
 
 def gradient(config: RunConfig) -> Flow:
@@ -37,15 +44,18 @@ def heavy_ball(config: RunConfig) -> Flow:
 
 
 def _heavy_ball(config: RunConfig) -> dict[str, Any]:
-    """Arguments of both flows with momentum."""
+    """Arguments of both flows with momentum of the surface."""
+    return {**_clock(config), "diffusion": _number(config.diffusion), "noise": _noise(config)}
+
+
+def _clock(config: RunConfig) -> dict[str, Any]:
+    """Arguments of all flows with momentum."""
     return {
         "k": config.k,
         "lambda_": config.lam,
         "rho": config.rho,
         "friction": _number(config.friction),
-        "diffusion": _number(config.diffusion),
         "t0": _number(config.t0),
-        "noise": _noise(config),
     }
 
 

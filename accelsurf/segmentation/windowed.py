@@ -303,6 +303,8 @@ def check_settings(config: RunConfig) -> None:
         raise UsageError(f"noise: {config.noise:g} was given, which is laid over the whole image", hint)
     if config.flow == "flowable-mass":
         raise UsageError("flow: flowable-mass compares masses on a lattice over the whole image", hint)
+    if config.flow == "region-mass":
+        raise UsageError("flow: region-mass has mass in the whole image, which is read in parts", hint)
     for term in energy_expression.parse(config.energy):
         if TERMS[term.name].needs_whole:
             raise UsageError(f"energy: {term.name} looks at the whole image, which is read in parts", hint)

@@ -49,6 +49,14 @@ FLOWS: Registry[FlowSpec] = Registry(
         # The mass is transported along the surface by cubic interpolation, which needs a wider band.
         half_width=4,
     ),
+    FlowSpec(
+        "region-mass",
+        "momentum of mass on the whole grid",
+        f"{_MAKERS}:region_mass",
+        ("k", "t0", "lam", "rho", "friction", "gravity"),
+        # The surface moves with means over a layer to either side of it.
+        half_width=4,
+    ),
     FlowSpec("gradient", "descent, the plain baseline", f"{_MAKERS}:gradient", ("diffusion",)),
     FlowSpec("sobolev", "descent along the smoothed gradient", f"{_MAKERS}:sobolev", ("sobolev_length",)),
     FlowSpec(

@@ -195,13 +195,14 @@ class RunFields(BaseModel):
     )
     rho: float = setting(
         1.0,
-        "Mass per area of the surface (relative units).",
+        "Mass per area of the surface, of region-mass per volume (relative units).",
         entry=SettingEntry(scope="flow"),
         gt=0,
     )
     gravity: float = setting(
         0.0,
-        "Strength g of the mass potential of flowable-mass, which makes its density more uniform.",
+        "Strength g of the mass potential, which makes the density of flowable-mass more uniform, and puts the mass of "
+        "region-mass inside the surface, under pressure.",
         entry=SettingEntry(metavar="G", scope="flow"),
         ge=0,
     )
@@ -299,7 +300,7 @@ class RunFields(BaseModel):
     )
     half_width: Annotated[int, Field(ge=3, le=32)] | Literal["auto"] = setting(
         "auto",
-        "Half width of the narrow band, in voxels; auto is 3, for flowable-mass 4.",
+        "Half width of the narrow band, in voxels; auto is 3, for flowable-mass and region-mass 4.",
         entry=SettingEntry(unit="voxels", metavar="N"),
     )
     seed: Annotated[int, Field(ge=0)] | None = setting(
