@@ -211,8 +211,7 @@ class Evolution:
         following.corner, following.stop_at_rest, following.end = self.corner, self.stop_at_rest, self.end
         following.initialize()
         state.potential_before = potential - flow.energy(surface.fraction_and_area()[1])
-        if self._stop_requested:
-            following.request_stop()
+        following._stop_requested = self._stop_requested
         return following
 
     def checkpoint(self) -> Checkpoint:

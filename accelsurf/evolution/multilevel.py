@@ -50,7 +50,7 @@ def prolong_surface(
     old : LevelSet
         On the grid ``coarse``.
     flow : Flow
-        With its fields on the band of ``old``.
+        With its fields on the band of ``old``; what it has beyond them goes to ``fine``.
     coarse, fine : Level
         Those grids: whole levels, or the same box of both.
     half_width : float
@@ -62,4 +62,6 @@ def prolong_surface(
     fields : list of ndarray (n,)
     """
     surface = LevelSet(psi, fine.spacing, half_width, old.workers, overwrite=True, extension=old.extension)
-    return surface, transfer_fields(flow.fields, flow.fill_values, old.dense.slot, coarse, surface, fine)
+    fields = transfer_fields(flow.fields, flow.fill_values, old.dense.slot, coarse, surface, fine)
+    flow.change_grid(surface, fine.places_in(coarse))
+    return surface, fields

@@ -76,7 +76,7 @@ def transport_fluid(
     """The fluid after ``dt`` of rho_t + div(rho V) = 0, (rho V)_t + div(rho V V) = -grad(G rho^2/2), G = ``stiffness``.
 
     Sweeps along the axes there and back, half a step each (Strang), in as many steps as `MAX_COURANT` asks for. What
-    reaches the border of the grid flows out. ``boundary`` sets, in place before each sweep, what lies beyond a boundary.
+    reaches the border of the grid flows out. ``boundary`` sets in place, before a sweep, what lies beyond a surface.
     """
     out, left, steps, done = fluid.copy(), 0.0, 0, 0.0
     axes = [a for a in range(3) if surface.shape[a] > 1]
@@ -105,7 +105,7 @@ def regrid_fluid(fluid: np.ndarray, place: np.ndarray, shape: tuple[int, ...], o
     there is a fluid at rest of the density ``outside``.
     """
     if (place[0] == 1.0).all() and (place[1] == np.round(place[1])).all():
-        return _moved(fluid, place[1].astype(int), shape, outside)
+        return _shifted(fluid, place[1].astype(int), shape, outside)
     indices = [np.arange(n) * place[0, a] + place[1, a] for a, n in enumerate(shape)]
     points = np.stack(np.meshgrid(*indices, indexing="ij"))
     beyond = np.zeros(shape, np.bool_)
@@ -121,7 +121,7 @@ def regrid_fluid(fluid: np.ndarray, place: np.ndarray, shape: tuple[int, ...], o
     return out
 
 
-def _moved(fluid: np.ndarray, by: np.ndarray, shape: tuple[int, ...], outside: float) -> np.ndarray:
+def _shifted(fluid: np.ndarray, by: np.ndarray, shape: tuple[int, ...], outside: float) -> np.ndarray:
     """The same voxels, whose first is ``by`` in the old grid, in another box."""
     out = np.zeros((4, *shape), np.float32)
     out[0] = outside

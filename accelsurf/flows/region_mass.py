@@ -41,8 +41,8 @@ class RegionMass(Accelerated):
 
     Mass and momentum live on the whole grid of the surface's box, uniform at first, and leave through its border. There
     is no pressure: nothing feels the force but a layer of ``width`` voxels to either side of the surface. The force is
-    smeared over it by a cosine and by mass; the surface moves with the mean of V by the same weights. So the fluid gains
-    what the potential loses, and the surface takes along the mass that it sweeps.
+    smeared over it by a cosine and by mass; the surface moves with the mean of V by the same weights. So the fluid
+    gains what the potential loses, and the surface takes along the mass that it sweeps.
 
     Kicks by the leap-frog with exact factors of friction and weight (`Clock.kick`); between them fluid and psi move.
 
@@ -161,7 +161,13 @@ class RegionMass(Accelerated):
         return self._plan(now, limits, 0.5 * (first + last), layer.normal, dt, rates)._replace(cfl_dt=cfl_dt)
 
     def _plan(
-        self, now: StepInput, limits: StepLimits, velocity: np.ndarray, normal: np.ndarray, dt: float, rates: EnergyRates
+        self,
+        now: StepInput,
+        limits: StepLimits,
+        velocity: np.ndarray,
+        normal: np.ndarray,
+        dt: float,
+        rates: EnergyRates,
     ) -> StepPlan:
         """The step of a surface with ``velocity`` (n, 3) at the front; the clock ticks."""
         surface, front = now.surface, now.front
@@ -247,13 +253,23 @@ class RegionMass(Accelerated):
         return Layer(normal, area, np.maximum(density, max(mean / DENSITY_RANGE, 1e-30)))
 
     def _velocity(
-        self, surface: LevelSet, fluid: np.ndarray, where: np.ndarray, normal: np.ndarray, shift: np.ndarray | None = None
+        self,
+        surface: LevelSet,
+        fluid: np.ndarray,
+        where: np.ndarray,
+        normal: np.ndarray,
+        shift: np.ndarray | None = None,
     ) -> np.ndarray:
         """V (n, 3) of the surface, moved by ``shift`` (n, 3) mm."""
         return self._means(surface, fluid, where, normal, shift)[:, 1:]
 
     def _means(
-        self, surface: LevelSet, fluid: np.ndarray, where: np.ndarray, normal: np.ndarray, shift: np.ndarray | None = None
+        self,
+        surface: LevelSet,
+        fluid: np.ndarray,
+        where: np.ndarray,
+        normal: np.ndarray,
+        shift: np.ndarray | None = None,
     ) -> np.ndarray:
         """Density and velocity (n, 4) across the surface, moved by ``shift`` (n, 3) mm."""
         out = np.empty((surface.size, 4))

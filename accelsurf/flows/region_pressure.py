@@ -25,7 +25,7 @@ MIN_BEYOND = 0.05
 
 
 class Inside(NamedTuple):
-    """The region: ``share`` (nz, ny, nx) of each voxel inside, ``volume`` |Omega| mm3, ``squares`` P = int 1/2 rho^2."""
+    """The region: ``share`` (nz, ny, nx) of each voxel inside, ``volume`` |Omega| (mm3), ``squares`` P."""
 
     share: np.ndarray
     volume: float
@@ -41,8 +41,8 @@ class RegionPressure(RegionMass):
     void; that share of the surface is reported as clamped.
 
     The fluid is half a step behind the surface. Between two half steps it moves within the surface that is halfway;
-    beyond, it is continued along the normals, rho through the value of the balance, V evenly. Mass in the cells that the
-    surface cuts errs by that; it is scaled to what it was, less what left through the border of the volume, and the sum
+    beyond, it is continued along the normals, rho through the value of the balance, V evenly. Mass in the cells that
+    the surface cuts errs by that; it is scaled to what it was, less what left through the border of the volume, and the sum
     of this is reported as correction.
 
     Parameters
@@ -111,7 +111,7 @@ class RegionPressure(RegionMass):
         if not math.isfinite(dt):
             return StepPlan.none(surface)
         before = self.fluid
-        self.fluid = self._moved(surface, inside, layer, dt)
+        self.fluid = self._pressed(surface, inside, layer, dt)
         self._before = float((inside.share * self.fluid[0]).sum(dtype=np.float64)) * self._cell
         self.mass -= self._outflow(surface, inside.share) * dt
         self._potential = self.gravity * inside.volume * inside.squares
@@ -134,7 +134,7 @@ class RegionPressure(RegionMass):
         """Move the fluid over the half step that it is behind."""
         inside = self._balanced(now.surface)
         layer = Layer(now.surface.normals(), now.area, self._at_surface(now, inside)[0])
-        self.fluid = self._moved(now.surface, inside, layer, 0.0)
+        self.fluid = self._pressed(now.surface, inside, layer, 0.0)
         self.clock.start_moving()
 
     def _peak_and_stiffness(self, now: StepInput, layer: Layer, limits: StepLimits) -> tuple[float, float]:
@@ -144,21 +144,24 @@ class RegionPressure(RegionMass):
         return peak, max(stiffness, self._sound(now.surface))
 
     def stable_dt(self, now: StepInput, layer: Layer, limits: StepLimits) -> tuple[float, float]:
-        """As `RegionMass.stable_dt`; also the fastest wave goes at most h/sqrt(3) in a step, as the surface must follow."""
+        """As `RegionMass.stable_dt`; also the fastest wave goes at most h/sqrt(3) in a step: the surface follows."""
         dt, cfl_dt = super().stable_dt(now, layer, limits)
         speed = math.sqrt(self.clock.next_weight() * self._sound(now.surface))
         if not self.clock.at_rest:
-            inside = self.fluid.reshape(4, -1)[:, now.surface.dense.psi < 0].astype(np.float64)
-            moves = inside[0] > self._dry
-            speed += float(np.linalg.norm(inside[1:, moves] / inside[0, moves], axis=0).max(initial=0.0))
+            speed += self._fastest(self.fluid.reshape(4, -1)[:, now.surface.dense.psi < 0].astype(np.float64))
         return min(dt, wave_bound(now.surface, speed)) if speed > 0 else dt, cfl_dt
+
+    def _fastest(self, gas: np.ndarray) -> float:
+        """Largest |V| in cells (4, n)."""
+        moves = gas[0] > self._dry
+        return float(np.linalg.norm(gas[1:, moves] / gas[0, moves], axis=0).max(initial=0.0))
 
     def _sound(self, surface: LevelSet) -> float:
         """Largest c^2/w."""
         inside = (surface.dense.psi < 0).reshape(surface.shape)
         return self.gravity * self._volume * float(self.fluid[0].max(initial=0.0, where=inside))
 
-    def _moved(self, surface: LevelSet, inside: Inside, layer: Layer, dt: float) -> np.ndarray:
+    def _pressed(self, surface: LevelSet, inside: Inside, layer: Layer, dt: float) -> np.ndarray:
         """The fluid after the kick around now and the motion of as long."""
         factor, gain = self.clock.kick(dt)
         lasting = 0.5 * (self.clock.last_dt + dt)
@@ -166,7 +169,10 @@ class RegionPressure(RegionMass):
         first = math.sqrt(factor) if factor > MIN_FACTOR else factor
         second = factor / first if factor > 0.0 else 1.0
         stiffness = self.gravity * inside.volume * gain / (second * lasting)
-        beyond = partial(self._continue, surface, layer)
+        # Into a void a gas flows at V + 2 c.
+        gas = self.fluid.reshape(4, -1)[:, surface.dense.psi < 0].astype(np.float64)
+        speed = self._fastest(gas) + 2.0 * math.sqrt(stiffness * float(gas[0].max(initial=0.0)))
+        beyond = partial(self._continue, surface, layer, max(speed, 1e-30))
         moved = transport_fluid(surface, self._slowed(self.fluid, first), lasting, stiffness, self._dry, beyond).fluid
         beyond(moved)
         return self._slowed(moved, second)
@@ -223,28 +229,36 @@ class RegionPressure(RegionMass):
     def _continued(
         self, surface: LevelSet, fluid: np.ndarray, normal: np.ndarray, depth: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Density just below the surface (n,), and velocity (n, 3) ``depth`` (n,) voxels beyond it, continued evenly."""
+        """Density below the surface (n,), and velocity (n, 3) ``depth`` (n,) voxels beyond it, continued evenly."""
         out = np.empty((surface.size, 2, 4))
         surface.workers.parallel(
             kernels.probe_inside, surface.size, fluid, surface.grid, surface.band, normal, np.array(DEPTHS), out
         )
         near, far = out[:, 0], out[:, 1]
         along = (depth + DEPTHS[0]) / (DEPTHS[1] - DEPTHS[0])
+        # What little there is at a void says nothing about the velocity further on.
+        along[near[:, 0] < MIN_BEYOND * self.mass / max(self._volume, 1e-300)] = 0.0
         return near[:, 0], near[:, 1:] + (near[:, 1:] - far[:, 1:]) * along[:, None]
 
     def _velocity(
-        self, surface: LevelSet, fluid: np.ndarray, where: np.ndarray, normal: np.ndarray, shift: np.ndarray | None = None
+        self,
+        surface: LevelSet,
+        fluid: np.ndarray,
+        where: np.ndarray,
+        normal: np.ndarray,
+        shift: np.ndarray | None = None,
     ) -> np.ndarray:
         """V (n, 3) of the surface: that of the gas below, continued evenly."""
         return self._continued(surface, fluid, normal, np.zeros(surface.size))[1]
 
-    def _continue(self, surface: LevelSet, layer: Layer, fluid: np.ndarray) -> None:
-        """Set, in place, the fluid up to `BEYOND` voxels outside; further out there is none."""
+    def _continue(self, surface: LevelSet, layer: Layer, fastest: float, fluid: np.ndarray) -> None:
+        """Set, in place, the fluid up to `BEYOND` voxels outside, with V at most ``fastest``; further out is none."""
         d = self._voxel_rates(surface, surface.band.to_closest)
         below, velocity = self._continued(surface, fluid, layer.normal, d)
         rho = layer.density + (layer.density - below) * (d / DEPTHS[0])
         rho = np.maximum(rho, MIN_BEYOND * layer.density)
         rho[d > BEYOND] = 0.0
+        velocity /= np.maximum(np.linalg.norm(velocity, axis=1) / fastest, 1.0)[:, None]
         flat, outside = fluid.reshape(4, -1), surface.band.psi >= 0
         cells = surface.band.cells[outside]
         flat[0, cells] = rho[outside]

@@ -225,7 +225,7 @@ def fastest_waves(first, last, fluid, limits, out):
 
 @kernel
 def corners_around(grid, pz, py, px, cells, shares):
-    """Cells (8,) around a point, in voxels, and their ``shares`` (8,) in linear interpolation; none beyond the border."""
+    """Cells (8,) around a point, in voxels, and their ``shares`` (8,) in linear interpolation."""
     pz, py, px = min(max(pz, 0.0), grid.nz - 1.0), min(max(py, 0.0), grid.ny - 1.0), min(max(px, 0.0), grid.nx - 1.0)
     z, y, x = min(int(pz), max(grid.nz - 2, 0)), min(int(py), max(grid.ny - 2, 0)), min(int(px), max(grid.nx - 2, 0))
     for corner in range(8):

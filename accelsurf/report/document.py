@@ -241,14 +241,18 @@ def describe_mass(result: Result) -> dict[str, Any] | None:
     ``correction`` is the part of the mass that had to be added to conserve it, ``cure`` what is done where the mass
     potential would make the flow ill-posed, and ``clamped_fraction_largest`` the largest share of surface where it was.
     """
-    if result.config.flow != "flowable-mass" or not result.history:
+    cure = {
+        "flowable-mass": "negative tension clamped at -smoothness, normal part only",
+        "region-mass": "no pressure at the surface where the force pulls stronger than gravity times the mass holds",
+    }.get(result.config.flow)
+    if cure is None or not result.history:
         return None
     first, last = result.history[0], result.history[-1]
     return {
         "first": first.mass,
         "last": last.mass,
         "correction": last.mass_correction,
-        "cure": "negative tension clamped at -smoothness, normal part only" if result.config.gravity > 0 else None,
+        "cure": cure if result.config.gravity > 0 else None,
         "clamped_fraction_largest": max(row.clamped_fraction for row in result.history),
     }
 

@@ -178,7 +178,6 @@ class EvolvingObject:
         psi = prolong(before.surface.psi, mine, theirs)
         self._clicks.apply(psi, self.level, box_at(self.corner, shape))
         surface, fields = prolong_surface(psi, before.surface, before.flow, mine, theirs, self._setup.half_width)
-        self._setup.flow.change_grid(surface, theirs.places_in(mine))
         self._evolve(surface, before.state.on_next_grid(with_fields=True), fields)
 
     def failed_on_level(self) -> Stop | None:
@@ -208,8 +207,7 @@ class EvolvingObject:
         fields = None
         if before is not None:
             fields = shift_fields(before.flow.fields, before.surface, at, surface, self.corner)
-            by = np.array(self.corner) - at
-            self._setup.flow.change_grid(surface, np.stack([np.ones(3), by]))
+            before.flow.change_grid(surface, np.stack([np.ones(3), np.subtract(self.corner, at)]))
         self._evolve(surface, state, fields)
 
     def _evolve(
@@ -341,9 +339,7 @@ class EvolvingObject:
         clicked = self.set_up(setup, make_energy, context)
         energy = self._energy_on(box_at(self.corner, self.surface.shape)) if new_energy or clicked else None
         self.evolution = self.evolution.edited(
-            energy,
-            setup.flow, setup.limits,
-            setup.restart,
+            energy, setup.flow, setup.limits, setup.restart,
             rule_on_level(setup.rule, self.level),
             setup.half_width,
             (lambda surface: self._change_psi(surface, balls)) if balls or clicked else None,

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, HeavyBall, Noise, RegionMass, RegionPressure, Sobolev
+from accelsurf.flows import (
+    ConstantDensity,
+    Flow,
+    FlowableMass,
+    Gradient,
+    HeavyBall,
+    Noise,
+    RegionMass,
+    RegionPressure,
+    Sobolev,
+)
 from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 

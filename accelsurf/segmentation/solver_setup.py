@@ -20,7 +20,7 @@ from accelsurf.settings.run_config import RunConfig
 #: trend tells it too low by up to this.
 FURTHER = 0.7
 #: Flows whose surface moves slowly also where it has not converged, and the share of the tolerance that it then moves.
-SHORT_STEPS, SLOW = ("flowable-mass", "sobolev"), 0.4
+SHORT_STEPS, SLOW = ("flowable-mass", "region-mass", "sobolev"), 0.4
 #: A correction has converged when so many steps have found no lower energy: an oscillation from step to step finds it
 #: in two.
 PATIENCE = 3
@@ -30,13 +30,14 @@ def stop_rule(config: RunConfig, levels: int) -> StopRule:
     """When a run on so many levels has converged on the finest one.
 
     After a coarser level the run begins near its end and is checked more often. The window has an even number of
-    steps, so that an oscillation from step to step cancels. The waves of flowable-mass keep its steps short, and
-    the Sobolev gradient is small where forces are uneven: there a slow surface has not converged yet.
+    steps, so that an oscillation from step to step cancels. The waves of flowable-mass and region-mass keep their steps
+    short, and the Sobolev gradient is small where forces are uneven: there a slow surface has not converged yet.
     """
     further = FURTHER * config.tolerance
     slow = SLOW * config.tolerance
     if levels == 1:
-        return StopRule(motion=slow if config.flow == "flowable-mass" else config.tolerance, further=further)
+        waves = config.flow in ("flowable-mass", "region-mass")
+        return StopRule(motion=slow if waves else config.tolerance, further=further)
     if config.flow in SHORT_STEPS:
         return StopRule(10, slow, further=further)
     return StopRule(6, config.tolerance, further=further)

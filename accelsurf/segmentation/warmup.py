@@ -35,6 +35,7 @@ def small_runs() -> dict[str, Callable[[], Any]]:
     """Runs by name, that together call every kernel; each computes its measures, its mesh and its quality too."""
     return {
         **{f"flow {flow}": _run(flow=flow, gravity=0.05 if "gravity" in FLOWS[flow].uses else 0.0) for flow in FLOWS},
+        "mass on the whole grid": _run(flow="region-mass"),
         **{f"energy {term}": _run(energy=_AS_GIVEN.get(term, term)) for term in image_terms() if term not in _CLICKED},
         "likelihood by histogram": _run(energy="likelihood:model=histogram"),
         "area": _run(energy="chan-vese + 0.1*area", smoothness=0.3, presmooth=1.0),
