@@ -42,8 +42,8 @@ class RegionPressure(RegionMass):
 
     The fluid is half a step behind the surface. Between two half steps it moves within the surface that is halfway;
     beyond, it is continued along the normals, rho through the value of the balance, V evenly. Mass in the cells that
-    the surface cuts errs by that; it is scaled to what it was, less what left through the border of the volume, and the sum
-    of this is reported as correction.
+    the surface cuts errs by that; it is scaled to what it was, less what left through the border of the volume, and
+    the sum of this is reported as correction.
 
     Parameters
     ----------
