@@ -48,6 +48,7 @@ REPEATS = 3
 PARTS = (
     ("accelsurf.energies.seeded.model", "_smoothed", "smoothing"),
     ("accelsurf.energies.seeded.model", "arrival", "arrival times"),
+    ("accelsurf.energies.seeded.model", "reached", "arrival times"),
     ("accelsurf.energies.seeded.answers", "from_beyond", "arrival times"),
     ("accelsurf.energies.seeded.model", "by_evidence", "level by evidence"),
     ("accelsurf.energies.seeded.answers", "log_ratio", "likelihood"),

@@ -70,6 +70,22 @@ def arrival(
 ) -> tuple[Times, Order]:
     """Times from seeds (each at 0), inf where the march does not come, and its voxels in the order of their times.
 
+    See `reached`.
+    """
+    times, cells = reached(field, tissue, seeds, max_count, cap, late)
+    return times, cells[np.argsort(times[cells], kind="stable")]
+
+
+def reached(
+    field: Field,
+    tissue: Tissue,
+    seeds: NDArray[np.int64],
+    max_count: int,
+    cap: Times = _NO_CAP,
+    late: tuple[int, float] = _NEVER_LATE,
+) -> tuple[Times, Order]:
+    """Times from seeds (each at 0), inf where the march does not come, and its voxels in no order.
+
     It does not come where its time is not below ``cap`` (n,) float32, nor, with ``late`` = (count, factor), to times
     later than a bucket after ``factor`` times that of the voxel number ``count``.
 
@@ -83,7 +99,7 @@ def arrival(
     order = march(times, field.medium, tissue, field.grid, seeds, cap, late, max(max_count, len(seeds)))
     if field.window is not None:
         field.window.check_cells(order)
-    return times, order[np.argsort(times[order], kind="stable")]
+    return times, order
 
 
 def from_beyond(field: Field, tissue: Tissue, beyond: Mask) -> NDArray[np.float32]:

@@ -98,10 +98,29 @@ def edge_balance(
 
 
 def _seen_both(inside: Mask, size: int) -> Mask:
-    """Voxels in whose window of so many voxels both sides lie."""
-    sizes = [size if n > 1 else 1 for n in inside.shape]
-    values = inside.view(np.uint8)
-    return np.asarray(ndimage.maximum_filter(values, sizes) != ndimage.minimum_filter(values, sizes))
+    """Voxels in whose window of so many voxels, cut off at the border, both sides lie."""
+    return _any_around(inside, size // 2) & _any_around(~inside, size // 2)
+
+
+def _any_around(mask: Mask, half: int) -> Mask:
+    """Where a voxel of a mask lies in the window that reaches so many voxels to each side."""
+    for axis in (i for i, n in enumerate(mask.shape) if n > 1):
+        # To one side and to the other; the window doubles, the last time it grows by what is missing.
+        for step in (1, -1):
+            reach = 0
+            while reach < min(half, mask.shape[axis] - 1):
+                more = min(reach or 1, half - reach, mask.shape[axis] - 1 - reach)
+                mask, reach = _with_shifted(mask, axis, step * more), reach + more
+    return mask
+
+
+def _with_shifted(mask: Mask, axis: int, by: int) -> Mask:
+    """A mask and the same moved along an axis; nothing comes in from beyond the border."""
+    out = mask.copy()
+    to, of = (slice(by, None), slice(None, -by)) if by > 0 else (slice(None, by), slice(-by, None))
+    before = (slice(None),) * axis
+    out[(*before, to)] |= mask[(*before, of)]
+    return out
 
 
 def at_edges(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from accelsurf.energies.seeded.answers import Answer, Shown, first_answer, mixed_answer, on_whole_grid, with_click
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, count_of, even_radius, learn
-from accelsurf.energies.seeded.competition import Field, Times, arrival, field_of
+from accelsurf.energies.seeded.competition import Field, Times, arrival, field_of, reached
 from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import area_weight, at_edges
 from accelsurf.energies.seeded.evidence import edges_of
@@ -247,7 +247,8 @@ def later_times(
     faster = LATER[click.side] * answer.level
     ends = click.side == "inside" and faster > 0.0 and len(seeds) < answer.count
     late = (answer.count, answer.last / faster) if ends else (0, np.inf)
-    times, order = arrival(field, tissue, seeds, int(1.05 * BEYOND * answer.count), late=late)
-    own = float(times[order[min(answer.count, len(order)) - 1]])
-    times[order] *= np.float32(faster / own if own > 0.0 else 1.0)  # all others are inf
+    times, cells = reached(field, tissue, seeds, int(1.05 * BEYOND * answer.count), late=late)
+    found, rank = times[cells], min(answer.count, len(cells)) - 1
+    own = float(np.partition(found, rank)[rank])
+    times[cells] = found * np.float32(faster / own if own > 0.0 else 1.0)  # all others are inf
     return times, tissue
