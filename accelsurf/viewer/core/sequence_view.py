@@ -33,6 +33,7 @@ class SequenceView:
         self.sequence, self.home, self.tracks = sequence, home, tracks
         self._level = pyramid.levels(sequence.geometry.shape, sequence.geometry.spacing, 1)[0]
         self._volumes: OrderedDict[int, Volume] = OrderedDict()
+        self._drawn: OrderedDict[int, Frame] = OrderedDict()
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -69,7 +70,15 @@ class SequenceView:
         """
         if self.tracks is None:
             return Frame((), said=self.said(number))
-        drawn, paths = self.tracks.drawn(number), self.tracks.paths(number)
+        if number not in self._drawn:
+            while len(self._drawn) >= KEPT:
+                self._drawn.popitem(last=False)
+            self._drawn[number] = self._tracked(self.tracks, number)
+        self._drawn.move_to_end(number)
+        return self._drawn[number]
+
+    def _tracked(self, tracks: SavedTracks, number: int) -> Frame:
+        drawn, paths = tracks.drawn(number), tracks.paths(number)
         return Frame(
             tuple(self._surface(one.id, one.surface) for one in drawn),
             predicted=tuple(self._surface(one.id, one.predicted) for one in drawn if one.predicted is not None),
