@@ -102,6 +102,8 @@ def view(
         raise UsageError("reference: it was given without an image", "give the image, too")
     if tracks is not None and input is None:
         raise UsageError("tracks: they were given without a sequence", "give the sequence, too")
+    if tracks is not None and reference is not None:
+        raise UsageError("reference: it was given with tracks", "leave one of both out")
     page = _front_end(page)
     from accelsurf.cli.interrupts import default_handling
 

@@ -212,12 +212,10 @@ class SliceTile:
 
     def _draw_predicted(self, frame: Frame) -> None:
         """Draw where tracked objects were expected in this slice, dashed."""
-        lines = [np.zeros((0, 2, 2))]
-        for surface in frame.predicted:
-            part = slice_of(surface, self.axis, self.index)
-            if part is not None:
-                lines.append(dashed(self.to_tile(surface.to_image(self._in_slice(contour(part))))))
-        self._draw_lines("predicted", np.concatenate(lines), REFERENCE, 1.6)
+        parts = [(one, slice_of(one, self.axis, self.index)) for one in frame.predicted]
+        lines = [one.to_image(self._in_slice(contour(part))) for one, part in parts if part is not None]
+        dashes = np.concatenate([np.zeros((0, 2, 2)), *(dashed(self.to_tile(line)) for line in lines)])
+        self._draw_lines("predicted", dashes, REFERENCE, 1.6)
 
     def draw_reference(self, function: NDArray[np.float32]) -> None:
         """Draw where a function of the whole image, negative inside, is 0 in this slice."""

@@ -14,6 +14,7 @@ from accelsurf.viewer.scene.object_styles import ObjectStyle
 from accelsurf.viewer.scene.track_marks import show_image
 from accelsurf.viewer.workplace.checks import whole
 from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.workplace.force import ForceFeature
 from accelsurf.viewer.workplace.slices import SlicesFeature
 
 #: Frames a second while they play; fewer where one takes longer to read and draw.
@@ -21,6 +22,8 @@ RATE = 8.0
 #: Requests for the frame that runs are made in: elsewhere they would change what is not seen.
 OF_A_RUN = (
     "play", "toggle", "step", "back", "go_to", "restart", "undo", "redo", "change", "next_doubt", "doubt", "save",
+    "object_add", "object_remove", "object_merge", "object_split", "object_name", "object_color", "object_visible",
+    "object_opacity", "set", "set_term", "type_energy", "mask", "bound", "force", "next_force", "box_around", "box_none",
 )
 
 
@@ -148,6 +151,8 @@ class FramesFeature(Feature):
 
     def _show(self, number: int) -> None:
         """Show a frame; what was shown stays where it cannot be read."""
+        if number != self.number and self.workplace.feature(ForceFeature).is_on:
+            self.workplace.request("force", False)  # it is that of the frame that is left
         before, self.number = self.number, number
         try:
             self._draw()
