@@ -98,12 +98,7 @@ def view(
         Replace files in the folder that this session has not written.
     """
     made, page, viewer = run_config(settings, config), page or PageOptions(), viewer or ViewerOptions()
-    if input is None and reference is not None:
-        raise UsageError("reference: it was given without an image", "give the image, too")
-    if tracks is not None and input is None:
-        raise UsageError("tracks: they were given without a sequence", "give the sequence, too")
-    if tracks is not None and reference is not None:
-        raise UsageError("reference: it was given with tracks", "leave one of both out")
+    _check_given(input, reference, tracks)
     page = _front_end(page)
     from accelsurf.cli.interrupts import default_handling
 
@@ -122,6 +117,16 @@ def view(
         else:
             _open_window(opening, opened, result, overwrite, viewer)
     return 0
+
+
+def _check_given(image: Path | None, reference: Path | None, tracks: Path | None) -> None:
+    """Refuse what lacks its image, or does not go together."""
+    if image is None and reference is not None:
+        raise UsageError("reference: it was given without an image", "give the image, too")
+    if tracks is not None and image is None:
+        raise UsageError("tracks: they were given without a sequence", "give the sequence, too")
+    if tracks is not None and reference is not None:
+        raise UsageError("reference: it was given with tracks", "leave one of both out")
 
 
 def _read(source: Path, config: RunConfig, reference: Path | None, tracks: Path | None) -> OpenedImage:

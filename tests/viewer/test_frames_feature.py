@@ -10,7 +10,7 @@ from accelsurf.report.track_files import TrackFiles
 from accelsurf.report.track_outputs import TrackOutputs
 from accelsurf.report.track_surfaces import SavedTracks
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.core.sequence_view import KEPT, SequenceView
+from accelsurf.viewer.core.sequence_view import MAX_FRAMES, SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.track_marks import dashed
@@ -105,7 +105,7 @@ def test_three_frames_stay_in_memory(made):
     view = SequenceView(made.sequence)
     for number in range(len(view)):
         view.volume(number)
-    assert len(view._volumes) == min(KEPT, len(view))
+    assert len(view._volumes) == min(MAX_FRAMES, len(view))
     assert list(view._volumes)[-1] == len(view) - 1
 
 

@@ -13,7 +13,7 @@ from accelsurf.tracking.records import SurfacePiece
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 
 #: Frames that stay in memory.
-KEPT = 3
+MAX_FRAMES = 3
 _NO_STEP = StepRecord._make(StepRecord._field_defaults.get(name, 0) for name in StepRecord._fields)
 
 
@@ -48,7 +48,7 @@ class SequenceView:
             When it cannot be read.
         """
         if number not in self._volumes:
-            while len(self._volumes) >= KEPT:  # before it is read: never more in memory
+            while len(self._volumes) >= MAX_FRAMES:  # before it is read: never more in memory
                 self._volumes.popitem(last=False)
             self._volumes[number] = self.sequence.frame(number)
         self._volumes.move_to_end(number)
@@ -71,7 +71,7 @@ class SequenceView:
         if self.tracks is None:
             return Frame((), said=self.said(number))
         if number not in self._drawn:
-            while len(self._drawn) >= KEPT:
+            while len(self._drawn) >= MAX_FRAMES:
                 self._drawn.popitem(last=False)
             self._drawn[number] = self._tracked(self.tracks, number)
         self._drawn.move_to_end(number)

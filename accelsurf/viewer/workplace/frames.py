@@ -94,7 +94,7 @@ class FramesFeature(Feature):
         """Whether what is seen is the run: in its own frame, where no tracked objects are shown."""
         return self._frames is None or (self._frames.tracks is None and self.number == self._frames.home)
 
-    def keep(self, view: View) -> None:
+    def note_view(self, view: View) -> None:
         """The run has a new view; it is drawn when its frame is shown."""
         self._view = view
 

@@ -183,7 +183,7 @@ class Workplace:
     def update(self, view: View) -> None:
         """Draw a view of the session, unless another frame of a sequence is shown."""
         frames = self.feature(FramesFeature)
-        frames.keep(view)
+        frames.note_view(view)
         if frames.shows_run:
             self.scene.update(view.frame, view.histories, coarse=True)  # in full when it is quiet
         if not self.feature(MouseFeature).is_dragging:
