@@ -92,8 +92,7 @@ def view(
     reference
         Label map of the true object, on the same grid: also drawn, with the Dice coefficient.
     tracks
-        Folder that accelsurf track has written of the sequence: its objects are drawn in each frame, predictions too
-        where it was run with --also surfaces.
+        Folder of accelsurf track: objects are drawn in each frame, and predictions if it had --also surfaces.
     overwrite
         Replace files in the folder that this session has not written.
     """
