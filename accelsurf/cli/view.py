@@ -62,6 +62,7 @@ def view(
     result: Annotated[Path | None, Parameter(group=FILES)] = None,
     config: Annotated[Path | None, Parameter(group=FILES)] = None,
     reference: Annotated[Path | None, Parameter(group=FILES)] = None,
+    tracks: Annotated[Path | None, Parameter(group=FILES)] = None,
     overwrite: Overwrite = False,
     page: PageOptions | None = None,
     viewer: ViewerOptions | None = None,
@@ -90,18 +91,19 @@ def view(
         TOML file with settings, such as run.toml of an earlier session; options given here override it.
     reference
         Label map of the true object, on the same grid: also drawn, with the Dice coefficient.
+    tracks
+        Folder of accelsurf track: objects are drawn in each frame, and predictions if it had --also surfaces.
     overwrite
         Replace files in the folder that this session has not written.
     """
     made, page, viewer = run_config(settings, config), page or PageOptions(), viewer or ViewerOptions()
-    if input is None and reference is not None:
-        raise UsageError("reference: it was given without an image", "give the image, too")
+    _check_given(input, reference, tracks)
     page = _front_end(page)
     from accelsurf.cli.interrupts import default_handling
 
     # Ctrl-C is the documented way to end a page.
     with ExitStack() as stack:
-        first = None if input is None else _read(input, made, reference)
+        first = None if input is None else _read(input, made, reference, tracks)
         stack.enter_context(default_handling())
         opening = _opening(made, viewer.recent, page)
         session = None
@@ -116,14 +118,26 @@ def view(
     return 0
 
 
-def _read(source: Path, config: RunConfig, reference: Path | None) -> OpenedImage:
-    """Read the image, as the other commands do, and labels to compare with."""
+def _check_given(image: Path | None, reference: Path | None, tracks: Path | None) -> None:
+    """Refuse what lacks its image, or does not go together."""
+    if image is None and reference is not None:
+        raise UsageError("reference: it was given without an image", "give the image, too")
+    if tracks is not None and image is None:
+        raise UsageError("tracks: they were given without a sequence", "give the sequence, too")
+    if tracks is not None and reference is not None:
+        raise UsageError("reference: it was given with tracks", "leave one of both out")
+
+
+def _read(source: Path, config: RunConfig, reference: Path | None, tracks: Path | None) -> OpenedImage:
+    """Read the image, as the other commands do, or a sequence, and labels to compare with."""
     from accelsurf import io
     from accelsurf.io import channels
-    from accelsurf.viewer.core.opening import OpenedImage
+    from accelsurf.viewer.core.opening import OpenedImage, is_sequence, read_tracked
 
-    volume, *more = channels.read(source, config.reading)
     truth = None if reference is None else io.read_labels(reference)
+    if tracks is not None or is_sequence(source, config):
+        return replace(read_tracked(source, config, tracks), reference=truth)
+    volume, *more = channels.read(source, config.reading)
     return OpenedImage(volume, config, io.split_name(source)[0], source, tuple(more), truth)
 
 

@@ -10,7 +10,7 @@ import os
 import shutil
 import zipfile
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -95,10 +95,14 @@ class FrameStore:
         Made if it is not there.
     resume : bool
         Whether the frames in it count, those that can be read; else it is emptied.
+    read_only : bool
+        Whether the folder stays as it is, whatever is in it.
     """
 
-    def __init__(self, folder: Path, resume: bool = True) -> None:
+    def __init__(self, folder: Path, resume: bool = True, read_only: bool = False) -> None:
         self.folder = folder
+        if read_only:
+            return
         if not resume:
             shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True, exist_ok=True)
@@ -137,6 +141,20 @@ class FrameStore:
         draft = self.folder / f".{result.frame}.npz"
         np.savez_compressed(draft, **arrays)  # type: ignore[arg-type]
         os.replace(draft, self._path(result.frame))
+
+    def copy_frame(self, number: int, folder: Path) -> None:
+        """Write a frame into another folder, without its duration.
+
+        Raises
+        ------
+        OSError
+            When it cannot be written.
+        """
+        with self._opened(number) as arrays:
+            found = dict(arrays)
+        row = replace(_row_of(found), seconds=0.0)
+        found["row"] = np.frombuffer(json.dumps(asdict(row)).encode(), np.uint8)
+        np.savez_compressed(folder / self._path(number).name, **found)
 
     def frame_row(self, number: int) -> FrameRow:
         """The numbers of a frame."""

@@ -49,6 +49,10 @@ TRACK_FORMATS: Registry[TrackFormat] = Registry(
         "geff", "folder of the Graph Exchange File Format", "tracks.geff", "accelsurf.report.geff_file:write",
         "accelsurf.report.geff_file:check", mark=".zattrs",
     ),
+    TrackFormat(
+        "surfaces", "folder of surfaces, prediction beside correction, for accelsurf view --tracks", "surfaces",
+        "accelsurf.report.track_surfaces:write", mark="surfaces.json",
+    ),
     TrackFormat("trackmate", "XML file of TrackMate", "trackmate.xml", "accelsurf.report.trackmate_file:write"),
     TrackFormat(
         "mp4", "movie of slices, prediction beside correction", "movie.mp4", "accelsurf.report.track_movie:write",

@@ -237,13 +237,22 @@ class Frame:
     Attributes
     ----------
     surfaces : tuple of SurfaceFrame
-        One for each object, in order of ids; at least one.
+        One for each object, in order of ids; at least one of a run, perhaps none of a frame of a sequence.
     clicks : tuple of ClickMark
         What a person has clicked, on the image's grid.
+    predicted : tuple of SurfaceFrame
+        Where tracked objects were expected before they were corrected.
+    paths : tuple of ndarray (n, 3)
+        World mm, the way that each tracked object has come; by ``surfaces``.
+    said : str
+        Frame and time of a sequence, in place of the step; empty of a run.
     """
 
     surfaces: tuple[SurfaceFrame, ...]
     clicks: tuple[ClickMark, ...] = ()
+    predicted: tuple[SurfaceFrame, ...] = ()
+    paths: tuple[Floats, ...] = ()
+    said: str = ""
 
     @classmethod
     def of(
@@ -313,12 +322,12 @@ class Frame:
     @property
     def step(self) -> int:
         """Number of the step; of several objects, that of those that moved longest."""
-        return max(surface.record.step for surface in self.surfaces)
+        return max((surface.record.step for surface in self.surfaces), default=0)
 
     @property
     def level(self) -> int:
         """Number of the level that the step was made on; 0 is the finest."""
-        return self.surfaces[0].level.number
+        return self.surfaces[0].level.number if self.surfaces else 0
 
     @property
     def volume_mm3(self) -> float:

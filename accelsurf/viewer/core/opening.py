@@ -14,11 +14,13 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io import channels, headers
 from accelsurf.io.files import naming
 from accelsurf.phantoms import recipe_files, recipes
+from accelsurf.report.track_surfaces import SavedTracks
 from accelsurf.segmentation.fitting_level import fitting_level
 from accelsurf.segmentation.memory_need import allowed_bytes
 from accelsurf.settings import energy_expression
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
 
 #: Settings that belong to one image: places in it, files on its grid, which part of its file it is.
@@ -56,6 +58,8 @@ class OpenedImage:
         Labels to compare with.
     note : str
         What a person should know of it, in one line; may be empty.
+    frames : SequenceView or None
+        The sequence that the image is a frame of.
     """
 
     volume: Volume
@@ -65,6 +69,7 @@ class OpenedImage:
     channels: tuple[Volume, ...] = field(default=())
     reference: Volume | None = None
     note: str = ""
+    frames: SequenceView | None = None
 
     def session(self, checkpoint_mb: float = CHECKPOINT_MB) -> Session:
         """Return a session of it, which prepares itself in its own thread."""
@@ -145,7 +150,77 @@ def read_image(path: Path, config: RunConfig) -> OpenedImage:
     config, note = _with_level(path, config)
     volume, *more = channels.read(path, config.reading)
     notes = [text for text in (note, volume.metadata.get(io.WARNING_KEY, "")) if text]
-    return OpenedImage(volume, config, io.split_name(path)[0], path, tuple(more), note="; ".join(notes))
+    name = io.split_name(path)[0]
+    return OpenedImage(volume, config, name, path, tuple(more), note="; ".join(notes), frames=frames_of(path, config))
+
+
+def frames_of(path: Path, config: RunConfig) -> SequenceView | None:
+    """The sequence of which one time point is read; None of an image without time, or where time is channels.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    """
+    if config.time_index is None:
+        return None
+    sequence = io.read_sequence(path, options=replace(config.reading, time_index=None))
+    return SequenceView(sequence, config.time_index)
+
+
+def is_sequence(path: Path, config: RunConfig) -> bool:
+    """Whether a path has several images in time: a file with time points, or a folder of volumes.
+
+    A folder or pattern of slices is an image: only tracks tell that its slices are frames.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    """
+    if headers.is_pattern(path):
+        return False
+    if path.is_dir() and not headers.is_stored(path):
+        try:
+            headers.format_of(path)
+        except InputError:  # no image by itself
+            return any(headers.split_name(entry)[1] for entry in path.iterdir())
+        return False
+    with naming(path):
+        form = headers.format_of(path)
+        if "time_index" not in form.options or config.channels_from_time:
+            return False
+        return headers.counts(path, replace(config.reading.among(form.options), level=0))[1] > 1
+
+
+def read_tracked(path: Path, config: RunConfig, tracks: Path | None = None) -> OpenedImage:
+    """Open a sequence at a frame, 0 unless the settings name one.
+
+    Parameters
+    ----------
+    path : Path
+        As `accelsurf.io.read_sequence` takes it.
+    config : RunConfig
+    tracks : Path, optional
+        Folder of what ``accelsurf track`` has found in it.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    UsageError
+        When there is no such frame.
+    """
+    sequence = io.read_sequence(path, options=replace(config.reading, time_index=None))
+    name = io.split_name(path.absolute().parent if headers.is_pattern(path) else path.absolute())[0]
+    home = config.time_index or 0
+    volume, *more = sequence.channels(home)
+    saved = None if tracks is None else SavedTracks(tracks, name, sequence)
+    is_file = not path.is_dir() and not headers.is_pattern(path)
+    config = config.replace(time_index=home) if is_file else config
+    source = path if is_file else volume.source or path
+    note = "; ".join(sequence.notes)
+    return OpenedImage(volume, config, name, source, tuple(more), note=note, frames=SequenceView(sequence, home, saved))
 
 
 def _options(path: Path) -> tuple[str, ...]:

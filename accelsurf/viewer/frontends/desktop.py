@@ -25,9 +25,11 @@ from pyvistaqt import QtInteractor
 
 from accelsurf.grid.grey_window import parse_window
 from accelsurf.grid.volume import Volume
+from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.appearance import page_of_help, palette, sheet
 from accelsurf.viewer.frontends.canvas_events import CanvasEvents
+from accelsurf.viewer.frontends.frame_bar import FrameBar
 from accelsurf.viewer.frontends.panels.side import SidePanels
 from accelsurf.viewer.frontends.playback_bar import PlaybackBar
 from accelsurf.viewer.scene.scene import SIZE, Scene
@@ -65,6 +67,8 @@ class Window(QMainWindow):
         "dark" or "light".
     overwrite : bool
         Replace files in the folder that this session has not written.
+    frames : SequenceView, optional
+        The sequence that the image is a frame of.
 
     Attributes
     ----------
@@ -79,6 +83,7 @@ class Window(QMainWindow):
         folder: Path | None = None,
         theme: str = "dark",
         overwrite: bool = False,
+        frames: SequenceView | None = None,
     ) -> None:
         super().__init__()
         self.session = session
@@ -91,9 +96,9 @@ class Window(QMainWindow):
             session.volume, theme=theme, reference=reference, plotter=self.canvas, title=session.name,
             window=parse_window(session.status.settings.window),
         )
-        self.workplace = Workplace(session, self.scene, folder, overwrite)
+        self.workplace = Workplace(session, self.scene, folder, overwrite, frames)
         self.side = SidePanels(self.workplace)
-        self.bar = PlaybackBar(self.workplace)
+        self.bar, self.frame_bar = PlaybackBar(self.workplace), FrameBar(self.workplace)
         self.events = CanvasEvents(self.workplace, self.canvas, self.refresh)
         self.quiet = Quiet(self.workplace)
         self.drawing_seconds = 0.0
@@ -116,6 +121,7 @@ class Window(QMainWindow):
         upper.addWidget(self.canvas, 1)
         upper.addWidget(self.side)
         rows.addLayout(upper, 1)
+        rows.addWidget(self.frame_bar)
         rows.addWidget(self.bar)
         last = QHBoxLayout()
         last.setContentsMargins(10, 0, 10, 5)
@@ -219,6 +225,7 @@ class Window(QMainWindow):
             return
         self.side.show_state(state)
         self.bar.show_state(state)
+        self.frame_bar.show_state(state)
         self.setWindowTitle(f"accelsurf - {self.session.name} - step {state['step']} - {state['state_word']}")
         text = f"Error: {state['message']}" if state["failed"] else state["message"]
         self.message.setText(text)

@@ -201,7 +201,7 @@ class MainWindow(QMainWindow):
         session = opened.session(self._checkpoint_mb) if session is None else session
         former, theme = self.inner, self._theme if self.inner is None else self.inner.scene.theme_name
         folder = self._folders.of_next(opened.name)
-        self.inner = Window(session, opened.reference, folder, theme, self._overwrite)
+        self.inner = Window(session, opened.reference, folder, theme, self._overwrite, opened.frames)
         self.inner.setWindowFlags(Qt.WindowType.Widget)
         self.inner.windowTitleChanged.connect(self.setWindowTitle)
         if former is not None:

@@ -191,7 +191,7 @@ class Page:
             self._former.add(former)
             former.scene.close()
         session = opened.session(self._checkpoint_mb) if session is None else session
-        self.workplace = Workplace(session, scene, self._folders.of_next(opened.name), self._overwrite)
+        self.workplace = Workplace(session, scene, self._folders.of_next(opened.name), self._overwrite, opened.frames)
         self.quiet = Quiet(self.workplace)
         if self._room:
             self.workplace.request("size", *self._room)
@@ -298,8 +298,8 @@ class Page:
 
 #: The panels of the page, in their order, that of the window.
 PANELS = (
-    "head", "open", "tools", "objects", "history", "settings", "histogram", "slices", "picture", "measure", "files",
-    "help",
+    "head", "frames", "open", "tools", "objects", "history", "settings", "histogram", "slices", "picture", "measure",
+    "files", "help",
 )  # fmt: skip
 
 

@@ -17,8 +17,8 @@ MIN_ML = 100.0
 
 
 def caption(frame: Frame, geometry: Geometry, unit: str = "mm") -> list[str]:
-    """Return step, level, and the volume (of an image of one slice the area) of the objects, in the file's unit."""
-    step = f"step {frame.step}" + (f", level {frame.level} (coarse grid)" if frame.level else "")
+    """Return step and level, or frame and time, and the volume (of one slice the area), in the file's unit."""
+    step = frame.said or f"step {frame.step}" + (f", level {frame.level} (coarse grid)" if frame.level else "")
     axis = geometry.slice_axis
     if axis is None:
         return [step, f"volume {volume_line(frame.volume_mm3, unit)}"]

@@ -36,16 +36,20 @@ class ObjectStyles:
     Attributes
     ----------
     given : mapping of int to ObjectStyle
+    tracked : mapping of int to ObjectStyle
+        Of the tracked objects of a sequence: the same colour in every frame.
     """
 
     def __init__(self) -> None:
         self.given: Mapping[int, ObjectStyle] = {}
+        self.tracked: Mapping[int, ObjectStyle] = {}
 
     def of(self, frame: Frame | None) -> list[ObjectStyle]:
         """The style of each surface of a frame."""
         surfaces = () if frame is None else frame.surfaces
+        given = self.tracked if frame is not None and frame.said else self.given
         return [
-            self.given.get(one.id) or ObjectStyle(f"object {one.id}", object_color(position))
+            given.get(one.id) or ObjectStyle(f"object {one.id}", object_color(position))
             for position, one in enumerate(surfaces)
         ]
 

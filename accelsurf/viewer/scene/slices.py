@@ -20,6 +20,7 @@ from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFEREN
 from accelsurf.viewer.scene.object_styles import ObjectStyles
 from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar
 from accelsurf.viewer.scene.shapes import ColorTexture, GreyTexture, contour, slice_of
+from accelsurf.viewer.scene.track_marks import dashed
 
 #: Part of a tile's width and height that the image may take; the rest is for text.
 FILL = 0.82
@@ -170,6 +171,11 @@ class SliceTile:
         turned = self._up.reorient(np.expand_dims(plane, self.axis))
         return self._upwards(turned.take(0, axis=self.plane))
 
+    def use_image(self, image: NDArray[Any]) -> None:
+        """Show another image (nz, ny, nx) on the same grid."""
+        self._image = self._up.reorient(image)
+        self._show_grey()
+
     def use_window(self, window: GreyWindow) -> None:
         """Draw other values black and white."""
         self._window = window
@@ -201,7 +207,15 @@ class SliceTile:
         for position in range(len(frame.surfaces), self._drawn_objects):
             self._lines[f"object {position}"][0].SetVisibility(False)
         self._drawn_objects = len(frame.surfaces)
+        self._draw_predicted(frame)
         self._draw_clicks(frame)
+
+    def _draw_predicted(self, frame: Frame) -> None:
+        """Draw where tracked objects were expected in this slice, dashed."""
+        parts = [(one, slice_of(one, self.axis, self.index)) for one in frame.predicted]
+        lines = [one.to_image(self._in_slice(contour(part))) for one, part in parts if part is not None]
+        dashes = np.concatenate([np.zeros((0, 2, 2)), *(dashed(self.to_tile(line)) for line in lines)])
+        self._draw_lines("predicted", dashes, REFERENCE, 1.6)
 
     def draw_reference(self, function: NDArray[np.float32]) -> None:
         """Draw where a function of the whole image, negative inside, is 0 in this slice."""

@@ -19,6 +19,7 @@ from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar, orientation_
 from accelsurf.viewer.scene.picking import place_in_renderer
 from accelsurf.viewer.scene.ray import first_met
 from accelsurf.viewer.scene.shapes import GreyTexture, box_edges, isosurface
+from accelsurf.viewer.scene.track_marks import TRANSLUCENT, path_lines
 from accelsurf.viewer.scene.volume_picture import VolumePicture
 
 #: Width of the edges of the volume, pixels of a usual screen.
@@ -82,6 +83,8 @@ class SpaceTile:
         self._box.prop.lighting = False
         self._ball: pv.Actor | None = None
         self._places: pv.Actor | None = None
+        #: What draws the predictions and the ways of tracked objects.
+        self._tracks: tuple[pv.Actor, pv.Actor] | None = None
         self._volume = VolumePicture(plotter, self.renderer, geometry, image)
         self._planes: list[tuple[pv.Actor, GreyTexture]] = []
         self._planes_on = False
@@ -112,6 +115,22 @@ class SpaceTile:
             actor.mapper.SetScalarVisibility(color in mesh.point_data)
         self.restyle()
         self._show_scale(color)
+        self._show_tracks(frame)
+
+    def _show_tracks(self, frame: Frame) -> None:
+        """Draw where tracked objects were expected, translucent, and the ways that they have come."""
+        if self._tracks is None:
+            if not frame.predicted and not frame.paths:
+                return
+            self._tracks = self._add(pv.PolyData(), REFERENCE, TRANSLUCENT), self._add(pv.PolyData(), CURSOR)
+            self._tracks[1].prop.lighting, self._tracks[1].prop.line_width = False, 2.0
+        meshes = [isosurface(surface, self._geometry) for surface in frame.predicted]
+        meshes = [mesh for mesh in meshes if mesh.n_points]
+        for actor, mesh in zip(
+            self._tracks, (pv.merge(meshes) if meshes else pv.PolyData(), path_lines(frame.paths)), strict=True
+        ):
+            actor.mapper.SetInputData(mesh)
+            actor.SetVisibility(mesh.n_points > 0)
 
     def restyle(self) -> None:
         """Draw each surface in its style."""
@@ -194,6 +213,12 @@ class SpaceTile:
     def show_volume(self, on: bool) -> None:
         """Draw the image translucent, bright parts denser, cut away in front of the surfaces; or not."""
         self._volume.show(on, self._window)
+
+    def use_image(self, image: NDArray[Any], cursor: NDArray[np.float64]) -> None:
+        """Show another image (nz, ny, nx) on the same grid."""
+        self._image = image
+        self.move_planes(cursor)
+        self._volume.use_image(image, self._window)
 
     def use_window(self, window: GreyWindow, cursor: NDArray[np.float64]) -> None:
         """Draw other values black and white."""

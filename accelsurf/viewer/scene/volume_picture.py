@@ -47,6 +47,11 @@ class VolumePicture:
         if self._volume is not None:
             self._volume.SetVisibility(on)
 
+    def use_image(self, image: NDArray[Any], window: GreyWindow) -> None:
+        """Draw another image (nz, ny, nx) on the same grid."""
+        self._image = image
+        self.use_window(window)
+
     def use_window(self, window: GreyWindow) -> None:
         """Draw other values black and white."""
         if self._volume is not None:

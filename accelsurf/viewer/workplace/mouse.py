@@ -15,6 +15,7 @@ from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.picking import Picked, place_in_renderer
 from accelsurf.viewer.workplace.checks import number, whole, word
 from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.workplace.frames import FramesFeature
 from accelsurf.viewer.workplace.slices import SlicesFeature
 from accelsurf.viewer.workplace.tool import Tool, finest
 from accelsurf.viewer.workplace.tools import TOOLS
@@ -115,6 +116,7 @@ class MouseFeature(Feature):
         if at.tile == "space":
             tiles.coarsen(True)
         if self._button == LEFT and at.world is not None and self._uses_tool(at.tile):
+            self.workplace.feature(FramesFeature).refuse_tool(self.tool.name)
             self.tool.press(at)
         self.workplace.changed = True
 

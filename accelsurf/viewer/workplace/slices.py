@@ -215,6 +215,10 @@ class SlicesFeature(Feature):
         """The mouse is at this place."""
         self._picked = at
 
+    def point_text(self) -> str:
+        """The place under the mouse, ``point:X,Y,Z``."""
+        return str(self._read_out()["as_point"])
+
     def _read_out(self) -> dict[str, Any]:
         """Place, voxel, value and label under the mouse, or at the cursor where the mouse is beside the image."""
         scene, picked = self.workplace.scene, self._picked

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from accelsurf.errors import AccelsurfError
+from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import Status, View, error_line
 from accelsurf.viewer.scene.scene import Scene
@@ -21,6 +22,7 @@ from accelsurf.viewer.workplace.checks import carry_out
 from accelsurf.viewer.workplace.feature import Feature, Key
 from accelsurf.viewer.workplace.files import FilesFeature
 from accelsurf.viewer.workplace.force import ForceFeature
+from accelsurf.viewer.workplace.frames import FramesFeature
 from accelsurf.viewer.workplace.histogram import HistogramFeature
 from accelsurf.viewer.workplace.history import HistoryFeature
 from accelsurf.viewer.workplace.measure import MeasureFeature
@@ -35,6 +37,7 @@ from accelsurf.viewer.workplace.tool import Tool, first_radius
 
 #: The features, in the order in which window and page show them.
 FEATURES: tuple[type[Feature], ...] = (
+    FramesFeature,
     RunFeature,
     MouseFeature,
     ObjectsFeature,
@@ -69,6 +72,8 @@ class Workplace:
         Where files are saved; nothing is read or written elsewhere.
     overwrite : bool, optional
         Replace files there that this session has not written.
+    frames : SequenceView, optional
+        The sequence that the image is a frame of.
 
     Attributes
     ----------
@@ -87,8 +92,12 @@ class Workplace:
         What each key does, by Qt's name of it.
     """
 
-    def __init__(self, session: Session, scene: Scene, folder: Path | None = None, overwrite: bool = False) -> None:
+    def __init__(
+        self, session: Session, scene: Scene, folder: Path | None = None, overwrite: bool = False,
+        frames: SequenceView | None = None,
+    ) -> None:
         self.session, self.scene, self.folder, self.overwrite = session, scene, folder, overwrite
+        self.frames = frames
         self.changed, self.message = True, ""
         self.object_id: int | None = None
         self.radius = first_radius(scene.geometry)
@@ -119,6 +128,7 @@ class Workplace:
         if isinstance(name, str) and name not in QUIET:
             self.message = ""
         try:
+            self.feature(FramesFeature).refuse_elsewhere(name)
             carry_out(self._requests, name, values)
         except Exception as error:
             self._say(error)
@@ -148,6 +158,10 @@ class Workplace:
 
     def collect_results(self) -> None:
         """Read the results and errors of the commands that have been carried out."""
+        try:
+            self.feature(FramesFeature).tick()
+        except Exception as failure:
+            self._say(failure)
         waiting, self._waiting = self._waiting, []
         for future, then in waiting:
             if not future.done():
@@ -167,8 +181,11 @@ class Workplace:
     # -- to show ------------------------------------------------------------------------------------------
 
     def update(self, view: View) -> None:
-        """Draw a view of the session."""
-        self.scene.update(view.frame, view.histories, coarse=True)  # in full when it is quiet
+        """Draw a view of the session, unless another frame of a sequence is shown."""
+        frames = self.feature(FramesFeature)
+        frames.note_view(view)
+        if frames.shows_run:
+            self.scene.update(view.frame, view.histories, coarse=True)  # in full when it is quiet
         if not self.feature(MouseFeature).is_dragging:
             self.scene.mark_ball(None)  # the surface is drawn that it has led to
         for feature in self.features:

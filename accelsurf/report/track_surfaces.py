@@ -1,0 +1,170 @@
+"""The surfaces of a tracking as a folder, predictions beside corrections, and what a finished tracking left to look at.
+
+The folder has ``surfaces.json``, which says on what grid and of how many frames, and a file for each frame that was
+reached, as `accelsurf.report.track_frames.FrameStore` has them, without durations: the same run leaves the same bytes.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf import io
+from accelsurf.errors import InputError
+from accelsurf.grid.boxes import bounding_box, corner_of, widened
+from accelsurf.grid.sequence import ImageSequence
+from accelsurf.io.files import write_bytes
+from accelsurf.report.track_frames import DrawnObject, FrameStore, TrackSet
+from accelsurf.settings.file_formats import IMAGE_FORMATS
+from accelsurf.tracking.records import SurfacePiece
+
+#: What is in the folder, and its version.
+MARK, VERSION = "surfaces.json", 1
+#: Standard deviation, voxels, that smooths the stair steps of a label map, and voxels around it.
+_SOFT, _AROUND = 0.8, 4
+#: How far each voxel is from 0 at least, where 1 is a step from outside to inside.
+_LEAST = 0.05
+_TRACK = "give the folder that accelsurf track has written of this sequence"
+
+
+def write(tracks: TrackSet, folder: Path) -> None:
+    """Write the folder.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    folder.mkdir()
+    for row in tracks.rows:
+        tracks.store.copy_frame(row.frame, folder)
+    about = {"version": VERSION, "frames": len(tracks.sequence), "shape": list(tracks.geometry.shape)}
+    write_bytes(folder / MARK, (json.dumps(about) + "\n").encode())
+
+
+class SavedTracks:
+    """What a tracking has left in its folder, a frame at a time: surfaces, predictions, paths of the centroids.
+
+    Parameters
+    ----------
+    folder : Path
+        The output folder of ``accelsurf track``.
+    name : str
+        First part of the files' names: the name of the sequence.
+    sequence : ImageSequence
+        What was tracked.
+
+    Attributes
+    ----------
+    ids : tuple of int
+        Of all objects, rising.
+    has_predictions : bool
+        Whether ``NAME_surfaces`` is there; otherwise surfaces are those of the label maps.
+
+    Raises
+    ------
+    InputError
+        When there are no files of a tracking of this sequence.
+    """
+
+    def __init__(self, folder: Path, name: str, sequence: ImageSequence) -> None:
+        self._sequence = sequence
+        self._centroids = _read_centroids(folder / f"{name}_tracks.csv")
+        self.ids = tuple(sorted({own for frame in self._centroids.values() for own in frame}))
+        self._store: FrameStore | None = None
+        self._labels: ImageSequence | None = None
+        surfaces = folder / f"{name}_surfaces"
+        if surfaces.is_dir():
+            self._store = FrameStore(surfaces, read_only=True)
+            _check_about(surfaces, sequence)
+        else:
+            self._labels = _label_maps(folder, name)
+            _check_grid(folder, sequence, self._labels)
+        self.has_predictions = self._store is not None
+
+    def drawn(self, number: int) -> list[DrawnObject]:
+        """The objects of a frame; none in one that the tracking has not reached.
+
+        Raises
+        ------
+        InputError
+            When its file is damaged.
+        """
+        if self._store is not None:
+            try:
+                return self._store.drawn(number) if number in self._store.numbers() else []
+            except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+                raise InputError(f"{self._store.folder}: frame {number} is damaged ({error})", _TRACK) from None
+        assert self._labels is not None  # one of both is there
+        labels = self._labels.frame(number).array
+        return [_piece_of(labels, int(own)) for own in np.unique(labels) if own]
+
+    def paths(self, number: int) -> dict[int, NDArray[np.float64]]:
+        """Of each object of a frame the centroids (n, 3), world mm, in the frames up to it, rising."""
+        found: dict[int, list[tuple[float, float, float]]] = {own: [] for own in self._centroids.get(number, {})}
+        for frame in sorted(self._centroids):
+            if frame <= number:
+                for own in found.keys() & self._centroids[frame].keys():
+                    found[own].append(self._centroids[frame][own])
+        return {own: np.array(places) for own, places in sorted(found.items())}
+
+
+def _read_centroids(path: Path) -> dict[int, dict[int, tuple[float, float, float]]]:
+    """Of each frame the centroids by id, from the table of tracks."""
+    found: dict[int, dict[int, tuple[float, float, float]]] = {}
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            for line in csv.DictReader(file):
+                place = float(line["x_mm"]), float(line["y_mm"]), float(line["z_mm"])
+                found.setdefault(int(line["frame"]), {})[int(line["id"])] = place
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file", _TRACK) from None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: is no table of tracks ({error})", _TRACK) from None
+    return found
+
+
+def _label_maps(folder: Path, name: str) -> ImageSequence:
+    """The label maps of all frames, one file or one for each."""
+    for kind in IMAGE_FORMATS:
+        if (folder / f"{name}_labels.{kind}").exists():
+            return io.read_sequence(folder / f"{name}_labels.{kind}")
+        if any(folder.glob(f"{name}_labels_t*.{kind}")):
+            return io.read_sequence(folder / f"{name}_labels_t*.{kind}")
+    raise InputError(f"{folder}: there are no label maps of {name}", _TRACK)
+
+
+def _check_about(folder: Path, sequence: ImageSequence) -> None:
+    try:
+        about = json.loads((folder / MARK).read_text(encoding="utf-8"))
+        version, frames, shape = about["version"], int(about["frames"]), tuple(about["shape"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder}: {MARK} cannot be read ({error})", _TRACK) from None
+    if version != VERSION or (frames, shape) != (len(sequence), sequence.geometry.shape):
+        raise InputError(f"{folder}: is of another sequence, or of another version", _TRACK)
+
+
+def _check_grid(folder: Path, sequence: ImageSequence, labels: ImageSequence) -> None:
+    difference = sequence.geometry.difference(labels.geometry)
+    if difference or len(labels) != len(sequence):
+        why = difference or f"{len(labels)} frames of {len(sequence)}"
+        raise InputError(f"{folder}: the label maps are of another sequence: {why}", _TRACK)
+
+
+def _piece_of(labels: NDArray[np.unsignedinteger], own: int) -> DrawnObject:
+    """An object of a label map, its stair steps smoothed; psi is negative inside, in no unit."""
+    inner = bounding_box(labels == own)
+    assert inner is not None  # it has a voxel
+    box = widened(inner, labels.shape, (_AROUND, _AROUND, _AROUND))
+    mask = (labels[box] == own).astype(np.float32)
+    soft = ndimage.gaussian_filter(mask, [_SOFT if n > 1 else 0.0 for n in labels.shape], mode="nearest")
+    psi = np.float32(0.5) - soft
+    # No voxel changes sides: a small object would vanish.
+    psi = np.where(mask > 0, np.minimum(psi, -_LEAST), np.maximum(psi, _LEAST)).astype(np.float32)
+    return DrawnObject(own, True, SurfacePiece(corner_of(box), psi), None)

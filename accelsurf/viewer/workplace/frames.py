@@ -1,0 +1,178 @@
+"""Through the frames of a sequence: slider, keys, play; tracked objects with their prediction beside the correction."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from accelsurf.errors import UsageError
+from accelsurf.viewer.core.sequence_view import SequenceView
+from accelsurf.viewer.core.status import Status, View
+from accelsurf.viewer.scene.colors import object_color
+from accelsurf.viewer.scene.object_styles import ObjectStyle
+from accelsurf.viewer.scene.track_marks import show_image
+from accelsurf.viewer.workplace.checks import whole
+from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.workplace.force import ForceFeature
+from accelsurf.viewer.workplace.slices import SlicesFeature
+
+#: Frames a second while they play; fewer where one takes longer to read and draw.
+RATE = 8.0
+#: Requests for the frame that runs are made in: elsewhere they would change what is not seen.
+OF_A_RUN = (
+    "play", "toggle", "step", "back", "go_to", "restart", "undo", "redo", "change", "next_doubt", "doubt", "save",
+    "object_add", "object_remove", "object_merge", "object_split", "object_name", "object_color", "object_visible",
+    "object_opacity", "set", "set_term", "type_energy", "mask", "bound", "force", "next_force", "box_around",
+    "box_none",
+)
+
+
+class FramesFeature(Feature):
+    """Shows one frame of a sequence at a time; an image without time has none.
+
+    Attributes
+    ----------
+    number : int
+        The frame that is shown.
+    is_playing : bool
+        Whether the frames follow each other by themselves.
+    """
+
+    def __init__(self, workplace: Any) -> None:
+        super().__init__(workplace)
+        self._frames: SequenceView | None = workplace.frames
+        self.number, self.is_playing = 0, False
+        self._due = 0.0
+        #: The last view of the run, for when its frame is shown again.
+        self._view: View | None = None
+        if self._frames is not None:
+            self.number = self._frames.home
+            tracks = self._frames.tracks
+            ids = () if tracks is None else tracks.ids
+            workplace.scene.styles.tracked = {
+                own: ObjectStyle(f"object {own}", object_color(place)) for place, own in enumerate(ids)
+            }
+            if tracks is not None:
+                self._draw()
+
+    def requests(self) -> Mapping[str, Callable[..., None]]:
+        return {
+            "frame": self._go_to, "step_frame": self._step, "play_frames": self._play,
+            "copy_correction": self._copy_correction,
+        }
+
+    def keys(self) -> Mapping[str, Key]:
+        if self._frames is None:
+            return {}
+        return {
+            ",": Key("step_frame", (-1,), "frame before this one"),
+            ".": Key("step_frame", (1,), "next frame"),
+            "X": Key("play_frames", (), "play the frames, or stop"),
+            "/": Key("copy_correction", (), "copy the place under the mouse as a correction of this frame"),
+        }
+
+    def state(self, status: Status) -> dict[str, Any]:
+        frames = self._frames
+        return {
+            "frames": 0 if frames is None else len(frames), "frame": self.number, "frames_play": self.is_playing,
+            "frame_words": "" if frames is None else frames.said(self.number),
+            "frame_lines": self._lines(),
+        }
+
+    def _lines(self) -> str:
+        """What the lines of the tracked objects are."""
+        if self._frames is None or self._frames.tracks is None:
+            return ""
+        if self._frames.tracks.has_predictions:
+            return "dashed and translucent blue: predicted; in its colour: corrected"
+        return "from label maps; track with --also surfaces to see predictions"
+
+    # -- the run beside the frames ------------------------------------------------------------------------
+
+    @property
+    def shows_run(self) -> bool:
+        """Whether what is seen is the run: in its own frame, where no tracked objects are shown."""
+        return self._frames is None or (self._frames.tracks is None and self.number == self._frames.home)
+
+    def note_view(self, view: View) -> None:
+        """The run has a new view; it is drawn when its frame is shown."""
+        self._view = view
+
+    def refuse_elsewhere(self, name: Any) -> None:
+        """Refuse what steers the run where it is not seen.
+
+        Raises
+        ------
+        UsageError
+        """
+        if self.shows_run or self._frames is None or name not in OF_A_RUN:
+            return
+        if self._frames.tracks is not None:
+            raise UsageError(f"{name}: tracked objects are shown, a run is made without them; / copies a correction")
+        raise UsageError(f"{name}: the run is in frame {self._frames.home}, frame {self.number} is shown")
+
+    def refuse_tool(self, name: str) -> None:
+        """Refuse a tool that changes the run where it is not seen.
+
+        Raises
+        ------
+        UsageError
+        """
+        if not self.shows_run and name not in ("look", "distance", "angle"):
+            self.refuse_elsewhere(OF_A_RUN[0])
+
+    # -- to go ----------------------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Go on while the frames play."""
+        if self.is_playing and time.monotonic() >= self._due:
+            try:
+                self._show((self.number + 1) % len(self._checked()))
+            except Exception:
+                self.is_playing = False
+                raise
+            self._due = time.monotonic() + 1.0 / RATE
+
+    def _checked(self) -> SequenceView:
+        if self._frames is None:
+            raise UsageError("frame: the image has no time")
+        return self._frames
+
+    def _go_to(self, number: Any) -> None:
+        self._show(whole(number, 0, len(self._checked()) - 1))
+
+    def _step(self, count: Any) -> None:
+        number = self.number + whole(count, -10**6, 10**6)
+        self._show(min(max(number, 0), len(self._checked()) - 1))
+
+    def _play(self) -> None:
+        self._checked()
+        self.is_playing = not self.is_playing
+
+    def _show(self, number: int) -> None:
+        """Show a frame; what was shown stays where it cannot be read."""
+        if number != self.number and self.workplace.feature(ForceFeature).is_on:
+            self.workplace.request("force", False)  # it is that of the frame that is left
+        before, self.number = self.number, number
+        try:
+            self._draw()
+        except Exception:
+            self.number = before
+            raise
+
+    def _draw(self) -> None:
+        frames, scene = self._checked(), self.workplace.scene
+        volume, frame = frames.volume(self.number), frames.frame(self.number)
+        show_image(scene, volume)
+        if self.shows_run and self._view is not None:
+            scene.update(self._view.frame, self._view.histories)
+        else:
+            scene.update(frame)
+        self.workplace.changed = True
+
+    def _copy_correction(self) -> None:
+        """Copy the words with which ``accelsurf track`` corrects this frame at the place under the mouse."""
+        self._checked()
+        place = self.workplace.feature(SlicesFeature).point_text()
+        self.workplace.copy(f'--correct "frame={self.number} inside={place}"')

@@ -1,0 +1,217 @@
+"""A sequence in the viewer: frames, tracked objects in them, and what stays with the run."""
+
+import time
+
+import numpy as np
+import pytest
+
+from accelsurf.errors import InputError
+from accelsurf.report.track_files import TrackFiles
+from accelsurf.report.track_outputs import TrackOutputs
+from accelsurf.report.track_surfaces import SavedTracks
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.sequence_view import MAX_FRAMES, SequenceView
+from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.scene.scene import Scene
+from accelsurf.viewer.scene.track_marks import dashed
+from accelsurf.viewer.workplace.frames import FramesFeature
+from accelsurf.viewer.workplace.workplace import Workplace
+from tests.support import viewing
+from tests.support.trackings import dividing_cells, flat_cells
+
+
+def saved(folder, made, also=("surfaces",)):
+    with TrackOutputs(folder, "cells", made.sequence, TrackFiles(also=also)) as outputs:
+        for result in made.results:
+            outputs.add(result)
+        outputs.finish(made.lineage)
+    return SavedTracks(folder, "cells", made.sequence)
+
+
+@pytest.fixture(scope="module")
+def made():
+    return dividing_cells()
+
+
+@pytest.fixture(scope="module")
+def tracks(made, tmp_path_factory):
+    return saved(tmp_path_factory.mktemp("tracks"), made)
+
+
+@pytest.fixture(params=[True, False], ids=["tracks", "alone"])
+def workplace(request, made, tracks):
+    viewing.needs_graphics()
+    view = SequenceView(made.sequence, 0, tracks if request.param else None)
+    scene = Scene(made.sequence.frame(0), size=(640, 360))
+    with Session(made.sequence.frame(0), RunConfig(threads=1, max_steps=2), name="cells") as session:
+        session.ready.result(60)
+        yield Workplace(session, scene, frames=view)
+    scene.close()
+
+
+# -- files ------------------------------------------------------------------------------------------------------------
+
+
+def test_surfaces_and_predictions_come_back_as_they_were_tracked(made, tracks):
+    assert tracks.has_predictions
+    predicted = 0
+    for result in made.results:
+        found = tracks.drawn(result.frame)
+        assert [one.id for one in found] == [one.id for one in result.objects]
+        for one, true in zip(found, result.objects, strict=True):
+            assert ((one.surface.psi < 0) == (true.surface.psi < 0)).all()
+            assert (one.predicted is None) == (true.predicted is None)
+            predicted += true.predicted is not None
+            path = tracks.paths(result.frame)[one.id]
+            assert path[-1] == pytest.approx(true.centroid, abs=1e-4)
+    assert predicted
+
+
+def test_surfaces_are_the_same_bytes_again(made, tmp_path):
+    for name in ("a", "b"):
+        saved(tmp_path / name, made)
+    for path in sorted((tmp_path / "a" / "cells_surfaces").iterdir()):
+        assert path.read_bytes() == (tmp_path / "b" / "cells_surfaces" / path.name).read_bytes()
+
+
+@pytest.mark.parametrize("per_frame", [True, False])
+def test_without_surfaces_the_label_maps_are_drawn(made, tmp_path, per_frame):
+    with TrackOutputs(tmp_path, "cells", made.sequence, TrackFiles(per_frame=per_frame)) as outputs:
+        for result in made.results:
+            outputs.add(result)
+        outputs.finish(made.lineage)
+    found = SavedTracks(tmp_path, "cells", made.sequence)
+    assert not found.has_predictions
+    result = made.results[-1]
+    for one in found.drawn(result.frame):
+        true = result.labels() == one.id
+        inside = np.zeros(true.shape, bool)
+        inside[one.surface.box] = one.surface.psi < 0
+        assert true.any() and (inside == true).all()
+
+
+def test_what_is_no_tracking_of_this_sequence_is_refused(made, tracks, tmp_path):
+    with pytest.raises(InputError, match=r"cells_tracks.csv: there is no such file"):
+        SavedTracks(tmp_path, "cells", made.sequence)
+    saved(tmp_path, made)
+    with pytest.raises(InputError, match="of another sequence"):
+        SavedTracks(tmp_path, "cells", flat_cells().sequence)
+
+
+# -- frames -----------------------------------------------------------------------------------------------------------
+
+
+def test_three_frames_stay_in_memory(made):
+    view = SequenceView(made.sequence)
+    for number in range(len(view)):
+        view.volume(number)
+    assert len(view._volumes) == min(MAX_FRAMES, len(view))
+    assert list(view._volumes)[-1] == len(view) - 1
+
+
+def test_every_second_dash_of_a_circle_stays():
+    turn = np.linspace(0, 2 * np.pi, 4801)
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    lines = np.stack([ring[:-1], ring[1:]], axis=1)
+    assert 0.45 < len(dashed(lines)) / len(lines) < 0.55
+    assert len(dashed(lines[:0])) == 0
+
+
+def test_keys_slider_and_play_move_over_the_frames(workplace, made):
+    count = len(made.sequence)
+    assert workplace.state()["frames"] == count and workplace.state()["frame"] == 0
+    workplace.request("key", ".")
+    assert workplace.state()["frame"] == 1
+    assert (workplace.scene.volume.array == made.sequence.frame(1).array).all()
+    shown = workplace.scene.slice_tiles["axial"]
+    assert (shown._image == shown._up.reorient(made.sequence.frame(1).array)).all()
+    workplace.request("frame", count - 1)
+    workplace.request("key", ".")
+    assert workplace.state()["frame"] == count - 1 and not workplace.message
+    workplace.request("key", ",")
+    assert workplace.state()["frame"] == count - 2
+    workplace.request("frame", count)
+    assert workplace.message and workplace.state()["frame"] == count - 2
+    workplace.request("key", "X")
+    workplace.collect_results()
+    assert workplace.state()["frame"] == count - 1 and workplace.state()["frames_play"]
+    workplace.request("key", "X")
+    assert not workplace.state()["frames_play"]
+
+
+def test_tracked_objects_keep_their_colour_and_predictions_are_drawn(workplace, made, tracks):
+    if workplace.frames.tracks is None:
+        pytest.skip("without tracks")
+    colors = {}
+    for number in range(len(made.sequence)):
+        workplace.request("frame", number)
+        frame = workplace.scene.frame
+        assert [one.id for one in frame.surfaces] == [one.id for one in tracks.drawn(number)]
+        assert len(frame.predicted) == sum(one.predicted is not None for one in tracks.drawn(number))
+        for one, style in zip(frame.surfaces, workplace.scene.styles.of(frame), strict=True):
+            assert colors.setdefault(one.id, style.color) == style.color
+        assert f"frame {number} of" in workplace.scene.space.title.text
+    assert len(set(colors.values())) == len(colors) > 1
+    workplace.request("frame", 1)
+    workplace.scene.cursor = tracks.paths(1)[workplace.scene.frame.surfaces[0].id][-1]
+    with_both = workplace.scene.screenshot()
+    for tile in workplace.scene.slice_tiles.values():
+        tile._lines["predicted"][0].SetVisibility(False)
+    workplace.scene.tiles.redraw.mark_all()
+    assert (workplace.scene.screenshot() != with_both).any()
+
+
+def test_the_run_is_steered_in_its_frame_alone(workplace):
+    workplace.request("key", ".")
+    for name in ("play", "step", "undo", "save"):
+        workplace.request(name)
+        assert name in workplace.message
+    assert workplace.session.status.step == 0
+    workplace.request("tool", "ball")
+    workplace.scene.tiles.lay_out("single", "axial")
+    workplace.scene.screenshot()
+    workplace.message = ""
+    workplace.request("press", 0.5, 0.5)
+    assert workplace.message
+    workplace.request("release")
+    assert workplace.session.status.undoable == 0
+
+
+def test_the_run_is_drawn_again_in_its_frame(workplace):
+    view = None
+    while view is None:
+        view = workplace.session.next_view()
+    workplace.request("frame", 1)
+    workplace.update(view)
+    assert workplace.scene.frame is not view.frame
+    workplace.request("frame", 0)
+    assert (workplace.scene.frame is view.frame) == (workplace.frames.tracks is None)
+
+
+def test_a_place_is_copied_as_a_correction(workplace):
+    workplace.request("frame", 2)
+    workplace.request("key", "/")
+    words = workplace.state()["copied"][1]
+    assert words.startswith('--correct "frame=2 inside=point:') and words.count(",") == 2
+
+
+def test_a_frame_that_was_read_is_shown_quickly(workplace):
+    for number in (1, 2):
+        workplace.request("frame", number)
+        workplace.scene.screenshot()
+    began = time.perf_counter()
+    workplace.request("frame", 1)
+    assert time.perf_counter() - began < 2.0  # a bound for any machine; the record has the figures
+
+
+def test_an_image_without_time_has_no_frames():
+    viewing.needs_graphics()
+    volume, _ = viewing.ball_image()
+    scene = Scene(volume, size=(320, 180))
+    with Session(volume, RunConfig(threads=1, max_steps=1)) as session:
+        session.ready.result(60)
+        made = Workplace(session, scene)
+        assert made.state()["frames"] == 0 and "," not in made.keys and made.feature(FramesFeature).shows_run
+        made.request("frame", 1)
+        assert made.message == "frame: the image has no time"
+    scene.close()
