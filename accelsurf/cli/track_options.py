@@ -27,7 +27,7 @@ def _track_settings() -> type:
 TrackSettings = _track_settings()
 #: Settings of the run that mean another thing here, or nothing: where both have one, it is that of tracking.
 _NOT_OF_FRAMES = (
-    *TrackFields.model_fields, "time_index", "channels_from_time", "edit", "refine", "series", "level",
+    *TrackFields.model_fields, "time_index", "channels_from_time", "edit", "refine", "level",
 )
 #: Settings of the run on each frame.
 FrameSettings = settings_class(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ _TAGS = [
     *("BitsAllocated", "PixelRepresentation", "SamplesPerPixel", "PhotometricInterpretation", "EchoTime"),
     *("AcquisitionNumber", "AcquisitionTime", "ContentTime", "TemporalPositionIdentifier", "TriggerTime"),
     *("DiffusionBValue", "DiffusionGradientOrientation", "SharedFunctionalGroupsSequence"),
-    "PerFrameFunctionalGroupsSequence",
+    *("PerFrameFunctionalGroupsSequence", "FrameTime", "FrameTimeVector", "CineRate", "RecommendedDisplayFrameRate"),
     "TransferSyntaxUID",
 ]
 #: The number of images in a mosaic and the block that says which way they follow (Siemens).
@@ -65,6 +66,8 @@ class Frame:
         Bits stored, bits allocated, whether signed, samples per pixel, photometric interpretation.
     phase : dict of str to str
         What may tell apart slices at one place.
+    times : dict of str to float
+        When it is, seconds, by what says so, and what else gives the order of slices at one place; see `_times`.
     """
 
     path: Path
@@ -84,6 +87,7 @@ class Frame:
     image_type: tuple[str, ...]
     pixel: tuple[int, int, bool, int, str]
     phase: dict[str, str]
+    times: dict[str, float] = field(default_factory=dict)
 
 
 def frames_of(path: Path) -> list[Frame]:
@@ -191,6 +195,7 @@ def _frame(path: Path, dataset: Any, number: int, count: int, image_type: tuple[
             text(dataset, "PhotometricInterpretation"),
         ),
         {name: value for name, value in _phase(path, dataset, number, count, kind).items() if value},
+        {name: value for name, value in _times(dataset, number).items() if value is not None and math.isfinite(value)},
     )
 
 
@@ -229,6 +234,46 @@ def _phase(path: Path, dataset: Any, number: int, count: int, kind: str) -> dict
         "acquisition time": text(content, "FrameAcquisitionDateTime") or text(dataset, "AcquisitionTime"),
         "file": path.name if count > 1 else "",
     }
+
+
+def _times(dataset: Any, number: int) -> dict[str, float | None]:
+    """Seconds: offset from the first, since the heart's trigger, in the file, of the day; and what gives the order."""
+    content = _group(dataset, number, "FrameContentSequence")
+    trigger = _number(_group(dataset, number, "CardiacSynchronizationSequence"), "NominalCardiacTriggerDelayTime")
+    trigger = _number(dataset, "TriggerTime") if trigger is None else trigger
+    offset = _group(dataset, number, "TemporalPositionSequence")
+    point = text(content, "TemporalPositionIndex") or text(dataset, "TemporalPositionIdentifier")
+    instance = _number(dataset, "InstanceNumber")
+    return {
+        "offset": None if offset is dataset else _number(offset, "TemporalPositionTimeOffset"),
+        "trigger": None if trigger is None else 1e-3 * trigger,
+        "point": float(point) if point.isdigit() else None,
+        "frame": _time_in_file(dataset, number),
+        "acquisition": _seconds(text(content, "FrameAcquisitionDateTime") or text(dataset, "AcquisitionTime")),
+        "content": _seconds(text(dataset, "ContentTime")),
+        "number": None if instance is None else instance * _MAX_FRAMES + number,
+    }
+
+
+def _time_in_file(dataset: Any, number: int) -> float | None:
+    """Time of a frame of a loop, seconds from the first."""
+    steps = dataset.get("FrameTimeVector")
+    if steps is not None and not isinstance(steps, (str, int, float)) and number < len(steps):
+        return 1e-3 * math.fsum(float(step) for step in list(steps)[1 : number + 1])
+    step = _number(dataset, "FrameTime")
+    if step is not None and step > 0:
+        return 1e-3 * step * number
+    rate = _number(dataset, "CineRate") or _number(dataset, "RecommendedDisplayFrameRate")
+    return number / rate if rate is not None and rate > 0 else None
+
+
+def _seconds(value: str) -> float | None:
+    """Seconds since midnight of a time HHMMSS.F, or of a date and time."""
+    found = re.fullmatch(r"(?:[0-9]{8})?([0-9]{2})([0-9]{2})([0-9]{2}(?:\.[0-9]{1,6})?)(?:[+-][0-9]{4})?", value)
+    if found is None:
+        return None
+    hours, minutes, seconds = (float(part) for part in found.groups())
+    return 3600.0 * hours + 60.0 * minutes + seconds
 
 
 def _unit(dataset: Any, scale: Any) -> str:

@@ -12,6 +12,7 @@ from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io.dicom import pixels
+from accelsurf.io.dicom.cine import TIME_PHASES
 from accelsurf.io.dicom.frames import frames_of
 from accelsurf.io.dicom.library import library
 from accelsurf.io.dicom.resampling import RegularGrid, regular_grid, resampled
@@ -73,12 +74,23 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader:
     library()
     files = files_of(path, available_memory())
     alone = path.is_file() and not files.unpacked
-    if alone and len(frames_of(path)) > 1:
+    if alone and has_several(path):
         files = SourceFiles(files.root, (path,))
     contents = contents_of(files)
-    volume = _volume_of(contents, options, path if alone else None)
+    volume = volume_of(contents, options, path if alone else None)
     slices = ordered(volume, files.root, options.spacing)
-    notes = [*([] if alone else _skipped(contents)), *([slices.note] if slices.note else [])]
+    return on_grid(files, slices, options, [] if alone else skipped(contents))
+
+
+def on_grid(files: SourceFiles, slices: Slices, options: ReadOptions, notes: list[str]) -> DicomHeader:
+    """The header of slices in their order; ``notes`` come before its own.
+
+    Raises
+    ------
+    GeometryError
+        When the slices lie on no grid and are not to be put on one.
+    """
+    notes = [*notes, *([slices.note] if slices.note else [])]
     grid = None
     if slices.faults and options.resample:
         grid = regular_grid(slices)
@@ -88,7 +100,12 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader:
     return header
 
 
-def _volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> DicomVolume:
+def has_several(path: Path) -> bool:
+    """Whether a file has several slices."""
+    return len(frames_of(path)) > 1
+
+
+def volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> DicomVolume:
     """The volume that is meant."""
     volumes = contents.volumes
     if not volumes:
@@ -109,9 +126,15 @@ def _volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> D
     if len(volumes) > 1:
         raise InputError(
             f"{len(volumes)} volumes are in it: {_short_list(contents, volumes)}",
-            "say which by --series NUMBER; accelsurf info FOLDER lists them",
+            "say which by --series NUMBER; accelsurf info FOLDER lists them"
+            + ("; accelsurf track takes all as frames" if _differ_in_time(volumes) else ""),
         )
     return volumes[0]
+
+
+def _differ_in_time(volumes: tuple[DicomVolume, ...]) -> bool:
+    """Whether they are one series at several times."""
+    return len({one.uid for one in volumes}) == 1 and all(set(one.phase) <= TIME_PHASES for one in volumes)
 
 
 def _by_name(volumes: tuple[DicomVolume, ...], asked: str) -> DicomVolume:
@@ -143,7 +166,7 @@ def _title(volume: DicomVolume) -> str:
     return f"{words} ({phase})" if phase else words
 
 
-def _skipped(contents: Contents) -> list[str]:
+def skipped(contents: Contents) -> list[str]:
     notes = []
     if contents.skipped:
         notes.append(f"left out: {counted(contents.skipped)}")
@@ -194,8 +217,8 @@ def listing(path: Path) -> list[dict[str, Any]]:
     contents = contents_of(files)
     entries = [_entry(number, one, files) for number, one in enumerate(contents.volumes, 1)]
     if not entries:
-        _volume_of(contents, AS_IT_IS, None)  # says what there is
-    entries[0]["left_out"] = _skipped(contents)
+        volume_of(contents, AS_IT_IS, None)  # says what there is
+    entries[0]["left_out"] = skipped(contents)
     return entries
 
 

@@ -1,0 +1,71 @@
+"""A DICOM series at several times, or a loop in one file, as a sequence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from accelsurf.errors import InputError
+from accelsurf.grid.volume import Volume
+from accelsurf.io.dicom.cine import TIME_PHASES, frames_in_time, is_cine
+from accelsurf.io.dicom.frames import Frame
+from accelsurf.io.dicom.library import library
+from accelsurf.io.dicom.slices import ordered
+from accelsurf.io.dicom.sources import SourceFiles, files_of
+from accelsurf.io.dicom.volumes import Contents, DicomVolume, contents_of
+from accelsurf.io.formats import dicom
+from accelsurf.io.memory import available_memory
+from accelsurf.io.sequence_sources import FileSequence
+from accelsurf.settings.reading import ReadOptions
+
+
+class DicomFrames(FileSequence):
+    """The times of a series: slices at the same places, as of a beating heart; or pictures of a loop."""
+
+    def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
+        super().__init__(path, options, memory_bytes)
+        library()
+        # Unpacked files live as long as it does.
+        self._files = files_of(path, available_memory())
+        alone = path.is_file() and not self._files.unpacked
+        if alone and dicom.has_several(path):
+            self._files = SourceFiles(self._files.root, (path,))
+        contents = contents_of(self._files)
+        frames = _frames_of(contents, options, path if alone else None)
+        self._parts, times = frames_in_time(frames, self._files.root)
+        first = self._header(0)
+        self.place(first.geometry, times, [*([] if alone else dicom.skipped(contents)), *first.notes])
+
+    def _header(self, number: int) -> dicom.DicomHeader:
+        """Slices of a frame in their order, on a grid."""
+        slices = ordered(DicomVolume(self._parts[number]), self._files.root, self._options.spacing)
+        return dicom.on_grid(self._files, slices, self._options, [])
+
+    def read(self, number: int) -> list[Volume]:
+        """Read the slices of a frame."""
+        return [dicom.read(self.path, self._header(number), self.memory)]
+
+
+def _frames_of(contents: Contents, options: ReadOptions, file: Path | None) -> list[Frame]:
+    """The slices of the series that is meant."""
+    series: dict[str, list[Frame]] = {}
+    for volume in contents.volumes:
+        series.setdefault(volume.uid, []).extend(volume.frames)
+    cines = [uid for uid, frames in series.items() if is_cine(frames)]
+    if file is not None:
+        cines = [uid for uid in cines if any(frame.path == file for frame in series[uid])]
+    if options.series is None and len(cines) == 1:
+        return series[cines[0]]
+    if options.series is not None and options.series in series:
+        return series[options.series]
+    if options.series is None and len(cines) > 1:
+        raise InputError(
+            f"{len(cines)} series at several times are in it", "say which by --series; accelsurf info FOLDER lists them"
+        )
+    asked = dicom.volume_of(contents, options, file)
+    alike = [one for one in contents.volumes if one.uid == asked.uid and _contrast(one) == _contrast(asked)]
+    return [frame for one in alike for frame in one.frames]
+
+
+def _contrast(volume: DicomVolume) -> dict[str, str]:
+    """What tells a volume apart other than time."""
+    return {name: value for name, value in volume.phase.items() if name not in TIME_PHASES}
