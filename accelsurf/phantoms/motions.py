@@ -287,23 +287,41 @@ class MovingPhantom(ImageSequence):
         """Volume fraction of each voxel inside a body."""
         places = (np.arange(SAMPLES) - 0.5 * (SAMPLES - 1)) / SAMPLES
         depths = [0.0] if self.recipe.is_flat else places.tolist()
-        total, count = np.zeros(self.geometry.shape), 0
-        for x, y, z in itertools.product(places.tolist(), places.tolist(), depths):
-            total += self._is_inside(body, np.array([x, y, z]) * self.recipe.spacing)
-            count += 1
-        return total / count
+        grid = itertools.product(places.tolist(), places.tolist(), depths)
+        offsets = [np.array(place) * self.recipe.spacing for place in grid]
+        inverse = np.linalg.inv(body.matrix)
+        reach = max(float(np.linalg.norm(inverse @ offset)) for offset in offsets) + 1e-9
+        size = np.sqrt(self._size(body, np.ix_(*reversed(self._axes(body, np.zeros(3))))[::-1]))
+        share = (size < 1.0).astype(np.float64)
+        # The points of other voxels are all inside or all outside, as their centre is.
+        near = np.nonzero(np.abs(size - 1.0) <= reach)
+        total = np.zeros(near[0].size)
+        for offset in offsets:
+            x, y, z = self._axes(body, offset)
+            total += self._size(body, (x[near[2]], y[near[1]], z[near[0]])) < 1.0
+        share[near] = total / len(offsets)
+        return share
 
     def _is_inside(self, body: Body, offset: Floats) -> NDArray[np.bool_]:
         """Whether the point ``offset`` (x, y, z) mm from a voxel's centre lies in a body."""
-        recipe, inverse = self.recipe, np.linalg.inv(body.matrix)
+        return np.asarray(self._size(body, np.ix_(*reversed(self._axes(body, offset)))[::-1]) < 1.0)
+
+    def _axes(self, body: Body, offset: Floats) -> tuple[Floats, ...]:
+        """Coordinates x, y, z of points ``offset`` from the voxels' centres, from the body's centre on."""
+        recipe = self.recipe
         axes = [
             (np.arange(n) - (n - 1) / 2) * h + o - c
             for n, h, o, c in zip(recipe.shape, recipe.spacing, offset, body.center, strict=True)
         ]
         if recipe.is_flat:
             axes[2] = np.zeros(1)
-        x, y, z = (axis.reshape(shape) for axis, shape in zip(axes, ((1, 1, -1), (1, -1, 1), (-1, 1, 1)), strict=True))
-        return np.asarray(sum((a * x + b * y + c * z) ** 2 for a, b, c in inverse) < 1.0)
+        return tuple(axes)
+
+    @staticmethod
+    def _size(body: Body, axes: tuple[Floats, ...]) -> Floats:
+        """Square of the size, 1 for the body itself, of the body's like that goes through points x, y, z."""
+        x, y, z = axes
+        return np.asarray(sum((a * x + b * y + c * z) ** 2 for a, b, c in np.linalg.inv(body.matrix)))
 
 
 def motion_from(values: Mapping[str, Any], where: str = "recipe") -> MotionRecipe:

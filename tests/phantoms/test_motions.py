@@ -142,3 +142,22 @@ def test_a_seed_and_a_name_that_cannot_be_are_one_clear_line(tmp_path, capsys) -
     assert "seed = -1 given" in capsys.readouterr().err
     assert cli.execute(["synth", "ball_flying", "-o", str(tmp_path)]) == 2
     assert "ball_moving" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("shape", [[20, 17, 9], [20, 17, 1]])
+def test_a_voxel_has_the_share_of_its_points_that_is_inside(shape: list[int]) -> None:
+    """Also far from the surface, where no point is looked at; turned, on uneven spacing."""
+    values = {"motion": "rotation", "shape": shape, "spacing": [1.0, 1.3, 2.1], "radius": 6.0, "speed": 0.3}
+    phantom = MovingPhantom(motion_from(values, "turning"))
+    (body,) = phantom.recipe.bodies(2)
+    axes = [(np.arange(n) - (n - 1) / 2) * h for n, h in zip(shape, phantom.recipe.spacing, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    steps, inverse, total = (-1 / 3, 0.0, 1 / 3), np.linalg.inv(body.matrix), 0.0
+    for x in steps:
+        for y in steps:
+            for z in steps if shape[2] > 1 else (0.0,):
+                points = grid + np.array([x, y, z]) * phantom.recipe.spacing - body.center
+                total += (np.linalg.norm(points @ inverse.T, axis=-1) < 1.0).astype(float)
+    share = (total / (27 if shape[2] > 1 else 9)).transpose(2, 1, 0)
+    assert 0 < (share == 1.0).sum() < (share > 0.0).sum()
+    np.testing.assert_allclose(phantom.frame(2).array, share, atol=1e-6)
