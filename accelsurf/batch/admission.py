@@ -52,7 +52,11 @@ class Admission:
 
 
 def need_of(
-    image: Path, channels: Sequence[Path | str] = (), clicks: bool = False, options: ReadOptions = AS_IT_IS
+    image: Path,
+    channels: Sequence[Path | str] = (),
+    clicks: bool = False,
+    options: ReadOptions = AS_IT_IS,
+    flow: str = "constant-density",
 ) -> Need:
     """Estimate what a case needs.
 
@@ -65,13 +69,15 @@ def need_of(
         Whether the run learns from clicks, which takes more.
     options : ReadOptions, optional
         How the image is read; its channels are read with those of them that their formats have.
+    flow : str
+        Its name.
     """
     try:
         values = count_values(image, options)
         values += sum(count_values(Path(path), options.among(options_of(path))) for path in channels)
     except (AccelsurfError, OSError) as error:
         return Need(None, PROCESS_BYTES, str(getattr(error, "strerror", None) or error))
-    return Need(values, run_bytes(values, clicks))
+    return Need(values, run_bytes(values, clicks, flow))
 
 
 def admit(

@@ -190,7 +190,9 @@ def admitted(
     from accelsurf.io.memory import available_cores, available_memory
 
     needs = {
-        task.case.id: need_of(task.case.image, task.config.channel, bool(task.config.inside), task.config.reading)
+        task.case.id: need_of(
+            task.case.image, task.config.channel, bool(task.config.inside), task.config.reading, task.config.flow
+        )
         for task in tasks
     }
     given = {task.config.threads for task in tasks} - {"auto"}

@@ -64,7 +64,7 @@ def fits(image: LargeImage, config: RunConfig) -> bool:
     from accelsurf.segmentation.memory_need import run_bytes
 
     values = math.prod(image.geometry.shape) * len(image.channels)
-    return run_bytes(values, energy_expression.uses_model(config.energy)) <= image.max_bytes
+    return run_bytes(values, energy_expression.uses_model(config.energy), config.flow) <= image.max_bytes
 
 
 def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | None:
@@ -85,7 +85,8 @@ def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImag
         if parts.max_memory is None and (form is None or form.open is None):
             return None  # it is read as a whole or not at all
         try:
-            needed = run_bytes(count_values(source, config.reading), energy_expression.uses_model(config.energy))
+            values = count_values(source, config.reading)
+            needed = run_bytes(values, energy_expression.uses_model(config.energy), config.flow)
         except InputError:
             return None  # said again where it is read, with the name of the file
         if needed <= parts.allowed_bytes:

@@ -144,7 +144,7 @@ class RegionMass(Accelerated):
         moved = transport_fluid(surface, after, dt, 0.0, self._dry)
         # What the surface meets in the step slows it in the step.
         first = self._velocity(surface, after, front, layer.normal)
-        last = self._velocity(surface, moved.fluid, front, layer.normal, first * dt)
+        last = self._means(surface, moved.fluid, front, layer.normal, first * dt)[:, 1:]
         self.fluid, self.mass = moved.fluid, sums.mass
         met = sums.after - self._sums(moved.fluid, moved.fluid).after
         self._detect_oscillation(sums.between)
@@ -252,16 +252,9 @@ class RegionMass(Accelerated):
         mean = float((area * density).sum()) / max(float(area.sum()), 1e-300)
         return Layer(normal, area, np.maximum(density, max(mean / DENSITY_RANGE, 1e-30)))
 
-    def _velocity(
-        self,
-        surface: LevelSet,
-        fluid: np.ndarray,
-        where: np.ndarray,
-        normal: np.ndarray,
-        shift: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """V (n, 3) of the surface, moved by ``shift`` (n, 3) mm."""
-        return self._means(surface, fluid, where, normal, shift)[:, 1:]
+    def _velocity(self, surface: LevelSet, fluid: np.ndarray, where: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """V (n, 3) of the surface at the cells ``where`` (n,)."""
+        return self._means(surface, fluid, where, normal)[:, 1:]
 
     def _means(
         self,

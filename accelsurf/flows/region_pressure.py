@@ -240,16 +240,9 @@ class RegionPressure(RegionMass):
         along[near[:, 0] < MIN_BEYOND * self.mass / max(self._volume, 1e-300)] = 0.0
         return near[:, 0], near[:, 1:] + (near[:, 1:] - far[:, 1:]) * along[:, None]
 
-    def _velocity(
-        self,
-        surface: LevelSet,
-        fluid: np.ndarray,
-        where: np.ndarray,
-        normal: np.ndarray,
-        shift: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """V (n, 3) of the surface: that of the gas below, continued evenly."""
-        return self._continued(surface, fluid, normal, np.zeros(surface.size))[1]
+    def _velocity(self, surface: LevelSet, fluid: np.ndarray, where: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """V (n, 3) of the surface at the cells ``where`` (n,): that of the gas below, continued evenly."""
+        return np.where(where[:, None], self._continued(surface, fluid, normal, np.zeros(surface.size))[1], 0.0)
 
     def _continue(self, surface: LevelSet, layer: Layer, fastest: float, fluid: np.ndarray) -> None:
         """Set, in place, the fluid up to `BEYOND` voxels outside, with V at most ``fastest``; further out is none."""

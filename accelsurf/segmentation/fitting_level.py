@@ -62,7 +62,7 @@ def fitting_level(source: Path, config: RunConfig, allowed_bytes: int) -> Fittin
     uses_model = energy_expression.uses_model(config.energy)
     within = (
         n for n, grid in enumerate(grids)
-        if run_bytes(channels * math.prod(grid.shape), uses_model) <= allowed_bytes
+        if run_bytes(channels * math.prod(grid.shape), uses_model, config.flow) <= allowed_bytes
     )
     level = next(within, len(grids) - 1)
     return FittingLevel(level, len(grids), grids[level])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from accelsurf.errors import UsageError
+from accelsurf.settings.flow_specs import FLOWS
 
 #: Bytes of a process that has loaded what a run needs, and of a run by its values: with clicks, and without.
 PROCESS_BYTES, CLICKS_BYTES, PLAIN_BYTES = 450 << 20, 60, 36
@@ -27,7 +28,7 @@ def allowed_bytes(text: str | None, free: int) -> int:
     return int(FREE_SHARE * free) if text is None else memory_of(text)
 
 
-def run_bytes(values: int, clicks: bool) -> int:
+def run_bytes(values: int, clicks: bool, flow: str = "constant-density") -> int:
     """Return the estimated peak of a process that runs on so many values, all channels together.
 
     Parameters
@@ -35,11 +36,13 @@ def run_bytes(values: int, clicks: bool) -> int:
     values : int
     clicks : bool
         Whether the run learns from clicks, which takes more.
+    flow : str
+        Its name.
     """
-    return PROCESS_BYTES + values * (CLICKS_BYTES if clicks else PLAIN_BYTES)
+    return PROCESS_BYTES + values * _value_bytes(clicks, flow)
 
 
-def values_within(bytes: int, clicks: bool) -> int:
+def values_within(bytes: int, clicks: bool, flow: str = "constant-density") -> int:
     """Return how many values a run may have within some memory; the inverse of `run_bytes`.
 
     Examples
@@ -47,7 +50,11 @@ def values_within(bytes: int, clicks: bool) -> int:
     >>> values_within(run_bytes(1000, True), True)
     1000
     """
-    return max(0, bytes - PROCESS_BYTES) // (CLICKS_BYTES if clicks else PLAIN_BYTES)
+    return max(0, bytes - PROCESS_BYTES) // _value_bytes(clicks, flow)
+
+
+def _value_bytes(clicks: bool, flow: str) -> int:
+    return (CLICKS_BYTES if clicks else PLAIN_BYTES) + FLOWS[flow].voxel_bytes
 
 
 def bytes_text(size: int) -> str:

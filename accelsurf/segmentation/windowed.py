@@ -164,7 +164,7 @@ def segment_in_windows(
         except LeavesWindow as face:
             if checkpoints is not None:
                 checkpoints.clear()
-            most = values_within(image.max_bytes, uses_model(config)) // len(image.channels)
+            most = values_within(image.max_bytes, uses_model(config), config.flow) // len(image.channels)
             window = larger(window, face, most)
         except NeedsLevels as more:
             window = on_levels(window, more.count)
@@ -256,7 +256,7 @@ def refuse_too_large(window: Window, image: LargeImage, config: RunConfig) -> No
         With the estimate.
     """
     values = math.prod(window.shape) * len(image.channels)
-    needed = run_bytes(values, uses_model(config))
+    needed = run_bytes(values, uses_model(config), config.flow)
     if needed > image.max_bytes:
         size = " x ".join(str(n) for n in reversed(window.shape))
         what = "the region has" if has_region(config) else "the object needs a window of"

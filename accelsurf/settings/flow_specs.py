@@ -26,6 +26,8 @@ class FlowSpec:
         Settings of the run that act on it, besides those of all flows.
     half_width : int
         Half width of the narrow band that it needs, in voxels.
+    voxel_bytes : int
+        Memory that it takes for each voxel, beside what every run takes.
     """
 
     name: str
@@ -33,6 +35,7 @@ class FlowSpec:
     make: str | Callable[[Any], Any]
     uses: tuple[str, ...] = ()
     half_width: int = 3
+    voxel_bytes: int = 0
 
 
 _MOMENTUM = ("k", "t0", "lam", "rho", "friction", "noise", "noise_length", "noise_time", "diffusion")
@@ -54,8 +57,9 @@ FLOWS: Registry[FlowSpec] = Registry(
         "momentum of mass on the whole grid",
         f"{_MAKERS}:region_mass",
         ("k", "t0", "lam", "rho", "friction", "gravity"),
-        # The surface moves with means over a layer to either side of it.
+        # The surface moves with means over a layer to either side of it; mass and momentum are on the grid.
         half_width=4,
+        voxel_bytes=64,
     ),
     FlowSpec("gradient", "descent, the plain baseline", f"{_MAKERS}:gradient", ("diffusion",)),
     FlowSpec("sobolev", "descent along the smoothed gradient", f"{_MAKERS}:sobolev", ("sobolev_length",)),

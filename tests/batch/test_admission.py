@@ -33,6 +33,7 @@ def test_channels_and_clicks_need_more(tmp_path):
     path = tmp_path / "a.nii"
     io.write(Volume(np.zeros((40, 50, 60), np.uint8), Geometry((40, 50, 60), (1.0, 1.0, 1.0))), path)
     one, two, clicks = need_of(path), need_of(path, [path]), need_of(path, clicks=True)
+    assert need_of(path, flow="region-mass").bytes > one.bytes == need_of(path, flow="sobolev").bytes
     assert (one.values, two.values) == (120_000, 240_000)
     assert two.bytes - PROCESS_BYTES == 2 * (one.bytes - PROCESS_BYTES)
     assert clicks.bytes > one.bytes > PROCESS_BYTES
