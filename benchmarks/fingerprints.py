@@ -109,7 +109,7 @@ def runs(folder: Path) -> dict[str, Callable[[], Any]]:
         return lambda: accelsurf.segment(one, **{**given, **settings})
 
     out: dict[str, Callable[[], Any]] = {}
-    for flow in ("constant-density", "flowable-mass", "gradient", "sobolev", "momentum"):
+    for flow in ("constant-density", "flowable-mass", "region-mass", "gradient", "sobolev", "momentum"):
         out[f"flow {flow}"] = single(flow=flow)
         out[f"flow {flow}, thick slices"] = single(slab, flow=flow, start="ball:19,17,6,4vox")
         out[f"flow {flow}, one slice"] = single(flat, flow=flow, start="ball:24,23,0,6vox")
@@ -138,6 +138,7 @@ def runs(folder: Path) -> dict[str, Callable[[], Any]]:
     out["noise, two objects"] = several(noise=0.1, seed=7, max_steps=12)
     out["constant friction"] = single(friction=2.0, diffusion=0.5, k=1.5)
     out["gravity"] = single(flow="flowable-mass", gravity=0.05, smoothness=0.3)
+    out["region mass under gravity"] = single(flow="region-mass", gravity=0.002, levels=1)
     out["presmooth in voxels"] = single(presmooth="1vox")
     out["no limiter, long steps"] = single(percentile=100.0, cfl=0.9, half_width=4)
     out["to the end"] = single(max_steps=300)

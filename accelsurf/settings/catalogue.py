@@ -135,7 +135,7 @@ def acts_on(key: str) -> tuple[str, ...]:
     Examples
     --------
     >>> acts_on("gravity"), acts_on("epsilon"), acts_on("cfl")
-    (('flowable-mass',), ('chan-vese', 'local-region'), ())
+    (('flowable-mass', 'region-mass'), ('chan-vese', 'local-region'), ())
     """
     match entry(key).scope:
         case "flow":

@@ -231,7 +231,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.dicom:parse",
         f"{_FORMATS}.dicom:read",
         options=("series", "resample", "spacing"),
-        sequence=f"{_FORMATS}.dicom_frames:DicomFrames",
+        sequence="accelsurf.io.dicom_sequences:DicomFrames",
         is_anatomical=f"{_FORMATS}.dicom:is_anatomical",
         is_folder=f"{_FORMATS}.dicom:holds_dicom",
         is_file=f"{_FORMATS}.dicom:is_dicom",
