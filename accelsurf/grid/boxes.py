@@ -158,6 +158,11 @@ def _in_one_cell(
         yield box[:-apart][same], box[apart:][same]
 
 
+def overlap(one: Box, other: Box) -> bool:
+    """Whether two boxes have a voxel in common."""
+    return all(a.start < b.stop and b.start < a.stop for a, b in zip(one, other, strict=True))
+
+
 def shared(corner: Corner, shape: Sequence[int], other: Corner, other_shape: Sequence[int]) -> tuple[Box, Box]:
     """Return the voxels that two overlapping boxes share, counted from the first voxel of each.
 

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, on_box, shared
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, on_box, overlap, shared
 
 Side = Literal["inside", "outside"]
 #: The two sides, and the id of what is no object.
@@ -51,7 +51,7 @@ class Click(NamedTuple):
         """Return what is left of it by later clicks that contradict it; itself where that is all, None for nothing."""
         mask = self.mask
         for click in later:
-            if click.contradicts(self) and _overlap(click.box, self.box):
+            if click.contradicts(self) and overlap(click.box, self.box):
                 mask = mask & ~click.mask_on(self.box)
         if mask is self.mask or np.array_equal(mask, self.mask):
             return self
@@ -146,10 +146,6 @@ class Clicks:
     def starts_with(self, other: Clicks) -> bool:
         """Whether these are other clicks, unchanged, and maybe more."""
         return len(self) >= len(other) and all(a is b for a, b in zip(other.clicks, self.clicks, strict=False))
-
-
-def _overlap(one: Box, other: Box) -> bool:
-    return all(a.start < b.stop and b.start < a.stop for a, b in zip(one, other, strict=True))
 
 
 def _click_on_box(click: Click, corner: Corner, shape: tuple[int, int, int]) -> Click | None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, widened
+from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, overlap, shared, widened
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
@@ -98,14 +98,14 @@ def measure(
     refinements : sequence of Refinement
         Corrections of the frame; the run then sees all of it.
     taken : sequence of SurfacePiece
-        Where no object may go.
+        Where no object may go; of a prediction that lies in it entirely nothing is run.
 
     Returns
     -------
     dict of int to Measured
         By id; with corrections also what these began, and without what these removed.
     """
-    alone = [one for one in apart(sorted(starts, key=lambda one: one.id)) if (one.psi < 0).any()]
+    alone = [one for one in apart(sorted(starts, key=lambda one: one.id)) if _has_room(one, taken)]
     found = {one.id: NOTHING for one in starts}
     if not alone:
         return found
@@ -125,6 +125,16 @@ def measure(
         for id in (*refinement.merge[1:], *([refinement.remove] if refinement.remove is not None else [])):
             found.pop(id, None)
     return found
+
+
+def _has_room(one: ObjectStart, taken: Sequence[SurfacePiece]) -> bool:
+    """Whether something of a prediction is left, and others leave some of it free."""
+    room = one.psi < 0
+    for piece in taken:
+        if overlap(box_at(one.corner, one.psi.shape), piece.box):
+            mine, theirs = shared(one.corner, one.psi.shape, piece.corner, piece.psi.shape)
+            room[mine] &= piece.psi[theirs] > 0
+    return bool(room.any())
 
 
 def _margin(starts: Sequence[ObjectStart], geometry: Geometry, config: RunConfig) -> list[int]:
@@ -188,7 +198,7 @@ def _free(taken: Sequence[SurfacePiece], box: Box, geometry: Geometry) -> NDArra
     psi = np.full(geometry.shape, -max(geometry.spacing), np.float32)
     for piece in taken:
         one = ObjectStart(0, piece.corner, piece.psi)
-        if all(a.start < b.stop and b.start < a.stop for a, b in zip(piece.box, box, strict=True)):
+        if overlap(piece.box, box):
             own = _on_box(one, box)
             here = psi[box_at(own.corner, own.psi.shape)]
             np.maximum(here, -own.psi, out=here)

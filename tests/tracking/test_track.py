@@ -9,9 +9,12 @@ import pytest
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.sequence import VolumeSequence
 from accelsurf.grid.volume import Volume
+from accelsurf.initialization.object_starts import ObjectStart
+from accelsurf.settings.run_config import RunConfig
 from accelsurf.tracking import track_state
+from accelsurf.tracking.frame_run import following_settings, measure
 from accelsurf.tracking.lineage import Identities
-from accelsurf.tracking.records import FrameResult, Lineage
+from accelsurf.tracking.records import FrameResult, Lineage, SurfacePiece
 from accelsurf.tracking.track import Tracking, track
 
 Discs = Sequence[tuple[float, float, float]]
@@ -46,6 +49,18 @@ def near(found: tuple[float, float], x: float, y: float, within: float = 0.5) ->
 
 
 # -------------------------------------------------------------------------------------------------------- one object
+
+
+def test_of_a_prediction_that_lies_in_another_object_nothing_is_run() -> None:
+    frame = plane([(20, 20, 8)])
+    y, x = np.indices(SHAPE)[:, None].astype(np.float32)
+    small, large = (np.hypot(x - 20, y - 20).astype(np.float32) - r for r in (3, 8))
+    config, taken = following_settings(RunConfig(threads=1), "auto"), [SurfacePiece((0, 0, 0), large)]
+    found = measure([frame], [ObjectStart(2, (0, 0, 0), small)], config, taken=taken)
+    assert not found[2].surface.psi.size
+    beside = np.hypot(x - 27, y - 20).astype(np.float32) - 3
+    found = measure([frame], [ObjectStart(2, (0, 0, 0), beside)], config, taken=taken)
+    assert not (found[2].surface.psi.size and (found[2].surface.psi[:, 20:21, 20:24] < 0).any())
 
 
 @pytest.mark.parametrize("model", ["flowable-mass", "constant-density", "last-displacement", "none"])
