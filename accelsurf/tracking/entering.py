@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.grid.boxes import corner_of, widened
@@ -15,6 +16,8 @@ from accelsurf.tracking.records import BAND, SurfacePiece
 
 #: What is nearer to a tracked object than so many voxels is no object of its own.
 APART = 2
+#: Of an object that the border of the grid cuts at least so many voxels must be there.
+MIN_CUT = 8
 
 
 def appearing(
@@ -23,7 +26,7 @@ def appearing(
     """First surfaces of objects that appear in a frame, the largest first.
 
     They are what is nearer to the values inside ``like`` than to those outside, after a Gaussian of one voxel, does not
-    come near any of the ``surfaces``, and is about as large as these.
+    come near any of the ``surfaces``, and is about as large as these, or is cut by the border of the grid.
 
     Parameters
     ----------
@@ -34,7 +37,8 @@ def appearing(
     like : Profile
         Values across the surface of a tracked object.
     volumes : (float, float)
-        Of the smallest and the largest tracked object, mm3: what appears lies within a factor of two of them.
+        Of the smallest and the largest tracked object, mm3: what appears lies within a factor of two of them. What the
+        border cuts may be smaller, down to `MIN_CUT` voxels: it has only begun to come in.
     """
     inner, outer, geometry = like.inner, like.outer, image.geometry
     if not (np.isfinite(inner) and np.isfinite(outer)) or inner == outer:
@@ -50,12 +54,22 @@ def appearing(
     labels, count = ndimage.label(inside | taken)
     sizes = np.bincount(labels.ravel(), minlength=count + 1) * geometry.voxel_volume
     low, high = volumes[0] / FACTOR, volumes[1] * FACTOR
-    near = set(np.unique(labels[taken]).tolist()) | {0}
+    near, cut = set(np.unique(labels[taken]).tolist()) | {0}, _at_border(labels)
+    least = {number: min(MIN_CUT * geometry.voxel_volume, low) if number in cut else low for number in range(count + 1)}
     found = [number for number in np.argsort(-sizes, kind="stable").tolist()
-             if number not in near and low <= sizes[number] <= high]
+             if number not in near and least[number] <= sizes[number] <= high]
     half, boxes = np.float32(0.5 * min(geometry.steps)), ndimage.find_objects(labels) if found else []
     out = []
     for number in found:
         box = widened(boxes[number - 1], labels.shape, (BAND, BAND, BAND))
         out.append(SurfacePiece(corner_of(box), np.where(labels[box] == number, -half, half)))
     return out
+
+
+def _at_border(labels: NDArray[np.integer]) -> set[int]:
+    """The labels on the border of the grid; axes with one slice do not count."""
+    found = set[int]()
+    for axis in (i for i, n in enumerate(labels.shape) if n > 1):
+        for end in (0, -1):
+            found |= set(np.unique(labels.take(end, axis)).tolist())
+    return found

@@ -173,9 +173,11 @@ class Follower:
             self._identities.see(one.id, arrival.number)
 
     def _is_shown(self, one: Followed, shown: Measured, now: Profile, predicted: SurfacePiece) -> bool:
-        expected = volume_in_grid(predicted.psi, self._geometry)
+        expected, seen = (volume_in_grid(piece.psi, self._geometry) for piece in (predicted, shown.surface))
+        if one.at_border:  # the prediction knows only what the border has left; more of it may come in
+            expected = max(expected, min(seen, one.whole_mm3))
         ratio = expected / one.volume_mm3 if one.volume_mm3 > 0 else 1.0
-        volumes = volume_in_grid(shown.surface.psi, self._geometry), expected
+        volumes = seen, expected
         areas = shown.area_mm2, one.area_mm2 * ratio ** (2.0 / 3.0)
         return evidence.is_shown(now, one.profile, volumes, areas)
 
@@ -249,35 +251,47 @@ class Follower:
             return
         starts = [ObjectStart(place, *piece) for place, piece in enumerate(first, start=1)]
         found = measure(arrival.channels, starts, self._run, self._energy, taken=there)
+        usual = float(np.median([one.whole_mm3 for one in known]))
         for place in sorted(found):
-            self._take_in(found[place], like, absent, arrival)
+            self._take_in(found[place], (like, usual), absent, arrival)
 
-    def _take_in(self, found: Measured, like: Profile, absent: list[Followed], arrival: Arrival) -> None:
-        """Link what has appeared to an object that was missing, or let it enter."""
+    def _take_in(
+        self, found: Measured, whole: tuple[Profile, float], absent: list[Followed], arrival: Arrival
+    ) -> None:
+        """Link what has appeared to an object that was missing, or let it enter.
+
+        ``whole`` is what an object that the border does not cut looks like, and its volume.
+        """
         if not found.surface.psi.size:
             return
         found = self._largest(found)
         momentum = self._new_momentum()
         momentum.start(found.surface.psi, found.surface.corner, self._geometry)
-        if profile(arrival.channels[0], found.surface).strength(like) * FACTOR < 1.0:
+        if profile(arrival.channels[0], found.surface).strength(whole[0]) * FACTOR < 1.0:
             return
         place, size = np.array(momentum.centroid()), momentum.volume()
+        cut = lies_on_border(found.surface, self._geometry)
         nearest, old = np.inf, None
         for one in absent:
             away = min(
                 float(np.linalg.norm(place - np.array(there)))
                 for there in (one.centroid, one.predicted_place(arrival.time))
             )
-            fits = size <= FACTOR * one.whole_mm3 <= FACTOR**2 * size
+            fits = size <= FACTOR * one.whole_mm3 and (cut or one.whole_mm3 <= FACTOR * size)
             if fits and away < nearest and away <= self._search_range(one, arrival.time):
                 nearest, old = away, one
         if old is not None:
             absent.remove(old)
             self.objects.remove(old)
             way = (place - np.array(old.centroid)) / (arrival.time - old.time)
-            self._add(old.id, found, arrival, (float(way[0]), float(way[1]), float(way[2])))
+            one = self._add(old.id, found, arrival, (float(way[0]), float(way[1]), float(way[2])))
+            whole = old.like, old.whole_mm3
         elif self._config.enter == "yes":
-            self._put(self._identities.new_id(), momentum, found, arrival)
+            one = self._put(self._identities.new_id(), momentum, found, arrival)
+        else:
+            return
+        if cut:
+            one.whole_profile, one.whole_mm3 = whole[0], max(whole[1], one.volume_mm3)
 
     def _search_range(self, one: Followed, time: float) -> float:
         """How far from where it was an object may come back, mm: its diameter, and as far as it would have moved."""

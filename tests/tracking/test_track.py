@@ -12,6 +12,8 @@ from accelsurf.grid.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.tracking import track_state
+from accelsurf.tracking.entering import appearing
+from accelsurf.tracking.evidence import Profile
 from accelsurf.tracking.frame_run import following_settings, measure
 from accelsurf.tracking.lineage import Identities
 from accelsurf.tracking.records import FrameResult, Lineage, SurfacePiece
@@ -186,6 +188,26 @@ def test_one_that_leaves_and_comes_back_is_the_same() -> None:
     assert near(places(results[-1])[left], 12, 20, 0.5) and len(lineage.tracks) == 2
     gaps = next(one.gaps for one in lineage.tracks if one.id == left)
     assert {5, 6} <= set(gaps)
+
+
+@pytest.mark.parametrize("model", ["flowable-mass", "none"])
+def test_one_that_comes_back_is_seen_from_its_first_sliver_on(model: str) -> None:
+    """It was found again when half of it was there: the bound on its size did not know that the border cuts it."""
+    x = [12, 7, 2, -3, -9, -9, -5, 0, 5, 10]
+    frames = sequence(lambda n: [(x[n], 20, 7)], len(x))
+    results, lineage = followed(frames, "ball:12,20,0,5", max_gap=6, model=model)
+    assert len(lineage.tracks) == 1 and lineage.tracks[0].gaps == (4, 5)
+    for n, result in enumerate(results):
+        if x[n] > -7:
+            truth = np.hypot(*np.meshgrid(np.arange(64) - x[n], np.arange(40) - 20)) < 7
+            found = result.labels()[0] > 0
+            assert abs(int(found.sum()) - int(truth.sum())) <= 0.15 * truth.sum() + 6
+
+
+def test_noise_at_the_border_is_no_object_that_enters() -> None:
+    image = Volume.from_array(np.random.default_rng(5).normal(0.0, 0.5, (1, 60, 80)).astype(np.float32), 1.0)
+    like = Profile((1.0, 1.0, 0.5, 0.0, 0.0, 0.0))
+    assert appearing(image, [], like, (150.0, 150.0)) == []
 
 
 def test_one_that_leaves_for_good_has_left() -> None:
