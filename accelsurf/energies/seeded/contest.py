@@ -211,17 +211,38 @@ def block_means(values: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np
 
 
 def _on_grid(part: Around, values: Image) -> Balance:
-    """Linearly between the centres of the blocks."""
-    counts = [s.stop - s.start for s in part.box]
-    for axis, (step, count) in enumerate(zip(part.steps, counts, strict=True)):
+    """Linearly between the middles of the blocks."""
+    return Balance(part.box, between_blocks(values, part.steps, [s.stop - s.start for s in part.box], (0, 0, 0)))
+
+
+def between_blocks(values: Image, steps: Sequence[int], counts: Sequence[int], first: Sequence[int]) -> Image:
+    """Values of blocks on voxels, linearly between the middles of the blocks; beyond the outer ones constant.
+
+    Parameters
+    ----------
+    values : ndarray, float32
+        Of the blocks.
+    steps : sequence of int
+        Voxels of a block along each axis.
+    counts : sequence of int
+        Voxels that are asked for.
+    first : sequence of int
+        The first of them, counted from the first of the first block.
+
+    Examples
+    --------
+    >>> between_blocks(np.array([[[1, 3]]], np.float32), (1, 1, 2), (1, 1, 3), (0, 0, 1)).tolist()
+    [[[1.5, 2.5, 3.0]]]
+    """
+    for axis, (step, count, begin) in enumerate(zip(steps, counts, first, strict=True)):
         if step > 1:
-            at = (np.arange(count) - 0.5 * (step - 1)) / step
+            at = (np.arange(begin, begin + count) - 0.5 * (step - 1)) / step
             below = np.clip(np.floor(at).astype(int), 0, values.shape[axis] - 1)
             above = np.minimum(below + 1, values.shape[axis] - 1)
             share = np.expand_dims(np.clip(at - below, 0, 1), [i for i in range(3) if i != axis]).astype(np.float32)
             lower, upper = np.take(values, below, axis), np.take(values, above, axis)
             values = (lower + share * (upper - lower)).astype(np.float32)
-    return Balance(part.box, values)
+    return values
 
 
 def _scaled(image: Image, box: Box, inside: Sequence[Click]) -> Image:
