@@ -26,10 +26,11 @@ from accelsurf.energies.seeded.blocks import Blocks
 from accelsurf.energies.seeded.competition import Field, Times, balance, from_beyond
 from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.likelihood import log_ratio
-from accelsurf.grid.boxes import Box, bounding_box, corner_of, enclosing, on_box, shared
+from accelsurf.grid.boxes import Box, bounding_box, enclosing, on_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to, holes_filled
 from accelsurf.kernels.arrival import Tissue
+from accelsurf.kernels.blocks import hold_side
 
 #: F in the clicks, by side.
 CLICKED = {"inside": -3.0, "outside": 3.0}
@@ -244,19 +245,14 @@ def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized
     weights = (by_count[min(len(clicks), len(by_count)) - 1], PATHS, WALKS)
     mixed = np.zeros([s.stop - s.start for s in box], np.float32)
     for weight, part in zip(weights, (own, *parts), strict=True):
-        share = np.float32(weight / sum(weights))
-        here, _ = shared(corner_of(box), mixed.shape, corner_of(part.box), part.values.shape)
-        within = mixed[here] + share * part.values
-        mixed += share  # beyond its box it is 1
-        mixed[here] = within
+        part.add_to(mixed, box, weight / sum(weights))
     if before is None:
         mixed -= _offset(mixed, answer.voxels)
     else:
         mixed -= np.float32(SIZE_PART) * _offset(mixed, answer.voxels, MAX_RATIO)
-        shown = before.on(box)
         held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
-        mixed += held * (np.clip(shown[0], -1.0, 1.0) - mixed)
-        mixed = _one_sided(mixed, shown, clicks.clicks[-1].side)
+        gains = clicks.clicks[-1].side == "inside"
+        hold_side(mixed, *before.on(box), held, np.float32(MIN_FORCE), gains)
     inside = object_of(mixed, box, clicks.clicks)
     for click in clicks.clicks:
         seen = click.mask_on(box)
@@ -278,14 +274,6 @@ def _offset(force: Image, count: int, most: float = np.inf) -> np.float32:
     if not below <= rank < below + between.size:
         return np.float32(-MAX_OFFSET if rank < below else MAX_OFFSET)
     return np.float32(np.partition(between, rank - below)[rank - below])
-
-
-def _one_sided(force: Image, before: tuple[Image, Mask], side: str) -> Image:
-    """F with its value before where a click on one side would change the label towards the other."""
-    earlier, inside = before
-    if side == "inside":
-        return np.where(inside & (force >= 0), np.clip(earlier, -1.0, -MIN_FORCE), force)
-    return np.where(~inside & (force < 0), np.clip(earlier, MIN_FORCE, 1.0), force)
 
 
 def on_whole_grid(shown: Shown, shape: tuple[int, int, int]) -> tuple[Image, Mask]:

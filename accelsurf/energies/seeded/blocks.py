@@ -16,7 +16,7 @@ import numpy as np
 
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
 from accelsurf.energies.seeded.competition import Field, field_of
-from accelsurf.energies.seeded.contest import Balance, between_blocks, block_means, coarsening
+from accelsurf.energies.seeded.contest import Balance, block_means, coarsening
 from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, overlap, whole_box
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.window import Window
@@ -71,13 +71,14 @@ class Blocks(NamedTuple):
 
     def on_voxels(self, box: Box, values: Image) -> Balance:
         """Values of the blocks of a box on their voxels, linearly between the middles of the blocks."""
-        low, counts, first = [], [], []
+        low, high, first = [], [], []
         for side, step, lacks, n in zip(box, self.steps, self.missing, self.voxels, strict=True):
             begin = side.start * step - lacks
             low.append(max(begin, 0))
-            counts.append(min(side.stop * step - lacks, n) - low[-1])
+            high.append(min(side.stop * step - lacks, n))
             first.append(low[-1] - begin)
-        return Balance(box_at((low[0], low[1], low[2]), counts), between_blocks(values, self.steps, counts, first))
+        z, y, x = (slice(a, b) for a, b in zip(low, high, strict=True))
+        return Balance((z, y, x), values, self.steps, (first[0], first[1], first[2]))
 
     def click(self, click: Click, answered: Sequence[Click]) -> Click | None:
         """The blocks in which a click has voxels, but for those of earlier clicks on the other side; None for none.
