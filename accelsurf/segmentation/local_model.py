@@ -35,6 +35,8 @@ Mask = NDArray[np.bool_]
 Spacing = tuple[float, float, float]
 #: The first box of a march has so many times the radius of a ball of as many voxels as the march may accept.
 REACH = 2.5
+#: A slice is as thick as two voxels where its spacing is so many of the smallest.
+THICK_SLICES = 2.0
 #: Between what a march accepts and the border of its box lie at least so many voxels, so that the box changes nothing.
 CLEAR = 2
 
@@ -199,17 +201,18 @@ def basin_of(click: Click, change: ModelChange, model: LocalModel, one: Correcte
     box = enclosing(around.box, change.box)
     own = on_box(model.state.start, model.state.box, box, False) == (click.side == "inside")
     changed, near_it = own & on_box(change.mask, change.box, box, False), on_box(around.mask, around.box, box, False)
-    changed = connected_to(changed, changed & (near_it | _thicker_than_a_voxel(changed)))
+    changed = connected_to(changed, changed & (near_it | _thicker_than_a_voxel(changed, spacing)))
     own &= near_it
     own &= (on_box(one.psi, box_at(one.corner, one.psi.shape), box, 1.0) < 0) != (click.side == "inside")
     clicked = click.mask_on(box)
     return click._replace(box=box, mask=changed | connected_to(own | clicked, clicked))
 
 
-def _thicker_than_a_voxel(mask: Mask) -> Mask:
-    """The first voxels of the blocks of two voxels along each axis that lie in a mask."""
+def _thicker_than_a_voxel(mask: Mask, spacing: Spacing) -> Mask:
+    """The first voxels of the blocks in a mask of two voxels along each axis; of one along axes that are as coarse."""
     out = mask.copy()
-    for axis in (i for i, n in enumerate(mask.shape) if n > 1):
+    fine = [h < THICK_SLICES * min(spacing) for h in spacing]
+    for axis in (i for i, n in enumerate(mask.shape) if n > 1 and fine[i]):
         here: list[slice] = [slice(None)] * 3
         here[axis] = slice(None, -1)
         last, following = list(here), list(here)

@@ -22,7 +22,7 @@ from accelsurf.grid.clicks import Click
 from accelsurf.grid.window import Window
 
 #: An object has so many blocks at most.
-MOST_BLOCKS = 100_000
+MAX_BLOCKS = 100_000
 
 
 class Blocks(NamedTuple):
@@ -113,7 +113,7 @@ class Blocks(NamedTuple):
 def in_blocks(
     images: Sequence[Image], spacing: Spacing, passes: Mask | None, window: Window | None, count: int
 ) -> Blocks:
-    """Blocks of which an object of some voxels has at most `MOST_BLOCKS`, alike to all sides as far as can be.
+    """Blocks of which an object of some voxels has at most `MAX_BLOCKS`, alike to all sides as far as can be.
 
     Parameters
     ----------
@@ -130,8 +130,8 @@ def in_blocks(
     corner = (0, 0, 0) if window is None else window.corner
     whole = images[0].shape if window is None else window.geometry.shape
     steps = (1, 1, 1)
-    if count > MOST_BLOCKS:
-        steps = coarsening(whole_box(whole), spacing, max(math.prod(whole) * MOST_BLOCKS // count, 1))
+    if count > MAX_BLOCKS:
+        steps = coarsening(whole_box(whole), spacing, max(math.prod(whole) * MAX_BLOCKS // count, 1))
     if steps == (1, 1, 1):
         return Blocks(tuple(images), passes, spacing, steps, (0, 0, 0), (nz, ny, nx), window)
     missing = tuple(c % step for c, step in zip(corner, steps, strict=True))

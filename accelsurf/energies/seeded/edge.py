@@ -64,8 +64,7 @@ def edge_balance(
     -------
     balance, weight : ndarray (nz, ny, nx), float32
         f = (m - I) sign(u_in - u_out)/(|u_in - u_out|/2), from -1 inside to 1 outside, m = (u_in + u_out)/2; of several
-        channels the mean, each weighted by its contrast. The weight is from 0 to 1. Both are 0 more than two voxels
-        from the boundary.
+        channels the mean, each weighted by its contrast. The weight is from 0 to 1. Beyond two voxels both are 0.
 
     Notes
     -----
@@ -75,7 +74,6 @@ def edge_balance(
     seen = np.ones(inside.shape, np.bool_) if open is None else open
     near, next_to_it = _seen_both(inside, 5) & seen, _seen_both(inside, 3) & seen
     counts = np.where(next_to_it, np.float32(MIXED), np.float32(1.0)) * seen
-    counts_in = counts * inside
     sizes = [2 * half + 1 if n > 1 else 1 for half, n in zip(_half_window(spacing), inside.shape, strict=True)]
 
     def window(values: NDArray) -> NDArray[np.float32]:
@@ -84,30 +82,34 @@ def edge_balance(
     def windows(*arrays: NDArray) -> list[NDArray[np.float32]]:
         return list((map if pool is None else pool.map)(window, arrays))
 
-    within, both = windows(counts_in, counts)
-    beyond = both - within
+    within, both = windows(counts * inside, counts)
+    beyond = both - within  # at voxels near the boundary alone, as all that follows
     found = (within > MIN_PART) & (beyond > MIN_PART)
     within, beyond = np.maximum(within, MIN_PART), np.maximum(beyond, MIN_PART)
     balance, total = np.zeros(within.shape, np.float32), np.zeros(within.shape, np.float32)
     for image in images:
         values = (image - np.float32(image[inside & seen].mean(dtype=np.float64))) * seen
         counted = counts * values
-        sum_in, sum_both, square = windows(counts_in * values, counted, counted * values)
+        sum_in, sum_both, squares = windows(counted * inside, counted, counted * values)
         sum_out = sum_both - sum_in
         one, other = sum_in / within, sum_out / beyond
-        square = square - sum_in * one - sum_out * other
         least = max(MIN_RANGE * float(np.ptp(values)), 1e-20)
-        variance = np.maximum(square / (within + beyond), 0.0) + np.float32(least**2)
+        variance = np.maximum((squares - sum_in * one - sum_out * other) / (within + beyond), 0.0)
+        variance += np.float32(least**2)
         half = 0.5 * (one - other)
         contrast = 4.0 * half * half / variance
         side = np.clip((0.5 * (one + other) - values[near]) * half / np.maximum(half * half, least**2), -1.0, 1.0)
         balance += contrast * side
         total += contrast
-    part = 0.5 + 0.5 * next_to_it[near]
-    weight = total**2 / (total**2 + np.float32(CLEAR_CONTRAST**4)) * found * part
-    on_grid = np.zeros((2, *inside.shape), np.float32)
-    on_grid[0][near], on_grid[1][near] = balance / np.maximum(total, 1e-12), weight
-    return on_grid[0], on_grid[1]
+    weight = total**2 / (total**2 + np.float32(CLEAR_CONTRAST**4)) * found * (0.5 + 0.5 * next_to_it[near])
+    return _on_grid(balance / np.maximum(total, 1e-12), near), _on_grid(weight, near)
+
+
+def _on_grid(values: NDArray[np.floating], where: Mask) -> NDArray[np.float32]:
+    """Values of some voxels on the grid, 0 elsewhere."""
+    out = np.zeros(where.shape, np.float32)
+    out[where] = values
+    return out
 
 
 def _seen_both(inside: Mask, size: int) -> Mask:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,23 +120,20 @@ def seeded_model(
     first, sized = _first_inside(clicks), size_mm3 is not None
     where = _allowed(images[0].shape, box, mask), window
     if previous is not None and previous.answer is not None and _goes_on(clicks, previous.clicks, previous.answer):
-        smooth, answer, proposal = previous.images, previous.answer, previous.proposal
-        shown, corrections = previous.shown, previous.corrections
-        known, left = previous.clicks, list(clicks.clicks[len(previous.clicks) :])
+        smooth, answer, proposal, shown = previous.images, previous.answer, previous.proposal, previous.shown
+        known, corrections, left = previous.clicks, previous.corrections, list(clicks.clicks[len(previous.clicks) :])
     else:
+        known, left = Clicks((first,), clicks.shape), [one for one in clicks.clicks if one is not first]
         smooth = _smoothed(images, spacing)
         answer, proposal = _first(smooth, spacing, where, clicks, size_mm3, box is not None)
-        known, left = Clicks((first,), clicks.shape), [one for one in clicks.clicks if one is not first]
         shown, corrections = _shown(images, spacing, where, answer, known, (sized, None)), ()
         answer = _in_larger_blocks(answer, smooth, spacing, where, first)
     assert shown is not None  # an answer was shown
-    field, owns = field_in(answer.blocks), _in_blocks(left, answer)
+    field = field_in(answer.blocks)
     with ThreadPoolExecutor(max(threads, 1)) as pool:
-        marched = pool.map(partial(_times_of, smooth, spacing, field, answer), left, owns)
-        for click, own, times in zip(left, owns, marched, strict=True):
-            known = known.with_more([click])
-            if own is not None and times is not None:
-                answer = with_click(answer, field, own, times)
+        marched = list(pool.map(_times_of(smooth, spacing, field, answer), *_in_blocks(left, answer)))
+        for click, (own, times) in zip(left, marched, strict=True):
+            known, answer = known.with_more([click]), with_click(answer, field, own, times) if own else answer
             before, shown = shown, _shown(images, spacing, where, answer, known, (sized, shown), pool)
             corrections = corrections_with(corrections, click, (before, shown), spacing, clicks.shape)
         arrays = on_whole_grid(at_edges(shown, images, smooth, spacing, clicks, where[0], pool), clicks.shape)
@@ -263,21 +259,27 @@ def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:
     return most if boxed else int(min(prior.farthest(), most))
 
 
-def _in_blocks(clicks: Sequence[Click], answer: Answer) -> list[Click | None]:
-    """Later clicks in the blocks of an answer, see `Blocks.click`."""
+def _in_blocks(clicks: Sequence[Click], answer: Answer) -> tuple[Sequence[Click], list[Click | None]]:
+    """Later clicks, and the same in the blocks of an answer, see `Blocks.click`."""
     found, answered = list[Click | None](), list(answer.clicks)
     for click in clicks:
         own = answer.blocks.click(click, answered)
         found.append(own)
         answered += [] if own is None else [own]
-    return found
+    return clicks, found
 
 
 def _times_of(
-    images: Sequence[Image], spacing: Spacing, field: Field, answer: Answer, click: Click, own: Click | None
-) -> Times | None:
-    """`later_times` of a click; None where it has no blocks."""
-    return None if own is None else later_times(field, learn(images, spacing, click), own, answer)
+    images: Sequence[Image], spacing: Spacing, field: Field, answer: Answer
+) -> Callable[[Click, Click | None], tuple[Click | None, Times]]:
+    """Makes `later_times` of a click from its blocks, which it returns with them; none of a click without blocks."""
+
+    def made(click: Click, own: Click | None) -> tuple[Click | None, Times]:
+        if own is None:
+            return None, np.zeros(0, np.float32)
+        return own, later_times(field, learn(images, spacing, click), own, answer)
+
+    return made
 
 
 def later_times(field: Field, tissue: Tissue, click: Click, answer: Answer) -> Times:

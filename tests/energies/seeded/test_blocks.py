@@ -22,7 +22,7 @@ VOXEL = np.ones((1, 1, 1), bool)
 @pytest.fixture
 def few(monkeypatch):
     """Objects of more than some hundred voxels are large."""
-    monkeypatch.setattr(module, "MOST_BLOCKS", 300)
+    monkeypatch.setattr(module, "MAX_BLOCKS", 300)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def scene():
 
 def test_small_objects_have_blocks_of_one_voxel():
     image = np.zeros((4, 5, 6), np.float32)
-    found = in_blocks([image], (1.0, 2.0, 3.0), None, None, module.MOST_BLOCKS)
+    found = in_blocks([image], (1.0, 2.0, 3.0), None, None, module.MAX_BLOCKS)
     assert found.size == 1 and found.images[0] is image
     click = Click("inside", box_at((1, 1, 1), (1, 1, 1)), VOXEL)
     assert found.click(click, []) is click
@@ -49,10 +49,10 @@ def test_small_objects_have_blocks_of_one_voxel():
 
 def test_blocks_are_alike_to_all_sides_and_hold_the_bound():
     image = np.zeros((20, 60, 60), np.float32)
-    found = in_blocks([image], (3.0, 1.0, 1.0), None, None, 30 * module.MOST_BLOCKS)
+    found = in_blocks([image], (3.0, 1.0, 1.0), None, None, 30 * module.MAX_BLOCKS)
     assert found.steps[1] == found.steps[2] > found.steps[0] and 15 < found.size < 60
     assert max(found.spacing) / min(found.spacing) <= 1.5
-    flat = in_blocks([image[:1]], (3.0, 1.0, 1.0), None, None, 9 * module.MOST_BLOCKS)
+    flat = in_blocks([image[:1]], (3.0, 1.0, 1.0), None, None, 9 * module.MAX_BLOCKS)
     assert flat.steps == (1, 3, 3)
 
 
@@ -62,7 +62,7 @@ def test_later_clicks_find_the_object_that_they_find_voxel_by_voxel(scene, monke
     given = {"size_mm3": volume_of(one)}
     coarse = seeded_model([image], SPACING, Clicks(clicks, SHAPE), **given)
     assert coarse.answer.blocks.size > 4
-    monkeypatch.setattr(module, "MOST_BLOCKS", 100_000)
+    monkeypatch.setattr(module, "MAX_BLOCKS", 100_000)
     fine = seeded_model([image], SPACING, Clicks(clicks, SHAPE), **given)
     assert fine.answer.blocks.size == 1
     assert dice(fine.start, one) > 0.97 and dice(coarse.start, one) > dice(fine.start, one) - 0.01
