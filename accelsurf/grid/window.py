@@ -134,11 +134,13 @@ class Window(NamedTuple):
         """`check` of a box that is counted from the window's first voxel."""
         self.check([s.start for s in box], [s.stop for s in box], factors)
 
-    def check_cells(self, cells: NDArray[np.int64]) -> None:
-        """`check` of raveled voxels (n,) of the window."""
+    def check_cells(
+        self, cells: NDArray[np.int64], shape: Sequence[int] | None = None, factors: Sequence[int] = (1, 1, 1)
+    ) -> None:
+        """`check` of raveled voxels (n,) of the window, or of blocks of ``factors`` voxels on a grid of ``shape``."""
         if cells.size:
-            index = np.unravel_index(cells, self.shape)
-            self.check([int(i.min()) for i in index], [int(i.max()) + 1 for i in index])
+            index = np.unravel_index(cells, self.shape if shape is None else tuple(shape))
+            self.check([int(i.min()) for i in index], [int(i.max()) + 1 for i in index], factors)
 
 
 def aligned(box: Box, geometry: Geometry, blocks: Sequence[int]) -> Box:

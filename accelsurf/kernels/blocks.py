@@ -1,4 +1,4 @@
-"""Sums over blocks of voxels along one axis, and how many voxels differ from the next."""
+"""Blocks of voxels: sums over them, and their values on voxels; and how many voxels differ from the next."""
 
 from __future__ import annotations
 
@@ -28,6 +28,85 @@ def sums_along(values, step):
                     rest += values[i, j, k]
                 out[i, block, k] = values[i, first, k] + rest
     return out
+
+
+@kernel
+def add_between(out, share, values, z, y, x):
+    """Add ``share`` times values of blocks, linearly between their middles; beyond the voxels named ``share`` alone.
+
+    Parameters
+    ----------
+    out : ndarray (nz, ny, nx) float32
+        Changed.
+    share : float32
+    values : ndarray float32
+        Of the blocks.
+    z, y, x : (first, below, part)
+        For each axis: ``first``, the first voxel of ``out`` that has a value; for it and those after it the block
+        ``below`` it (n,) int64, and the ``part`` (n,) float32 of the way to the next block.
+    """
+    nz, ny, nx = out.shape
+    (first_z, below_z, part_z), (first_y, below_y, part_y), (first_x, below_x, part_x) = z, y, x
+    last_z, last_y, last_x = values.shape[0] - 1, values.shape[1] - 1, values.shape[2] - 1
+    line = np.empty(last_x + 1, np.float32)
+    for iz in range(nz):
+        for iy in range(ny):
+            row, jz, jy = out[iz, iy], iz - first_z, iy - first_y
+            if not (0 <= jz < len(below_z) and 0 <= jy < len(below_y)):
+                for ix in range(nx):
+                    row[ix] += share
+                continue
+            az, ay = below_z[jz], below_y[jy]
+            bz, by = min(az + 1, last_z), min(ay + 1, last_y)
+            for k in range(last_x + 1):
+                low = between(values[az, ay, k], values[bz, ay, k], part_z[jz])
+                high = between(values[az, by, k], values[bz, by, k], part_z[jz])
+                line[k] = between(low, high, part_y[jy])
+            for ix in range(first_x):
+                row[ix] += share
+            for j in range(len(below_x)):
+                ax = below_x[j]
+                row[first_x + j] += share * between(line[ax], line[min(ax + 1, last_x)], part_x[j])
+            for ix in range(first_x + len(below_x), nx):
+                row[ix] += share
+
+
+@kernel(inlined=True)
+def between(low, high, part):
+    """What lies between two values, at a part of the way."""
+    return low + part * (high - low)
+
+
+@kernel
+def hold_side(force, before, inside, held, least, gains):
+    """Move F towards what it was by the part ``held``; labels may change to one side alone.
+
+    Parameters
+    ----------
+    force : ndarray (nz, ny, nx) float32
+        F, changed.
+    before : ndarray (nz, ny, nx) float32
+        F before, cut at -1 and 1 here.
+    inside : ndarray (nz, ny, nx) of bool
+        The object before.
+    held, least : float32
+        Where a label would change to the other side, F is that before, of its side by ``least`` at least.
+    gains : bool
+        Whether labels may change to the inside; else to the outside.
+    """
+    nz, ny, nx = force.shape
+    one = np.float32(1.0)
+    for iz in range(nz):
+        for iy in range(ny):
+            row, was, own = force[iz, iy], before[iz, iy], inside[iz, iy]
+            for ix in range(nx):
+                earlier = min(max(was[ix], -one), one)
+                now = between(row[ix], earlier, held)
+                if gains and own[ix] and now >= 0.0:
+                    now = min(earlier, -least)
+                elif not gains and not own[ix] and now < 0.0:
+                    now = max(earlier, least)
+                row[ix] = now
 
 
 @kernel

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from accelsurf.energies.seeded import Proposal, SeededModel
 from accelsurf.energies.seeded.answers import Answer, Shown, mixed_answer, with_click
+from accelsurf.energies.seeded.appearance import learn
 from accelsurf.energies.seeded.competition import field_of
 from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import at_edges
@@ -21,6 +22,7 @@ from accelsurf.energies.seeded.sureness import Sureness, corrections_with, suren
 from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, on_box, whole_box, widened
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to
+from accelsurf.kernels.arrival import Tissue
 from accelsurf.segmentation.corrected_surface import CorrectedSurface, counted_from, placed_at
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.near_region import around_clicks, automatic_near
@@ -33,6 +35,8 @@ Mask = NDArray[np.bool_]
 Spacing = tuple[float, float, float]
 #: The first box of a march has so many times the radius of a ball of as many voxels as the march may accept.
 REACH = 2.5
+#: A slice is as thick as two voxels where its spacing is so many of the smallest.
+THICK_SLICES = 2.0
 #: Between what a march accepts and the border of its box lie at least so many voxels, so that the box changes nothing.
 CLEAR = 2
 
@@ -136,15 +140,15 @@ class LocalModel:
             with ThreadPoolExecutor(max(self._threads, 1)) as pool:
                 answered = pool.submit(self._with_click, before.answer, click)
                 parts = contest(self._images, self.spacing, clicks, self._passes, before.answer.count, pool)
-                answer = answered.result()
-            shown = mixed_answer(answer, parts, clicks, before.sized, before.shown)
-            edges = at_edges(shown, self._images, before.images, self.spacing, clicks, self._passes)
+                shown = mixed_answer(answered.result(), parts, clicks, before.sized, before.shown)
+                seen = self._images, before.images, self.spacing, clicks, self._passes
+                edges = at_edges(shown, *seen, pool)
             assert before.shown is not None  # there is an answer
             corrections = corrections_with(
                 before.corrections, click, (before.shown, shown), self.spacing, clicks.shape
             )
             self.state = LocalState(
-                clicks, answer, before.images, *edges, before.sized, shown, before.proposal, corrections
+                clicks, answered.result(), before.images, *edges, before.sized, shown, before.proposal, corrections
             )
         box = enclosing(self.state.box, before.box)
         now = on_box(self.state.start, self.state.box, box, False)
@@ -152,31 +156,21 @@ class LocalModel:
 
     def _with_click(self, answer: Answer, click: Click) -> Answer:
         """The answer to one more click, computed on a box that its march does not come near the border of."""
-        count = 1.05 * BEYOND * answer.count
-        axes = [n for n in self.state.clicks.shape if n > 1]
+        blocks, own = answer.blocks, answer.blocks.click(click, answer.clicks)
+        if own is None:
+            return answer
+        tissue = learn(self.state.images, self.spacing, click)
+        count = 1.05 * BEYOND * blocks.count(answer.count)
+        axes = [n for n in blocks.shape if n > 1]
         reach = REACH * (count * (3.0 / (4.0 * math.pi) if len(axes) == 3 else 1.0 / math.pi)) ** (1.0 / len(axes))
-        mean = math.prod(self.spacing) ** (1.0 / 3.0)
-        margin = [math.ceil(reach * mean / h) + CLEAR for h in self.spacing]
+        mean = math.prod(blocks.spacing) ** (1.0 / 3.0)
+        margin = [math.ceil(reach * mean / h) + CLEAR for h in blocks.spacing]
         while True:
-            box = enclosing(widened(click.box, self.state.clicks.shape, margin), answer.box)
-            found = self._on_box(answer, click, box)
+            box = enclosing(widened(own.box, blocks.shape, margin), answer.box)
+            found = _answer_on_box(answer, own, tissue, box)
             if found is not None:
                 return found
             margin = [2 * m for m in margin]
-
-    def _on_box(self, answer: Answer, click: Click, box: Box) -> Answer | None:
-        """The same on a given box; None where the march comes near its border."""
-        images = [np.ascontiguousarray(image[box]) for image in self.state.images]
-        passes = None if self._passes is None else self._passes[box]
-        field, corner = field_of(images, self.spacing, passes), corner_of(box)
-        clicks = tuple(_click_counted_from(one, corner) for one in answer.clicks)
-        here = dataclasses.replace(answer, box=counted_from(answer.box, corner), clicks=clicks)
-        own = _click_counted_from(click, corner)
-        marched = later_times(images, self.spacing, field, own, here)
-        if _is_near_border(marched[0].reshape(field.shape), box, self.state.clicks.shape):
-            return None
-        after = with_click(here, field, own, marched)
-        return dataclasses.replace(after, box=placed_at(after.box, corner), clicks=(*answer.clicks, click))
 
     def undo(self, change: ModelChange) -> None:
         """Take back the last change."""
@@ -187,8 +181,10 @@ def basin_of(click: Click, change: ModelChange, model: LocalModel, one: Correcte
     """What a click wins, as a click: its voxels, and those that the model gives to its side and the surface does not.
 
     Of those, what the model has given because of the click: also what an outside click cuts off, whose field is as it
-    was, but which is connected to no inside click any more. And what lies around the click, connected to it: the
-    surface has left what the model gave it before, and the click says that this was wrong.
+    was, but which is connected to no inside click any more. Far from the click only pieces thicker than a voxel: any
+    click moves the model's boundary by parts of a voxel everywhere, and the surface need not be run again for that.
+    And what lies around the click, connected to it: the surface has left what the model gave it before, and the click
+    says that this was wrong.
 
     Parameters
     ----------
@@ -204,11 +200,26 @@ def basin_of(click: Click, change: ModelChange, model: LocalModel, one: Correcte
     around = around_clicks([click], near, 0.0, model.state.clicks.shape, spacing, 0.0)
     box = enclosing(around.box, change.box)
     own = on_box(model.state.start, model.state.box, box, False) == (click.side == "inside")
-    changed = own & on_box(change.mask, change.box, box, False)
-    own &= on_box(around.mask, around.box, box, False)
+    changed, near_it = own & on_box(change.mask, change.box, box, False), on_box(around.mask, around.box, box, False)
+    changed = connected_to(changed, changed & (near_it | _thicker_than_a_voxel(changed, spacing)))
+    own &= near_it
     own &= (on_box(one.psi, box_at(one.corner, one.psi.shape), box, 1.0) < 0) != (click.side == "inside")
     clicked = click.mask_on(box)
     return click._replace(box=box, mask=changed | connected_to(own | clicked, clicked))
+
+
+def _thicker_than_a_voxel(mask: Mask, spacing: Spacing) -> Mask:
+    """The first voxels of the blocks in a mask of two voxels along each axis; of one along axes that are as coarse."""
+    out = mask.copy()
+    fine = [h < THICK_SLICES * min(spacing) for h in spacing]
+    for axis in (i for i, n in enumerate(mask.shape) if n > 1 and fine[i]):
+        here: list[slice] = [slice(None)] * 3
+        here[axis] = slice(None, -1)
+        last, following = list(here), list(here)
+        last[axis], following[axis] = slice(-1, None), slice(1, None)
+        pairs = out[tuple(here)] & out[tuple(following)]
+        out[tuple(here)], out[tuple(last)] = pairs, False
+    return out
 
 
 def local_model(
@@ -223,6 +234,22 @@ def local_model(
 
 def _maker(context: ImageContext) -> Callable[[Clicks], SeededModel]:
     return lambda clicks: context.with_clicks(clicks).seeded_model()
+
+
+def _answer_on_box(answer: Answer, click: Click, tissue: Tissue, box: Box) -> Answer | None:
+    """The answer to one more click, in blocks, on a box of theirs; None where its march comes near the box's border."""
+    blocks = answer.blocks
+    images = [np.ascontiguousarray(image[box]) for image in blocks.images]
+    passes = None if blocks.passes is None else blocks.passes[box]
+    field, corner = field_of(images, blocks.spacing, passes), corner_of(box)
+    clicks = tuple(_click_counted_from(one, corner) for one in answer.clicks)
+    here = dataclasses.replace(answer, box=counted_from(answer.box, corner), clicks=clicks)
+    own = _click_counted_from(click, corner)
+    times = later_times(field, tissue, own, here)
+    if _is_near_border(times.reshape(field.shape), box, blocks.shape):
+        return None
+    after = with_click(here, field, own, times)
+    return dataclasses.replace(after, box=placed_at(after.box, corner), clicks=(*answer.clicks, click))
 
 
 def _click_counted_from(click: Click, corner: tuple[int, int, int]) -> Click:

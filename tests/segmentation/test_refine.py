@@ -444,6 +444,31 @@ def test_what_an_outside_click_cuts_off_is_won_by_it():
     assert found[leak].all() and found.sum() == leak.sum() + 1
 
 
+def test_single_voxels_far_from_a_click_are_not_won():
+    """Any click moves the model's boundary by parts of a voxel everywhere: they would make the region the whole object.
+
+    A piece far away that is thicker than a voxel is won; so is a voxel beside the click.
+    """
+    field, start = np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool)
+    state = LocalState(Clicks((), SHAPE), None, (), box_at((0, 0, 0), SHAPE), field, start)
+    changed = np.zeros(SHAPE, bool)
+    changed[4, 6, 10:60:3] = changed[20, 8:20, 50] = True
+    thick = np.zeros(SHAPE, bool)
+    thick[10:13, 12:15, 52:55] = True
+    beside = np.zeros(SHAPE, bool)
+    beside[12, 14, 22] = True
+    changed |= thick | beside
+    local = LocalModel(state, [], SPACING, None, whole_model([]))
+    click = Click("outside", box_at((12, 14, 21), (1, 1, 1)), np.ones((1, 1, 1), bool))
+    psi = np.where(changed, -1.0, 1.0).astype(np.float32)
+    one = CorrectedSurface(1, (0, 0, 0), psi, int(changed.sum()), [], None)
+    won = basin_of(click, ModelChange(state.box, changed, state), local, one)
+    found = np.zeros(SHAPE, bool)
+    found[won.box] = won.mask
+    found[12, 14, 21] = False
+    assert np.array_equal(found, thick | beside)
+
+
 @pytest.mark.parametrize("side", ["inside", "outside"])
 def test_clicks_of_one_side_move_the_surface_to_that_side_alone(image, side):
     """Even where the energy pulls everywhere: the start is far from where the energy would have it."""

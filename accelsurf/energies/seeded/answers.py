@@ -8,6 +8,8 @@ labels towards its own side alone, and only in the piece that is connected to it
 What is shown is the mean of that learned answer and of the contests of the clicks alone, after the first click with as
 many voxels as the answer has, later between the answer's size and its own. A later click changes labels towards its own
 side alone, and F by a part.
+
+Clicks on a large object are answered in blocks of voxels, see `accelsurf.energies.seeded.blocks`.
 """
 
 from __future__ import annotations
@@ -20,13 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies.seeded.appearance import Image, Mask
+from accelsurf.energies.seeded.blocks import Blocks
 from accelsurf.energies.seeded.competition import Field, Times, balance, from_beyond
 from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.likelihood import log_ratio
-from accelsurf.grid.boxes import Box, bounding_box, corner_of, enclosing, on_box, shared
+from accelsurf.grid.boxes import Box, bounding_box, enclosing, on_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to, holes_filled
 from accelsurf.kernels.arrival import Tissue
+from accelsurf.kernels.blocks import hold_side
 
 #: F in the clicks, by side.
 CLICKED = {"inside": -3.0, "outside": 3.0}
@@ -62,12 +66,24 @@ class Shown(NamedTuple):
         return on_box(self.force, self.box, box, 1.0), on_box(self.inside, self.box, box, False)
 
 
+class FirstTimes(NamedTuple):
+    """What tells whether a click contradicts the first one, on the voxels: arrival ``times`` from the first click alone
+    on a ``box``. An outside click that its front comes to until ``early`` says that the first proposal was far too
+    large; -inf of a stated size, which no click contradicts.
+    """
+
+    box: Box
+    times: Image
+    early: float
+
+
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """The field after some clicks, on a box of the grid; beyond it all is surroundings.
+    """The field after some clicks, in blocks, on a box of their grid; beyond it all is surroundings.
 
     Attributes
     ----------
+    blocks : Blocks
     box : tuple of slice
     count : int
         Voxels of the first click's proposal.
@@ -86,14 +102,11 @@ class Answer:
     inside : ndarray of bool
         Where F < 0, connected to inside clicks.
     clicks : tuple of Click
-        Those that were answered.
-    first : ndarray, float32
-        Arrival times from the first click alone.
-    early : float
-        An outside click that the first one's front comes to until then says that the first proposal was far too
-        large; -inf of a stated size, which no click contradicts.
+        Those that were answered, in blocks.
+    first : FirstTimes
     """
 
+    blocks: Blocks
     box: Box
     count: int
     level: float
@@ -106,33 +119,44 @@ class Answer:
     force: Image
     inside: Mask
     clicks: tuple[Click, ...]
-    first: Image
-    early: float
+    first: FirstTimes
+
+    @property
+    def voxels(self) -> int:
+        """Voxels inside."""
+        return int(np.count_nonzero(self.inside)) * self.blocks.size
 
     def is_contradicted(self, click: Click) -> bool:
-        """Whether a click says that the first proposal was far too large."""
-        return click.side == "outside" and bool((self.first[click.mask_on(self.box)] <= self.early).any())
+        """Whether a click, on the voxels, says that the first proposal was far too large."""
+        box, times, early = self.first
+        return click.side == "outside" and bool((times[click.mask_on(box)] <= early).any())
 
 
 def first_answer(
     field: Field,
+    blocks: Blocks,
     tissue: Tissue,
     click: Click,
     times: Times,
     level: tuple[int, float, float],
-    early: float,
+    first: FirstTimes | None = None,
+    early: float = -np.inf,
 ) -> Answer:
     """The answer to the first inside click.
 
     Parameters
     ----------
     field : Field
+        Of the blocks, as click and times are.
+    blocks : Blocks
     tissue : Tissue
     click : Click
     times : ndarray (n,) float32
     level : (count, level, last)
-    early : float
         See `Answer`.
+    first : FirstTimes, optional
+        Needed unless blocks are voxels; those of the answer and ``early`` otherwise.
+    early : float, optional
     """
     count, at, last = level
     box = _box_of(field, times <= last)
@@ -144,14 +168,15 @@ def first_answer(
     likely = log_ratio(field.images_on(box), near, ~(near | far))
     total = competition - LIKELIHOOD * likely
     force = (1.0 - LEVEL) * competition + LEVEL * balance(inside, np.full_like(inside, at)) - LIKELIHOOD * likely
-    force -= _offset(force, count) * ~far
+    force -= _offset(force, blocks.count(count)) * ~far
     none = np.full_like(inside, np.inf)
+    seen = FirstTimes(box, inside, early) if first is None else first
     force = np.asarray(force, np.float32)
-    answer = Answer(box, count, at, last, tissue, inside, none, out, total, force, near, (click,), inside, early)
+    answer = Answer(blocks, box, count, at, last, tissue, inside, none, out, total, force, near, (click,), seen)
     return replace(answer, inside=object_of(answer.force, answer.box, answer.clicks))
 
 
-def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times, Tissue]) -> Answer:
+def with_click(answer: Answer, field: Field, click: Click, marched: Times) -> Answer:
     """The answer to one more click.
 
     Parameters
@@ -160,10 +185,11 @@ def with_click(answer: Answer, field: Field, click: Click, marched: tuple[Times,
         To the clicks before.
     field : Field
     click : Click
-    marched : (times, tissue)
-        Arrival times (n,) from the click, and its tissue.
+        In blocks, as the field is.
+    marched : ndarray (n,) float32
+        Arrival times from the click.
     """
-    dense = marched[0].reshape(field.shape)
+    dense = marched.reshape(field.shape)
     reached = _box_of(field, (dense <= answer.last).ravel()) if click.side == "inside" else click.box
     answer = _on_larger_box(answer, enclosing(answer.box, reached))
     times, is_inside = dense[answer.box], click.side == "inside"
@@ -211,28 +237,22 @@ def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized
     before : Shown or None
         What was shown before the last click: labels change towards its side alone.
     """
-    box = answer.box if before is None else enclosing(answer.box, before.box)
+    own = answer.blocks.on_voxels(answer.box, np.clip(answer.force, -1.0, 1.0))
+    box = own.box if before is None else enclosing(own.box, before.box)
     for other in (*(part.box for part in parts), *(click.box for click in clicks.clicks)):
         box = enclosing(box, other)
-    own = Balance(answer.box, np.clip(answer.force, -1.0, 1.0))
     by_count = OWN_SIZED if sized else OWN
     weights = (by_count[min(len(clicks), len(by_count)) - 1], PATHS, WALKS)
     mixed = np.zeros([s.stop - s.start for s in box], np.float32)
     for weight, part in zip(weights, (own, *parts), strict=True):
-        share = np.float32(weight / sum(weights))
-        here, _ = shared(corner_of(box), mixed.shape, corner_of(part.box), part.values.shape)
-        within = mixed[here] + share * part.values
-        mixed += share  # beyond its box it is 1
-        mixed[here] = within
-    count = int(np.count_nonzero(answer.inside))
+        part.add_to(mixed, box, weight / sum(weights))
     if before is None:
-        mixed -= _offset(mixed, count)
+        mixed -= _offset(mixed, answer.voxels)
     else:
-        mixed -= np.float32(SIZE_PART) * _offset(mixed, count, MAX_RATIO)
-        shown = before.on(box)
+        mixed -= np.float32(SIZE_PART) * _offset(mixed, answer.voxels, MAX_RATIO)
         held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
-        mixed += held * (np.clip(shown[0], -1.0, 1.0) - mixed)
-        mixed = _one_sided(mixed, shown, clicks.clicks[-1].side)
+        gains = clicks.clicks[-1].side == "inside"
+        hold_side(mixed, *before.on(box), held, np.float32(MIN_FORCE), gains)
     inside = object_of(mixed, box, clicks.clicks)
     for click in clicks.clicks:
         seen = click.mask_on(box)
@@ -249,24 +269,18 @@ def _offset(force: Image, count: int, most: float = np.inf) -> np.float32:
     if now == count or max(now, count) > most * min(now, count):
         return np.float32(0.0)
     rank = min(count, force.size - 1)
-    return np.float32(np.clip(np.partition(force.ravel(), rank)[rank], -MAX_OFFSET, MAX_OFFSET))
+    below = int(np.count_nonzero(force < -MAX_OFFSET))
+    between = force[(force >= -MAX_OFFSET) & (force <= MAX_OFFSET)]
+    if not below <= rank < below + between.size:
+        return np.float32(-MAX_OFFSET if rank < below else MAX_OFFSET)
+    return np.float32(np.partition(between, rank - below)[rank - below])
 
 
-def _one_sided(force: Image, before: tuple[Image, Mask], side: str) -> Image:
-    """F with its value before where a click on one side would change the label towards the other."""
-    earlier, inside = before
-    if side == "inside":
-        return np.where(inside & (force >= 0), np.clip(earlier, -1.0, -MIN_FORCE), force)
-    return np.where(~inside & (force < 0), np.clip(earlier, MIN_FORCE, 1.0), force)
-
-
-def on_whole_grid(answer: Answer, shown: Shown, shape: tuple[int, int, int]) -> tuple[Image, Mask, Image, Image]:
-    """F, the start, and the times from inside and from outside on the whole grid, from that of `mixed_answer`."""
+def on_whole_grid(shown: Shown, shape: tuple[int, int, int]) -> tuple[Image, Mask]:
+    """F and the start on the whole grid."""
     force, start = np.ones(shape, np.float32), np.zeros(shape, np.bool_)
-    times_in, times_out = np.full(shape, np.inf, np.float32), np.zeros(shape, np.float32)
     force[shown.box], start[shown.box] = shown.force, shown.inside
-    times_in[answer.box], times_out[answer.box] = answer.times_in, answer.times_out
-    return force, start, times_in, times_out
+    return force, start
 
 
 def object_of(force: Image, box: Box, clicks: Sequence[Click]) -> Mask:
@@ -309,6 +323,5 @@ def _on_larger_box(answer: Answer, box: Box) -> Answer:
         times_out=larger(answer.times_out, 0.0),
         total=larger(answer.total, 1.0),
         force=larger(answer.force, 1.0),
-        first=larger(answer.first, np.inf),
         inside=larger(answer.inside, False),
     )

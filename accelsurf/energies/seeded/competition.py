@@ -22,11 +22,15 @@ _NEVER_LATE = (0, np.inf)
 
 
 class Field(NamedTuple):
-    """What marches need: the channels in one array, where nothing passes, the grid, and of what it is a window."""
+    """What marches need: the channels in one array, where nothing passes, the grid, and of what it is a window.
+
+    A voxel of the grid is a block of ``steps`` voxels of the window.
+    """
 
     medium: Medium
     grid: Grid
     window: Window | None = None
+    steps: tuple[int, int, int] = (1, 1, 1)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -50,14 +54,18 @@ class Field(NamedTuple):
 
 
 def field_of(
-    images: Sequence[NDArray[np.float32]], spacing: Sequence[float], mask: Mask | None, window: Window | None = None
+    images: Sequence[NDArray[np.float32]],
+    spacing: Sequence[float],
+    mask: Mask | None,
+    window: Window | None = None,
+    steps: tuple[int, int, int] = (1, 1, 1),
 ) -> Field:
     """The channels for marches on their grid; a single one is not copied."""
     nz, ny, nx = images[0].shape
     channels = [np.ravel(image) for image in images]
     values = channels[0][None] if len(channels) == 1 else np.stack(channels)
     passes = np.zeros(0, np.bool_) if mask is None else np.ascontiguousarray(mask).ravel()
-    return Field(Medium(values, passes), Grid(nz, ny, nx, *(float(h) for h in spacing)), window)
+    return Field(Medium(values, passes), Grid(nz, ny, nx, *(float(h) for h in spacing)), window, steps)
 
 
 def arrival(
@@ -98,7 +106,7 @@ def reached(
     times[seeds] = 0.0
     order = march(times, field.medium, tissue, field.grid, seeds, cap, late, max(max_count, len(seeds)))
     if field.window is not None:
-        field.window.check_cells(order)
+        field.window.check_cells(order, field.shape, field.steps)
     return times, order
 
 

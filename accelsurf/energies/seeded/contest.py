@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, radius_of, robust
-from accelsurf.grid.boxes import Box, corner_of
+from accelsurf.grid.boxes import Box, Corner, corner_of
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.kernels.blocks import count_changes, sums_along
+from accelsurf.kernels.blocks import add_between, count_changes, sums_along
 from accelsurf.kernels.paths import shortest_paths
 from accelsurf.kernels.walker import walk
 
@@ -60,10 +60,46 @@ class Around(NamedTuple):
 
 
 class Balance(NamedTuple):
-    """Values on a box of the grid; beyond it they are 1."""
+    """Values on a box of the grid, by those of blocks; beyond the box they are 1.
+
+    Attributes
+    ----------
+    box : tuple of slice
+    values : ndarray, float32
+        Of the blocks; between their middles values are linear.
+    steps : (int, int, int)
+        Voxels of a block along each axis.
+    first : (int, int, int)
+        The box's first voxel, counted from the first of the first block.
+    """
 
     box: Box
     values: Image
+    steps: Corner = (1, 1, 1)
+    first: Corner = (0, 0, 0)
+
+    def add_to(self, out: Image, box: Box, share: float) -> None:
+        """Add ``share`` times the values to an array on a box of the grid that holds the own one."""
+        axes = []
+        for axis, (side, own, step, begin) in enumerate(zip(box, self.box, self.steps, self.first, strict=True)):
+            at = (np.arange(begin, begin + own.stop - own.start) - 0.5 * (step - 1)) / step
+            below = np.clip(np.floor(at).astype(np.int64), 0, self.values.shape[axis] - 1)
+            axes.append((own.start - side.start, below, np.clip(at - below, 0.0, 1.0).astype(np.float32)))
+        add_between(out, np.float32(share), self.values, *axes)
+
+    def on_box(self, box: Box) -> Image:
+        """The values of the voxels of a box of the grid that holds the own one.
+
+        Examples
+        --------
+        >>> row = (slice(0, 1), slice(0, 1), slice(4, 7))
+        >>> part = Balance(row, np.array([[[1, 3]]], np.float32), (1, 1, 2), (0, 0, 1))
+        >>> part.on_box((slice(0, 1), slice(0, 1), slice(3, 7))).tolist()
+        [[[1.0, 1.5, 2.5, 3.0]]]
+        """
+        out = np.zeros([s.stop - s.start for s in box], np.float32)
+        self.add_to(out, box, 1.0)
+        return out
 
 
 def contest(
@@ -106,7 +142,7 @@ def _by_paths(part: Around) -> Balance:
     inside, outside = (shortest_paths(part.seeds == side, smooth, part.spacing, CHANGE) for side in (-1, 1))
     both = np.where(np.isfinite(outside), inside + outside, 1.0)
     balance = np.where(np.isfinite(outside), inside - outside, -1.0) / np.maximum(both, 1e-6)
-    return _on_grid(part, balance.astype(np.float32))
+    return Balance(part.box, balance.astype(np.float32), part.steps)
 
 
 def _by_walks(part: Around) -> Balance:
@@ -114,7 +150,7 @@ def _by_walks(part: Around) -> Balance:
     spread = max(float(np.sqrt(sum(values.var() for values in part.values))), 1e-6)
     walk(found, part.seeds != 0, part.values, part.spacing, SHARPNESS / spread, TOLERANCE, MAX_ITERATIONS)
     # Before it has converged it may lie beyond the values at the seeds.
-    return _on_grid(part, np.clip(found, -1.0, 1.0).astype(np.float32))
+    return Balance(part.box, np.clip(found, -1.0, 1.0).astype(np.float32), part.steps)
 
 
 def around(
@@ -210,26 +246,14 @@ def block_means(values: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np
     return values
 
 
-def _on_grid(part: Around, values: Image) -> Balance:
-    """Linearly between the centres of the blocks."""
-    counts = [s.stop - s.start for s in part.box]
-    for axis, (step, count) in enumerate(zip(part.steps, counts, strict=True)):
-        if step > 1:
-            at = (np.arange(count) - 0.5 * (step - 1)) / step
-            below = np.clip(np.floor(at).astype(int), 0, values.shape[axis] - 1)
-            above = np.minimum(below + 1, values.shape[axis] - 1)
-            share = np.expand_dims(np.clip(at - below, 0, 1), [i for i in range(3) if i != axis]).astype(np.float32)
-            lower, upper = np.take(values, below, axis), np.take(values, above, axis)
-            values = (lower + share * (upper - lower)).astype(np.float32)
-    return Balance(part.box, values)
-
-
 def _scaled(image: Image, box: Box, inside: Sequence[Click]) -> Image:
     """A channel on a box, 0 at the median of the inside clicks and in units of their spread, cut at both ends."""
     part = image[box]
     middle, spread = robust(np.concatenate([image[click.box][click.mask] for click in inside]))
     spread = _at_least_of_changes(part, max(spread, MIN_RANGE * float(np.ptp(part)), 1e-20))
-    return np.clip((part - np.float32(middle)) / np.float32(spread), -WINDOW, WINDOW)
+    scaled = part - np.float32(middle)
+    scaled /= np.float32(spread)
+    return np.clip(scaled, -WINDOW, WINDOW, out=scaled)
 
 
 def _at_least_of_changes(part: Image, spread: float) -> float:

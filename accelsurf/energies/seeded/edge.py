@@ -10,6 +10,7 @@ more than two voxels from the boundary, where nothing can leak.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ AREA, NOISY_AREA = 0.1, 0.2
 
 
 def edge_balance(
-    images: Sequence[Image], spacing: Spacing, inside: Mask, open: Mask | None
+    images: Sequence[Image], spacing: Spacing, inside: Mask, open: Mask | None, pool: Executor | None = None
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Which side each voxel near a boundary is on by its value, and how much that counts.
 
@@ -56,11 +57,14 @@ def edge_balance(
     open : ndarray (nz, ny, nx) of bool, optional
         Elsewhere nothing is looked at and nothing counts.
 
+    pool : Executor, optional
+        Sums over windows are made in its threads.
+
     Returns
     -------
     balance, weight : ndarray (nz, ny, nx), float32
         f = (m - I) sign(u_in - u_out)/(|u_in - u_out|/2), from -1 inside to 1 outside, m = (u_in + u_out)/2; of several
-        channels the mean, each weighted by its contrast. The weight is from 0 to 1.
+        channels the mean, each weighted by its contrast. The weight is from 0 to 1. Beyond two voxels both are 0.
 
     Notes
     -----
@@ -73,28 +77,39 @@ def edge_balance(
     sizes = [2 * half + 1 if n > 1 else 1 for half, n in zip(_half_window(spacing), inside.shape, strict=True)]
 
     def window(values: NDArray) -> NDArray[np.float32]:
-        return np.asarray(ndimage.uniform_filter(values, sizes, np.float32, mode="constant"))
+        return np.asarray(ndimage.uniform_filter(values, sizes, np.float32, mode="constant"))[near]
 
-    within, both = window(counts * inside), window(counts)
-    beyond = both - within
+    def windows(*arrays: NDArray) -> list[NDArray[np.float32]]:
+        return list((map if pool is None else pool.map)(window, arrays))
+
+    within, both = windows(counts * inside, counts)
+    beyond = both - within  # at voxels near the boundary alone, as all that follows
     found = (within > MIN_PART) & (beyond > MIN_PART)
     within, beyond = np.maximum(within, MIN_PART), np.maximum(beyond, MIN_PART)
-    balance, total = np.zeros(inside.shape, np.float32), np.zeros(inside.shape, np.float32)
+    balance, total = np.zeros(within.shape, np.float32), np.zeros(within.shape, np.float32)
     for image in images:
         values = (image - np.float32(image[inside & seen].mean(dtype=np.float64))) * seen
-        sum_in, sum_both = window(counts * inside * values), window(counts * values)
+        counted = counts * values
+        sum_in, sum_both, squares = windows(counted * inside, counted, counted * values)
         sum_out = sum_both - sum_in
         one, other = sum_in / within, sum_out / beyond
-        square = window(counts * values * values) - sum_in * one - sum_out * other
         least = max(MIN_RANGE * float(np.ptp(values)), 1e-20)
-        variance = np.maximum(square / (within + beyond), 0.0) + np.float32(least**2)
+        variance = np.maximum((squares - sum_in * one - sum_out * other) / (within + beyond), 0.0)
+        variance += np.float32(least**2)
         half = 0.5 * (one - other)
         contrast = 4.0 * half * half / variance
-        side = np.clip((0.5 * (one + other) - values) * half / np.maximum(half * half, least**2), -1.0, 1.0)
+        side = np.clip((0.5 * (one + other) - values[near]) * half / np.maximum(half * half, least**2), -1.0, 1.0)
         balance += contrast * side
         total += contrast
-    weight = total**2 / (total**2 + np.float32(CLEAR_CONTRAST**4)) * found * (0.5 * near + 0.5 * next_to_it)
-    return (balance / np.maximum(total, 1e-12)).astype(np.float32), weight.astype(np.float32)
+    weight = total**2 / (total**2 + np.float32(CLEAR_CONTRAST**4)) * found * (0.5 + 0.5 * next_to_it[near])
+    return _on_grid(balance / np.maximum(total, 1e-12), near), _on_grid(weight, near)
+
+
+def _on_grid(values: NDArray[np.floating], where: Mask) -> NDArray[np.float32]:
+    """Values of some voxels on the grid, 0 elsewhere."""
+    out = np.zeros(where.shape, np.float32)
+    out[where] = values
+    return out
 
 
 def _seen_both(inside: Mask, size: int) -> Mask:
@@ -130,6 +145,7 @@ def at_edges(
     spacing: Spacing,
     clicks: Clicks,
     open: Mask | None,
+    pool: Executor | None = None,
 ) -> Shown:
     """What is shown, with its boundary at the edges of the image: F near it is w f + (1 - w) F.
 
@@ -144,6 +160,8 @@ def at_edges(
     clicks : Clicks
     open : ndarray (nz, ny, nx) of bool, optional
         The object lies in it.
+    pool : Executor, optional
+        Some of it is made in its threads.
     """
     box, force, inside = shown
     for _ in range(ROUNDS):
@@ -156,7 +174,7 @@ def at_edges(
         near = _near(seen, passes)
         pairs = zip(images, smooth, strict=True)
         parts = [_as_smooth_as_needed(one[here], other[here], seen, near) for one, other in pairs]
-        balance, weight = edge_balance(parts, spacing, seen, passes)
+        balance, weight = edge_balance(parts, spacing, seen, passes, pool)
         for click in clicks.clicks:
             weight[click.mask_on(here)] = 0.0
         force = shown.force.copy()
@@ -223,8 +241,9 @@ def _noise_share(image: Image, inside: Mask, near: Mask) -> float:
     contrast = abs(float(np.median(image[one])) - float(np.median(image[other])))
     found = []
     for axis in (i for i in range(3) if image.shape[i] > 2):
-        middle = (slice(None),) * axis + (slice(1, -1),)
-        second = np.abs(np.diff(image, 2, axis=axis))[near[middle]]
+        before, at, after = ((slice(None),) * axis + (slice(k, k - 2 or None),) for k in range(3))
+        here, value = near[at], image[at][near[at]]
+        second = np.abs((image[after][here] - value) - (value - image[before][here]))
         if second.size:
             found.append(float(np.median(second)) / SECOND_DIFFERENCE)
     return min(min(found, default=0.0) / max(contrast, 1e-20), 1.0)

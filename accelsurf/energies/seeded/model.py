@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies.seeded.answers import Answer, Shown, first_answer, mixed_answer, on_whole_grid, with_click
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, count_of, even_radius, learn
-from accelsurf.energies.seeded.competition import Field, Times, arrival, field_of, reached
+from accelsurf.energies.seeded.blocks import field_in, in_blocks
+from accelsurf.energies.seeded.competition import Field, Times, arrival, reached
 from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import area_weight, at_edges
 from accelsurf.energies.seeded.evidence import edges_of
@@ -48,9 +48,6 @@ class SeededModel:
         F: the surface grows where F < 0; -3 and 3 in clicked voxels, about -1 to 1 elsewhere.
     start : ndarray (nz, ny, nx) of bool
         Where F < 0, as far as it is connected to inside clicks, with holes filled.
-    times_in, times_out : ndarray (nz, ny, nx), float32
-        Arrival times from the inside clicks, and from the outside clicks and the surroundings; inf where they do not
-        come.
     proposal : Proposal
         The level of the first click's arrival time.
     area_weight_mm : float
@@ -72,8 +69,6 @@ class SeededModel:
 
     field: Image
     start: Mask
-    times_in: Image
-    times_out: Image
     proposal: Proposal
     area_weight_mm: float
     clicks: Clicks
@@ -125,23 +120,23 @@ def seeded_model(
     first, sized = _first_inside(clicks), size_mm3 is not None
     where = _allowed(images[0].shape, box, mask), window
     if previous is not None and previous.answer is not None and _goes_on(clicks, previous.clicks, previous.answer):
-        smooth, answer, proposal = previous.images, previous.answer, previous.proposal
-        field, shown, corrections = field_of(smooth, spacing, *where), previous.shown, previous.corrections
-        known, left = previous.clicks, list(clicks.clicks[len(previous.clicks) :])
+        smooth, answer, proposal, shown = previous.images, previous.answer, previous.proposal, previous.shown
+        known, corrections, left = previous.clicks, previous.corrections, list(clicks.clicks[len(previous.clicks) :])
     else:
-        smooth = _smoothed(images, spacing)
-        field = field_of(smooth, spacing, *where)
-        answer, proposal = _first(smooth, spacing, field, clicks, size_mm3, box is not None)
         known, left = Clicks((first,), clicks.shape), [one for one in clicks.clicks if one is not first]
+        smooth = _smoothed(images, spacing)
+        answer, proposal = _first(smooth, spacing, where, clicks, size_mm3, box is not None)
         shown, corrections = _shown(images, spacing, where, answer, known, (sized, None)), ()
+        answer = _in_larger_blocks(answer, smooth, spacing, where, first)
     assert shown is not None  # an answer was shown
+    field = field_in(answer.blocks)
     with ThreadPoolExecutor(max(threads, 1)) as pool:
-        marched = pool.map(partial(later_times, smooth, spacing, field, answer=answer), left)
-        for click, times in zip(left, marched, strict=True):
-            answer, known = with_click(answer, field, click, times), known.with_more([click])
+        marched = list(pool.map(_times_of(smooth, spacing, field, answer), *_in_blocks(left, answer)))
+        for click, (own, times) in zip(left, marched, strict=True):
+            known, answer = known.with_more([click]), with_click(answer, field, own, times) if own else answer
             before, shown = shown, _shown(images, spacing, where, answer, known, (sized, shown), pool)
             corrections = corrections_with(corrections, click, (before, shown), spacing, clicks.shape)
-    arrays = on_whole_grid(answer, at_edges(shown, images, smooth, spacing, clicks, where[0]), clicks.shape)
+        arrays = on_whole_grid(at_edges(shown, images, smooth, spacing, clicks, where[0], pool), clicks.shape)
     area = area_weight(images, spacing, arrays[1], where[0])
     return SeededModel(*arrays, proposal, area, clicks, answer, smooth, sized, shown, corrections)
 
@@ -202,11 +197,19 @@ def _seeds(click: Click, field: Field) -> NDArray[np.int64]:
 
 
 def _first(
-    images: Sequence[Image], spacing: Spacing, field: Field, clicks: Clicks, size_mm3: float | None, boxed: bool
+    images: Sequence[Image],
+    spacing: Spacing,
+    where: tuple[Mask | None, Window | None],
+    clicks: Clicks,
+    size_mm3: float | None,
+    boxed: bool,
 ) -> tuple[Answer, Proposal]:
-    """The answer to the first inside click, and the level that it was made with: smaller where outside clicks ask."""
-    click = next(one for one in clicks.clicks if one.side == "inside")
-    voxel = float(np.prod(spacing))
+    """The answer to the first inside click, voxel by voxel, and the level that it was made with: smaller where outside
+    clicks ask.
+    """
+    click, voxel = _first_inside(clicks), float(np.prod(spacing))
+    blocks = in_blocks(images, spacing, *where, 0)
+    field = field_in(blocks)
     tissue, seeds = learn(images, spacing, click), _seeds(click, field)
     open_count = int(np.count_nonzero(field.medium.open)) if field.medium.open.size else field.size
     if field.medium.open.size and not field.medium.open[seeds].any():
@@ -227,7 +230,27 @@ def _first(
             proposal = by_evidence(*seen, most=float(np.searchsorted(times[order], first)) / FAR_TOO_LARGE)
     count = round(proposal.volume_mm3 / voxel)
     last = float(times[order[min(round(BEYOND * count), len(order)) - 1]])
-    return first_answer(field, tissue, click, times, (count, proposal.level, last), early), proposal
+    level = count, proposal.level, last
+    return first_answer(field, blocks, tissue, click, times, level, early=early), proposal
+
+
+def _in_larger_blocks(
+    answer: Answer,
+    images: Sequence[Image],
+    spacing: Spacing,
+    where: tuple[Mask | None, Window | None],
+    click: Click,
+) -> Answer:
+    """The answer to the first click, from which those to later ones go on: in blocks that suit the object's size."""
+    blocks = in_blocks(images, spacing, *where, answer.count)
+    if blocks.size == 1:
+        return answer
+    own = blocks.click(click, ())
+    assert own is not None  # no click was before it
+    field, count = field_in(blocks), blocks.count(answer.count)
+    times, order = arrival(field, answer.tissue, _seeds(own, field), int(1.05 * BEYOND * count) + 1)
+    level, last = (float(times[order[min(round(n), len(order)) - 1]]) for n in (count, BEYOND * count))
+    return first_answer(field, blocks, answer.tissue, own, times, (answer.count, level, last), answer.first)
 
 
 def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:
@@ -236,19 +259,51 @@ def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:
     return most if boxed else int(min(prior.farthest(), most))
 
 
-def later_times(
-    images: Sequence[Image], spacing: Spacing, field: Field, click: Click, answer: Answer
-) -> tuple[Times, Tissue]:
+def _in_blocks(clicks: Sequence[Click], answer: Answer) -> tuple[Sequence[Click], list[Click | None]]:
+    """Later clicks, and the same in the blocks of an answer, see `Blocks.click`."""
+    found, answered = list[Click | None](), list(answer.clicks)
+    for click in clicks:
+        own = answer.blocks.click(click, answered)
+        found.append(own)
+        answered += [] if own is None else [own]
+    return clicks, found
+
+
+def _times_of(
+    images: Sequence[Image], spacing: Spacing, field: Field, answer: Answer
+) -> Callable[[Click, Click | None], tuple[Click | None, Times]]:
+    """Makes `later_times` of a click from its blocks, which it returns with them; none of a click without blocks."""
+
+    def made(click: Click, own: Click | None) -> tuple[Click | None, Times]:
+        if own is None:
+            return None, np.zeros(0, np.float32)
+        return own, later_times(field, learn(images, spacing, click), own, answer)
+
+    return made
+
+
+def later_times(field: Field, tissue: Tissue, click: Click, answer: Answer) -> Times:
     """Arrival times from a later click, on the scale of the first one's.
 
     From an inside click the march ends where the surroundings begin: later times say nothing more.
+
+    Parameters
+    ----------
+    field : Field
+        Of the answer's blocks.
+    tissue : Tissue
+        Of the click, learned voxel by voxel.
+    click : Click
+        In blocks.
+    answer : Answer
+        To clicks before it.
     """
-    tissue, seeds = learn(images, spacing, click), _seeds(click, field)
+    seeds, count = _seeds(click, field), answer.blocks.count(answer.count)
     faster = LATER[click.side] * answer.level
-    ends = click.side == "inside" and faster > 0.0 and len(seeds) < answer.count
-    late = (answer.count, answer.last / faster) if ends else (0, np.inf)
-    times, cells = reached(field, tissue, seeds, int(1.05 * BEYOND * answer.count), late=late)
-    found, rank = times[cells], min(answer.count, len(cells)) - 1
+    ends = click.side == "inside" and faster > 0.0 and len(seeds) < count
+    late = (count, answer.last / faster) if ends else (0, np.inf)
+    times, cells = reached(field, tissue, seeds, int(1.05 * BEYOND * count), late=late)
+    found, rank = times[cells], min(count, len(cells)) - 1
     own = float(np.partition(found, rank)[rank])
     times[cells] = found * np.float32(faster / own if own > 0.0 else 1.0)  # all others are inf
-    return times, tissue
+    return times

@@ -69,4 +69,4 @@ def partition_model(
     start = connected_to(force < 0, inside)
     volume = float(np.count_nonzero(start)) * float(np.prod(spacing))
     proposal = Proposal(float(times_in[start].max()), volume, 1.0)
-    return SeededModel(force, start, times_in, times_out, proposal, AREA * min(spacing), clicks, None, ())
+    return SeededModel(force, start, proposal, AREA * min(spacing), clicks, None, ())

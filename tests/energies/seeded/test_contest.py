@@ -8,7 +8,6 @@ import pytest
 from accelsurf.energies.seeded import contest as module
 from accelsurf.energies.seeded.appearance import radius_of
 from accelsurf.energies.seeded.contest import Balance, around, box_around, contest, outer_faces
-from accelsurf.grid.boxes import on_box
 from accelsurf.grid.clicks import Clicks
 from tests.energies.seeded.test_seeded_model import SHAPE, SPACING, ball, dice, distance
 
@@ -25,7 +24,7 @@ def clicks_of(*extra):
 
 
 def on_whole(part):
-    return on_box(part.values, part.box, tuple(slice(0, n) for n in SHAPE), 1.0)
+    return part.on_box(tuple(slice(0, n) for n in SHAPE))
 
 
 def test_both_find_an_even_object(one_ball):
@@ -91,7 +90,7 @@ def test_seeds_of_both_sides_in_a_block_are_none(one_ball):
 
 def test_a_part_on_a_larger_box_is_outside_beyond():
     part = Balance((slice(1, 2), slice(0, 1), slice(0, 2)), np.full((1, 1, 2), -0.5, np.float32))
-    whole = on_box(part.values, part.box, (slice(0, 2), slice(0, 1), slice(0, 3)), 1.0)
+    whole = part.on_box((slice(0, 2), slice(0, 1), slice(0, 3)))
     assert whole.tolist() == [[[1.0, 1.0, 1.0]], [[-0.5, -0.5, 1.0]]]
 
 

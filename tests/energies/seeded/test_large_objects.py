@@ -42,5 +42,5 @@ def test_later_times_are_those_of_a_sorted_march() -> None:
     assert np.all(np.diff(times[order]) >= 0)
     own = float(times[order[min(answer.count, len(order)) - 1]])
     times[order] *= np.float32(LATER["outside"] * answer.level / own)
-    found = later_times([image], SPACING, field, later, answer)[0]
+    found = later_times(field, learn([image], SPACING, later), later, answer)
     assert np.array_equal(found, times)

@@ -5,7 +5,8 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.energies.seeded import answers, seeded_model
-from accelsurf.energies.seeded.answers import Answer, Shown, mixed_answer
+from accelsurf.energies.seeded.answers import Answer, FirstTimes, Shown, mixed_answer
+from accelsurf.energies.seeded.blocks import in_blocks
 from accelsurf.energies.seeded.contest import Balance
 from accelsurf.grid.clicks import Click, Clicks
 from tests.energies.seeded.test_seeded_model import SHAPE, SPACING, ball, dice, distance, volume_of
@@ -26,7 +27,9 @@ def mixed(force, clicks, before, inside=None):
     """What is shown where the learned answer and both contests agree on F."""
     none = np.zeros(LINE, np.float32)
     inside = force < 0 if inside is None else inside
-    answer = Answer(WHOLE, 5, 1.0, 3.0, None, none, none, none, none, force, inside, tuple(clicks), none, 0.0)
+    blocks, first = in_blocks([none], (1.0, 1.0, 1.0), None, None, 5), FirstTimes(WHOLE, none, 0.0)
+    numbers = 5, 1.0, 3.0
+    answer = Answer(blocks, WHOLE, *numbers, None, none, none, none, none, force, inside, tuple(clicks), first)
     return mixed_answer(answer, [Balance(WHOLE, force)] * 2, Clicks(tuple(clicks), LINE), False, before)
 
 

@@ -1,0 +1,57 @@
+"""Values of blocks on voxels, and F that changes sides one way, against numpy."""
+
+import numpy as np
+import pytest
+
+from accelsurf.kernels.blocks import add_between, hold_side
+
+pytestmark = pytest.mark.nojit
+
+
+def places(steps, first, counts, blocks):
+    """For each axis the blocks below the voxels and the parts of the way to the next."""
+    found = []
+    for step, begin, count, n in zip(steps, first, counts, blocks, strict=True):
+        at = np.clip((begin + np.arange(count) - 0.5 * (step - 1)) / step, 0, n - 1)
+        below = np.floor(at).astype(np.int64)
+        found.append((below, (at - below).astype(np.float32)))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("steps", "first", "counts", "corner", "shape"),
+    [
+        ((1, 1, 1), (0, 0, 0), (3, 4, 5), (0, 0, 0), (3, 4, 5)),
+        ((2, 3, 1), (0, 0, 0), (5, 7, 4), (1, 0, 2), (7, 8, 6)),
+        ((1, 4, 3), (0, 2, 1), (1, 9, 7), (0, 3, 0), (1, 13, 8)),
+    ],
+)
+def test_values_of_blocks_are_added_linearly_between_their_middles(steps, first, counts, corner, shape):
+    rng = np.random.default_rng(0)
+    blocks = [-(-(a + n) // step) for a, n, step in zip(first, counts, steps, strict=True)]
+    values, before = rng.normal(size=blocks).astype(np.float32), rng.normal(size=shape).astype(np.float32)
+    axes = places(steps, first, counts, blocks)
+    expected = values.astype(np.float64)
+    for axis, (below, part) in enumerate(axes):
+        above = np.minimum(below + 1, blocks[axis] - 1)
+        share = np.expand_dims(part, [i for i in range(3) if i != axis])
+        expected = np.take(expected, below, axis) * (1 - share) + np.take(expected, above, axis) * share
+    out = before.copy()
+    add_between(out, np.float32(0.3), values, *((c, *axis) for c, axis in zip(corner, axes, strict=True)))
+    whole = np.ones(shape)
+    whole[tuple(slice(c, c + n) for c, n in zip(corner, counts, strict=True))] = expected
+    np.testing.assert_allclose(out, before + 0.3 * whole, atol=1e-6)
+
+
+@pytest.mark.parametrize("gains", [True, False])
+def test_labels_change_to_one_side_alone(gains):
+    rng = np.random.default_rng(1)
+    force, before = (rng.uniform(-1.5, 1.5, (2, 5, 7)).astype(np.float32) for _ in range(2))
+    inside, held, least = rng.random((2, 5, 7)) < 0.5, np.float32(0.3), np.float32(1e-3)
+    earlier = np.clip(before, -1, 1)
+    expected = force + held * (earlier - force)
+    wrong = inside & (expected >= 0) if gains else ~inside & (expected < 0)
+    kept = np.minimum(earlier, -least) if gains else np.maximum(earlier, least)
+    hold_side(force, before, inside, held, least, gains)
+    assert wrong.sum() > 5
+    np.testing.assert_allclose(force, np.where(wrong, kept, expected), atol=1e-6)
