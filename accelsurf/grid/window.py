@@ -134,12 +134,10 @@ class Window(NamedTuple):
         """`check` of a box that is counted from the window's first voxel."""
         self.check([s.start for s in box], [s.stop for s in box], factors)
 
-    def check_cells(
-        self, cells: NDArray[np.int64], shape: Sequence[int] | None = None, factors: Sequence[int] = (1, 1, 1)
-    ) -> None:
-        """`check` of raveled voxels (n,) of the window, or of blocks of ``factors`` voxels on a grid of ``shape``."""
+    def check_cells(self, cells: NDArray[np.int64], shape: tuple[int, int, int], factors: Sequence[int]) -> None:
+        """`check` of raveled blocks (n,) of ``factors`` voxels of the window, on a grid of ``shape``."""
         if cells.size:
-            index = np.unravel_index(cells, self.shape if shape is None else tuple(shape))
+            index = np.unravel_index(cells, shape)
             self.check([int(i.min()) for i in index], [int(i.max()) + 1 for i in index], factors)
 
 

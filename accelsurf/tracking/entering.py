@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.grid.boxes import corner_of, widened
 from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import Volume
 from accelsurf.tracking.evidence import FACTOR, Profile
+from accelsurf.tracking.followed import lies_on_border
 from accelsurf.tracking.records import BAND, SurfacePiece
 
 #: What is nearer to a tracked object than so many voxels is no object of its own.
@@ -54,22 +54,15 @@ def appearing(
     labels, count = ndimage.label(inside | taken)
     sizes = np.bincount(labels.ravel(), minlength=count + 1) * geometry.voxel_volume
     low, high = volumes[0] / FACTOR, volumes[1] * FACTOR
-    near, cut = set(np.unique(labels[taken]).tolist()) | {0}, _at_border(labels)
-    least = {number: min(MIN_CUT * geometry.voxel_volume, low) if number in cut else low for number in range(count + 1)}
+    cut_low = min(MIN_CUT * geometry.voxel_volume, low)
+    near = set(np.unique(labels[taken]).tolist()) | {0}
     found = [number for number in np.argsort(-sizes, kind="stable").tolist()
-             if number not in near and least[number] <= sizes[number] <= high]
+             if number not in near and cut_low <= sizes[number] <= high]
     half, boxes = np.float32(0.5 * min(geometry.steps)), ndimage.find_objects(labels) if found else []
     out = []
     for number in found:
         box = widened(boxes[number - 1], labels.shape, (BAND, BAND, BAND))
-        out.append(SurfacePiece(corner_of(box), np.where(labels[box] == number, -half, half)))
+        piece = SurfacePiece(corner_of(box), np.where(labels[box] == number, -half, half))
+        if sizes[number] >= low or lies_on_border(piece, geometry):
+            out.append(piece)
     return out
-
-
-def _at_border(labels: NDArray[np.integer]) -> set[int]:
-    """The labels on the border of the grid; axes with one slice do not count."""
-    found = set[int]()
-    for axis in (i for i, n in enumerate(labels.shape) if n > 1):
-        for end in (0, -1):
-            found |= set(np.unique(labels.take(end, axis)).tolist())
-    return found

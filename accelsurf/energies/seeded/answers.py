@@ -139,8 +139,7 @@ def first_answer(
     click: Click,
     times: Times,
     level: tuple[int, float, float],
-    first: FirstTimes | None = None,
-    early: float = -np.inf,
+    early: float,
 ) -> Answer:
     """The answer to the first inside click.
 
@@ -154,9 +153,8 @@ def first_answer(
     times : ndarray (n,) float32
     level : (count, level, last)
         See `Answer`.
-    first : FirstTimes, optional
-        Needed unless blocks are voxels; those of the answer and ``early`` otherwise.
-    early : float, optional
+    early : float
+        See `FirstTimes`.
     """
     count, at, last = level
     box = _box_of(field, times <= last)
@@ -170,7 +168,7 @@ def first_answer(
     force = (1.0 - LEVEL) * competition + LEVEL * balance(inside, np.full_like(inside, at)) - LIKELIHOOD * likely
     force -= _offset(force, blocks.count(count)) * ~far
     none = np.full_like(inside, np.inf)
-    seen = FirstTimes(box, inside, early) if first is None else first
+    seen = FirstTimes(box, inside, early)
     force = np.asarray(force, np.float32)
     answer = Answer(blocks, box, count, at, last, tissue, inside, none, out, total, force, near, (click,), seen)
     return replace(answer, inside=object_of(answer.force, answer.box, answer.clicks))

@@ -17,7 +17,7 @@ import numpy as np
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
 from accelsurf.energies.seeded.competition import Field, field_of
 from accelsurf.energies.seeded.contest import Balance, block_means, coarsening
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, overlap, whole_box
+from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, whole_box
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.window import Window
 
@@ -98,16 +98,7 @@ class Blocks(NamedTuple):
         mask = np.zeros(high - low, np.bool_)
         mask[tuple((found - low).T)] = True
         z, y, x = (int(a) for a in low)
-        box = box_at((z, y, x), mask.shape)
-        for other in answered:
-            if other.side != click.side and overlap(other.box, box):
-                mask &= ~other.mask_on(box)
-        left = bounding_box(mask)
-        if left is None:
-            return None
-        z, y, x = (a.start + b.start for a, b in zip(box, left, strict=True))
-        own = np.ascontiguousarray(mask[left])
-        return click._replace(box=box_at((z, y, x), own.shape), mask=own)
+        return click._replace(box=box_at((z, y, x), mask.shape), mask=mask).without(answered)
 
 
 def in_blocks(

@@ -56,7 +56,6 @@ def edge_balance(
     inside : ndarray (nz, ny, nx) of bool
     open : ndarray (nz, ny, nx) of bool, optional
         Elsewhere nothing is looked at and nothing counts.
-
     pool : Executor, optional
         Sums over windows are made in its threads.
 

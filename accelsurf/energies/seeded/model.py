@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,11 +129,10 @@ def seeded_model(
         shown, corrections = _shown(images, spacing, where, answer, known, (sized, None)), ()
         answer = _in_larger_blocks(answer, smooth, spacing, where, first)
     assert shown is not None  # an answer was shown
-    field = field_in(answer.blocks)
     with ThreadPoolExecutor(max(threads, 1)) as pool:
-        marched = list(pool.map(_times_of(smooth, spacing, field, answer), *_in_blocks(left, answer)))
-        for click, (own, times) in zip(left, marched, strict=True):
-            known, answer = known.with_more([click]), with_click(answer, field, own, times) if own else answer
+        answers = _answers(answer, left, smooth, spacing, pool)
+        for click, answer in zip(left, answers, strict=True):
+            known = known.with_more([click])
             before, shown = shown, _shown(images, spacing, where, answer, known, (sized, shown), pool)
             corrections = corrections_with(corrections, click, (before, shown), spacing, clicks.shape)
         arrays = on_whole_grid(at_edges(shown, images, smooth, spacing, clicks, where[0], pool), clicks.shape)
@@ -231,7 +230,7 @@ def _first(
     count = round(proposal.volume_mm3 / voxel)
     last = float(times[order[min(round(BEYOND * count), len(order)) - 1]])
     level = count, proposal.level, last
-    return first_answer(field, blocks, tissue, click, times, level, early=early), proposal
+    return first_answer(field, blocks, tissue, click, times, level, early), proposal
 
 
 def _in_larger_blocks(
@@ -250,7 +249,9 @@ def _in_larger_blocks(
     field, count = field_in(blocks), blocks.count(answer.count)
     times, order = arrival(field, answer.tissue, _seeds(own, field), int(1.05 * BEYOND * count) + 1)
     level, last = (float(times[order[min(round(n), len(order)) - 1]]) for n in (count, BEYOND * count))
-    return first_answer(field, blocks, answer.tissue, own, times, (answer.count, level, last), answer.first)
+    numbers = (answer.count, level, last), answer.first.early
+    # Whether a click contradicts the first one is asked of voxels as before.
+    return replace(first_answer(field, blocks, answer.tissue, own, times, *numbers), first=answer.first)
 
 
 def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:
@@ -259,27 +260,21 @@ def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:
     return most if boxed else int(min(prior.farthest(), most))
 
 
-def _in_blocks(clicks: Sequence[Click], answer: Answer) -> tuple[Sequence[Click], list[Click | None]]:
-    """Later clicks, and the same in the blocks of an answer, see `Blocks.click`."""
-    found, answered = list[Click | None](), list(answer.clicks)
+def _answers(
+    answer: Answer, clicks: Sequence[Click], images: Sequence[Image], spacing: Spacing, pool: ThreadPoolExecutor
+) -> Iterator[Answer]:
+    """The answer after each of some later clicks; one without blocks of its own changes nothing."""
+    first, field, owns = answer, field_in(answer.blocks), list[Click | None]()
     for click in clicks:
-        own = answer.blocks.click(click, answered)
-        found.append(own)
-        answered += [] if own is None else [own]
-    return clicks, found
+        owns.append(first.blocks.click(click, [*first.clicks, *(own for own in owns if own is not None)]))
 
+    def marched(click: Click, own: Click | None) -> Times | None:
+        return None if own is None else later_times(field, learn(images, spacing, click), own, first)
 
-def _times_of(
-    images: Sequence[Image], spacing: Spacing, field: Field, answer: Answer
-) -> Callable[[Click, Click | None], tuple[Click | None, Times]]:
-    """Makes `later_times` of a click from its blocks, which it returns with them; none of a click without blocks."""
-
-    def made(click: Click, own: Click | None) -> tuple[Click | None, Times]:
-        if own is None:
-            return None, np.zeros(0, np.float32)
-        return own, later_times(field, learn(images, spacing, click), own, answer)
-
-    return made
+    for own, times in zip(owns, pool.map(marched, clicks, owns), strict=True):
+        if own is not None and times is not None:
+            answer = with_click(answer, field, own, times)
+        yield answer
 
 
 def later_times(field: Field, tissue: Tissue, click: Click, answer: Answer) -> Times:
