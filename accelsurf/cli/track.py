@@ -64,7 +64,8 @@ def track(
         print(wanted.to_toml(), end="")
         return 0
     from accelsurf.cli.progress import Watcher
-    from accelsurf.cli.track_case import TrackCase, name_of, run_track_case
+    from accelsurf.cli.track_case import TrackCase, run_track_case
+    from accelsurf.io.headers import name_of
 
     display = display or Display()
     source = required(input, "SEQUENCE")

@@ -16,7 +16,6 @@ from accelsurf.errors import AccelsurfError, OutputError
 
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
-    from accelsurf.grid.sequence import ImageSequence
     from accelsurf.report.track_files import TrackFiles
     from accelsurf.report.track_outputs import TrackOutputs
     from accelsurf.settings.track_config import TrackConfig
@@ -75,35 +74,6 @@ class Tracked:
     frames: int
     lineage: Lineage
     code: int
-
-
-def name_of(source: Path) -> str:
-    """The first part of the files' names, by default."""
-    from accelsurf.io import split_name
-    from accelsurf.io.headers import is_pattern
-
-    return split_name(source.absolute().parent if is_pattern(source) else source.absolute())[0]
-
-
-def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:
-    """The sequence of a case, with the channels that the settings add; its headers are read.
-
-    Raises
-    ------
-    InputError
-        When there is none; GeometryError when grids of channels differ.
-    """
-    from accelsurf.io.sequences import read_sequence
-    from accelsurf.tracking.joined_sequence import JoinedSequence
-
-    def read(path: Path) -> ImageSequence:
-        return read_sequence(
-            path, frame_time=config.frame_time, frames_from_slices=config.frames_from_slices,
-            options=config.run.reading,
-        )
-
-    first = read(source)
-    return JoinedSequence(first, [read(Path(file)) for file in config.run.channel]) if config.run.channel else first
 
 
 def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
@@ -179,6 +149,7 @@ def _remove_state(case: TrackCase) -> None:
 
 def _begun(case: TrackCase, watcher: Watcher) -> Tracking:
     """The tracking, from its start or from its state."""
+    from accelsurf.tracking.joined_sequence import open_sequence
     from accelsurf.tracking.track import Tracking
 
     return Tracking(
