@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -15,17 +15,20 @@ from accelsurf.settings.track_config import FRAME_SETTINGS, TrackConfig, split_t
 from accelsurf.settings.track_fields import TrackFields
 
 
-def _track_settings() -> type:
-    """A dataclass with an option for each setting of tracking; ``None`` where it was not given."""
+def _track_settings(name: str, keys: Iterable[str]) -> type:
+    """A dataclass with an option for each of these settings of tracking; ``None`` where it was not given."""
     members = []
-    for key, field in TrackFields.model_fields.items():
+    for key in keys:
+        field = TrackFields.model_fields[key]
         is_switch = field.annotation is bool
         default = "" if is_switch else as_typed(field.default)
         members.append(option(key, field, default, negative=() if is_switch else None))
-    return options_class("TrackSettings", members)
+    return options_class(name, members)
 
 
-TrackSettings = _track_settings()
+TrackSettings = _track_settings("TrackSettings", TrackFields.model_fields)
+#: For commands that only read a sequence.
+SequenceSettings = _track_settings("SequenceSettings", ("frame_time", "frames_from_slices"))
 #: Settings of the run on each frame.
 FrameSettings = settings_class(
     "FrameSettings", leave_out=tuple(key for key in RunConfig.model_fields if key not in FRAME_SETTINGS)
@@ -39,7 +42,7 @@ def track_config(
 
     Parameters
     ----------
-    track : TrackSettings or None
+    track : TrackSettings, SequenceSettings or None
     frame : FrameSettings or None
     file : Path or mapping, optional
         TOML file of ``--config``, or what is in it: settings of the run, and a table ``track``.
