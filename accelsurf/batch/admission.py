@@ -11,6 +11,11 @@ from accelsurf.errors import AccelsurfError
 from accelsurf.io.headers import count_values, options_of
 from accelsurf.segmentation.memory_need import FREE_SHARE, PROCESS_BYTES, bytes_text, run_bytes
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+from accelsurf.settings.track_config import TrackConfig
+from accelsurf.tracking.joined_sequence import open_sequence
+
+#: Bytes by the values of a frame that is held beside the one that is run on: its voxels, as numbers and as labels.
+_HELD_BYTES = 8
 
 
 @dataclass(frozen=True)
@@ -20,7 +25,7 @@ class Need:
     Attributes
     ----------
     values : int or None
-        Values of the image, all channels together; None where the header cannot be read.
+        Values of the image, all channels and frames together; None where the header cannot be read.
     bytes : int
         Estimated peak of the process that runs it.
     problem : str
@@ -78,6 +83,25 @@ def need_of(
     except (AccelsurfError, OSError) as error:
         return Need(None, PROCESS_BYTES, str(getattr(error, "strerror", None) or error))
     return Need(values, run_bytes(values, clicks, flow))
+
+
+def need_of_sequence(source: Path, config: TrackConfig) -> Need:
+    """Estimate what the tracking of a sequence needs: a run on a frame, and what is held of the frame before it.
+
+    Parameters
+    ----------
+    source : Path
+        A file with time, a folder of frames, or a pattern of their names; its headers are read.
+    config : TrackConfig
+    """
+    try:
+        sequence = open_sequence(source, config)
+        values = sequence.frame_values
+    except (AccelsurfError, OSError) as error:
+        return Need(None, PROCESS_BYTES, str(getattr(error, "strerror", None) or error))
+    # A stack whose slices are the frames may have to be read as a whole.
+    held = values * _HELD_BYTES * (len(sequence) if config.frames_from_slices else 1)
+    return Need(values * len(sequence), run_bytes(values, bool(config.run.inside), config.run.flow) + held)
 
 
 def admit(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -10,18 +11,22 @@ from accelsurf.batch import csv_table
 from accelsurf.batch.case import FILE_KINDS, PLACES, Case
 from accelsurf.errors import InputError
 from accelsurf.io import split_name
-from accelsurf.settings.catalogue import entry
+from accelsurf.io.headers import name_of
 from accelsurf.settings.fields import SettingFields
+from accelsurf.settings.track_config import FRAME_SETTINGS, setting_entry
+from accelsurf.settings.track_fields import TrackFields
 from accelsurf.settings.wording import did_you_mean, shown
 
 IMAGE, ID, REFERENCE = "image", "id", "reference"
+#: Setting of tracking whose words may name files.
+CORRECTIONS = "correct"
 #: Endings of tables.
 SUFFIXES = (".csv", ".tsv")
 
 _FILES = ("mask", "objects", "channel")
 
 
-def read(path: Path) -> list[Case]:
+def read(path: Path, tracking: bool = False) -> list[Case]:
     """Read a table of cases.
 
     The columns are ``image``, ``id`` (by default the name of the image), ``reference``, and any setting of a run;
@@ -32,26 +37,38 @@ def read(path: Path) -> list[Case]:
     ----------
     path : Path
         A file that ends in one of `SUFFIXES`: cells separated by commas, or by tabs.
+    tracking : bool
+        Whether the images are sequences. Then the settings are those of tracking and of the run on each frame, and
+        there is no ``reference``.
 
     Raises
     ------
     InputError
         With the line and what is wrong in it.
     """
-    return csv_table.read(path, "image", lambda header, lines: list(_cases(path, _columns(header), lines)))
+
+    def cases(header: list[str], lines: Iterator[list[str]]) -> list[Case]:
+        return list(_cases(path, _columns(header, tracking), lines, tracking))
+
+    return csv_table.read(path, "sequence" if tracking else "image", cases)
 
 
-def _columns(header: list[str]) -> list[str]:
+def _columns(header: list[str], tracking: bool) -> list[str]:
     """Names of the columns, as settings are called."""
     names = [name.strip().lower().replace("-", "_") for name in header]
-    known = (IMAGE, ID, REFERENCE, *SettingFields.model_fields)
+    own = (REFERENCE, *SettingFields.model_fields)
+    followed = (*FRAME_SETTINGS, *TrackFields.model_fields)
+    known = (IMAGE, ID, *(followed if tracking else own))
     if len(names) == 1 and re.search(r"[;\t]", names[0]):
         raise InputError("columns separated by commas expected", "separate them by commas, or by tabs in a .tsv file")
     for name, given in zip(names, header, strict=True):
         if name not in known:
+            if name in (own if tracking else followed):
+                raise _of_the_others(name, tracking)
             guess = did_you_mean(name.replace("_", "-"), [one.replace("_", "-") for one in known])
             raise InputError(
-                f"{shown(given)}: there is no such column, {IMAGE}, {ID}, {REFERENCE} or a setting expected",
+                f"{shown(given)}: there is no such column, {IMAGE}, {ID}{'' if tracking else f', {REFERENCE}'} or a "
+                "setting expected",
                 f"{guess.replace('-', '_')}leave out columns that are none",
             )
         if names.count(name) > 1:
@@ -61,7 +78,15 @@ def _columns(header: list[str]) -> list[str]:
     return names
 
 
-def _cases(path: Path, columns: list[str], lines: Iterator[list[str]]) -> Iterator[Case]:
+def _of_the_others(name: str, tracking: bool) -> InputError:
+    """The error of a column of images among sequences, or the other way round."""
+    if not tracking:
+        return InputError(f"the column {name} is a setting of tracking", "add --track, or leave the column out")
+    hint = "accelsurf evaluate --tracks compares tracks with a reference; " if name == REFERENCE else ""
+    return InputError(f"the column {name} is of single images, --track was given", f"{hint}leave the column out")
+
+
+def _cases(path: Path, columns: list[str], lines: Iterator[list[str]], tracking: bool) -> Iterator[Case]:
     number = 1
     for cells in lines:
         number += 1
@@ -73,29 +98,43 @@ def _cases(path: Path, columns: list[str], lines: Iterator[list[str]]) -> Iterat
                 "put cells with a comma in double quotes, such as \"point:1,2,3\"",
             )
         given = {name: cell.strip() for name, cell in zip(columns, cells, strict=False) if cell.strip()}
-        yield _case(path, f"{path}, row {number}", given, number)
+        yield _case(path, given, number, tracking)
 
 
-def _case(path: Path, place: str, given: Mapping[str, str], number: int) -> Case:
+def _case(path: Path, given: Mapping[str, str], number: int, tracking: bool) -> Case:
     if IMAGE not in given:
         raise InputError(f"row {number}: no {IMAGE}", "each row needs one")
     base = path.parent.absolute()
     image = base / given[IMAGE]
     reference = base / given[REFERENCE] if REFERENCE in given else None
     settings = {key: _value(key, text, base) for key, text in given.items() if key not in (IMAGE, ID, REFERENCE)}
-    return Case(given.get(ID, split_name(image)[0]), image, settings, reference, place)
+    name = name_of(image) if tracking else split_name(image)[0]  # a sequence may be a pattern of its frames
+    return Case(given.get(ID, name), image, settings, reference, f"{path}, row {number}")
 
 
 def _value(key: str, text: str, base: Path) -> str | tuple[str, ...]:
     """The value of a cell: several where the setting may be repeated, with paths from the folder of the table."""
-    parts = [part.strip() for part in text.split(";")] if entry(key).repeated else [text]
+    parts = [part.strip() for part in text.split(";")] if setting_entry(key).repeated else [text]
     values = tuple(_with_paths(key, part, base) for part in parts if part)
-    return values if entry(key).repeated else values[0]
+    return values if setting_entry(key).repeated else values[0]
 
 
 def _with_paths(key: str, text: str, base: Path) -> str:
     """A value whose file, if it names one, is looked for in the folder of the table."""
     if key in _FILES:
         return str(base / text)
+    if key == CORRECTIONS:
+        return _correction(text, base)
     kind, colon, name = text.partition(":")
     return f"{kind}:{base / name}" if key in PLACES and colon and kind in FILE_KINDS else text
+
+
+def _correction(text: str, base: Path) -> str:
+    """A correction of a frame, the files of its clicks looked for in the folder of the table."""
+    try:
+        words = shlex.split(text)
+    except ValueError:  # a quote is missing: the setting says what is expected
+        return text
+    parts = (word.partition("=") for word in words)
+    found = ((key, sign, _with_paths(key, value, base) if key in PLACES else value) for key, sign, value in parts)
+    return shlex.join("".join(part) for part in found)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from accelsurf.batch import case_table, layouts
+from accelsurf.batch import case_table, layouts, sequence_cases
 from accelsurf.batch.case import Case, check_ids
 from accelsurf.batch.layouts import Layout
 from accelsurf.errors import InputError, UsageError
@@ -15,7 +15,6 @@ from accelsurf.io import is_stored
 
 T = TypeVar("T")
 
-_PATTERN = re.compile(r"[*?\[]")
 _SHARD = re.compile(r"([0-9]{1,6})/([0-9]{1,6})")
 #: Set in each task of an array of jobs of SLURM.
 _TASK, _COUNT, _MIN, _STEP = (f"SLURM_ARRAY_TASK_{name}" for name in ("ID", "COUNT", "MIN", "STEP"))
@@ -41,7 +40,7 @@ class Shard(NamedTuple):
         return list(everything[self.number - 1 :: self.total])
 
 
-def read_cases(given: Sequence[str], layout: Layout = "auto") -> tuple[list[Case], str]:
+def read_cases(given: Sequence[str], layout: Layout = "auto", tracking: bool = False) -> tuple[list[Case], str]:
     """Return the cases that are named, in a fixed order, and what they were read from in words.
 
     Parameters
@@ -50,6 +49,8 @@ def read_cases(given: Sequence[str], layout: Layout = "auto") -> tuple[list[Case
         A folder, a pattern, a table (.csv, .tsv), or files.
     layout : {"auto", "folder", "nnunet", "bids"}
         Of a folder.
+    tracking : bool
+        Whether the cases are sequences.
 
     Raises
     ------
@@ -59,7 +60,7 @@ def read_cases(given: Sequence[str], layout: Layout = "auto") -> tuple[list[Case
     """
     if not given:
         raise UsageError("CASES is missing", "name a folder of images, a pattern in quotes, or a CSV table")
-    cases, words = _read(given, layout)
+    cases, words = sequence_cases.read(given) if tracking else _read(given, layout)
     check_cases(cases)
     return cases, words
 
@@ -86,7 +87,7 @@ def _read(given: Sequence[str], layout: Layout) -> tuple[list[Case], str]:
         raise UsageError(f"--layout {layout} was given, but {given[0]} is no folder", "name the folder of the images")
     if len(given) == 1 and path.suffix.lower() in case_table.SUFFIXES:
         return case_table.read(path), "a table"
-    if len(given) == 1 and _PATTERN.search(given[0]) and not path.exists():
+    if len(given) == 1 and layouts.PATTERN.search(given[0]) and not path.exists():
         return layouts.by_pattern(given[0]), "a pattern"
     for one in given:
         if Path(one).is_dir() and not is_stored(Path(one)):

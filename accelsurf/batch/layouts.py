@@ -17,6 +17,8 @@ from accelsurf.settings.file_formats import input_help
 #: How a folder is read; auto looks at its names.
 Layout = Literal["auto", "folder", "nnunet", "bids"]
 
+#: What makes a name a pattern.
+PATTERN = re.compile(r"[*?\[]")
 _CHANNEL = re.compile(r"(.+)_(\d{4})")
 _SUBJECTS = ("sub-*/anat/*", "sub-*/ses-*/anat/*")
 #: Endings of BIDS names that are no images of a scanner.
@@ -37,9 +39,9 @@ def in_folder(folder: Path, layout: Layout = "auto") -> tuple[list[Case], str]:
     InputError
         When there is no image in it, or a channel is missing; UsageError when auto cannot decide.
     """
-    if layout == "bids" or (layout == "auto" and not _images(folder.iterdir()) and any(folder.glob("sub-*"))):
+    if layout == "bids" or (layout == "auto" and not images_among(folder.iterdir()) and any(folder.glob("sub-*"))):
         return _bids(folder), "a BIDS tree"
-    images = _images(folder.iterdir())
+    images = images_among(folder.iterdir())
     if not images:
         raise InputError(
             f"{folder}: no image in this folder, {input_help()} expected",
@@ -61,7 +63,7 @@ def by_pattern(pattern: str) -> list[Case]:
     InputError
         When there is none.
     """
-    found = _images(Path(one) for one in glob.glob(pattern, recursive=True))
+    found = images_among(Path(one) for one in glob.glob(pattern, recursive=True))
     if not found:
         raise InputError(f"{pattern}: no image has a name like this", f"is it in quotes? images are {input_help()}")
     return of_files(found)
@@ -77,7 +79,7 @@ def of_files(images: Sequence[Path]) -> list[Case]:
     return [Case(name, image.absolute(), place=str(image)) for name, image in zip(names, images, strict=True)]
 
 
-def _images(paths: Iterable[Path]) -> list[Path]:
+def images_among(paths: Iterable[Path]) -> list[Path]:
     """Those that are images by their names, in order; hidden files are none."""
     own = tuple(f"_{name}.npz" for name in ("state", "checkpoint"))  # files of a run
     visible = (path for path in paths if not path.name.startswith(".") and not path.name.endswith(own))
@@ -86,7 +88,7 @@ def _images(paths: Iterable[Path]) -> list[Path]:
 
 
 def _bids(folder: Path) -> list[Case]:
-    found = _images(path for pattern in _SUBJECTS for path in folder.glob(pattern))
+    found = images_among(path for pattern in _SUBJECTS for path in folder.glob(pattern))
     scans = [path for path in found if _NOT_SCANS.search(split_name(path)[0]) is None]
     if not scans:
         raise InputError(f"{folder}: no image in sub-*/anat or sub-*/ses-*/anat", "is it the top of a BIDS tree?")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from accelsurf.batch.case import Case
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_config import TrackConfig
 
 #: How it stands with a case; waiting: it has not been run, or has not ended.
 Status = Literal["ok", "failed", "waiting"]
@@ -23,7 +25,8 @@ class CaseTask:
     case : Case
     folder : Path
         Of its files.
-    config : RunConfig
+    config : RunConfig or TrackConfig
+        The latter where the case is a sequence.
     overwrite : bool
         Whether files of an earlier run may be replaced.
     strict : bool
@@ -38,12 +41,22 @@ class CaseTask:
 
     case: Case
     folder: Path
-    config: RunConfig
+    config: RunConfig | TrackConfig
     overwrite: bool = False
     strict: bool = False
     outside_data: bool = False
     resume: bool = False
     place: str = ""
+
+    @property
+    def run(self) -> RunConfig:
+        """The settings of its run, of a sequence those of the run on each frame."""
+        return self.config.run if isinstance(self.config, TrackConfig) else self.config
+
+    def with_threads(self, threads: int) -> Self:
+        """The same on so many threads."""
+        run = self.run.model_copy(update={"threads": threads})
+        return replace(self, config=self.config.replace(run=run) if isinstance(self.config, TrackConfig) else run)
 
     @property
     def shown_folder(self) -> str:
@@ -68,8 +81,10 @@ class Outcome:
     dice : float or None
         With the reference.
     steps : int or None
+    objects, frames : int or None
+        Of a sequence: identities, and frames that were done.
     seconds : float or None
-        From file to files.
+        From file to files; of a sequence those of its frames.
     folder : str
         Of its files, in the folder of the batch.
     picture : str
@@ -77,7 +92,7 @@ class Outcome:
     hint : str
         What to do about a failure.
     exit_code : int
-        What `accelsurf segment` would return.
+        What `accelsurf segment` or `accelsurf track` would return.
     warnings : tuple of str
     details : str
         The traceback of an error that is a bug.
@@ -90,6 +105,8 @@ class Outcome:
     quality: float | None = None
     dice: float | None = None
     steps: int | None = None
+    objects: int | None = None
+    frames: int | None = None
     seconds: float | None = None
     folder: str = ""
     picture: str = ""
@@ -99,37 +116,59 @@ class Outcome:
     details: str = ""
 
 
-#: Columns of the table of a batch.
+#: Columns of the table of a batch of images, and of sequences.
 COLUMNS = ("id", "status", "reason", "ml", "quality", "dice", "steps", "seconds", "folder")
+TRACK_COLUMNS = ("id", "status", "reason", "objects", "frames", "quality", "seconds", "folder")
 
 
 def of_report(task: CaseTask, report: Mapping[str, Any], dice: float | None) -> Outcome:
-    """Return the line of a case that has a result, from the report of its run.
+    """Return the line of a case that has a result, from the report of its run or of its tracking.
 
     Parameters
     ----------
     task : CaseTask
     report : mapping
-        From `accelsurf.report.document.build`.
+        From `accelsurf.report.document.build`, or `accelsurf.report.track_document.build`.
     dice : float or None
     """
-    volume, error = report["volume_mm3"], report["error"]
-    is_2d = report["enclosed_mm2"] is not None
+    error = report["error"]
+    of_kind = _of_tracking(report) if isinstance(task.config, TrackConfig) else {**_of_run(report), "dice": dice}
     return Outcome(
         id=task.case.id,
         status="ok" if report["status"] == "ok" else "failed",
-        reason=error["message"] if error else report["stop"]["reason"],
-        ml=None if volume is None or is_2d else volume / 1000,
-        quality=_quality(report),
-        dice=dice,
-        steps=report["stop"]["steps"],
-        seconds=report["seconds"]["total"],
+        **({**of_kind, "reason": error["message"]} if error else of_kind),
         folder=task.shown_folder,
         picture=next((Path(one["path"]).name for one in report["outputs"] if one["kind"] == "preview"), ""),
         hint=error["hint"] if error else "",
         exit_code=report["exit_code"],
         warnings=tuple(report["warnings"]),
     )
+
+
+def _of_run(report: Mapping[str, Any]) -> dict[str, Any]:
+    """What a line says of a run."""
+    volume, is_2d = report["volume_mm3"], report["enclosed_mm2"] is not None
+    return {
+        "reason": report["stop"]["reason"],
+        "ml": None if volume is None or is_2d else volume / 1000,
+        "quality": _quality(report),
+        "steps": report["stop"]["steps"],
+        "seconds": report["seconds"]["total"],
+    }
+
+
+def _of_tracking(report: Mapping[str, Any]) -> dict[str, Any]:
+    """What a line says of a tracking: how its objects ended, and of their qualities the least."""
+    tracks, frames = report["tracks"], report["frames"]
+    ends = Counter(one["end"] for one in tracks)
+    qualities = [one["quality_lowest"] for one in tracks if one["quality_lowest"] is not None]
+    return {
+        "reason": ", ".join(f"{count} {end}" for end, count in ends.items()),
+        "quality": min(qualities, default=None),
+        "objects": len(tracks),
+        "frames": len(frames),
+        "seconds": sum(one["seconds"] for one in frames),
+    }
 
 
 def _quality(report: Mapping[str, Any]) -> float | None:

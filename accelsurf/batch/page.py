@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 from urllib.parse import quote
 
-from accelsurf.batch.outcome import Outcome
+from accelsurf.batch.outcome import COLUMNS, Outcome
 
 _STYLE = """
 body { font: 15px/1.4 system-ui, sans-serif; margin: 2em; color: #222; background: #fff; }
@@ -18,9 +18,15 @@ h2 { font-size: 1.1em; margin: .4em 0; }
 img { max-width: 100%; height: auto; }
 .failed { color: #a00; }
 """
+#: What stands above the numbers of a case, in this order.
+_HEADS = {
+    "quality": "likely good", "ml": "ml", "dice": "Dice", "objects": "objects", "frames": "frames", "seconds": "seconds"
+}
 
 
-def page_html(outcomes: Sequence[Outcome], status: str, files: Sequence[str]) -> str:
+def page_html(
+    outcomes: Sequence[Outcome], status: str, files: Sequence[str], columns: Sequence[str] = COLUMNS
+) -> str:
     """Return the page.
 
     Failed cases come first, then the others by the probability that they are good, the least first.
@@ -32,6 +38,8 @@ def page_html(outcomes: Sequence[Outcome], status: str, files: Sequence[str]) ->
         Of the batch.
     files : sequence of str
         Names of the tables beside it.
+    columns : sequence of str, optional
+        Of the table in CSV; the page has those of them that it has a heading for.
     """
     counts = {key: sum(one.status == key for one in outcomes) for key in ("ok", "failed", "waiting")}
     summary = ", ".join(f"{number} {key}" for key, number in counts.items() if number) or "no case"
@@ -43,7 +51,7 @@ def page_html(outcomes: Sequence[Outcome], status: str, files: Sequence[str]) ->
         f"<style>{_STYLE}</style></head><body>",
         f"<h1>{len(outcomes)} cases: {summary}</h1>",
         f"<p>{escape(status)}; the most doubtful first. {links}</p>",
-        *_table(ended),
+        *_table(ended, columns),
         *(line for number, one in enumerate(ended) for line in _section(number, one)),
         "</body></html>",
     ]
@@ -63,13 +71,15 @@ def doubt(outcome: Outcome) -> tuple[int, float, str]:
     return first, -1.0 if outcome.quality is None else outcome.quality, outcome.id
 
 
-def _table(outcomes: Sequence[Outcome]) -> list[str]:
-    head = "<th>case</th><th>likely good</th><th>ml</th><th>Dice</th><th>seconds</th><th class=text>end</th>"
-    lines = ["<table>", f"<tr>{head}</tr>"]
+def _table(outcomes: Sequence[Outcome], columns: Sequence[str]) -> list[str]:
+    numbers = [name for name in _HEADS if name in columns]
+    heads = "".join(f"<th>{_HEADS[name]}</th>" for name in numbers)
+    lines = ["<table>", f"<tr><th>case</th>{heads}<th class=text>end</th></tr>"]
     for number, one in enumerate(outcomes):
         name = f'<a href="#case{number}">{escape(one.id)}</a>'
         kind = ' class="failed"' if one.status == "failed" else ""
-        cells = (_percent(one.quality), _number(one.ml), _number(one.dice), _number(one.seconds))
+        values = {key: getattr(one, key) for key in numbers}
+        cells = (_percent(value) if key == "quality" else _number(value) for key, value in values.items())
         line = "".join(f"<td>{cell}</td>" for cell in (name, *cells))
         lines.append(f'<tr{kind}>{line}<td class=text>{escape(one.reason)}</td></tr>')
     return [*lines, "</table>"]
@@ -94,6 +104,7 @@ def _summary(one: Outcome) -> str:
         f"{_percent(one.quality)} likely to be good" if one.quality is not None else "",
         f"{_number(one.ml)} ml" if one.ml is not None else "",
         f"Dice {_number(one.dice)}" if one.dice is not None else "",
+        f"{one.objects} object{'' if one.objects == 1 else 's'} in {one.frames} frames" if one.frames else "",
         escape(one.reason),
     ]
     return ", ".join(part for part in parts if part)

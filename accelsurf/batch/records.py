@@ -19,8 +19,9 @@ from accelsurf.errors import AccelsurfError
 from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
 from accelsurf.report.document import to_json
-from accelsurf.report.result_sets import is_of, load_report, report_name
+from accelsurf.report.result_sets import is_of, is_output, load_report, report_name
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_config import TrackConfig
 
 
 def record_path(task: CaseTask) -> Path:
@@ -57,7 +58,7 @@ def finished(task: CaseTask) -> Outcome | None:
     report = load_report(task.folder / report_name(task.case.id))
     if report is None or report["status"] != "ok":
         return None
-    if not all(io.is_stored(task.folder / Path(str(one.get("path"))).name) for one in report["outputs"]):
+    if not all(is_output(task.folder / Path(str(one.get("path"))).name) for one in report["outputs"]):
         return None
     record = _read(record_path(task))
     try:
@@ -70,12 +71,14 @@ def finished(task: CaseTask) -> Outcome | None:
         return None  # it is run again, and says what is wrong
 
 
-def named_files(config: RunConfig) -> list[Path]:
-    """Return the files, beside the image, that the settings of a run name and that are there."""
+def named_files(given: RunConfig | TrackConfig) -> list[Path]:
+    """Return the files, beside the image, that the settings of a run or a tracking name and that are there."""
+    config, corrections = (given.run, given.correct) if isinstance(given, TrackConfig) else (given, ())
     texts = [text for text in (config.mask, config.objects, *config.channel) if text]
     wheres = [text for key in PLACES for text in getattr(config, key)]
     wheres += [text for edit in config.edit for text in (edit.add, edit.remove, *edit.inside, *edit.outside) if text]
-    wheres += [text for one in config.refine for text in (*one.inside, *one.outside)]
+    refinements = [*config.refine, *(one.refinement for one in corrections)]
+    wheres += [text for one in refinements for text in (*one.inside, *one.outside)]
     texts += [text.partition(":")[2] for text in wheres if text.partition(":")[0] in FILE_KINDS]
     found = {}
     for text in texts:

@@ -11,7 +11,7 @@ from typing import Protocol
 
 from accelsurf.batch.admission import Admission, Need
 from accelsurf.batch.cases import Shard
-from accelsurf.batch.outcome import CaseTask, Outcome
+from accelsurf.batch.outcome import COLUMNS, TRACK_COLUMNS, CaseTask, Outcome
 from accelsurf.batch.pool import Ended, Job, Pool, Started
 from accelsurf.batch.records import finished
 from accelsurf.batch.tables import TableNames, Tables
@@ -20,6 +20,7 @@ from accelsurf.errors import OutputError
 from accelsurf.io.file_set import FileSet, recover
 from accelsurf.io.memory import available_cores
 from accelsurf.report.result_sets import is_failure_report, report_name
+from accelsurf.settings.track_config import TrackConfig
 
 #: Makes the line of a case whose worker could not.
 Lost = Callable[[CaseTask, Failure], Outcome]
@@ -132,7 +133,14 @@ class Batch:
     def tables(self, files: FileSet) -> Tables:
         """The tables of this batch, with every case waiting."""
         waiting = [Outcome(task.case.id, folder=task.shown_folder) for task in self.tasks]
-        return Tables(files, self.names, self._facts, waiting, {task.case.id: task.case.image for task in self.tasks})
+        images = {task.case.id: task.case.image for task in self.tasks}
+        columns = TRACK_COLUMNS if self.is_tracking else COLUMNS
+        return Tables(files, self.names, self._facts, waiting, images, columns)
+
+    @property
+    def is_tracking(self) -> bool:
+        """Whether its cases are sequences."""
+        return any(isinstance(task.config, TrackConfig) for task in self.tasks)
 
     def run(self, pool: Pool, tables: Tables, observer: Observer, lost: Lost, resume: bool) -> None:
         """Run the cases in a pool, take note of what becomes of each, and close the pool.

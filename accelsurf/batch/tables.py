@@ -62,6 +62,8 @@ class Tables:
         A line for each case, in their order.
     images : mapping of str to Path
         Image of each case.
+    columns : sequence of str, optional
+        Of the table.
     """
 
     def __init__(
@@ -71,7 +73,9 @@ class Tables:
         facts: Mapping[str, Any],
         outcomes: Sequence[Outcome],
         images: Mapping[str, Path],
+        columns: Sequence[str] = COLUMNS,
     ) -> None:
+        self._columns = columns
         self._files, self._names, self._facts, self._images = files, names, facts, images
         self._outcomes = {one.id: one for one in outcomes}
         self._began = self._written = time.monotonic()
@@ -129,8 +133,10 @@ class Tables:
         with naming_final(self._files):
             self._files.discard()
             contents = {
-                self._names.table: table_csv(outcomes),
-                self._names.page: page.page_html(outcomes, status, (self._names.table, self._names.report)),
+                self._names.table: table_csv(outcomes, self._columns),
+                self._names.page: page.page_html(
+                    outcomes, status, (self._names.table, self._names.report), self._columns
+                ),
                 self._names.report: to_json(self._report(status, exit_code)) + "\n",
             }
             for name, text in contents.items():
@@ -157,7 +163,7 @@ class Tables:
         }
 
 
-def table_csv(outcomes: Sequence[Outcome]) -> str:
+def table_csv(outcomes: Sequence[Outcome], columns: Sequence[str] = COLUMNS) -> str:
     """Return the table as CSV text: one row per case; what is not known is empty.
 
     Examples
@@ -168,6 +174,6 @@ def table_csv(outcomes: Sequence[Outcome]) -> str:
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows([getattr(one, name) for name in COLUMNS] for one in outcomes)
+    writer.writerow(columns)
+    writer.writerows([getattr(one, name) for name in columns] for one in outcomes)
     return stream.getvalue()

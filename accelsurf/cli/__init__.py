@@ -51,7 +51,7 @@ app = App(
 app.command("accelsurf.cli.demo:demo", name="demo", help="Segment a cube in noise with and without momentum.")
 app.command("accelsurf.cli.look:look", name="look", help="Show slices of an image with a grid in mm, without a run.")
 app.command("accelsurf.cli.segment:segment", name="segment", help="Segment one object in a volume.")
-app.command("accelsurf.cli.batch:batch", name="batch", help="Segment many images, each as segment does.")
+app.command("accelsurf.cli.batch:batch", name="batch", help="Segment many images, or track many sequences.")
 app.command("accelsurf.cli.refine:refine", name="refine", help="Correct a result by clicks; the rest stays as it is.")
 app.command("accelsurf.cli.track:track", name="track", help="Follow objects through a sequence of images.")
 app.command("accelsurf.cli.synth:synth", name="synth", help="Make a synthetic volume and its truth from a recipe.")

@@ -1,4 +1,4 @@
-"""``accelsurf batch``: many images, each as ``accelsurf segment`` does it, in worker processes."""
+"""``accelsurf batch``: many images or sequences, each as ``segment`` or ``track`` does it, in worker processes."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
+from accelsurf.cli.batch_settings import BatchSettings, run_configs, track_configs
 from accelsurf.cli.interrupts import Interrupts, say
-from accelsurf.cli.options import FILES, SHOW, Display, Output, Overwrite, SettingsWithoutLayout, required, run_config
+from accelsurf.cli.options import FILES, SHOW, Display, Output, Overwrite, required
 from accelsurf.errors import UsageError
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from accelsurf.batch.run import Batch
     from accelsurf.batch.tables import Tables
     from accelsurf.settings.run_config import RunConfig
+    from accelsurf.settings.track_config import TrackConfig
 
 BATCH = Group("Batch", sort_key=0)
 _SWITCH = Parameter(negative=(), show_default=False, group=BATCH)
@@ -32,6 +34,9 @@ _SWITCH = Parameter(negative=(), show_default=False, group=BATCH)
 @dataclass(frozen=True)
 class BatchOptions:
     """What is particular about a batch."""
+
+    track: Annotated[bool, _SWITCH] = False
+    """The cases are sequences: each is followed as accelsurf track does it, with the settings of tracking."""
 
     layout: Annotated[Literal["auto", "folder", "nnunet", "bids"], Parameter(group=BATCH)] = "auto"
     """How a folder is read; auto looks at its names."""
@@ -84,6 +89,9 @@ class BatchOptions:
             raise UsageError(f"{given[0]}: was given with --scheduler, which decides that itself", "leave one out")
         if self.case_timeout is not None and not 0 < self.case_timeout < float("inf"):
             raise UsageError(f"--case-timeout: {self.case_timeout:g} was given, expected seconds above 0", "as in 600")
+        layouts = {"--layout": self.layout not in ("auto", "folder"), "--output-layout": self.output_layout is not None}
+        for name in (name for name, other in layouts.items() if self.track and other):
+            raise UsageError(f"{name} is of single images, --track was given", "leave one of them out")
         return self
 
 
@@ -94,10 +102,10 @@ def batch(
     overwrite: Overwrite = False,
     strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
     options: BatchOptions | None = None,
-    settings: SettingsWithoutLayout | None = None,  # type: ignore[valid-type]
+    settings: BatchSettings | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
 ) -> int:
-    """Segment many images, each as segment does.
+    """Segment many images, each as segment does, or follow objects through many sequences, as track does.
 
     A case that fails is named, and the others go on; then the exit code is 9.
 
@@ -105,17 +113,19 @@ def batch(
     ----------
     cases
         A folder of images; a pattern in quotes; a table, FILE.csv, with columns image, id, reference and any setting
-        (several clicks of one cell are separated by semicolons); nnU-Net's folder; a BIDS tree; or files.
+        (several clicks of one cell are separated by semicolons); nnU-Net's folder; a BIDS tree; or files. With --track,
+        files with time and folders of frames.
     output
         Folder for the outputs; made when missing. Each case has a folder DIR/ID, or that of --output-layout.
         DIR/batch.csv has a row for each, DIR/batch.html the pictures, the most doubtful first, DIR/batch_report.json
         everything.
     config
-        TOML file with settings; options override it, columns of a table override both.
+        TOML file with settings, with --track those of tracking in its table [track]; options override it, columns of a
+        table override both.
     overwrite
         Replace outputs that exist.
     strict
-        A case that ends before it has converged, or whose result is doubtful, counts as failed.
+        A case that ends before it has converged, or whose result is doubtful, counts as failed; of images.
     """
     from accelsurf.batch.cases import read_cases, shard_of
     from accelsurf.batch.outcome import CaseTask
@@ -123,12 +133,14 @@ def batch(
     from accelsurf.io.headers import is_outside_data_allowed
 
     options, display = (options or BatchOptions()).checked(), display or Display()
+    if strict and options.track:
+        raise UsageError("--strict is of single images, --track was given", "leave one of them out")
     shard, note = shard_of(options.shard, os.environ)
     if note and not display.quiet:
         say(note)
-    found, words = read_cases(cases, options.layout)
+    found, words = read_cases(cases, options.layout, options.track)
     folder = Path() if options.plan else required(output, "-o DIR, the output folder,")
-    configs = _configs(found, settings, config, options.output_layout)
+    configs = _configs(found, settings, config, options)
     how = overwrite or options.resume, strict, is_outside_data_allowed(), options.resume
     tasks = [task_of(CaseTask(case, folder.absolute(), one, *how)) for case, one in zip(found, configs, strict=True)]
     if shard is not None:
@@ -148,9 +160,10 @@ def task_of(task: CaseTask) -> CaseTask:
         When the case cannot be in that layout.
     """
     from accelsurf.report import layouts
+    from accelsurf.settings.track_config import TrackConfig
 
-    case, folder, config = task.case, task.folder, task.config
-    if config.layout == "plain":
+    case, folder, config = task.case, task.folder, task.run
+    if config.layout == "plain" or isinstance(task.config, TrackConfig):
         return replace(task, folder=folder / case.id)
     try:
         layouts.check(config, case.image, folder, case.id)
@@ -160,42 +173,27 @@ def task_of(task: CaseTask) -> CaseTask:
     return replace(task, folder=own, place=own.relative_to(folder).as_posix())
 
 
-def _configs(cases: Sequence[Case], settings: Any, file: Path | None, layout: str | None) -> list[RunConfig]:
-    """The settings of each case.
-
-    Raises
-    ------
-    UsageError
-        With the case where it is its own setting that is not valid.
-    """
+def _configs(
+    cases: Sequence[Case], settings: Any, file: Path | None, options: BatchOptions
+) -> list[RunConfig | TrackConfig]:
+    """The settings of each case."""
     from accelsurf.settings import toml
 
     below = toml.read(file) if file is not None else {}
-    forced = {} if layout is None else {"layout": layout}
-    common = run_config(settings, below, **forced)
-    configs = []
-    for case in cases:
-        try:
-            configs.append(run_config(settings, below, **{**forced, **case.settings}) if case.settings else common)
-        except UsageError as error:
-            raise UsageError(f"{case.place}: {error.message}", error.hint) from None
-    return configs
+    if options.track:
+        return track_configs(cases, settings, below)
+    return run_configs(cases, settings, below, options.output_layout)
 
 
 def admitted(
     tasks: Sequence[CaseTask], options: BatchOptions
 ) -> tuple[list[CaseTask], dict[str, Need], Admission]:
     """The cases with their number of threads, what each needs, and what runs at once."""
-    from accelsurf.batch.admission import admit, by_cluster, need_of
+    from accelsurf.batch.admission import admit, by_cluster
     from accelsurf.io.memory import available_cores, available_memory
 
-    needs = {
-        task.case.id: need_of(
-            task.case.image, task.config.channel, bool(task.config.inside), task.config.reading, task.config.flow
-        )
-        for task in tasks
-    }
-    given = {task.config.threads for task in tasks} - {"auto"}
+    needs = {task.case.id: _need(task) for task in tasks}
+    given = {task.run.threads for task in tasks} - {"auto"}
     threads = max((int(number) for number in given), default=None)
     free = available_cores(), available_memory()
     admission = (
@@ -203,15 +201,18 @@ def admitted(
         if options.scheduler is None
         else by_cluster(list(needs.values()), threads)
     )
-    automatic = {"threads": admission.threads}
-    return (
-        [
-            replace(task, config=task.config.model_copy(update=automatic)) if task.config.threads == "auto" else task
-            for task in tasks
-        ],
-        needs,
-        admission,
-    )
+    automatic = [task.with_threads(admission.threads) if task.run.threads == "auto" else task for task in tasks]
+    return automatic, needs, admission
+
+
+def _need(task: CaseTask) -> Need:
+    from accelsurf.batch.admission import need_of, need_of_sequence
+    from accelsurf.settings.track_config import TrackConfig
+
+    if isinstance(task.config, TrackConfig):
+        return need_of_sequence(task.case.image, task.config)
+    config = task.config
+    return need_of(task.case.image, config.channel, bool(config.inside), config.reading, config.flow)
 
 
 def _print_plan(work: Batch, scheduler: str | None) -> int:

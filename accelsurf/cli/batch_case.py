@@ -1,4 +1,4 @@
-"""One case of ``accelsurf batch`` in a worker process: the run of ``accelsurf segment``, and a line for the tables.
+"""One case of ``accelsurf batch`` in a worker process: what ``segment`` or ``track`` does, and a line for the tables.
 
 `run_one` is where a case starts: whatever a case needs beyond a run from the start, such as the state of a run that
 was ended, is given to `run_case` here.
@@ -10,11 +10,13 @@ import importlib
 import io
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from accelsurf.batch import records
 from accelsurf.batch.outcome import CaseTask, Outcome, of_report
 from accelsurf.batch.worker import Failure
+from accelsurf.cli import track_case
 from accelsurf.cli.case import report_failure, run_case
 from accelsurf.cli.compare import check_reference
 from accelsurf.cli.options import Display
@@ -23,7 +25,8 @@ from accelsurf.cli.progress import Watcher
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.io import channels, read_labels
 from accelsurf.io.headers import outside_data_allowed
-from accelsurf.report.result_sets import load_report
+from accelsurf.report.result_sets import load_report, report_name
+from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
     from accelsurf.grid.volume import Volume
@@ -83,10 +86,12 @@ def lost(task: CaseTask, failure: Failure) -> Outcome:
     failure : Failure
     """
     code, hint = _FAILURES[failure.kind]
-    if failure.kind != "error":  # a run that ended with an exception has removed its drafts and written its report
-        kind = InputError if failure.kind == "memory" else LostCaseError
-        with redirect_stderr(io.StringIO()):
-            report_failure(place_of(task), kind(failure.message, hint))
+    error = (InputError if failure.kind == "memory" else LostCaseError)(failure.message, hint)
+    with redirect_stderr(io.StringIO()):
+        if isinstance(task.config, TrackConfig):
+            track_case.report_failure(track_case_of(task, task.config), error)
+        elif failure.kind != "error":  # a run that ended with an exception has removed its drafts and has a report
+            report_failure(place_of(task), error)
     return _failed(task, failure.message, hint, code, failure.details)
 
 
@@ -101,19 +106,35 @@ class LostCaseError(AccelsurfError):
     kind = "lost"
 
 
+def track_case_of(task: CaseTask, config: TrackConfig) -> track_case.TrackCase:
+    """Where the sequence of a case is, and where its files go."""
+    return track_case.TrackCase(
+        task.case.image, config, task.folder, task.case.id, task.overwrite, task.resume
+    )
+
+
 def _run(task: CaseTask) -> Outcome:
+    watcher = Watcher(Display(quiet=True, progress="none"))
+    if isinstance(task.config, TrackConfig):
+        track_case.run_track_case(track_case_of(task, task.config), watcher)
+        return _concluded(task, task.folder / report_name(task.case.id))
     place = place_of(task)
     try:
         truth = _truth_of(task)
     except AccelsurfError as error:
         report_failure(place, error)
         raise
-    done = run_case(place, task.config, Watcher(Display(quiet=True, progress="none")), task.strict)
-    report = load_report(done.place.report_path)
-    if report is None:  # somebody has removed it at this moment
-        return _failed(task, f"{done.place.report_path}: cannot be read", "run it again", 7)
+    done = run_case(place, task.config, watcher, task.strict)
     dice = records.dice_with(done.result.labels_volume(), truth) if truth is not None else None
-    if done.error is None:
+    return _concluded(task, done.place.report_path, dice, done.error is None)
+
+
+def _concluded(task: CaseTask, path: Path, dice: float | None = None, is_good: bool = True) -> Outcome:
+    """The line of a case that has a result, from its report; what `--resume` needs is written where it is good."""
+    report = load_report(path)
+    if report is None:  # somebody has removed it at this moment
+        return _failed(task, f"{path}: cannot be read", "run it again", 7)
+    if is_good:
         records.write_record(task, report, dice)
     return of_report(task, report, dice)
 
@@ -123,7 +144,7 @@ def _truth_of(task: CaseTask) -> Volume | None:
     if task.case.reference is None:
         return None
     truth = read_labels(task.case.reference)
-    check_reference(truth, channels.read(task.case.image, task.config.reading)[0])
+    check_reference(truth, channels.read(task.case.image, task.run.reading)[0])
     return truth
 
 

@@ -130,8 +130,13 @@ def _facts_of(path: Path, asked: ReadOptions) -> dict[str, Any]:
         channels, time_points = headers.counts(path, first)
     geometry, layout = lazy.geometry, lazy.layout
     seconds = lazy.metadata.get(FRAME_KEY)
+    form, header = headers.parse(path, first)
+    warning = lazy.metadata.get(io.WARNING_KEY)
+    if getattr(header, "are_channels_guessed", False):
+        unsaid = f"nothing is said of time: {channels} volumes, which segment reads as channels and track as frames"
+        warning = f"{warning}; {unsaid}" if warning else unsaid
     return {
-        "format": headers.parse(path, first)[0].name,
+        "format": form.name,
         **_grid(geometry),
         "origin": list(geometry.origin),
         "direction": geometry.direction.tolist(),
@@ -143,7 +148,7 @@ def _facts_of(path: Path, asked: ReadOptions) -> dict[str, Any]:
         "unit_of_the_file": lazy.metadata.get(UNIT_KEY),
         "chunks": None if layout.chunk_shape is None else list(layout.chunk_shape[::-1]),
         "read_by_boxes": by_boxes,
-        "warning": lazy.metadata.get(io.WARNING_KEY),
+        "warning": warning,
         "levels": [_grid(grid) for grid in layout.levels],
     }
 

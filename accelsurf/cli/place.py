@@ -38,11 +38,9 @@ class Place:
     @classmethod
     def of(cls, source: Path, folder: Path, overwrite: bool = False) -> Place:
         """The place of an image whose outputs have its name, without suffix."""
-        from accelsurf.io import split_name
-        from accelsurf.io.headers import is_pattern
+        from accelsurf.io.headers import name_of
 
-        named = source.absolute().parent if is_pattern(source) else source
-        return cls(source, folder, split_name(named)[0], overwrite)
+        return cls(source, folder, name_of(source), overwrite)
 
     @property
     def report_path(self) -> Path:

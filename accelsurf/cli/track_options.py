@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -9,51 +10,56 @@ from typing import Any
 from accelsurf.cli.options import option, options_class, run_config, settings_class
 from accelsurf.settings import toml
 from accelsurf.settings.catalogue import as_typed
-from accelsurf.settings.entry import SettingGroup
-from accelsurf.settings.track_config import TrackConfig, split_table
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_config import FRAME_SETTINGS, TrackConfig, split_table
 from accelsurf.settings.track_fields import TrackFields
 
 
-def _track_settings() -> type:
-    """A dataclass with an option for each setting of tracking; ``None`` where it was not given."""
+def _track_settings(name: str, keys: Iterable[str]) -> type:
+    """A dataclass with an option for each of these settings of tracking; ``None`` where it was not given."""
     members = []
-    for key, field in TrackFields.model_fields.items():
+    for key in keys:
+        field = TrackFields.model_fields[key]
         is_switch = field.annotation is bool
         default = "" if is_switch else as_typed(field.default)
         members.append(option(key, field, default, negative=() if is_switch else None))
-    return options_class("TrackSettings", members)
+    return options_class(name, members)
 
 
-TrackSettings = _track_settings()
-#: Settings of the run that mean another thing here, or nothing: where both have one, it is that of tracking.
-_NOT_OF_FRAMES = (
-    *TrackFields.model_fields, "time_index", "channels_from_time", "edit", "refine", "level",
-)
+TrackSettings = _track_settings("TrackSettings", TrackFields.model_fields)
+#: For commands that only read a sequence.
+SequenceSettings = _track_settings("SequenceSettings", ("frame_time", "frames_from_slices"))
 #: Settings of the run on each frame.
 FrameSettings = settings_class(
-    "FrameSettings", leave_out=_NOT_OF_FRAMES, groups=(SettingGroup.RUN, SettingGroup.FLOW, SettingGroup.IMAGE)
+    "FrameSettings", leave_out=tuple(key for key in RunConfig.model_fields if key not in FRAME_SETTINGS)
 )
 
 
-def track_config(track: Any, frame: Any, file: Path | None) -> TrackConfig:
+def track_config(
+    track: Any, frame: Any, file: Path | Mapping[str, Any] | None, /, **forced: Any
+) -> TrackConfig:
     """Return the configuration of a tracking: options override the file, which overrides the defaults.
 
     Parameters
     ----------
-    track : TrackSettings or None
+    track : TrackSettings, SequenceSettings or None
     frame : FrameSettings or None
-    file : Path, optional
-        TOML file of ``--config``: settings of the run, and a table ``track``.
+    file : Path or mapping, optional
+        TOML file of ``--config``, or what is in it: settings of the run, and a table ``track``.
+    **forced
+        Settings of either kind, over all others.
 
     Raises
     ------
     UsageError
         When the file or a value is not valid.
     """
-    run, table = split_table(toml.read(file)) if file is not None else ({}, {})
+    run, table = split_table(dict(toml.read(file) if isinstance(file, Path) else file or {}))
+    own = {key: value for key, value in forced.items() if key in TrackFields.model_fields}
+    others = {key: value for key, value in forced.items() if key not in own}
     given = {one.name: getattr(track, one.name) for one in fields(track)} if track is not None else {}
-    typed = {key: _value(key, value) for key, value in given.items() if value is not None}
-    return TrackConfig(run=run_config(frame, run), **{**table, **typed})
+    typed = {key: _value(key, value) for key, value in {**given, **own}.items() if value is not None}
+    return TrackConfig(run=run_config(frame, run, **others), **{**table, **typed})
 
 
 def _value(key: str, value: Any) -> Any:

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES, SHOW, InputFile, Overwrite, Settings, run_config
+from accelsurf.cli.track_options import SequenceSettings, track_config
 from accelsurf.errors import UsageError
+from accelsurf.settings.reading import ReadOptions
+from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.settings.run_config import RunConfig
+    from accelsurf.settings.track_config import TrackConfig
     from accelsurf.viewer.core.opening import OpenedImage
     from accelsurf.viewer.core.session import Session
     from accelsurf.viewer.workplace.opening import Opening
+
+#: Settings that say how a sequence is read.
+_OF_READING = tuple(one.name for one in fields(ReadOptions) if one.name not in ("time_index", "channels_from_time"))
 
 
 @Parameter(name="*")
@@ -66,6 +72,7 @@ def view(
     overwrite: Overwrite = False,
     page: PageOptions | None = None,
     viewer: ViewerOptions | None = None,
+    frames: SequenceSettings | None = None,  # type: ignore[valid-type]
     settings: Settings | None = None,  # type: ignore[valid-type]
 ) -> int:
     """Watch and steer a segmentation in a window, or in a browser.
@@ -97,13 +104,41 @@ def view(
         Replace files in the folder that this session has not written.
     """
     made, page, viewer = run_config(settings, config), page or PageOptions(), viewer or ViewerOptions()
-    _check_given(input, reference, tracks)
-    page = _front_end(page)
+    times = track_config(frames, None, None)
+    _check_given(input, reference, tracks, times)
+    page = front_end(page)
+    first = None if input is None else _read(input, made, reference, tracks, times)
+    return _show(first, made, page, viewer, result, overwrite)
+
+
+def show_tracks(source: Path, tracks: Path, config: TrackConfig, page: PageOptions) -> int:
+    """Open a sequence with what ``accelsurf track`` has found in it, until the user ends it.
+
+    Parameters
+    ----------
+    source : Path
+        The sequence.
+    tracks : Path
+        Folder of the tracking's files.
+    config : TrackConfig
+        Of the tracking: how the sequence is read, and the frame that is shown first.
+    page : PageOptions
+        From `front_end`.
+    """
+    run = config.run
+    made = RunConfig(time_index=config.frame, **{key: getattr(run, key) for key in _OF_READING})
+    return _show(_read(source, made, None, tracks, config), made, page, ViewerOptions(), None, False)
+
+
+def _show(
+    first: OpenedImage | None, made: RunConfig, page: PageOptions, viewer: ViewerOptions, result: Path | None,
+    overwrite: bool,
+) -> int:
+    """Open window or page, with an image or the start page, until the user ends it."""
     from accelsurf.cli.interrupts import default_handling
 
     # Ctrl-C is the documented way to end a page.
     with ExitStack() as stack:
-        first = None if input is None else _read(input, made, reference, tracks)
         stack.enter_context(default_handling())
         opening = _opening(made, viewer.recent, page)
         session = None
@@ -118,8 +153,11 @@ def view(
     return 0
 
 
-def _check_given(image: Path | None, reference: Path | None, tracks: Path | None) -> None:
+def _check_given(image: Path | None, reference: Path | None, tracks: Path | None, times: TrackConfig) -> None:
     """Refuse what lacks its image, or does not go together."""
+    if image is None and (times.frame_time is not None or times.frames_from_slices):
+        key = "frames_from_slices" if times.frames_from_slices else "frame_time"
+        raise UsageError(f"{key}: it was given without a sequence", "give the sequence, too")
     if image is None and reference is not None:
         raise UsageError("reference: it was given without an image", "give the image, too")
     if tracks is not None and image is None:
@@ -128,15 +166,20 @@ def _check_given(image: Path | None, reference: Path | None, tracks: Path | None
         raise UsageError("reference: it was given with tracks", "leave one of both out")
 
 
-def _read(source: Path, config: RunConfig, reference: Path | None, tracks: Path | None) -> OpenedImage:
-    """Read the image, as the other commands do, or a sequence, and labels to compare with."""
+def _read(
+    source: Path, config: RunConfig, reference: Path | None, tracks: Path | None, times: TrackConfig
+) -> OpenedImage:
+    """Read the image, as the other commands do, or a sequence as ``times`` say, and labels to compare with."""
     from accelsurf import io
     from accelsurf.io import channels
     from accelsurf.viewer.core.opening import OpenedImage, is_sequence, read_tracked
 
     truth = None if reference is None else io.read_labels(reference)
-    if tracks is not None or is_sequence(source, config):
-        return replace(read_tracked(source, config, tracks), reference=truth)
+    if tracks is not None or times.frames_from_slices or is_sequence(source, config):
+        found = read_tracked(source, config, tracks, times.frame_time, times.frames_from_slices)
+        return replace(found, reference=truth)
+    if times.frame_time is not None:
+        raise UsageError("frame_time: it was given for a single image", "leave it out, or add --frames-from-slices")
     volume, *more = channels.read(source, config.reading)
     return OpenedImage(volume, config, io.split_name(source)[0], source, tuple(more), truth)
 
@@ -161,7 +204,7 @@ def _is_local(page: PageOptions) -> bool:
     return page.host in (None, "127.0.0.1", "localhost")
 
 
-def _front_end(page: PageOptions) -> PageOptions:
+def front_end(page: PageOptions) -> PageOptions:
     """Check that the window, or else the page, can be shown here, before the image is read.
 
     Where the packages of the window are missing, but not those of the page, the page opens.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
@@ -36,6 +37,11 @@ class ImageSequence(ABC):
     def __len__(self) -> int:
         """Number of frames."""
         return len(self.times)
+
+    @property
+    def frame_values(self) -> int:
+        """How many values a frame has, those of all channels together, as far as that is known before one is read."""
+        return math.prod(self.geometry.shape)
 
     def frame(self, number: int) -> Volume:
         """The image ``number``, from 0; its first channel where it has several.

@@ -101,6 +101,18 @@ def is_pattern(path: Path) -> bool:
     return any(sign in path.name for sign in "*?") and not path.exists()
 
 
+def name_of(path: Path) -> str:
+    """The name of an image without folder and suffix, which its outputs have; of a pattern that of the folder.
+
+    Examples
+    --------
+    >>> name_of(Path("scans/head.nii.gz")), name_of(Path("scans/slices/*.tif"))
+    ('head', 'slices')
+    """
+    whole = path.absolute()
+    return split_name(whole.parent if is_pattern(path) else whole)[0]
+
+
 def _absent_form(path: Path) -> ImageFormat:
     """The format where no file has the path itself: slices by a pattern, or an array in an archive.
 

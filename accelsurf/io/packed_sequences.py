@@ -89,15 +89,18 @@ class NiftiFrames(_PackedFrames):
 
     def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
         super().__init__(path, options, memory_bytes)
-        fields = self.header.nifti
-        if fields.are_channels_guessed:
-            times = self.header.times_text and FrameTimes.from_text(self.header.times_text, fields.volumes)
-            self.place(self.geometry, times or FrameTimes.regular(fields.volumes, None))
+        if self.header.are_channels_guessed:
+            self.place(self.geometry, FrameTimes.regular(self.header.channels, None))
+
+    @property
+    def frame_values(self) -> int:
+        """How many values a frame has."""
+        return math.prod(self.geometry.shape) if self.header.are_channels_guessed else super().frame_values
 
     def read(self, number: int) -> list[Volume]:
         """Read the channels of a frame."""
         header = self.unpacked_header()
-        if self.header.nifti.are_channels_guessed:
+        if self.header.are_channels_guessed:
             header = replace(header, asked=replace(header.asked, channel_index=number))
         return read_volumes(self.path, self.form, with_time(header, number), self.memory)
 

@@ -88,6 +88,11 @@ class FileFrames(FileSequence):
         times = getattr(self.header, "frame_times", None) or FrameTimes.regular(count, None)
         self.place(geometry_of(path, self.header), times)
 
+    @property
+    def frame_values(self) -> int:
+        """How many values a frame has, those of all channels together."""
+        return int(with_time(self.header, 0).values)
+
     def read(self, number: int) -> list[Volume]:
         """Read the channels of a frame."""
         return read_volumes(self.path, self.form, with_time(self.header, number), self.memory)
@@ -153,6 +158,11 @@ class FrameFolder(FileSequence):
         assert geometry is not None
         times, note = times_of_names([file.name for file in self.files])
         self.place(geometry, times, [note])
+
+    @property
+    def frame_values(self) -> int:
+        """How many values a frame has, those of all channels together."""
+        return int(self._parsed(self.files[0])[1].values)
 
     def _parsed(self, file: Path) -> tuple[ImageFormat, Any]:
         return headers.parse(file, self._options.among(headers.options_of(file)))

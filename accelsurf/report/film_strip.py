@@ -11,7 +11,7 @@ from accelsurf.io.metadata import UNIT_KEY
 from accelsurf.report.canvas import PALE, Canvas, fitting
 from accelsurf.report.slice_plot import Slice, draw_scale_bar
 from accelsurf.report.track_frames import FrameRow, TrackSet
-from accelsurf.report.track_slices import TrackView, draw_frame, time_text, write_lines
+from accelsurf.report.track_slices import FrameContent, TrackView, draw_frame, time_text, write_lines
 
 #: Frames in a strip at most, and in a line of it.
 MAX_FRAMES, COLUMNS = 12, 4
@@ -43,12 +43,12 @@ def film_strip_png(tracks: TrackSet) -> bytes:
         line, column = divmod(number, columns)
         x, y = left + column * (PANEL + GAP), TOP + line * (tall + BELOW)
         panel = (x, y, x + PANEL, y + tall)
-        image = tracks.sequence.frame(row.frame)
-        shown = draw_frame(canvas, panel, tracks, row, view, image, ("predicted", "corrected"))
+        frame = FrameContent.of(tracks, row)
+        shown = draw_frame(canvas, panel, tracks.geometry, frame, view, ("predicted", "corrected"))
         canvas.text((x + PANEL / 2, shown.axes.box[3] + 8), _caption(tracks, row, shown), 14, anchor="ma")
         if number == 0:
             write_lines(shown, view, ("predicted", "corrected"))
-            draw_scale_bar(shown, image.metadata.get(UNIT_KEY, "mm"))
+            draw_scale_bar(shown, frame.image.metadata.get(UNIT_KEY, "mm"))
     canvas.text((canvas.width - 10, canvas.height - 8), f"window {view.window.text}", 11, PALE, "rd")
     return canvas.png()
 

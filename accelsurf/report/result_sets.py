@@ -12,6 +12,8 @@ from accelsurf.errors import AccelsurfError
 from accelsurf.io import is_stored, sha256
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_config import TrackConfig
+from accelsurf.settings.track_fields import TrackFields
 from accelsurf.settings.track_formats import TRACK_FORMATS
 
 #: What the names of a failed run's files have after the name of the case, where a result stands already.
@@ -67,8 +69,8 @@ def state_of(report: Path) -> tuple[str, str, str] | None:
     return (*found[0], image) if found and isinstance(image, str) else None
 
 
-def is_of(document: Mapping[str, Any], config: RunConfig, image: Path) -> bool:
-    """Whether a report is of a run with these settings, of this image; the image is read where the settings fit.
+def is_of(document: Mapping[str, Any], config: RunConfig | TrackConfig, image: Path) -> bool:
+    """Whether a report is of a run or a tracking with these settings, of this image, which is read where they fit.
 
     Raises
     ------
@@ -77,7 +79,19 @@ def is_of(document: Mapping[str, Any], config: RunConfig, image: Path) -> bool:
     """
     source = document.get("input")
     known = source.get("sha256") if isinstance(source, dict) else None  # none of an image that was read in parts
-    return known is not None and had_settings(document, config) and known == sha256(image)
+    fits = had_track_settings(document, config) if isinstance(config, TrackConfig) else had_settings(document, config)
+    return known is not None and fits and known == sha256(image)
+
+
+def had_track_settings(document: Mapping[str, Any], config: TrackConfig) -> bool:
+    """Return whether a report is of a tracking with these settings; a seed that is not given may be any."""
+    written = document.get("config")
+    if not isinstance(written, dict) or not had_settings({"config": written.get("run")}, config.run):
+        return False
+    own = {key: _plain(field.default) for key, field in TrackFields.model_fields.items()}
+    return all(
+        written.get(key, own[key]) == value for key, value in config.model_dump(mode="json", exclude={"run"}).items()
+    )
 
 
 def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
@@ -98,7 +112,11 @@ def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
 
 def _default(key: str) -> Any:
     """What a setting was when it did not exist yet."""
-    value = default_of(key)
+    return _plain(default_of(key))
+
+
+def _plain(value: Any) -> Any:
+    """A value as it is read from JSON."""
     return list(value) if isinstance(value, tuple) else value
 
 

@@ -22,6 +22,7 @@ def build(
     tracks: TrackSet | None,
     *,
     sequence: ImageSequence | None = None,
+    source: Path | None = None,
     status: Status,
     exit_code: int,
     argv: Sequence[str] = (),
@@ -39,6 +40,8 @@ def build(
         None when the run failed.
     sequence : ImageSequence, optional
         What was tracked, where there is no ``tracks``.
+    source : Path, optional
+        Where that should have been, where there is no ``sequence`` either.
     status, exit_code : {"ok", "failed", "interrupted"}, int
     argv : sequence of str, optional
     settings : mapping, optional
@@ -63,7 +66,7 @@ def build(
         "versions": versions(),
         "argv": list(argv),
         "config": dict(settings) if settings else None,
-        "input": None if images is None else describe_sequence(images),
+        "input": _describe_source(source) if images is None else describe_sequence(images),
         "tracks": None if tracks is None else describe_tracks(tracks),
         "links": None if tracks is None else [link._asdict() for link in tracks.lineage.links],
         "frames": None if tracks is None else describe_frames(tracks),
@@ -81,6 +84,11 @@ def describe_sequence(sequence: ImageSequence) -> dict[str, Any]:
         checksum = _checksum(Path(sequence.source))
         entry = describe_input(sequence.source, geometry=sequence.geometry, checksum=checksum)
     return entry | {"times": list(sequence.times), "time_unit": sequence.time_unit}
+
+
+def _describe_source(source: Path | None) -> dict[str, Any] | None:
+    """The entry about what could not be opened."""
+    return None if source is None else describe_input(source) | {"times": None, "time_unit": None}
 
 
 def _checksum(source: Path) -> str | None:

@@ -5,11 +5,12 @@ A frame's file is there whole or not at all, so that a tracking that was killed 
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import shutil
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,8 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, Corner, box_at
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.io.images import label_type
 from accelsurf.tracking.records import FrameResult, Lineage, SurfacePiece, TrackedObject
@@ -249,6 +251,42 @@ class TrackSet:
             for one in row.objects:
                 found.setdefault(one.id, []).append((row, one))
         return dict(sorted(found.items()))
+
+    @cached_property
+    def extent(self) -> Box | None:
+        """Voxels around all objects in all frames and around their predictions, None where there is none.
+
+        All pictures show this part. Each frame is read, one at a time, when the first picture asks.
+        """
+        boxes = (box for row in self.rows for one in self.store.drawn(row.frame) for box in _inside_boxes(one))
+        return functools.reduce(_around, boxes, None)
+
+    @cached_property
+    def window(self) -> GreyWindow:
+        """Grey values of all pictures: chosen on the first frame, with its objects."""
+        if not self.rows:
+            return GreyWindow(0.0, 1.0)
+        first = self.rows[0].frame
+        inside = self.labels(first) > 0
+        array = self.sequence.frame(first).array
+        return window_of(array, inside) if inside.any() else window_of(array)
+
+
+def _inside_boxes(drawn: DrawnObject) -> Iterator[Box]:
+    """Voxels of an object in a frame, and of its prediction."""
+    for piece in (drawn.surface, drawn.predicted):
+        box = None if piece is None else bounding_box(piece.psi < 0)
+        if piece is not None and box is not None:
+            z, y, x = (slice(s.start + c, s.stop + c) for s, c in zip(box, piece.corner, strict=True))
+            yield z, y, x
+
+
+def _around(one: Box | None, other: Box) -> Box:
+    """The smallest box around two."""
+    if one is None:
+        return other
+    z, y, x = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
+    return z, y, x
 
 
 def frame_digits(count: int) -> int:

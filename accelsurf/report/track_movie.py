@@ -13,7 +13,7 @@ from accelsurf.report.canvas import Canvas
 from accelsurf.report.movies import Picture
 from accelsurf.report.slice_plot import draw_scale_bar
 from accelsurf.report.track_frames import TrackSet
-from accelsurf.report.track_slices import TrackView, draw_frame, time_text
+from accelsurf.report.track_slices import FrameContent, TrackView, draw_frame, time_text
 
 #: Width and height of a picture, of the margin around a panel and of the lines above it, pixels.
 SIZE = (960, 540)
@@ -59,10 +59,10 @@ def pictures(tracks: TrackSet) -> Iterator[Picture]:
     for row in tracks.rows:
         canvas = Canvas(wide, tall)
         canvas.text((half, 18), f"{tracks.name}: {time_text(tracks, row)}", 16, anchor="mm")
-        image = tracks.sequence.frame(row.frame)
+        frame = FrameContent.of(tracks, row)
         for left, what in ((0.0, "predicted"), (half, "corrected")):
             panel = (left + MARGIN, TOP, left + half - MARGIN, tall - MARGIN)
-            shown = draw_frame(canvas, panel, tracks, row, view, image, (what,))
+            shown = draw_frame(canvas, panel, tracks.geometry, frame, view, (what,))
             canvas.text((left + half / 2, 44), what, 14, anchor="mm")
-        draw_scale_bar(shown, image.metadata.get(UNIT_KEY, "mm"))
+        draw_scale_bar(shown, frame.image.metadata.get(UNIT_KEY, "mm"))
         yield canvas.pixels()

@@ -15,6 +15,7 @@ from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.errors import AccelsurfError
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.grid.volume import Volume
+from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
 from accelsurf.report import film_strip, output_folder, result_sets, track_document, track_tables, volume_curves
 from accelsurf.report.file_entries import describe_drafts
@@ -156,7 +157,7 @@ class TrackOutputs:
             )
             report = result_sets.report_name(self.name)
             write_bytes(self._set.drafts / report, track_document.to_json(document).encode())
-            self._commit(report)
+            _commit(self._set, report, self._overwrite)
         if self._own_store and status == "ok":
             shutil.rmtree(self._store.folder, ignore_errors=True)
         self._stack.close()
@@ -177,7 +178,10 @@ class TrackOutputs:
                 self._set.discard()
                 if isinstance(error, AccelsurfError):
                     with suppress(AccelsurfError, OSError):  # what went wrong first matters more
-                        self._report_failure(error)
+                        _write_failure(
+                            self._set, self.name, self.files, error, sequence=self.sequence, argv=self._argv,
+                            settings=self._settings,
+                        )
         finally:
             self._stack.close()
 
@@ -256,24 +260,61 @@ class TrackOutputs:
             for number in range(len(sequence)):
                 writer.write(number, tracks.labels(number))
 
-    def _commit(self, report: str, failed: bool = False) -> None:
-        written = [path.name for path in self._set.drafts.iterdir()]
-        if not (failed or self._overwrite):  # another program may have put a file there while the run went on
-            output_folder.refuse_existing({name: self._set.folder / name for name in written}, False)
-        name = report.removesuffix("_report.json")
-        self._set.commit(last=report, remove=result_sets.outdated(self._set.folder, name, written, failed))
 
-    def _report_failure(self, error: AccelsurfError) -> None:
-        """Write the report of a run without a result, beside a result that stands."""
-        folder, name = self._set.folder, self.name
-        if result_sets.result_stands(folder, name, self.files.paths(folder, name).values()):
-            name += result_sets.FAILED
-            if result_sets.result_stands(folder, name, ()):
-                return  # of a sequence that is called so
-        document = track_document.build(
-            None, sequence=self.sequence, status="failed", exit_code=error.exit_code, argv=self._argv,
-            settings=self._settings, error=error,
-        )
-        report = result_sets.report_name(name)
-        write_bytes(self._set.drafts / report, track_document.to_json(document).encode())
-        self._commit(report, failed=True)
+def write_failure(
+    folder: Path,
+    name: str,
+    files: TrackFiles,
+    error: BaseException,
+    *,
+    source: Path,
+    settings: Mapping[str, Any] | None = None,
+    argv: Sequence[str] = (),
+) -> None:
+    """Write the report of a tracking that could not begin, beside a result that stands there.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+        First part of the names of the files.
+    files : TrackFiles
+        Which ones a result would have had.
+    error : BaseException
+        Why there is none.
+    source : Path
+        What was to be tracked.
+    settings, argv : optional
+        As of `TrackOutputs`.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    with output_folder.opened_set(folder, name) as drafts, output_folder.naming_final(drafts):
+        _write_failure(drafts, name, files, error, source=source, settings=settings, argv=argv)
+
+
+def _write_failure(drafts: FileSet, name: str, files: TrackFiles, error: BaseException, **facts: Any) -> None:
+    """Write a report without a result, under a name of its own where a result stands; ``facts`` as of the document."""
+    folder = drafts.folder
+    if result_sets.result_stands(folder, name, files.paths(folder, name).values()):
+        name += result_sets.FAILED
+        if result_sets.result_stands(folder, name, ()):
+            return  # of a sequence that is called so
+    code = error.exit_code if isinstance(error, AccelsurfError) else 3 if isinstance(error, MemoryError) else 1
+    document = track_document.build(None, status="failed", exit_code=code, error=error, **facts)
+    report = result_sets.report_name(name)
+    write_bytes(drafts.drafts / report, track_document.to_json(document).encode())
+    _commit(drafts, report, False, failed=True)
+
+
+def _commit(drafts: FileSet, report: str, overwrite: bool, failed: bool = False) -> None:
+    """Put the drafts in place, the report last; what an earlier run wrote and this one does not goes."""
+    written = [path.name for path in drafts.drafts.iterdir()]
+    if not (failed or overwrite):  # another program may have put a file there while the run went on
+        paths = {"report" if name == report else name: drafts.folder / name for name in written}
+        output_folder.refuse_existing(paths, False)
+    name = report.removesuffix("_report.json")
+    drafts.commit(last=report, remove=result_sets.outdated(drafts.folder, name, written, failed))

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box as VoxelBox
-from accelsurf.grid.boxes import bounding_box
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.grey_window import GreyWindow, window_of
+from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.grid.volume import Volume
 from accelsurf.report.canvas import DARK, REFERENCE, SOLID, Box, Canvas, Dashes
@@ -58,11 +58,8 @@ class TrackView:
         geometry = tracks.geometry
         order = DisplayOrientation.of(geometry).order
         plane = native_plane(geometry) if geometry.slice_axis is None else order.index(geometry.slice_axis)
-        ids = list(tracks.by_object)
-        boxes = [box for row in tracks.rows for box in _boxes(tracks.store.drawn(row.frame))]
-        return cls(
-            plane, _ranges(boxes, geometry), _window(tracks), {own: object_color(n) for n, own in enumerate(ids)}
-        )
+        colors = {own: object_color(n) for n, own in enumerate(tracks.by_object)}
+        return cls(plane, _ranges(tracks.extent, geometry), tracks.window, colors)
 
     def slice_of(self, row: FrameRow, geometry: Geometry) -> SliceView:
         """The slice through the largest object of a frame that is seen, else through the middle."""
@@ -74,33 +71,43 @@ class TrackView:
         return SliceView(self.plane, min(max(at, 0), count - 1))
 
 
+class FrameContent(NamedTuple):
+    """A frame with all that is drawn of it: its ``image`` as it was read, and its objects."""
+
+    row: FrameRow
+    image: Volume
+    drawn: list[DrawnObject]
+
+    @classmethod
+    def of(cls, tracks: TrackSet, row: FrameRow) -> FrameContent:
+        """Read a frame, once for all panels."""
+        return cls(row, tracks.sequence.frame(row.frame), tracks.store.drawn(row.frame))
+
+
 def draw_frame(
-    canvas: Canvas, panel: Box, tracks: TrackSet, row: FrameRow, view: TrackView, image: Volume, what: Sequence[str]
+    canvas: Canvas, panel: Box, geometry: Geometry, frame: FrameContent, view: TrackView, what: Sequence[str]
 ) -> Slice:
     """Draw a frame with its objects.
 
     Parameters
     ----------
     canvas, panel : Canvas, (left, top, right, bottom)
-    tracks : TrackSet
-    row : FrameRow
+    geometry : Geometry
+    frame : FrameContent
     view : TrackView
-    image : Volume
-        The frame, as it was read.
     what : sequence of {"predicted", "corrected"}
         Which surfaces.
     """
     shown = lay_slice(
-        canvas, panel, image.array, tracks.geometry, view.slice_of(row, tracks.geometry), view.ranges, view.window
+        canvas, panel, frame.image.array, geometry, view.slice_of(frame.row, geometry), view.ranges, view.window
     )
-    drawn = tracks.store.drawn(row.frame)
-    for one in drawn:
+    for one in frame.drawn:
         if "predicted" in what and one.predicted is not None:
-            _draw_piece(shown, one.predicted, REFERENCE, REFERENCE_DASHES, tracks.geometry)
-    for one in drawn:
+            _draw_piece(shown, one.predicted, REFERENCE, REFERENCE_DASHES, geometry)
+    for one in frame.drawn:
         if "corrected" in what:
             dashes = SOLID if one.seen else REFERENCE_DASHES
-            section = _draw_piece(shown, one.surface, view.colors[one.id], dashes, tracks.geometry)
+            section = _draw_piece(shown, one.surface, view.colors[one.id], dashes, geometry)
             if section is not None and 1 < len(view.colors) <= MAX_NAMES:
                 name_section(shown, section < 0, str(one.id), view.colors[one.id])
     return shown
@@ -146,39 +153,16 @@ def _draw_piece(
     return section
 
 
-def _boxes(drawn: Iterable[DrawnObject]) -> list[VoxelBox]:
-    """Voxels of the objects of a frame, and of their predictions."""
-    found = []
-    for one in drawn:
-        for piece in (one.surface, one.predicted):
-            box = None if piece is None else bounding_box(piece.psi < 0)
-            if piece is not None and box is not None:
-                z, y, x = (slice(s.start + c, s.stop + c) for s, c in zip(box, piece.corner, strict=True))
-                found.append((z, y, x))
-    return found
-
-
-def _ranges(boxes: Sequence[VoxelBox], geometry: Geometry) -> Ranges:
-    """Voxels around boxes, along the displayed axes."""
+def _ranges(extent: VoxelBox | None, geometry: Geometry) -> Ranges:
+    """Voxels around a box, along the displayed axes; all of them without one."""
     up = DisplayOrientation.of(geometry)
     ranges = []
     for axis in range(3):
         own = up.order[axis]
         n = geometry.shape[own]
-        low = min((box[own].start for box in boxes), default=0)
-        high = max((box[own].stop for box in boxes), default=n)
+        low, high = (0, n) if extent is None else (extent[own].start, extent[own].stop)
         if up.flips[axis]:
             low, high = n - high, n - low
         room = max(round(MARGIN / 2 * (high - low)), round(MIN_MARGIN * min(geometry.steps) / up.spacing[axis]), 1)
         ranges.append((max(low - room, 0), min(high + room, n)))
     return ranges[0], ranges[1], ranges[2]
-
-
-def _window(tracks: TrackSet) -> GreyWindow:
-    """Chosen on the first frame, with its objects."""
-    if not tracks.rows:
-        return GreyWindow(0.0, 1.0)
-    first = tracks.rows[0].frame
-    inside = tracks.labels(first) > 0
-    array = tracks.sequence.frame(first).array
-    return window_of(array, inside) if inside.any() else window_of(array)

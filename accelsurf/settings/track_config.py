@@ -9,7 +9,9 @@ from typing import Any, Self
 from pydantic import ValidationError
 
 from accelsurf.errors import UsageError
-from accelsurf.settings import energy_expression, messages, toml
+from accelsurf.settings import catalogue, energy_expression, messages, toml
+from accelsurf.settings.entry import SettingEntry, SettingGroup, entry_of
+from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_fields import TrackFields
 
@@ -17,6 +19,15 @@ from accelsurf.settings.track_fields import TrackFields
 TABLE = "track"
 #: Friction that ``auto`` is, per frame (docs/decisions/0084-the-loop-over-frames.md has what was measured).
 AUTO_FRICTION = 0.5
+
+#: Settings of a run that mean another thing in a tracking, or nothing: where both have one, it is that of tracking.
+_NOT_OF_FRAMES = (*TrackFields.model_fields, "time_index", "channels_from_time", "edit", "refine", "level")
+_GROUPS_OF_FRAMES = (SettingGroup.RUN, SettingGroup.FLOW, SettingGroup.IMAGE)
+#: Settings of the run on each frame.
+FRAME_SETTINGS = tuple(
+    key for key in SettingFields.model_fields
+    if key not in _NOT_OF_FRAMES and catalogue.entry(key).group in _GROUPS_OF_FRAMES
+)
 
 
 class TrackConfig(TrackFields):
@@ -135,3 +146,14 @@ def split_table(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]
         if key not in TrackFields.model_fields:
             raise UsageError(*messages.no_such_setting(key, TrackFields))
     return {key: value for key, value in values.items() if key != TABLE}, table
+
+
+def setting_entry(key: str) -> SettingEntry:
+    """The entry of a setting of a tracking, or of the run on each frame.
+
+    Examples
+    --------
+    >>> setting_entry("max_gap").metavar, setting_entry("smoothness").group is SettingGroup.RUN
+    ('FRAMES', True)
+    """
+    return entry_of(TrackFields.model_fields[key]) if key in TrackFields.model_fields else catalogue.entry(key)

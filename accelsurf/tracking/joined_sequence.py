@@ -1,12 +1,15 @@
-"""Several sequences of one scene as the channels of one."""
+"""Several sequences of one scene as the channels of one, as the settings of a tracking name them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.grid.volume import Volume
+from accelsurf.io import read_sequence
+from accelsurf.settings.track_config import TrackConfig
 
 
 class JoinedSequence(ImageSequence):
@@ -34,5 +37,34 @@ class JoinedSequence(ImageSequence):
             if difference := first.geometry.difference(one.geometry):
                 raise GeometryError(f"channel {one.source}: on another grid than the first: {difference}")
 
+    @property
+    def frame_values(self) -> int:
+        """How many values a frame has, those of all channels together."""
+        return sum(one.frame_values for one in self._sequences)
+
     def _channels(self, number: int) -> list[Volume]:
         return [volume for one in self._sequences for volume in one.channels(number)]
+
+
+def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:
+    """Open what is tracked, with the channels that the settings add; the headers are read.
+
+    Parameters
+    ----------
+    source : Path
+        A file with time, a folder of frames, or a pattern of their names.
+    config : TrackConfig
+
+    Raises
+    ------
+    InputError, UsageError
+        As `accelsurf.read_sequence`; InputError and GeometryError where channels do not fit together.
+    """
+    first, *others = (
+        read_sequence(
+            path, frame_time=config.frame_time, frames_from_slices=config.frames_from_slices,
+            options=config.run.reading,
+        )
+        for path in (source, *(Path(file) for file in config.run.channel))
+    )
+    return JoinedSequence(first, others) if others else first

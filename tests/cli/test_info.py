@@ -39,3 +39,24 @@ def test_a_damaged_image_is_an_error(tmp_path, capsys):
     assert "a.zarr: this folder is no Zarr" in capsys.readouterr().err
     assert cli.execute(["info", str(tmp_path / "absent.nii")]) == 3
     assert "absent.nii: there is no such file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "points", "is_said"),
+    [((0.0, 1.0, 2.0), "s", 3, True), ((0.0, 1.0, 5.0), "frame", 3, True), ((0.0, 1.0, 2.0), "frame", 1, False)],
+)
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+def test_frames_of_a_nifti_are_time_points_where_it_says_time_and_else_named_as_both(
+    tmp_path, capsys, times, unit, points, is_said, suffix
+):
+    path = tmp_path / f"a{suffix}"
+    with io.SequenceWriter(path, Geometry((2, 3, 4), (1.0, 1.0, 1.0)), times, unit, np.float32) as writer:
+        for number in range(3):
+            writer.write(number, np.full((2, 3, 4), number, np.float32))
+    assert cli.execute(["info", str(path), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["channels"], said["time_points"]) == (3 // points, points)
+    assert is_said is (said["warning"] is None)
+    assert is_said or said["warning"].endswith("3 volumes, which segment reads as channels and track as frames")
+    sequence = io.read_sequence(path)
+    assert (sequence.times, sequence.time_unit, sequence.frame_values) == (times, unit, 24)

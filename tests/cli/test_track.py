@@ -109,3 +109,20 @@ def test_dump_config_has_a_table_of_tracking(cells: Path, capsys) -> None:
     assert execute(["track", "--dump-config", "--observer", "1,0.5", "--smoothness", "0.2"]) == 0
     text = capsys.readouterr().out
     assert "smoothness = 0.2" in text and '[track]\n' in text and 'observer = "1,0.5"' in text
+
+
+def test_a_failure_has_a_report_and_does_not_stand_in_the_way(cells: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    for options, message in ((("--frame", "9"), "frame 9"), (("--energy", "threshold:500,"), "")):
+        assert tracked(cells, out, *options) in (2, 5)
+        report = json.loads((out / "cells_report.json").read_text())
+        assert report["status"] == "failed" and message in report["error"]["message"]
+        assert [path.name for path in out.iterdir()] == ["cells_report.json"]
+    assert tracked(cells, out) == 0  # without --overwrite: there was no result
+    before = files_of(out)
+    assert tracked(cells, out, "--frame", "9") == 2
+    assert json.loads((out / "cells_report.json").read_text())["status"] == "ok" and files_of(out) == before
+    assert json.loads((out / "cells_failed_report.json").read_text())["status"] == "failed"
+    (tmp_path / "torn.nii.gz").write_bytes(cells.read_bytes()[:100])
+    assert tracked(tmp_path / "torn.nii.gz", out) == 3
+    assert json.loads((out / "torn_report.json").read_text())["input"]["path"] == str(tmp_path / "torn.nii.gz")

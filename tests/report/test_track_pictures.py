@@ -72,6 +72,24 @@ def test_contours_lie_on_the_objects_in_any_orientation(tmp_path, direction):
     assert (bright.max(axis=0) < found.max(axis=0) + 12).all()
 
 
+def test_all_pictures_of_a_tracking_read_each_frame_for_their_view_once(tmp_path, monkeypatch):
+    """Before its own panels a picture needs the part and the grey values that all share."""
+    made = tracking(Geometry((1, 16, 40), (1.0, 1.0, 1.0)), [{1: Ball((0.0, 8.0, 8.0 + n), 3.0)} for n in range(16)])
+    tracks = set_of(made, tmp_path)
+    unpacked, read = [], []
+    drawn, frame = FrameStore.drawn, type(tracks.sequence).frame
+    monkeypatch.setattr(FrameStore, "drawn", lambda self, n: (unpacked.append(n), drawn(self, n))[1])
+    monkeypatch.setattr(type(tracks.sequence), "frame", lambda self, n: (read.append(n), frame(self, n))[1])
+    film_strip.film_strip_png(tracks)
+    shown = [row.frame for row in film_strip.picked(tracks.rows)]
+    assert unpacked == [*range(16), *shown] and read == [0, *shown]
+    for _ in range(2):  # two formats of a movie
+        unpacked.clear(), read.clear()
+        assert len(list(track_movie.pictures(tracks))) == 16
+        assert unpacked == read == list(range(16))  # one reading for both halves
+    assert tracks.extent == (slice(0, 1), slice(6, 11), slice(6, 26))
+
+
 def test_film_strip_of_many_frames_has_the_first_and_the_last(tmp_path):
     geometry = Geometry((1, 16, 16), (1.0, 1.0, 1.0))
     made = tracking(geometry, [{1: Ball((0.0, 8.0, 8.0), 3.0)}] * 26)

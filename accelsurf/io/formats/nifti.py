@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -73,7 +73,7 @@ class NiftiHeader:
     seconds : float or None
         From one time point to the next.
     says_time : bool
-        Whether it gives the fourth axis a unit of time, or a step other than 1.
+        Whether it gives the fourth axis a unit of time, or a step other than 1, or the times themselves.
     """
 
     version: int
@@ -143,6 +143,11 @@ class NiftiFile(RawHeader):
     nifti: NiftiHeader
 
     @property
+    def are_channels_guessed(self) -> bool:
+        """Whether a few volumes are taken for channels because nothing is said of time."""
+        return self.nifti.are_channels_guessed
+
+    @property
     def values(self) -> int:
         """How many values are read, those of all channels together."""
         return len(self.selected()) * math.prod(self.nifti.size[:3])
@@ -209,13 +214,16 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
             start = first_bytes(file, max(HEADER_BYTES.values()))
         header = parse(start)
         extension = _extensions(file, header, compressed) if len(header.size) > 3 else b""
+    times_text = times_text_in(extension, _BEGINNINGS[start[:4]][1])
+    if times_text:  # frames that are counted have no unit, but times
+        header = replace(header, says_time=True)
     header.grid.check_forms()
     metadata = {METADATA_KEY: header.grid.fields}
     encoding: Encoding = "deflate" if compressed else "raw"
     return NiftiFile(
         path, 0, encoding, ITK_NAME, header.claimed_bytes, None, metadata, channels=header.channels,
         time_points=header.time_points, seconds=header.seconds, asked=options, nifti=header,
-        times_text=times_text_in(extension, _BEGINNINGS[start[:4]][1]),
+        times_text=times_text,
     )
 
 

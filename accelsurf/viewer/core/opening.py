@@ -51,7 +51,7 @@ class OpenedImage:
     name : str
         First part of the names of files.
     source : Path or None
-        Its file; None for a phantom.
+        Its file; None where no file has it alone: a phantom, a slice of a volume as a frame.
     channels : tuple of Volume
         Further ones.
     reference : Volume or None
@@ -193,7 +193,13 @@ def is_sequence(path: Path, config: RunConfig) -> bool:
         return headers.counts(path, replace(config.reading.among(form.options), level=0))[1] > 1
 
 
-def read_tracked(path: Path, config: RunConfig, tracks: Path | None = None) -> OpenedImage:
+def read_tracked(
+    path: Path,
+    config: RunConfig,
+    tracks: Path | None = None,
+    frame_time: float | None = None,
+    frames_from_slices: bool = False,
+) -> OpenedImage:
     """Open a sequence at a frame, 0 unless the settings name one.
 
     Parameters
@@ -203,6 +209,8 @@ def read_tracked(path: Path, config: RunConfig, tracks: Path | None = None) -> O
     config : RunConfig
     tracks : Path, optional
         Folder of what ``accelsurf track`` has found in it.
+    frame_time, frames_from_slices : optional
+        As of `accelsurf.io.read_sequence`.
 
     Raises
     ------
@@ -211,14 +219,17 @@ def read_tracked(path: Path, config: RunConfig, tracks: Path | None = None) -> O
     UsageError
         When there is no such frame.
     """
-    sequence = io.read_sequence(path, options=replace(config.reading, time_index=None))
-    name = io.split_name(path.absolute().parent if headers.is_pattern(path) else path.absolute())[0]
+    sequence = io.read_sequence(
+        path, frame_time=frame_time, frames_from_slices=frames_from_slices,
+        options=replace(config.reading, time_index=None),
+    )
+    name = headers.name_of(path)
     home = config.time_index or 0
     volume, *more = sequence.channels(home)
     saved = None if tracks is None else SavedTracks(tracks, name, sequence)
     is_file = not path.is_dir() and not headers.is_pattern(path)
-    config = config.replace(time_index=home) if is_file else config
-    source = path if is_file else volume.source or path
+    config = config.replace(time_index=home if is_file and not frames_from_slices else None)
+    source = None if frames_from_slices else path if is_file else volume.source or path
     note = "; ".join(sequence.notes)
     return OpenedImage(volume, config, name, source, tuple(more), note=note, frames=SequenceView(sequence, home, saved))
 

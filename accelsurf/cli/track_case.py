@@ -1,0 +1,205 @@
+"""What happens with one sequence: read, track, write. `track` does it once, `batch --track` for each case.
+
+Existing outputs are refused before anything is computed. The files appear all at once or not at all; a report says how
+the tracking ended, also when it failed.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from accelsurf.errors import AccelsurfError, OutputError
+
+if TYPE_CHECKING:
+    from accelsurf.cli.progress import Watcher
+    from accelsurf.report.track_files import TrackFiles
+    from accelsurf.report.track_outputs import TrackOutputs
+    from accelsurf.settings.track_config import TrackConfig
+    from accelsurf.tracking.records import Lineage
+    from accelsurf.tracking.track import Tracking
+
+
+@dataclass(frozen=True)
+class TrackCase:
+    """What is tracked, and where it goes.
+
+    Attributes
+    ----------
+    source : Path
+        A file with time, a folder of frames, or a pattern of their names.
+    config : TrackConfig
+    folder : Path
+    name : str
+        First part of every output's name.
+    overwrite : bool
+        Whether existing outputs may be replaced.
+    resume : bool
+        Whether the tracking goes on from the state that an earlier one has left.
+    """
+
+    source: Path
+    config: TrackConfig
+    folder: Path
+    name: str
+    overwrite: bool = False
+    resume: bool = False
+
+    @property
+    def state(self) -> Path:
+        """The state after each frame."""
+        return self.folder / f"{self.name}_checkpoint.npz"
+
+    @property
+    def store(self) -> Path:
+        """The frames that are done."""
+        return self.folder / f"{self.name}_frames"
+
+    @property
+    def files(self) -> TrackFiles:
+        """Which files are written."""
+        from accelsurf.report.track_files import TrackFiles
+
+        said = self.config
+        return TrackFiles(said.format, said.per_frame, said.mesh, said.mesh_space, said.also)
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """A tracking that ended with a result: ``frames`` of the sequence, the ``lineage``, and the exit ``code``."""
+
+    frames: int
+    lineage: Lineage
+    code: int
+
+
+def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
+    """Track, and write the files.
+
+    Parameters
+    ----------
+    case : TrackCase
+    watcher : Watcher
+        Shows progress, and ends the tracking at Ctrl-C.
+
+    Raises
+    ------
+    AccelsurfError
+        When there is no result; an earlier one is as it was.
+    """
+    from accelsurf.report.track_outputs import TrackOutputs
+
+    _look_at_state(case)
+    resumed = case.state.exists()
+    try:
+        tracking = _begun(case, watcher)
+    except AccelsurfError as error:
+        report_failure(case, error)
+        raise
+    try:
+        outputs = TrackOutputs(
+            case.folder, case.name, tracking.sequence, case.files, settings=tracking.config.model_dump(mode="json"),
+            toml=tracking.config.to_toml(), argv=sys.argv, overwrite=case.overwrite or resumed, store=case.store,
+        )
+        try:
+            _follow(case, tracking, outputs, watcher)
+            return Tracked(len(tracking.sequence), tracking.lineage, _finish(case, tracking, outputs, watcher))
+        except BaseException as error:
+            outputs.abort(error)
+            if isinstance(error, AccelsurfError):
+                _remove_state(case)
+            raise
+    finally:
+        tracking.close()
+
+
+def report_failure(case: TrackCase, error: BaseException) -> None:
+    """Write the report of a tracking that could not begin, or whose process is gone; a warning when that fails too."""
+    from accelsurf.cli.interrupts import say
+    from accelsurf.report.track_outputs import write_failure
+
+    try:
+        write_failure(
+            case.folder, case.name, case.files, error, source=case.source,
+            settings=case.config.model_dump(mode="json"), argv=sys.argv,
+        )
+    except AccelsurfError as second:
+        say(f"warning: the report could not be written: {second.message}")
+
+
+def _look_at_state(case: TrackCase) -> None:
+    """Refuse to lose the work of a killed run, or take it away where that was asked for."""
+    there = [path for path in (case.state, case.store) if path.exists()]
+    if there and not (case.resume or case.overwrite):
+        raise OutputError(
+            f"{there[0]}: is the state of a run that was stopped",
+            "add --resume to go on from it, or --overwrite to begin anew",
+        )
+    if not case.resume or len(there) < 2:  # of one without the other there is nothing to go on from
+        _remove_state(case)
+
+
+def _remove_state(case: TrackCase) -> None:
+    case.state.unlink(missing_ok=True)
+    shutil.rmtree(case.store, ignore_errors=True)
+
+
+def _begun(case: TrackCase, watcher: Watcher) -> Tracking:
+    """The tracking, from its start or from its state."""
+    from accelsurf.tracking.joined_sequence import open_sequence
+    from accelsurf.tracking.track import Tracking
+
+    return Tracking(
+        open_sequence(case.source, case.config), case.config, meshes=bool(case.config.mesh), on_step=watcher.on_step,
+        checkpoint_to=case.state,
+    )
+
+
+def _follow(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher: Watcher) -> None:
+    """Do the frames, until the last one or Ctrl-C."""
+    count = len(tracking.visits)
+    with watcher.watch(case.name, tracking.config.run.max_steps):
+        for result in tracking:
+            outputs.add(result)
+            seen = sum(one.seen for one in result.objects)
+            if watcher.on_frame(tracking.done, count, result.frame, seen, result.seconds):
+                tracking.save()
+                break
+
+
+def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher: Watcher) -> int:
+    """Write the files; return the exit code."""
+    from accelsurf.cli import INTERRUPTED
+    from accelsurf.cli.interrupts import say
+
+    complete = tracking.done == len(tracking.visits) and not tracking.interrupted
+    with watcher.writing():
+        code = watcher.exit_code(0 if complete else INTERRUPTED)
+        warnings = [*tracking.warnings, *_doubts(tracking)]
+        outputs.finish(
+            tracking.lineage, status="ok" if complete else "interrupted", exit_code=code, warnings=warnings
+        )
+    for warning in warnings:
+        if warning not in watcher.said:
+            say(f"warning: {warning}")
+    report = (case.folder / f"{case.name}_report.json").absolute()
+    watcher.outcome = f"the {'result' if complete else 'result so far'} is written: {report}"
+    if complete:
+        _remove_state(case)
+    return code
+
+
+def _doubts(tracking: Tracking) -> list[str]:
+    """What a person should look at."""
+    count = len(tracking.visits)
+    out = []
+    for one in tracking.lineage.tracks:
+        if one.end == "vanished" and tracking.done == count:
+            out.append(
+                f"object {one.id}: not seen after frame {one.last}; look there, and try --correct "
+                f"'frame={one.last + 1} inside=point:X,Y,Z object={one.id}', or a larger --max-gap"
+            )
+    return out[:10]
