@@ -94,7 +94,7 @@ def test_a_failed_tracking_opens_nothing(stack: Path, tmp_path: Path, seen) -> N
         (("--frame-time", "2"), "frame_time: it was given without a sequence"),
         (("--frames-from-slices",), "frames_from_slices: it was given without a sequence"),
         (("IMAGE", "--frame-time", "2"), "frame_time: it was given for a single image"),
-        (("IMAGE", "--frame-time", "-1"), "frame_time: -1.0 was given, expected a number above 0"),
+        (("IMAGE", "--frame-time", "-1"), "frame_time: -1.0 was given, expected a number greater than 0"),
     ],
 )
 def test_times_without_frames_are_refused(words, message, stack: Path, tmp_path: Path, seen, capsys) -> None:
