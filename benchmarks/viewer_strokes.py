@@ -162,11 +162,10 @@ class Hand:
         found["stroke in a slice while it runs"] = self._drag("inside", self._along("axial"), keep=True)
         self._until(lambda: session.status.stop is not None and not session.status.playing, 900)
         time.sleep(2.0)
-        for name, tool, tile in (
-            ("stroke in a slice", "inside", "axial"), ("stroke on the surface", "outside", "space"),
-        ):
-            found[name] = self._drag(tool, self._along(tile))
-            time.sleep(1.5)
+        found["stroke in a slice"] = self._drag("inside", self._along("axial"))
+        time.sleep(1.5)
+        found["stroke on the surface"] = self._drag("outside", self._over_the_ball())
+        time.sleep(1.5)
         found["radius"] = self._slide()
         found["obeyed"] = [self._correct(number) for number in range(CORRECTIONS)]
         found["placed ball"] = self._drag("ball", self._along("axial"))
@@ -182,21 +181,38 @@ class Hand:
         for share in np.linspace(0.42, 0.56, MOTIONS):
             yield left + share * (right - left), 1.0 - (bottom + 0.5 * (top - bottom))
 
+    def _over_the_ball(self) -> Iterator[tuple[float, float]]:
+        """Places across the ball in 3D, as parts of the canvas."""
+        renderer, scene = self.window.scene.tiles.renderer("space"), self.window.scene
+        camera, middle = renderer.GetActiveCamera(), scene.geometry.center_world()
+        across = np.cross(camera.GetDirectionOfProjection(), camera.GetViewUp())
+        width, height = scene.plotter.render_window.GetSize()
+        for share in np.linspace(-0.7, 0.7, MOTIONS):
+            renderer.SetWorldPoint(*(middle + share * self.radius * across / np.linalg.norm(across)), 1.0)
+            renderer.WorldToDisplay()
+            x, y, _ = renderer.GetDisplayPoint()
+            yield x / width, 1.0 - y / height
+
     def _drag(self, tool: str, places: Iterator[tuple[float, float]], keep: bool = False) -> list[tuple[float, float]]:
         """Milliseconds from each event of a drag until it is drawn; undone afterwards unless it is to be kept."""
-        self._in_window(lambda: self.window._ask("tool", tool))
-        self._in_window(lambda: self.window.workplace.request("radius", 0.12 * self.radius))
+        self._take(tool)
         time.sleep(1.0)
+        made = self.window.session.status.undoable
         kinds = ["press", *["move"] * (MOTIONS - 1)]
         times = [self._event(kind, place) for kind, place in zip(kinds, places, strict=True)]
         self._event("release", None)
         session = self.window.session
         time.sleep(0.2)
         session.wait(300) if not keep else time.sleep(1.0)
-        if not keep and session.status.undoable:
+        if not keep and session.status.undoable > made:  # a stroke that changes nothing is none to be undone
             session.undo().result(300)
             session.wait(300)
         return times
+
+    def _take(self, tool: str) -> None:
+        """Take a tool, with balls of the size that fits the object."""
+        self._in_window(lambda: self.window._ask("tool", tool))
+        self._in_window(lambda: self.window.workplace.request("radius", 0.12 * self.radius))
 
     def _event(self, kind: str, place: tuple[float, float] | None) -> tuple[float, float]:
         """Send an event; milliseconds until the picture after it, and of the window's thread until then."""
@@ -251,7 +267,7 @@ class Hand:
         share = (np.array([right, up]) - low) / (high - low)
         left, bottom, far, top = renderer.GetViewport()
         x, y = left + share[0] * (far - left), 1.0 - (bottom + share[1] * (top - bottom))
-        self._in_window(lambda: window._ask("tool", side))
+        self._take(side)
         time.sleep(1.2)
         self._event("press", (x, y))
         for part in (0.003, 0.006, 0.009):

@@ -17,7 +17,8 @@ from accelsurf.energies.seeded.appearance import learn
 from accelsurf.energies.seeded.competition import field_of
 from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import at_edges
-from accelsurf.energies.seeded.model import BEYOND, later_times
+from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
+from accelsurf.energies.seeded.model import later_times
 from accelsurf.energies.seeded.sureness import Sureness, corrections_with, sureness_of
 from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, on_box, whole_box, widened
 from accelsurf.grid.clicks import Click, Clicks
@@ -160,7 +161,7 @@ class LocalModel:
         if own is None:
             return answer
         tissue = learn(self.state.images, self.spacing, click)
-        count = 1.05 * BEYOND * blocks.count(answer.count)
+        count = FARTHER * BEYOND * blocks.count(answer.count)
         axes = [n for n in blocks.shape if n > 1]
         reach = REACH * (count * (3.0 / (4.0 * math.pi) if len(axes) == 3 else 1.0 / math.pi)) ** (1.0 / len(axes))
         mean = math.prod(blocks.spacing) ** (1.0 / 3.0)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from accelsurf.energies.seeded.appearance import Image, Mask
 from accelsurf.energies.seeded.blocks import Blocks
-from accelsurf.energies.seeded.competition import Field, Times, balance, from_beyond
+from accelsurf.energies.seeded.competition import Field, Order, Times, balance, from_beyond
 from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.likelihood import log_ratio
 from accelsurf.grid.boxes import Box, bounding_box, enclosing, on_box
@@ -75,6 +75,13 @@ class FirstTimes(NamedTuple):
     box: Box
     times: Image
     early: float
+
+    @classmethod
+    def of(cls, field: Field, times: Times, order: Order, early: float) -> FirstTimes:
+        """Of a march over voxels, which come in ``order``."""
+        arrived = order[: int(np.searchsorted(times[order], early, "right"))]
+        z, y, x = (slice(int(i.min()), int(i.max()) + 1) for i in np.unravel_index(arrived, field.shape))
+        return cls((z, y, x), times.reshape(field.shape)[z, y, x].copy(), early)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +146,7 @@ def first_answer(
     click: Click,
     times: Times,
     level: tuple[int, float, float],
-    early: float,
+    first: FirstTimes,
 ) -> Answer:
     """The answer to the first inside click.
 
@@ -153,8 +160,7 @@ def first_answer(
     times : ndarray (n,) float32
     level : (count, level, last)
         See `Answer`.
-    early : float
-        See `FirstTimes`.
+    first : FirstTimes
     """
     count, at, last = level
     box = _box_of(field, times <= last)
@@ -168,9 +174,8 @@ def first_answer(
     force = (1.0 - LEVEL) * competition + LEVEL * balance(inside, np.full_like(inside, at)) - LIKELIHOOD * likely
     force -= _offset(force, blocks.count(count)) * ~far
     none = np.full_like(inside, np.inf)
-    seen = FirstTimes(box, inside, early)
     force = np.asarray(force, np.float32)
-    answer = Answer(blocks, box, count, at, last, tissue, inside, none, out, total, force, near, (click,), seen)
+    answer = Answer(blocks, box, count, at, last, tissue, inside, none, out, total, force, near, (click,), first)
     return replace(answer, inside=object_of(answer.force, answer.box, answer.clicks))
 
 

@@ -132,11 +132,38 @@ def even_radius(
     # A slice may be thinner than its pixels are wide.
     step = min(spacing[1:]) if flat else min(spacing)
     reach = max(EVEN_REACH * own, MIN_EVEN_REACH * step)
-    margin = [int(np.ceil(reach / h)) for h in spacing]
-    at = np.round(middle).astype(int)
+    looked = min(max(2.0 * own, MIN_EVEN_REACH * step), reach)
+    while True:
+        counts, alike = _shells(images, spacing, middle, (looked, step), tissue, window)
+        radii = np.arange(counts.size) * step
+        ends = np.flatnonzero((counts > 0) & (alike < EVEN_PART * counts) & (radii > own))
+        # Of a shell that the ball looked at holds only in part the others' voxels are not known yet.
+        if ends.size and radii[ends[0]] + step <= looked:
+            return float(radii[ends[0]])
+        if looked >= reach:
+            return float(min(radii[ends[0]], reach) if ends.size else reach)
+        looked = min(2.0 * looked, reach)
+
+
+def _shells(
+    images: Sequence[Image],
+    spacing: Spacing,
+    middle: NDArray[np.float64],
+    ball: tuple[float, float],
+    tissue: Tissue,
+    window: Window | None,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """How many voxels each shell around an index (z, y, x) has, and how many of them look like the tissue.
+
+    ``ball`` is (radius, thickness of a shell), mm; errors as of `even_radius`.
+    """
+    radius, step = ball
+    margin = [int(np.ceil(radius / h)) for h in spacing]
+    at = [round(float(i)) for i in middle]
+    low, high = [a - m for a, m in zip(at, margin, strict=True)], [a + m + 1 for a, m in zip(at, margin, strict=True)]
     if window is not None:
-        window.check(at - margin, at + margin + 1)
-    box = tuple(slice(max(a - m, 0), min(a + m + 1, n)) for a, m, n in zip(at, margin, images[0].shape, strict=True))
+        window.check(low, high)
+    box = tuple(slice(max(a, 0), min(b, n)) for a, b, n in zip(low, high, images[0].shape, strict=True))
     axes = [(np.arange(s.start, s.stop) - a) * h for s, a, h in zip(box, middle, spacing, strict=True)]
     squares = np.meshgrid(*(axis**2 for axis in axes), indexing="ij", sparse=True)
     distance = np.sqrt(sum(squares, np.zeros(1)))
@@ -144,7 +171,4 @@ def even_radius(
     for image, median, spread in zip(images, tissue.median, tissue.spread, strict=True):
         like &= np.abs(image[box] - median) <= ALIKE * spread
     shell = (distance / step).astype(np.int64).ravel()
-    counts, alike = np.bincount(shell), np.bincount(shell, like.ravel())
-    radii = np.arange(counts.size) * step
-    ends = np.flatnonzero((counts > 0) & (alike < EVEN_PART * counts) & (radii > own))
-    return float(min(radii[ends[0]], reach) if ends.size else reach)
+    return np.bincount(shell).astype(np.int64), np.bincount(shell, like.ravel()).astype(np.float64)

@@ -65,7 +65,7 @@ class Blocks(NamedTuple):
         """Voxels of a block."""
         return math.prod(self.steps)
 
-    def count(self, voxels: int) -> int:
+    def count(self, voxels: float) -> int:
         """How many blocks so many voxels fill, at least one."""
         return max(round(voxels / self.size), 1)
 

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from accelsurf.energies.seeded.answers import Answer, Shown, first_answer, mixed_answer, on_whole_grid, with_click
-from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, count_of, even_radius, learn
-from accelsurf.energies.seeded.blocks import field_in, in_blocks
-from accelsurf.energies.seeded.competition import Field, Times, arrival, reached
+from accelsurf.energies.seeded.answers import Answer, Shown, mixed_answer, on_whole_grid, with_click
+from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
+from accelsurf.energies.seeded.blocks import field_in
+from accelsurf.energies.seeded.competition import Field, Times, reached
 from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import area_weight, at_edges
-from accelsurf.energies.seeded.evidence import edges_of
-from accelsurf.energies.seeded.proposal import Prior, Proposal, by_evidence, of_size, prior_of
+from accelsurf.energies.seeded.first_click import BEYOND, FARTHER, answer_to_first, seeds_of
+from accelsurf.energies.seeded.proposal import Proposal
 from accelsurf.energies.seeded.sureness import corrections_with
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
@@ -27,15 +26,8 @@ from accelsurf.kernels.arrival import Tissue
 
 #: Smoothing of the image before anything is learned from it, of the smallest spacing.
 SMOOTHING = 0.6
-#: The surroundings begin where the first click's arrival time has so many times the object's volume.
-BEYOND = 3.0
 #: Arrival times from a later click, as multiples of those that would give the object's volume at the same level.
 LATER = {"inside": 1.5, "outside": 1.0}
-#: At least this part of the object arrives before an outside click; if not of the proposed size, a smaller one is
-#: proposed. Later clicks say where the object ends, not how large it is.
-FAR_TOO_LARGE = 0.1
-#: No march of a first click without a size accepts more than this part of the volume.
-MAX_PART = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,9 +117,8 @@ def seeded_model(
     else:
         known, left = Clicks((first,), clicks.shape), [one for one in clicks.clicks if one is not first]
         smooth = _smoothed(images, spacing)
-        answer, proposal = _first(smooth, spacing, where, clicks, size_mm3, box is not None)
+        answer, proposal = answer_to_first(smooth, spacing, where, clicks, size_mm3, box is not None)
         shown, corrections = _shown(images, spacing, where, answer, known, (sized, None)), ()
-        answer = _in_larger_blocks(answer, smooth, spacing, where, first)
     assert shown is not None  # an answer was shown
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         answers = _answers(answer, left, smooth, spacing, pool)
@@ -190,76 +181,6 @@ def _allowed(shape: tuple[int, ...], box: Box | None, mask: Mask | None) -> Mask
     return out
 
 
-def _seeds(click: Click, field: Field) -> NDArray[np.int64]:
-    where = [axis + side.start for axis, side in zip(np.nonzero(click.mask), click.box, strict=True)]
-    return np.ravel_multi_index(tuple(where), field.shape).astype(np.int64)
-
-
-def _first(
-    images: Sequence[Image],
-    spacing: Spacing,
-    where: tuple[Mask | None, Window | None],
-    clicks: Clicks,
-    size_mm3: float | None,
-    boxed: bool,
-) -> tuple[Answer, Proposal]:
-    """The answer to the first inside click, voxel by voxel, and the level that it was made with: smaller where outside
-    clicks ask.
-    """
-    click, voxel = _first_inside(clicks), float(np.prod(spacing))
-    blocks = in_blocks(images, spacing, *where, 0)
-    field = field_in(blocks)
-    tissue, seeds = learn(images, spacing, click), _seeds(click, field)
-    open_count = int(np.count_nonzero(field.medium.open)) if field.medium.open.size else field.size
-    if field.medium.open.size and not field.medium.open[seeds].any():
-        raise InputError("seeded: the inside click lies outside the box or the mask", "click in it, or make it larger")
-    if size_mm3 is not None:
-        times, order = arrival(field, tissue, seeds, int(1.05 * BEYOND * size_mm3 / voxel) + 1)
-        proposal, early = of_size(times, order, voxel, size_mm3), -np.inf
-    else:
-        flat, radius = field.shape[0] == 1, even_radius(images, spacing, click, tissue, field.window)
-        prior = prior_of(len(seeds), open_count if boxed else None, count_of(radius, spacing, flat), flat)
-        times, order = arrival(field, tissue, seeds, _farthest(prior, open_count, boxed))
-        seen = field.medium.values, edges_of(images, spacing, tissue, order), times, order, len(seeds), prior, voxel
-        proposal = by_evidence(*seen)
-        early = float(times[order[int(FAR_TOO_LARGE * proposal.volume_mm3 / voxel)]])
-        outside = (float(times[_seeds(one, field)].min()) for one in clicks.clicks if one.side == "outside")
-        first = min((at for at in outside if at <= early), default=np.inf)
-        if np.isfinite(first):
-            proposal = by_evidence(*seen, most=float(np.searchsorted(times[order], first)) / FAR_TOO_LARGE)
-    count = round(proposal.volume_mm3 / voxel)
-    last = float(times[order[min(round(BEYOND * count), len(order)) - 1]])
-    level = count, proposal.level, last
-    return first_answer(field, blocks, tissue, click, times, level, early), proposal
-
-
-def _in_larger_blocks(
-    answer: Answer,
-    images: Sequence[Image],
-    spacing: Spacing,
-    where: tuple[Mask | None, Window | None],
-    click: Click,
-) -> Answer:
-    """The answer to the first click, from which those to later ones go on: in blocks that suit the object's size."""
-    blocks = in_blocks(images, spacing, *where, answer.count)
-    if blocks.size == 1:
-        return answer
-    own = blocks.click(click, ())
-    assert own is not None  # no click was before it
-    field, count = field_in(blocks), blocks.count(answer.count)
-    times, order = arrival(field, answer.tissue, _seeds(own, field), int(1.05 * BEYOND * count) + 1)
-    level, last = (float(times[order[min(round(n), len(order)) - 1]]) for n in (count, BEYOND * count))
-    numbers = (answer.count, level, last), answer.first.early
-    # Whether a click contradicts the first one is asked of voxels as before.
-    return replace(first_answer(field, blocks, answer.tissue, own, times, *numbers), first=answer.first)
-
-
-def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:
-    """How many voxels a march without a size may accept."""
-    most = open_count if boxed else int(MAX_PART * open_count)
-    return most if boxed else int(min(prior.farthest(), most))
-
-
 def _answers(
     answer: Answer, clicks: Sequence[Click], images: Sequence[Image], spacing: Spacing, pool: ThreadPoolExecutor
 ) -> Iterator[Answer]:
@@ -293,11 +214,11 @@ def later_times(field: Field, tissue: Tissue, click: Click, answer: Answer) -> T
     answer : Answer
         To clicks before it.
     """
-    seeds, count = _seeds(click, field), answer.blocks.count(answer.count)
+    seeds, count = seeds_of(click, field), answer.blocks.count(answer.count)
     faster = LATER[click.side] * answer.level
     ends = click.side == "inside" and faster > 0.0 and len(seeds) < count
     late = (count, answer.last / faster) if ends else (0, np.inf)
-    times, cells = reached(field, tissue, seeds, int(1.05 * BEYOND * count), late=late)
+    times, cells = reached(field, tissue, seeds, int(FARTHER * BEYOND * count), late=late)
     found, rank = times[cells], min(count, len(cells)) - 1
     own = float(np.partition(found, rank)[rank])
     times[cells] = found * np.float32(faster / own if own > 0.0 else 1.0)  # all others are inf

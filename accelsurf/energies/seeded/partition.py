@@ -68,5 +68,5 @@ def partition_model(
     force[inside], force[outside] = CLICKED["inside"], CLICKED["outside"]
     start = connected_to(force < 0, inside)
     volume = float(np.count_nonzero(start)) * float(np.prod(spacing))
-    proposal = Proposal(float(times_in[start].max()), volume, 1.0)
+    proposal = Proposal(volume, 1.0)
     return SeededModel(force, start, proposal, AREA * min(spacing), clicks, None, ())

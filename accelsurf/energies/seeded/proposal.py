@@ -35,8 +35,6 @@ class Proposal(NamedTuple):
 
     Attributes
     ----------
-    level : float
-        Arrival time.
     volume_mm3 : float
         Of what arrived until then.
     sureness : float
@@ -47,26 +45,33 @@ class Proposal(NamedTuple):
         Standard deviation of the logarithm of the volume, as far as is known.
     """
 
-    level: float
     volume_mm3: float
     sureness: float
     others: tuple[float, ...] = ()
     spread: float = BALL_SPREAD
 
 
-def of_size(times: NDArray[np.float32], order: Order, voxel_volume: float, size_mm3: float) -> Proposal:
+class LevelEvidence(NamedTuple):
+    """What the image says of levels: their ``counts`` of voxels, ascending, and the logarithm of the evidence for each;
+    ``reached`` voxels have arrived.
+    """
+
+    counts: NDArray[np.int64]
+    score: NDArray[np.float64]
+    reached: int
+
+
+def of_size(reached: int, voxel_volume: float, size_mm3: float) -> Proposal:
     """The level that has a stated volume.
 
     Parameters
     ----------
-    times : ndarray (n,) float32
-    order : ndarray (m,) int64
-        The voxels in the order of their times.
+    reached : int
+        How many voxels a march has come to.
     voxel_volume, size_mm3 : float
         mm3.
     """
-    count = min(max(round(size_mm3 / voxel_volume), 1), len(order))
-    return Proposal(float(times[order[count - 1]]), count * voxel_volume, 1.0, (), SIZE_SPREAD)
+    return Proposal(min(max(round(size_mm3 / voxel_volume), 1), reached) * voxel_volume, 1.0, (), SIZE_SPREAD)
 
 
 class Prior(NamedTuple):
@@ -122,43 +127,73 @@ def prior_of(click: int, box: int | None, even: float, flat: bool) -> Prior:
     return Prior(times * 2.0**dimensions * click, BALL_SPREAD if click >= MIN_BALL else np.inf, tissue)
 
 
-def by_evidence(
+def level_evidence(
     images: NDArray[np.float32],
     edges: NDArray[np.float64],
     times: NDArray[np.float32],
     order: Order,
     first: int,
-    prior: Prior,
-    voxel_volume: float,
-    most: float = np.inf,
-) -> Proposal:
-    """The level that is expected to be least wrong.
+    size: int = 1,
+) -> LevelEvidence:
+    """What the image says of the levels of a march.
 
     A level is the likelier, the slower the front is there (d log T / d log V), the more what arrives next differs from
-    what has arrived (difference of the means in units of both spreads), the stronger the edges along it are, and the
-    more its volume is as expected.
+    what has arrived (difference of the means in units of both spreads), and the stronger the edges along it are.
 
     Parameters
     ----------
     images : ndarray (channels, n), float32
     edges : ndarray (m,) float64
-        Of the voxels in the order of their times, see `accelsurf.energies.seeded.evidence.edges_of`.
+        Of the blocks in the order of their times, see `accelsurf.energies.seeded.evidence.edges_of`.
     times : ndarray (n,) float32
     order : ndarray (m,) int64
-        The voxels in the order of their times.
+        The blocks in the order of their times.
     first : int
         Number of seeds.
+    size : int, optional
+        Voxels of a block.
+    """
+    counts = candidate_counts(first, len(order))
+    along = np.log(np.maximum(edge_along(edges, counts), 1e-6)) if counts.size else np.zeros(0)
+    score = scores(images, times, order, counts) + along if counts.size else along
+    return LevelEvidence(size * counts, score, size * len(order))
+
+
+def joined(near: LevelEvidence, far: LevelEvidence) -> LevelEvidence:
+    """The evidence of a march over voxels, and beyond it that of one over blocks.
+
+    Means of blocks have less noise and weaker edges: what they say is brought to the scale of the voxels where both
+    march.
+    """
+    if not far.counts.size:
+        return near
+    known = near.counts <= near.reached // 2  # what comes next is known as well
+    both = known & (near.counts >= max(near.reached // 8, far.counts[0]))
+    shift = 0.0
+    if both.any():
+        there = np.interp(np.log(near.counts[both]), np.log(far.counts), far.score)
+        shift = float(np.mean(near.score[both] - there))
+    beyond = far.counts > near.reached // 2
+    counts = np.concatenate((near.counts[known], far.counts[beyond]))
+    return LevelEvidence(counts, np.concatenate((near.score[known], far.score[beyond] + shift)), far.reached)
+
+
+def by_evidence(evidence: LevelEvidence, prior: Prior, voxel_volume: float, most: float = np.inf) -> Proposal:
+    """The level that is expected to be least wrong: by the evidence, and what is expected of its volume.
+
+    Parameters
+    ----------
+    evidence : LevelEvidence
     prior : Prior
     voxel_volume : float
         mm3.
     most : float, optional
         It has fewer voxels than these.
     """
-    counts = candidate_counts(first, len(order))
+    counts = evidence.counts
     if counts.size < 3:
-        return Proposal(float(times[order[-1]]), len(order) * voxel_volume, 0.0)
-    along = np.log(np.maximum(edge_along(edges, counts), 1e-6))
-    score = scores(images, times, order, counts) + along + prior.of(counts)
+        return Proposal(evidence.reached * voxel_volume, 0.0)
+    score = evidence.score + prior.of(counts)
     score[~_below(counts, most)] = -np.inf
     peaks = [i for i in np.flatnonzero(np.isfinite(score)) if score[i] == score[max(i - 3, 0) : i + 4].max()]
     peaks.sort(key=lambda i: (-score[i], i))
@@ -166,7 +201,7 @@ def by_evidence(
     spread = spread_of(counts, score)
     sure = float(1.0 - np.exp(score[peaks[1]] - score[peaks[0]])) if len(peaks) > 1 else 1.0
     others = tuple(float(counts[i] * voxel_volume) for i in peaks if abs(i - best) > 3)
-    return Proposal(float(times[order[counts[best] - 1]]), float(counts[best] * voxel_volume), sure, others[:3], spread)
+    return Proposal(float(counts[best] * voxel_volume), sure, others[:3], spread)
 
 
 def _below(counts: NDArray[np.int64], most: float) -> NDArray[np.bool_]:
@@ -188,7 +223,7 @@ def candidate_counts(first: int, last: int) -> NDArray[np.int64]:
 def scores(
     images: NDArray[np.float32], times: NDArray[np.float32], order: Order, counts: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Logarithm of the evidence in the image for each candidate, see `by_evidence`."""
+    """Logarithm of the evidence in the image for each candidate, see `level_evidence`."""
     last = len(order) - 1
     late = np.log(np.maximum(times[order].astype(np.float64), 1e-12))
     slow = late[np.minimum((counts * NEAR).astype(np.int64), last)] - late[(counts / NEAR).astype(np.int64)]

@@ -14,7 +14,7 @@ from accelsurf.segmentation.local_model import sureness_from
 from tests.energies.seeded.test_seeded_model import SHAPE, SPACING, ball, distance, volume_of
 
 LINE = (1, 1, 40)
-SIZED = Proposal(1.0, 10.0, 1.0, (), 0.3)
+SIZED = Proposal(10.0, 1.0, (), 0.3)
 
 
 def point(side, *index):

@@ -1,0 +1,177 @@
+"""The answer to the first inside click: how large the object is, and the field for that size.
+
+How large it is is asked of volumes up to many times the expected one. The march over voxels ends where an object of
+blocks of one voxel has its surroundings; beyond, where an object has so many voxels that a single one does not count, a
+march over blocks goes on: the first click on a large image is answered as soon as on a small one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.energies.seeded.answers import Answer, FirstTimes, first_answer
+from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, count_of, even_radius, learn
+from accelsurf.energies.seeded.blocks import MAX_BLOCKS, Blocks, field_in, in_blocks
+from accelsurf.energies.seeded.competition import Field, Order, Times, arrival
+from accelsurf.energies.seeded.evidence import edges_of
+from accelsurf.energies.seeded.proposal import (
+    LevelEvidence,
+    Prior,
+    Proposal,
+    by_evidence,
+    joined,
+    level_evidence,
+    of_size,
+    prior_of,
+)
+from accelsurf.errors import InputError
+from accelsurf.grid.boxes import box_at
+from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.grid.window import Window
+from accelsurf.kernels.arrival import Tissue
+
+#: The surroundings begin where the first click's arrival time has so many times the object's volume.
+BEYOND = 3.0
+#: A march goes so much farther than that.
+FARTHER = 1.05
+#: At least this part of the object arrives before an outside click; if not of the proposed size, a smaller one is
+#: proposed. Later clicks say where the object ends, not how large it is.
+FAR_TOO_LARGE = 0.1
+#: No march of a first click without a size accepts more than this part of the volume.
+MAX_PART = 0.25
+#: A march accepts so many voxels, or blocks: an object of `MAX_BLOCKS` has its surroundings. It may be up to so many
+#: times longer before it takes larger blocks.
+MAX_MARCH, MAX_LONGER = int(FARTHER * BEYOND * MAX_BLOCKS) + 1, 2
+
+
+class Front(NamedTuple):
+    """A march from the first click over blocks of voxels; ``click`` in blocks, ``order`` the blocks by their times."""
+
+    blocks: Blocks
+    field: Field
+    click: Click
+    times: Times
+    order: Order
+
+    @classmethod
+    def of(cls, blocks: Blocks, click: Click, tissue: Tissue, voxels: float) -> Front:
+        """March from a click, on the voxels, until about so many voxels are accepted."""
+        own, field = blocks.click(click, ()), field_in(blocks)
+        assert own is not None  # no click was before it
+        found = arrival(field, tissue, seeds_of(own, field), int(voxels / blocks.size) + 1)
+        return cls(blocks, field, own, *found)
+
+    @property
+    def voxels(self) -> int:
+        """How many voxels have arrived."""
+        return len(self.order) * self.blocks.size
+
+    def at(self, voxels: float) -> float:
+        """When so many voxels have arrived."""
+        return float(self.times[self.order[min(self.blocks.count(voxels), len(self.order)) - 1]])
+
+    def evidence(self, spacing: Spacing, tissue: Tissue) -> LevelEvidence:
+        """What the image says of each level."""
+        images = [values.reshape(self.field.shape) for values in self.field.medium.values]
+        steps = [h * n for h, n in zip(spacing, self.blocks.steps, strict=True)]
+        edges = edges_of(images, (steps[0], steps[1], steps[2]), tissue, self.order)
+        first = int(np.count_nonzero(self.click.mask))
+        return level_evidence(self.field.medium.values, edges, self.times, self.order, first, self.blocks.size)
+
+
+def seeds_of(click: Click, field: Field) -> NDArray[np.int64]:
+    """The voxels of a click on a field's grid, as flat indices."""
+    where = [axis + side.start for axis, side in zip(np.nonzero(click.mask), click.box, strict=True)]
+    return np.ravel_multi_index(tuple(where), field.shape).astype(np.int64)
+
+
+def answer_to_first(
+    images: Sequence[Image],
+    spacing: Spacing,
+    where: tuple[Mask | None, Window | None],
+    clicks: Clicks,
+    size_mm3: float | None,
+    boxed: bool,
+) -> tuple[Answer, Proposal]:
+    """The answer to the first inside click, and the size that it was made with: smaller where outside clicks ask.
+
+    Parameters
+    ----------
+    images : sequence of ndarray (nz, ny, nx), float32
+        The channels, smoothed.
+    spacing : (hz, hy, hx)
+        mm.
+    where : (mask, window)
+        Where the object may be, None for everywhere; of what the images are a part, None where they are whole.
+    clicks : Clicks
+        One of them is inside.
+    size_mm3 : float or None
+        About the object's volume.
+    boxed : bool
+        Whether a person drew a box around it.
+
+    Raises
+    ------
+    InputError
+        When the click lies outside box or mask; LeavesWindow when it looks beyond the window.
+    """
+    click, voxel = next(one for one in clicks.clicks if one.side == "inside"), float(np.prod(spacing))
+    if where[0] is not None and not where[0][click.box][click.mask].any():
+        raise InputError("seeded: the inside click lies outside the box or the mask", "click in it, or make it larger")
+    tissue = learn(images, spacing, click)
+    if size_mm3 is not None:
+        blocks = in_blocks(images, spacing, *where, round(size_mm3 / voxel))
+        front = Front.of(blocks, click, tissue, FARTHER * BEYOND * size_mm3 / voxel)
+        proposal, none = of_size(front.voxels, voxel, size_mm3), np.zeros((0, 0, 0), np.float32)
+        first = FirstTimes(box_at((0, 0, 0), (0, 0, 0)), none, -np.inf)
+    else:
+        front, proposal, first = _by_evidence(images, spacing, where, clicks, (click, tissue), boxed)
+    count = round(proposal.volume_mm3 / voxel)
+    blocks = in_blocks(images, spacing, *where, count) if size_mm3 is None else front.blocks
+    if blocks.size > front.blocks.size:
+        front = Front.of(blocks, click, tissue, FARTHER * BEYOND * count)
+    level = count, front.at(count), front.at(BEYOND * count)
+    return first_answer(front.field, front.blocks, tissue, front.click, front.times, level, first), proposal
+
+
+def _by_evidence(
+    images: Sequence[Image],
+    spacing: Spacing,
+    where: tuple[Mask | None, Window | None],
+    clicks: Clicks,
+    asked: tuple[Click, Tissue],
+    boxed: bool,
+) -> tuple[Front, Proposal, FirstTimes]:
+    """The march over voxels, the size that is likely, and what contradicts it; ``asked`` are a click and its tissue."""
+    (click, tissue), voxel, (allowed, window) = asked, float(np.prod(spacing)), where
+    flat, radius = images[0].shape[0] == 1, even_radius(images, spacing, click, tissue, window)
+    whole = math.prod(images[0].shape) if window is None else window.voxels
+    open_count = whole if allowed is None else int(np.count_nonzero(allowed))
+    own, even = int(np.count_nonzero(click.mask)), count_of(radius, spacing, flat)
+    prior = prior_of(own, open_count if boxed else None, even, flat)
+    farthest = _farthest(prior, open_count, boxed)
+    is_far = farthest > MAX_LONGER * MAX_MARCH
+    near = Front.of(in_blocks(images, spacing, *where, 0), click, tissue, (MAX_MARCH if is_far else farthest) - 1)
+    evidence = near.evidence(spacing, tissue)
+    if is_far and near.voxels >= MAX_MARCH:  # it did not end before
+        blocks = in_blocks(images, spacing, *where, math.ceil(farthest * MAX_BLOCKS / MAX_MARCH))
+        evidence = joined(evidence, Front.of(blocks, click, tissue, farthest).evidence(spacing, tissue))
+    proposal = by_evidence(evidence, prior, voxel)
+    early = near.at(int(FAR_TOO_LARGE * proposal.volume_mm3 / voxel) + 1)
+    outside = (one for one in clicks.clicks if one.side == "outside")
+    earliest = min((float(near.times[seeds_of(one, near.field)].min()) for one in outside), default=np.inf)
+    if earliest <= early:
+        before = float(np.searchsorted(near.times[near.order], earliest))
+        proposal = by_evidence(evidence, prior, voxel, most=before / FAR_TOO_LARGE)
+    return near, proposal, FirstTimes.of(near.field, near.times, near.order, early)
+
+
+def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:
+    """How many voxels a march without a size may accept."""
+    most = open_count if boxed else int(MAX_PART * open_count)
+    return most if boxed else int(min(prior.farthest(), most))
