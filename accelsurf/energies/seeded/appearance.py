@@ -31,6 +31,8 @@ EDGE = 6.0
 #: Tissue is even as far as this part of each shell around the click lies within so many spreads of its median; it is
 #: looked at within so many radii of the click, and smallest spacings.
 EVEN_PART, ALIKE, EVEN_REACH, MIN_EVEN_REACH = 0.85, 2.5, 12.0, 15.0
+#: It is looked at within so many radii first, and then within twice as many, until it ends.
+FIRST_LOOK = 2.0
 #: Cost per mm, see `accelsurf.kernels.arrival.cost_at`.
 WEIGHTS = (0.02, 0.1, 50.0, 0.15, 2.0, 16.0)
 
@@ -132,7 +134,7 @@ def even_radius(
     # A slice may be thinner than its pixels are wide.
     step = min(spacing[1:]) if flat else min(spacing)
     reach = max(EVEN_REACH * own, MIN_EVEN_REACH * step)
-    looked = min(max(2.0 * own, MIN_EVEN_REACH * step), reach)
+    looked = min(max(FIRST_LOOK * own, MIN_EVEN_REACH * step), reach)
     while True:
         counts, alike = _shells(images, spacing, middle, (looked, step), tissue, window)
         radii = np.arange(counts.size) * step

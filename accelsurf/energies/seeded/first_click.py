@@ -20,6 +20,7 @@ from accelsurf.energies.seeded.blocks import MAX_BLOCKS, Blocks, field_in, in_bl
 from accelsurf.energies.seeded.competition import Field, Order, Times, arrival
 from accelsurf.energies.seeded.evidence import edges_of
 from accelsurf.energies.seeded.proposal import (
+    NEARBY,
     LevelEvidence,
     Prior,
     Proposal,
@@ -28,6 +29,7 @@ from accelsurf.energies.seeded.proposal import (
     level_evidence,
     of_size,
     prior_of,
+    with_finer_evidence,
 )
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import box_at
@@ -132,9 +134,6 @@ def answer_to_first(
     else:
         front, proposal, first = _by_evidence(images, spacing, where, clicks, (click, tissue), boxed)
     count = round(proposal.volume_mm3 / voxel)
-    blocks = in_blocks(images, spacing, *where, count) if size_mm3 is None else front.blocks
-    if blocks.size > front.blocks.size:
-        front = Front.of(blocks, click, tissue, FARTHER * BEYOND * count)
     level = count, front.at(count), front.at(BEYOND * count)
     return first_answer(front.field, front.blocks, tissue, front.click, front.times, level, first), proposal
 
@@ -147,7 +146,7 @@ def _by_evidence(
     asked: tuple[Click, Tissue],
     boxed: bool,
 ) -> tuple[Front, Proposal, FirstTimes]:
-    """The march over voxels, the size that is likely, and what contradicts it; ``asked`` are a click and its tissue."""
+    """The answer's march, the size that is likely, and what contradicts it; ``asked`` are a click and its tissue."""
     (click, tissue), voxel, (allowed, window) = asked, float(np.prod(spacing)), where
     flat, radius = images[0].shape[0] == 1, even_radius(images, spacing, click, tissue, window)
     whole = math.prod(images[0].shape) if window is None else window.voxels
@@ -168,7 +167,15 @@ def _by_evidence(
     if earliest <= early:
         before = float(np.searchsorted(near.times[near.order], earliest))
         proposal = by_evidence(evidence, prior, voxel, most=before / FAR_TOO_LARGE)
-    return near, proposal, FirstTimes.of(near.field, near.times, near.order, early)
+    first, front = FirstTimes.of(near.field, near.times, near.order, early), near
+    count = round(proposal.volume_mm3 / voxel)
+    blocks = in_blocks(images, spacing, *where, count)
+    if blocks.size > 1:
+        is_coarse = is_far and 2 * NEARBY * count > near.voxels
+        front = Front.of(blocks, click, tissue, FARTHER * BEYOND * (NEARBY if is_coarse else 1.0) * count)
+        if is_coarse:
+            proposal = with_finer_evidence(proposal, front.evidence(spacing, tissue), prior, voxel)
+    return front, proposal, first
 
 
 def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:

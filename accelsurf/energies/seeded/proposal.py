@@ -15,6 +15,8 @@ Order = NDArray[np.int64]
 STEP = 1.08
 #: The front's speed is read off between the volumes this factor smaller and larger.
 NEAR = 1.25
+#: A volume found over blocks is looked for again, over smaller ones, up to this factor smaller and larger.
+NEARBY = 1.4
 #: An object has about so many times the volume of the largest ball in it, as many times that of the largest disk to the
 #: power of two thirds; spread of the logarithm.
 TIMES_BALL, BALL_SPREAD = 5.5, 1.2
@@ -202,6 +204,17 @@ def by_evidence(evidence: LevelEvidence, prior: Prior, voxel_volume: float, most
     sure = float(1.0 - np.exp(score[peaks[1]] - score[peaks[0]])) if len(peaks) > 1 else 1.0
     others = tuple(float(counts[i] * voxel_volume) for i in peaks if abs(i - best) > 3)
     return Proposal(float(counts[best] * voxel_volume), sure, others[:3], spread)
+
+
+def with_finer_evidence(proposal: Proposal, evidence: LevelEvidence, prior: Prior, voxel_volume: float) -> Proposal:
+    """A proposal that was found over blocks, its volume looked for again over smaller ones, `NEARBY` it."""
+    ratio = evidence.counts * voxel_volume / proposal.volume_mm3
+    close = (ratio * NEARBY >= 1.0) & (ratio <= NEARBY)
+    if not close.any():
+        return proposal
+    counts = evidence.counts[close]
+    best = safest(counts, evidence.score[close] + prior.of(counts))
+    return proposal._replace(volume_mm3=float(counts[best] * voxel_volume))
 
 
 def _below(counts: NDArray[np.int64], most: float) -> NDArray[np.bool_]:
