@@ -3,6 +3,9 @@
 A surface shows only how far it has moved along its normal (the aperture problem). The shift b of the whole is therefore
 fitted first: such that the predicted surface, shifted by b, lies on the measured one. Only what is left, delta, goes
 along the normal.
+
+The surfaces of two frames differ by noise, too, which has no momentum. Noise is rough, motion is even: what is left
+becomes velocity as far as it is even over the surface and more than what the roughness lets expect of noise.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.kernels import point_sampling
 from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, boxed
 from accelsurf.tracking.records import SurfacePiece
@@ -26,6 +30,10 @@ MAX_ROUNDS, FITTED = 30, 1e-3
 FIT_WIDTH = 12.0
 #: Points more than so many voxels off count by 1/distance: a place that is really different does not draw the whole.
 ROBUST = 1.0
+#: Over the surface a Gaussian of so many voxels tells what is even from what is rough.
+EVEN = 2.5
+#: Of noise, what is even has this part of the mean square of what is rough.
+EVEN_NOISE = 0.2
 
 
 class Displacement(NamedTuple):
@@ -55,9 +63,8 @@ def displacement(predicted: BoxedSurface, measured: BoxedSurface, fit: Fit = "sh
 
 def _fitted_shift(predicted: BoxedSurface, points: Floats, measured: BoxedSurface) -> Floats:
     """The shift of the whole: robust least squares of the distances that it leaves, by Gauss and Newton."""
-    frame, h = np.array(predicted.geometry.shape), predicted.spacing
-    _, area = predicted.surface.fraction_and_area()
-    seen = (area > 0) & ((points >= -0.5 * h) & (points <= (frame - 0.5) * h)).all(axis=1)
+    h, area = predicted.spacing, predicted.surface.fraction_and_area()[1]
+    seen = (area > 0) & _in_frame(predicted, points)
     shift = np.zeros(3)
     if not predicted.is_cut and not measured.is_cut:
         shift = measured.centroid() - predicted.centroid()
@@ -67,6 +74,12 @@ def _fitted_shift(predicted: BoxedSurface, points: Floats, measured: BoxedSurfac
         if float((np.abs(change) / h).max()) < FITTED:
             break
     return shift
+
+
+def _in_frame(on: BoxedSurface, points: Floats) -> NDArray[np.bool_]:
+    """Which points (m, 3), mm along the grid's axes, lie in a voxel of the frames."""
+    h, frame = on.spacing, np.array(on.geometry.shape)
+    return np.asarray(((points >= -0.5 * h) & (points <= (frame - 0.5) * h)).all(axis=1))
 
 
 def _round(here: Floats, area: Floats, measured: BoxedSurface) -> Floats:
@@ -130,10 +143,45 @@ def _resampled(on: BoxedSurface, shift: Floats, low: NDArray[np.int64], shape: t
 
 
 def missing_velocity(predicted: BoxedSurface, found: Displacement, duration: float) -> NDArray[np.float64]:
-    """Velocity (n, 3) that the predicted band lacked: (b + delta n)/duration."""
+    """Velocity (n, 3) that the predicted band lacked: (b + K_delta delta n)/duration, delta as far as it is even."""
     far = 0.95 * FIT_WIDTH * predicted.surface.largest_spacing
-    outward = np.where(np.abs(found.remainder) < far, found.remainder, 0.0)
+    outward = certain_part(predicted, np.where(np.abs(found.remainder) < far, found.remainder, 0.0))
     return np.asarray((found.shift - outward[:, None] * predicted.surface.normals()) / duration)
+
+
+def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What is even in distances over a surface, weakened by as much of it as may be noise (Wiener's filter).
+
+    Parameters
+    ----------
+    predicted : BoxedSurface
+    outward : ndarray (n,)
+        Of each cell of its band, mm.
+
+    Returns
+    -------
+    ndarray (n,)
+        K_delta E outward: E is the mean over the surface with a Gaussian weight, plus that of what it leaves; K_delta
+        = 1 - `EVEN_NOISE` <(1 - E)^2>/<E^2>, at least 0, <> the mean over the surface of outward's squared parts.
+    """
+    surface, points = predicted.surface, predicted.closest_points()
+    area = np.where(_in_frame(predicted, points), surface.fraction_and_area()[1], 0.0)  # beyond nothing is measured
+    total = float(area.sum())
+    if total <= 0.0:
+        return np.zeros_like(outward)
+    index = np.rint(predicted.index_on_box(points)).astype(np.int64)
+    at = tuple(np.clip(index, 0, np.array(surface.shape) - 1).T)
+
+    def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        dense = np.zeros(surface.shape, np.float32)
+        dense.ravel()[surface.band.cells] = values
+        return gaussian_mm(dense, tuple(predicted.spacing), EVEN * surface.smallest_spacing)[at].astype(np.float64)
+
+    weight = np.maximum(spread(area), 1e-6 * float(area.max()))
+    even = spread(area * outward) / weight
+    even += spread(area * (outward - even)) / weight
+    clear, rough = (float((area * values**2).sum()) / total for values in (even, outward - even))
+    return even * max(0.0, 1.0 - EVEN_NOISE * rough / clear) if clear > 0.0 else even
 
 
 def measured_surface(piece: SurfacePiece, predicted: BoxedSurface) -> BoxedSurface:
