@@ -47,12 +47,14 @@ REPEATS = 3
 #: What is timed: module, name in it, part. Time in a part that another one calls counts for the inner one.
 PARTS = (
     ("accelsurf.energies.seeded.model", "_smoothed", "smoothing"),
-    ("accelsurf.energies.seeded.model", "arrival", "arrival times"),
+    ("accelsurf.energies.seeded.first_click", "arrival", "arrival times"),
     ("accelsurf.energies.seeded.model", "reached", "arrival times"),
     ("accelsurf.energies.seeded.answers", "from_beyond", "arrival times"),
-    ("accelsurf.energies.seeded.model", "by_evidence", "level by evidence"),
+    ("accelsurf.energies.seeded.first_click", "even_radius", "level by evidence"),
+    ("accelsurf.energies.seeded.first_click", "level_evidence", "level by evidence"),
+    ("accelsurf.energies.seeded.first_click", "by_evidence", "level by evidence"),
     ("accelsurf.energies.seeded.answers", "log_ratio", "likelihood"),
-    ("accelsurf.energies.seeded.model", "first_answer", "learned answer"),
+    ("accelsurf.energies.seeded.first_click", "first_answer", "learned answer"),
     ("accelsurf.segmentation.local_model", "with_click", "learned answer"),
     ("accelsurf.energies.seeded.model", "with_click", "learned answer"),
     ("accelsurf.segmentation.local_model", "mixed_answer", "mean of the answers"),

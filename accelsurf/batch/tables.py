@@ -168,7 +168,8 @@ def table_csv(outcomes: Sequence[Outcome], columns: Sequence[str] = COLUMNS) -> 
 
     Examples
     --------
-    >>> print(table_csv([Outcome("a", "ok", "converged", 1.5, 0.93, None, 12, 0.8, "a")]), end="")
+    >>> one = Outcome("a", "ok", "converged", ml=1.5, quality=0.93, steps=12, seconds=0.8, folder="a")
+    >>> print(table_csv([one]), end="")
     id,status,reason,ml,quality,dice,steps,seconds,folder
     a,ok,converged,1.5,0.93,,12,0.8,a
     """
