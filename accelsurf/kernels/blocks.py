@@ -110,21 +110,37 @@ def hold_side(force, before, inside, held, least, gains):
 
 
 @kernel
-def count_changes(values, limit):
-    """Number of pairs of neighbours (nz, ny, nx) that differ by more than ``limit`` float32, and of all pairs."""
+def tally_changes(values, leading):
+    """How often each half of the bits occurs among the differences of neighbours (nz, ny, nx) float32.
+
+    Parameters
+    ----------
+    values : ndarray (nz, ny, nx), float32
+    leading : int
+        -1: the upper 16 bits are counted. Else the lower 16 bits of the differences that have these upper ones. The
+        bits of floats that are not negative are in the order of the floats.
+
+    Returns
+    -------
+    ndarray (65536,) int64
+    """
     nz, ny, nx = values.shape
-    above = 0
+    counts = np.zeros(65536, np.int64)
+    change = np.empty(nx, np.float32)
+    bits = change.view(np.uint32)
     for iz in range(nz):
         for iy in range(ny):
             row = values[iz, iy]
-            for ix in range(nx - 1):
-                above += abs(row[ix + 1] - row[ix]) > limit
-            if iy < ny - 1:
-                beside = values[iz, iy + 1]
-                for ix in range(nx):
-                    above += abs(beside[ix] - row[ix]) > limit
-            if iz < nz - 1:
-                beside = values[iz + 1, iy]
-                for ix in range(nx):
-                    above += abs(beside[ix] - row[ix]) > limit
-    return above, nz * ny * (nx - 1) + nz * (ny - 1) * nx + (nz - 1) * ny * nx
+            for axis in range(3):
+                if (axis == 0 and iz == nz - 1) or (axis == 1 and iy == ny - 1):
+                    continue
+                other = values[iz + 1, iy] if axis == 0 else values[iz, iy + 1] if axis == 1 else row[1:]
+                for ix in range(len(other)):
+                    change[ix] = abs(other[ix] - row[ix])
+                for ix in range(len(other)):
+                    upper = np.int64(bits[ix] >> np.uint32(16))
+                    if leading < 0:
+                        counts[upper] += 1
+                    elif upper == leading:
+                        counts[np.int64(bits[ix] & np.uint32(0xFFFF))] += 1
+    return counts

@@ -16,7 +16,7 @@ from accelsurf.energies.seeded.contest import block_means
 from accelsurf.grid.order_statistics import IntegerCounts
 from accelsurf.grid.volume import Volume
 from accelsurf.io import LazyVolume
-from accelsurf.kernels.blocks import count_changes
+from accelsurf.kernels.blocks import tally_changes
 from accelsurf.segmentation.api import segment, segment_objects
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.result import Result
@@ -53,7 +53,7 @@ def small_runs() -> dict[str, Callable[[], Any]]:
         "coarse boxes": lambda: block_means(np.zeros((4, 4, 4), np.float32), (2, 2, 2)),
         "counts of integers": _counted,
         # Of a part of an image, which an array of its own is not.
-        "parts of images": lambda: count_changes(np.zeros((4, 4, 4), np.float32)[1:3, 1:3, 1:3], np.float32(1.0)),
+        "parts of images": lambda: tally_changes(np.zeros((4, 4, 4), np.float32)[1:3, 1:3, 1:3], -1),
     }
 
 

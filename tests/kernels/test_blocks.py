@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from accelsurf.kernels.blocks import add_between, hold_side
+from accelsurf.energies.seeded.contest import median_change
+from accelsurf.kernels.blocks import add_between, hold_side, tally_changes
 
 pytestmark = pytest.mark.nojit
 
@@ -55,3 +56,16 @@ def test_labels_change_to_one_side_alone(gains):
     hold_side(force, before, inside, held, least, gains)
     assert wrong.sum() > 5
     np.testing.assert_allclose(force, np.where(wrong, kept, expected), atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 2), (1, 5, 7), (3, 4, 5), (2, 1, 3), (7, 6, 8)])
+@pytest.mark.parametrize("kind", ["noise", "few values", "constant"])
+def test_the_median_change_is_numpys(shape, kind):
+    made = np.random.default_rng(4).normal(0, 3, (9, 8, 10)).astype(np.float32)
+    values = {"noise": made, "few values": np.round(made), "constant": np.ones_like(made)}[kind]
+    part = values[tuple(slice(1, n + 1) for n in shape)]
+    changes = np.concatenate([np.abs(np.diff(part, axis=axis)).ravel() for axis in range(3)])
+    expected = float(np.median(changes)) if changes.size else 0.0
+    assert median_change(part) == expected
+    if changes.size:
+        assert tally_changes(part, -1).sum() == changes.size
