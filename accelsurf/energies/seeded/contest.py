@@ -258,7 +258,10 @@ def _scaled(image: Image, box: Box, inside: Sequence[Click]) -> Image:
 
 def _at_least_of_changes(part: Image, spread: float) -> float:
     """The spread, or `MIN_CHANGE` times the median change between neighbours where that is more."""
-    return max(spread, MIN_CHANGE * median_change(part))
+    limit = np.nextafter(np.float32(spread / MIN_CHANGE), np.float32(0.0))
+    below, above = tally_changes(part, -2, limit)[:2]
+    # Mostly less than half of them are above: the median is below then, whatever it is, and need not be found.
+    return spread if above < below or above == 0 else max(spread, MIN_CHANGE * median_change(part))
 
 
 def median_change(part: Image) -> float:
@@ -269,14 +272,17 @@ def median_change(part: Image) -> float:
     >>> median_change(np.array([[[1, 2, 7, 7]]], np.float32))
     1.0
     """
-    upper = np.cumsum(tally_changes(part, -1))
+    none = np.float32(0.0)
+    upper = np.cumsum(tally_changes(part, -1, none))
     pairs = int(upper[-1])
     if pairs == 0:
         return 0.0
+    ranks = (pairs - 1) // 2, pairs // 2
+    halves = [int(np.searchsorted(upper, rank, "right")) for rank in ranks]
+    lower = {half: np.cumsum(tally_changes(part, half, none)) for half in set(halves)}
     middle = []
-    for rank in ((pairs - 1) // 2, pairs // 2):
-        leading = int(np.searchsorted(upper, rank, "right"))
-        before = int(upper[leading - 1]) if leading else 0
-        lower = int(np.searchsorted(np.cumsum(tally_changes(part, leading)), rank - before, "right"))
-        middle.append(np.array([leading << 16 | lower], np.uint32).view(np.float32)[0])
+    for rank, half in zip(ranks, halves, strict=True):
+        before = int(upper[half - 1]) if half else 0
+        bits = half << 16 | int(np.searchsorted(lower[half], rank - before, "right"))
+        middle.append(np.array([bits], np.uint32).view(np.float32)[0])
     return float((middle[0] + middle[1]) / np.float32(2.0))
