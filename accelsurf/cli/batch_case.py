@@ -89,7 +89,7 @@ def lost(task: CaseTask, failure: Failure) -> Outcome:
     error = (InputError if failure.kind == "memory" else LostCaseError)(failure.message, hint)
     with redirect_stderr(io.StringIO()):
         if isinstance(task.config, TrackConfig):
-            track_case.report_failure(track_case_of(task, task.config), error)
+            track_case.report_failure(track_case.TrackCase(place_of(task), task.config), error)
         elif failure.kind != "error":  # a run that ended with an exception has removed its drafts and has a report
             report_failure(place_of(task), error)
     return _failed(task, failure.message, hint, code, failure.details)
@@ -106,17 +106,10 @@ class LostCaseError(AccelsurfError):
     kind = "lost"
 
 
-def track_case_of(task: CaseTask, config: TrackConfig) -> track_case.TrackCase:
-    """Where the sequence of a case is, and where its files go."""
-    return track_case.TrackCase(
-        task.case.image, config, task.folder, task.case.id, task.overwrite, task.resume
-    )
-
-
 def _run(task: CaseTask) -> Outcome:
     watcher = Watcher(Display(quiet=True, progress="none"))
     if isinstance(task.config, TrackConfig):
-        track_case.run_track_case(track_case_of(task, task.config), watcher)
+        track_case.run_track_case(track_case.TrackCase(place_of(task), task.config), watcher)
         return _concluded(task, task.folder / report_name(task.case.id))
     place = place_of(task)
     try:

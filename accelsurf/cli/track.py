@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -67,15 +68,15 @@ def track(
     if dump_config:
         print(wanted.to_toml(), end="")
         return 0
+    from accelsurf.cli.place import Place
     from accelsurf.cli.progress import Watcher
     from accelsurf.cli.track_case import TrackCase, run_track_case
-    from accelsurf.io.headers import name_of
 
     display = display or Display()
     source = required(input, "SEQUENCE")
     folder = required(output, "-o DIR, the output folder,")
     page = _front_end() if view else None
-    case = TrackCase(source, wanted, folder, name_of(source), overwrite, resume)
+    case = TrackCase(replace(Place.of(source, folder, overwrite), resume=resume), wanted)
     done = run_track_case(case, Watcher(display))
     if not display.quiet:
         print("\n".join(_summary(case, done)))
@@ -99,7 +100,7 @@ def _summary(case: TrackCase, done: Tracked) -> list[str]:
     for one in done.lineage.tracks:
         ends[one.end] = ends.get(one.end, 0) + 1
     objects = len(done.lineage.tracks)
-    lines = [f"{case.name}: {objects} object{'' if objects == 1 else 's'} in {done.frames} frames"]
+    lines = [f"{case.place.name}: {objects} object{'' if objects == 1 else 's'} in {done.frames} frames"]
     words = {"end of sequence": "to the end of the sequence"}
     lines += [f"  {count} {words.get(why, why)}" for why, count in ends.items()]
-    return [*lines, f"  {(case.folder / case.name).absolute()}_tracks.csv"]
+    return [*lines, f"  {(case.place.folder / case.place.name).absolute()}_tracks.csv"]

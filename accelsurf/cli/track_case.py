@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from accelsurf.cli.place import Place
 from accelsurf.errors import AccelsurfError, OutputError
 
 if TYPE_CHECKING:
@@ -29,34 +30,23 @@ class TrackCase:
 
     Attributes
     ----------
-    source : Path
-        A file with time, a folder of frames, or a pattern of their names.
+    place : Place
+        Its source is a file with time, a folder of frames, or a pattern of their names.
     config : TrackConfig
-    folder : Path
-    name : str
-        First part of every output's name.
-    overwrite : bool
-        Whether existing outputs may be replaced.
-    resume : bool
-        Whether the tracking goes on from the state that an earlier one has left.
     """
 
-    source: Path
+    place: Place
     config: TrackConfig
-    folder: Path
-    name: str
-    overwrite: bool = False
-    resume: bool = False
 
     @property
     def state(self) -> Path:
         """The state after each frame."""
-        return self.folder / f"{self.name}_checkpoint.npz"
+        return self.place.checkpoint_path
 
     @property
     def store(self) -> Path:
         """The frames that are done."""
-        return self.folder / f"{self.name}_frames"
+        return self.place.folder / f"{self.place.name}_frames"
 
     @property
     def files(self) -> TrackFiles:
@@ -101,8 +91,9 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
         raise
     try:
         outputs = TrackOutputs(
-            case.folder, case.name, tracking.sequence, case.files, settings=tracking.config.model_dump(mode="json"),
-            toml=tracking.config.to_toml(), argv=sys.argv, overwrite=case.overwrite or resumed, store=case.store,
+            case.place.folder, case.place.name, tracking.sequence, case.files,
+            settings=tracking.config.model_dump(mode="json"), toml=tracking.config.to_toml(), argv=sys.argv,
+            overwrite=case.place.overwrite or resumed, store=case.store,
         )
         try:
             _follow(case, tracking, outputs, watcher)
@@ -123,7 +114,7 @@ def report_failure(case: TrackCase, error: BaseException) -> None:
 
     try:
         write_failure(
-            case.folder, case.name, case.files, error, source=case.source,
+            case.place.folder, case.place.name, case.files, error, source=case.place.source,
             settings=case.config.model_dump(mode="json"), argv=sys.argv,
         )
     except AccelsurfError as second:
@@ -133,12 +124,12 @@ def report_failure(case: TrackCase, error: BaseException) -> None:
 def _look_at_state(case: TrackCase) -> None:
     """Refuse to lose the work of a killed run, or take it away where that was asked for."""
     there = [path for path in (case.state, case.store) if path.exists()]
-    if there and not (case.resume or case.overwrite):
+    if there and not (case.place.resume or case.place.overwrite):
         raise OutputError(
             f"{there[0]}: is the state of a run that was stopped",
             "add --resume to go on from it, or --overwrite to begin anew",
         )
-    if not case.resume or len(there) < 2:  # of one without the other there is nothing to go on from
+    if not case.place.resume or len(there) < 2:  # of one without the other there is nothing to go on from
         _remove_state(case)
 
 
@@ -153,15 +144,15 @@ def _begun(case: TrackCase, watcher: Watcher) -> Tracking:
     from accelsurf.tracking.track import Tracking
 
     return Tracking(
-        open_sequence(case.source, case.config), case.config, meshes=bool(case.config.mesh), on_step=watcher.on_step,
-        checkpoint_to=case.state,
+        open_sequence(case.place.source, case.config), case.config, meshes=bool(case.config.mesh),
+        on_step=watcher.on_step, checkpoint_to=case.state,
     )
 
 
 def _follow(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher: Watcher) -> None:
     """Do the frames, until the last one or Ctrl-C."""
     count = len(tracking.visits)
-    with watcher.watch(case.name, tracking.config.run.max_steps):
+    with watcher.watch(case.place.name, tracking.config.run.max_steps):
         for result in tracking:
             outputs.add(result)
             seen = sum(one.seen for one in result.objects)
@@ -185,7 +176,7 @@ def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
     for warning in warnings:
         if warning not in watcher.said:
             say(f"warning: {warning}")
-    report = (case.folder / f"{case.name}_report.json").absolute()
+    report = case.place.report_path.absolute()
     watcher.outcome = f"the {'result' if complete else 'result so far'} is written: {report}"
     if complete:
         _remove_state(case)
