@@ -133,7 +133,7 @@ def test_a_well_that_accelerates() -> None:
 def test_the_energy_of_a_static_well_is_conserved(made: Callable[..., Accelerated]) -> None:
     """T + U without friction, from a start in motion; half the step and half the voxel leave less than half.
 
-    Orders 1.5 (constant density) and 1.1: what is left at these steps is how exactly T and U are measured on the grid.
+    Orders 1.5 (constant density) and 1.1: what is left is of the grid; a quarter of the step leaves as much.
     """
     drifts = []
     for n in (24, 48):
