@@ -172,14 +172,14 @@ def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArr
     index = np.rint(predicted.index_on_box(points)).astype(np.int64)
     at = tuple(np.clip(index, 0, np.array(surface.shape) - 1).T)
 
-    def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def smoothed_at(values: NDArray[np.float64]) -> NDArray[np.float64]:
         dense = np.zeros(surface.shape, np.float32)
         dense.ravel()[surface.band.cells] = values
         return gaussian_mm(dense, tuple(predicted.spacing), EVEN * surface.smallest_spacing)[at].astype(np.float64)
 
-    weight = np.maximum(spread(area), 1e-6 * float(area.max()))
-    even = spread(area * outward) / weight
-    even += spread(area * (outward - even)) / weight
+    weight = np.maximum(smoothed_at(area), 1e-6 * float(area.max()))
+    even = smoothed_at(area * outward) / weight
+    even += smoothed_at(area * (outward - even)) / weight
     clear, rough = (float((area * values**2).sum()) / total for values in (even, outward - even))
     return even * max(0.0, 1.0 - EVEN_NOISE * rough / clear) if clear > 0.0 else even
 
