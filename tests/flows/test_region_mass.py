@@ -155,8 +155,13 @@ def test_sound_modes_converge() -> None:
     sizes = (24, 32, 48)
     found = [mode_misfit(n, 1, MODES[1]) for n in sizes]
     order = -float(np.polyfit(np.log(sizes), np.log(found), 1)[0])
-    print(f"\n{found}, order {order:.2f}; {[mode_misfit(n, 0, MODES[0]) for n in sizes]}")
-    assert order > 1.5
+    # Where the ball breathes mass in the cells that the surface cuts counts as well: at 24 and 32 its error and the
+    # damping of the transport still cancel in part.
+    fine = (48, 64, 80)
+    radial = [mode_misfit(n, 0, MODES[0]) for n in fine]
+    slope = -float(np.polyfit(np.log(fine), np.log(radial), 1)[0])
+    print(f"\n{found}, order {order:.2f}; {radial}, order {slope:.2f}")
+    assert order > 1.5 and slope > 1.5 and radial[-1] < 0.05
 
 
 # --------------------------------------------------------------------------------- (4) shells, (5) the end, (6) f = 0
