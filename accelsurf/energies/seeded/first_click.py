@@ -147,16 +147,11 @@ def _by_evidence(
     boxed: bool,
 ) -> tuple[Front, Proposal, FirstTimes]:
     """The answer's march, the size that is likely, and what contradicts it; ``asked`` are a click and its tissue."""
-    (click, tissue), voxel, (allowed, window) = asked, float(np.prod(spacing)), where
-    flat, radius = images[0].shape[0] == 1, even_radius(images, spacing, click, tissue, window)
-    whole = math.prod(images[0].shape) if window is None else window.voxels
-    open_count = whole if allowed is None else int(np.count_nonzero(allowed))
-    own, even = int(np.count_nonzero(click.mask)), count_of(radius, spacing, flat)
-    prior = prior_of(own, open_count if boxed else None, even, flat)
-    farthest = _farthest(prior, open_count, boxed)
+    (click, tissue), voxel = asked, float(np.prod(spacing))
+    prior, farthest = _expected(images, spacing, where, asked, boxed)
     is_far = farthest > MAX_LONGER * MAX_MARCH
     near = Front.of(in_blocks(images, spacing, *where, 0), click, tissue, (MAX_MARCH if is_far else farthest) - 1)
-    evidence = near.evidence(spacing, tissue)
+    evidence, most = near.evidence(spacing, tissue), np.inf
     if is_far and near.voxels >= MAX_MARCH:  # it did not end before
         blocks = in_blocks(images, spacing, *where, math.ceil(farthest * MAX_BLOCKS / MAX_MARCH))
         evidence = joined(evidence, Front.of(blocks, click, tissue, farthest).evidence(spacing, tissue))
@@ -165,8 +160,8 @@ def _by_evidence(
     outside = (one for one in clicks.clicks if one.side == "outside")
     earliest = min((float(near.times[seeds_of(one, near.field)].min()) for one in outside), default=np.inf)
     if earliest <= early:
-        before = float(np.searchsorted(near.times[near.order], earliest))
-        proposal = by_evidence(evidence, prior, voxel, most=before / FAR_TOO_LARGE)
+        most = float(np.searchsorted(near.times[near.order], earliest)) / FAR_TOO_LARGE
+        proposal = by_evidence(evidence, prior, voxel, most)
     first, front = FirstTimes.of(near.field, near.times, near.order, early), near
     count = round(proposal.volume_mm3 / voxel)
     blocks = in_blocks(images, spacing, *where, count)
@@ -174,11 +169,21 @@ def _by_evidence(
         is_coarse = is_far and 2 * NEARBY * count > near.voxels
         front = Front.of(blocks, click, tissue, FARTHER * BEYOND * (NEARBY if is_coarse else 1.0) * count)
         if is_coarse:
-            proposal = with_finer_evidence(proposal, front.evidence(spacing, tissue), prior, voxel)
+            proposal = with_finer_evidence(proposal, front.evidence(spacing, tissue), prior, voxel, most)
     return front, proposal, first
 
 
-def _farthest(prior: Prior, open_count: int, boxed: bool) -> int:
-    """How many voxels a march without a size may accept."""
-    most = open_count if boxed else int(MAX_PART * open_count)
-    return most if boxed else int(min(prior.farthest(), most))
+def _expected(
+    images: Sequence[Image],
+    spacing: Spacing,
+    where: tuple[Mask | None, Window | None],
+    asked: tuple[Click, Tissue],
+    boxed: bool,
+) -> tuple[Prior, int]:
+    """What is expected of the number of voxels, and how many a march may accept."""
+    (click, tissue), (allowed, window), flat = asked, where, images[0].shape[0] == 1
+    whole = math.prod(images[0].shape) if window is None else window.voxels
+    open_count = whole if allowed is None else int(np.count_nonzero(allowed))
+    even = count_of(even_radius(images, spacing, click, tissue, window), spacing, flat)
+    prior = prior_of(int(np.count_nonzero(click.mask)), open_count if boxed else None, even, flat)
+    return prior, open_count if boxed else int(min(prior.farthest(), int(MAX_PART * open_count)))

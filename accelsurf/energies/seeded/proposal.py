@@ -206,10 +206,15 @@ def by_evidence(evidence: LevelEvidence, prior: Prior, voxel_volume: float, most
     return Proposal(float(counts[best] * voxel_volume), sure, others[:3], spread)
 
 
-def with_finer_evidence(proposal: Proposal, evidence: LevelEvidence, prior: Prior, voxel_volume: float) -> Proposal:
-    """A proposal that was found over blocks, its volume looked for again over smaller ones, `NEARBY` it."""
+def with_finer_evidence(
+    proposal: Proposal, evidence: LevelEvidence, prior: Prior, voxel_volume: float, most: float = np.inf
+) -> Proposal:
+    """A proposal that was found over blocks, its volume looked for again over smaller ones, `NEARBY` it.
+
+    Parameters as of `by_evidence`.
+    """
     ratio = evidence.counts * voxel_volume / proposal.volume_mm3
-    close = (ratio * NEARBY >= 1.0) & (ratio <= NEARBY)
+    close = (ratio * NEARBY >= 1.0) & (ratio <= NEARBY) & (evidence.counts < most)
     if not close.any():
         return proposal
     counts = evidence.counts[close]
