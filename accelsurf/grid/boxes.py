@@ -97,6 +97,24 @@ def enclosing(one: Box, other: Box) -> Box:
     return z, y, x
 
 
+def counted_from(box: Box, corner: Corner) -> Box:
+    """Return a box counted from another first voxel."""
+    z, y, x = (slice(s.start - c, s.stop - c) for s, c in zip(box, corner, strict=True))
+    return z, y, x
+
+
+def placed_at(box: Box, corner: Corner) -> Box:
+    """Return a box of an array counted as its first voxel, ``corner``, is; the inverse of `counted_from`.
+
+    Examples
+    --------
+    >>> placed_at((slice(0, 2), slice(1, 3), slice(0, 1)), (5, 0, 7))
+    (slice(5, 7, None), slice(1, 3, None), slice(7, 8, None))
+    """
+    z, y, x = (slice(s.start + c, s.stop + c) for s, c in zip(box, corner, strict=True))
+    return z, y, x
+
+
 def meeting(low: NDArray[np.integer], high: NDArray[np.integer]) -> list[list[int]]:
     """Return for each of some boxes the numbers of the others that it overlaps.
 

@@ -110,17 +110,15 @@ def hold_side(force, before, inside, held, least, gains):
 
 
 @kernel
-def tally_changes(values, leading, limit):
+def tally_changes(values, leading):
     """How often each half of the bits occurs among the differences of neighbours (nz, ny, nx) float32.
 
     Parameters
     ----------
     values : ndarray (nz, ny, nx), float32
     leading : int
-        -1: the upper 16 bits are counted. Not negative: the lower 16 bits of the differences that have these upper
-        ones. The bits of floats that are not negative are in the order of the floats. -2: there are two counts, of the
-        differences up to ``limit`` and above.
-    limit : float32
+        -1: the upper 16 bits are counted. Else the lower 16 bits of the differences that have these upper ones. The
+        bits of floats that are not negative are in the order of the floats.
 
     Returns
     -------
@@ -137,14 +135,8 @@ def tally_changes(values, leading, limit):
                 if (axis == 0 and iz == nz - 1) or (axis == 1 and iy == ny - 1):
                     continue
                 other = values[iz + 1, iy] if axis == 0 else values[iz, iy + 1] if axis == 1 else row[1:]
-                above = 0
                 for ix in range(len(other)):
                     change[ix] = abs(other[ix] - row[ix])
-                    above += change[ix] > limit
-                if leading == -2:
-                    counts[0] += len(other) - above
-                    counts[1] += above
-                    continue
                 for ix in range(len(other)):
                     upper = np.int64(bits[ix] >> np.uint32(16))
                     if leading < 0:

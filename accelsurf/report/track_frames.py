@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, enclosing, placed_at
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.sequence import ImageSequence
@@ -258,8 +258,8 @@ class TrackSet:
 
         All pictures show this part. Each frame is read, one at a time, when the first picture asks.
         """
-        boxes = (box for row in self.rows for one in self.store.drawn(row.frame) for box in _inside_boxes(one))
-        return functools.reduce(_around, boxes, None)
+        boxes = [box for row in self.rows for one in self.store.drawn(row.frame) for box in _inside_boxes(one)]
+        return functools.reduce(enclosing, boxes) if boxes else None
 
     @cached_property
     def window(self) -> GreyWindow:
@@ -277,16 +277,7 @@ def _inside_boxes(drawn: DrawnObject) -> Iterator[Box]:
     for piece in (drawn.surface, drawn.predicted):
         box = None if piece is None else bounding_box(piece.psi < 0)
         if piece is not None and box is not None:
-            z, y, x = (slice(s.start + c, s.stop + c) for s, c in zip(box, piece.corner, strict=True))
-            yield z, y, x
-
-
-def _around(one: Box | None, other: Box) -> Box:
-    """The smallest box around two."""
-    if one is None:
-        return other
-    z, y, x = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
-    return z, y, x
+            yield placed_at(box, piece.corner)
 
 
 def frame_digits(count: int) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, enclosing, shared
+from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, counted_from, enclosing, shared
 from accelsurf.grid.clicks import Click
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.result import Result, SegmentedObject
@@ -53,18 +53,6 @@ def frozen_settings(result: Result) -> RunConfig:
 def count_inside(psi: NDArray[np.float32]) -> int:
     """Number of voxels inside."""
     return int(np.count_nonzero(psi < 0))
-
-
-def counted_from(box: Box, corner: Corner) -> Box:
-    """A box counted from another first voxel."""
-    z, y, x = (slice(s.start - c, s.stop - c) for s, c in zip(box, corner, strict=True))
-    return z, y, x
-
-
-def placed_at(box: Box, corner: Corner) -> Box:
-    """A box of an array counted as its first voxel, ``corner``, is; the inverse of `counted_from`."""
-    z, y, x = (slice(s.start + c, s.stop + c) for s, c in zip(box, corner, strict=True))
-    return z, y, x
 
 
 def part_of_image(before: Box, corner: Corner, now: CorrectedSurface, prepared: PreprocessedInput) -> Box:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, enclosing, widened
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, enclosing, placed_at, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import LeavesWindow, Window
 from accelsurf.initialization.object_starts import ObjectStart
@@ -270,6 +270,6 @@ class VisitedBoxes:
 
 def _on_whole(one: SegmentedObject, window: Window) -> SegmentedObject:
     """An object of a run in a window, on the whole grid: its places are worked out there, to the last digit."""
-    z, y, x = (slice(s.start + c, s.stop + c) for s, c in zip(one.box, window.corner, strict=True))
+    box = placed_at(one.box, window.corner)
     rests = tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in one.rests)
-    return replace(one, box=(z, y, x), geometry=cropped(window.geometry, (z, y, x)), rests=rests)
+    return replace(one, box=box, geometry=cropped(window.geometry, box), rests=rests)

@@ -20,11 +20,22 @@ from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
 from accelsurf.energies.seeded.model import later_times
 from accelsurf.energies.seeded.sureness import Sureness, corrections_with, sureness_of
-from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, on_box, whole_box, widened
+from accelsurf.grid.boxes import (
+    Box,
+    bounding_box,
+    box_at,
+    corner_of,
+    counted_from,
+    enclosing,
+    on_box,
+    placed_at,
+    whole_box,
+    widened,
+)
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to
 from accelsurf.kernels.arrival import Tissue
-from accelsurf.segmentation.corrected_surface import CorrectedSurface, counted_from, placed_at
+from accelsurf.segmentation.corrected_surface import CorrectedSurface
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.near_region import around_clicks, automatic_near
 from accelsurf.segmentation.preprocessing import PreprocessedInput

@@ -19,7 +19,18 @@ from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.setup import SolverSetup
-from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, on_box, whole_box, widened
+from accelsurf.grid.boxes import (
+    Box,
+    bounding_box,
+    box_at,
+    corner_of,
+    counted_from,
+    enclosing,
+    on_box,
+    placed_at,
+    whole_box,
+    widened,
+)
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.pyramid import Level
@@ -29,9 +40,7 @@ from accelsurf.segmentation.corrected_surface import (
     CorrectedSurface,
     box_around,
     count_inside,
-    counted_from,
     part_of_image,
-    placed_at,
     stop_of_whole,
 )
 from accelsurf.segmentation.local_evolution import LocalOutcome, OnStep, measures_of

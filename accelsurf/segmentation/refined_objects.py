@@ -10,14 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, box_at, corner_of, shared
+from accelsurf.grid.boxes import Box, box_at, corner_of, counted_from, shared
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.clicked_voxels import clicked_voxels
 from accelsurf.segmentation.corrected_surface import (
     CorrectedSurface,
     count_inside,
-    counted_from,
     part_of_image,
     stop_of_whole,
     surface_of,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.grid.boxes import Box, box_at
+from accelsurf.grid.boxes import Box, box_at, counted_from
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.pyramid import Level
@@ -27,7 +27,6 @@ from accelsurf.segmentation.corrected_surface import (
     CorrectedSurface,
     box_around,
     count_inside,
-    counted_from,
     frozen_settings,
     stop_of_whole,
     wrong_part,

@@ -53,7 +53,7 @@ def small_runs() -> dict[str, Callable[[], Any]]:
         "coarse boxes": lambda: block_means(np.zeros((4, 4, 4), np.float32), (2, 2, 2)),
         "counts of integers": _counted,
         # Of a part of an image, which an array of its own is not.
-        "parts of images": lambda: tally_changes(np.zeros((4, 4, 4), np.float32)[1:3, 1:3, 1:3], -1, np.float32(0.0)),
+        "parts of images": lambda: tally_changes(np.zeros((4, 4, 4), np.float32)[1:3, 1:3, 1:3], -1),
     }
 
 

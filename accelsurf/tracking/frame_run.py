@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, overlap, shared, widened
+from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, overlap, placed_at, shared, widened
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
@@ -147,8 +147,7 @@ def _tight(one: ObjectStart) -> Box:
     """The box of the voxels inside, on the frame's grid."""
     inner = bounding_box(one.psi < 0)
     assert inner is not None  # of an empty one no run is made
-    z, y, x = (slice(s.start + c, s.stop + c) for s, c in zip(inner, one.corner, strict=True))
-    return z, y, x
+    return placed_at(inner, one.corner)
 
 
 def _result(

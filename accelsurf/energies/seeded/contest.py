@@ -258,31 +258,35 @@ def _scaled(image: Image, box: Box, inside: Sequence[Click]) -> Image:
 
 def _at_least_of_changes(part: Image, spread: float) -> float:
     """The spread, or `MIN_CHANGE` times the median change between neighbours where that is more."""
-    limit = np.nextafter(np.float32(spread / MIN_CHANGE), np.float32(0.0))
-    below, above = tally_changes(part, -2, limit)[:2]
-    # Mostly less than half of them are above: the median is below then, whatever it is, and need not be found.
-    return spread if above < below or above == 0 else max(spread, MIN_CHANGE * median_change(part))
+    limit = spread / MIN_CHANGE
+    change = median_change(part, limit)
+    return max(spread, MIN_CHANGE * change) if change > limit else spread
 
 
-def median_change(part: Image) -> float:
+def median_change(part: Image, least: float = 0.0) -> float:
     """Median of the differences of neighbours along all axes, as numpy has it, without a list of them; 0 of one voxel.
+
+    Where it is at most ``least`` this is returned: one look at the upper bits tells that mostly.
 
     Examples
     --------
     >>> median_change(np.array([[[1, 2, 7, 7]]], np.float32))
     1.0
     """
-    none = np.float32(0.0)
-    upper = np.cumsum(tally_changes(part, -1, none))
+    upper = np.cumsum(tally_changes(part, -1))
     pairs = int(upper[-1])
-    if pairs == 0:
-        return 0.0
     ranks = (pairs - 1) // 2, pairs // 2
     halves = [int(np.searchsorted(upper, rank, "right")) for rank in ranks]
-    lower = {half: np.cumsum(tally_changes(part, half, none)) for half in set(halves)}
-    middle = []
+    if pairs == 0 or _float_of(halves[1] << 16 | 0xFFFF) <= least:
+        return least
+    lower = {half: np.cumsum(tally_changes(part, half)) for half in set(halves)}
+    middle = np.float32(0.0)
     for rank, half in zip(ranks, halves, strict=True):
         before = int(upper[half - 1]) if half else 0
-        bits = half << 16 | int(np.searchsorted(lower[half], rank - before, "right"))
-        middle.append(np.array([bits], np.uint32).view(np.float32)[0])
-    return float((middle[0] + middle[1]) / np.float32(2.0))
+        middle += _float_of(half << 16 | int(np.searchsorted(lower[half], rank - before, "right")))
+    return max(least, float(middle / np.float32(2.0)))
+
+
+def _float_of(bits: int) -> np.float32:
+    """The float of some bits."""
+    return np.float32(np.array([bits], np.uint32).view(np.float32)[0])

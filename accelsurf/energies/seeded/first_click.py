@@ -77,13 +77,25 @@ class Front(NamedTuple):
         """When so many voxels have arrived."""
         return float(self.times[self.order[min(self.blocks.count(voxels), len(self.order)) - 1]])
 
-    def evidence(self, spacing: Spacing, tissue: Tissue) -> LevelEvidence:
+    def evidence(self, tissue: Tissue) -> LevelEvidence:
         """What the image says of each level."""
-        images = [values.reshape(self.field.shape) for values in self.field.medium.values]
-        steps = [h * n for h, n in zip(spacing, self.blocks.steps, strict=True)]
-        edges = edges_of(images, (steps[0], steps[1], steps[2]), tissue, self.order)
+        edges = edges_of(self.blocks.images, self.blocks.spacing, tissue, self.order)
         first = int(np.count_nonzero(self.click.mask))
         return level_evidence(self.field.medium.values, edges, self.times, self.order, first, self.blocks.size)
+
+
+def first_inside(clicks: Clicks) -> Click:
+    """The first inside click.
+
+    Raises
+    ------
+    InputError
+        When there is none.
+    """
+    for click in clicks.clicks:
+        if click.side == "inside":
+            return click
+    raise InputError("seeded: no inside click was given", "give one with --inside")
 
 
 def seeds_of(click: Click, field: Field) -> NDArray[np.int64]:
@@ -111,7 +123,7 @@ def answer_to_first(
     where : (mask, window)
         Where the object may be, None for everywhere; of what the images are a part, None where they are whole.
     clicks : Clicks
-        One of them is inside.
+        One of them at least is inside.
     size_mm3 : float or None
         About the object's volume.
     boxed : bool
@@ -122,7 +134,7 @@ def answer_to_first(
     InputError
         When the click lies outside box or mask; LeavesWindow when it looks beyond the window.
     """
-    click, voxel = next(one for one in clicks.clicks if one.side == "inside"), float(np.prod(spacing))
+    click, voxel = first_inside(clicks), float(np.prod(spacing))
     if where[0] is not None and not where[0][click.box][click.mask].any():
         raise InputError("seeded: the inside click lies outside the box or the mask", "click in it, or make it larger")
     tissue = learn(images, spacing, click)
@@ -151,10 +163,10 @@ def _by_evidence(
     prior, farthest = _expected(images, spacing, where, asked, boxed)
     is_far = farthest > MAX_LONGER * MAX_MARCH
     near = Front.of(in_blocks(images, spacing, *where, 0), click, tissue, (MAX_MARCH if is_far else farthest) - 1)
-    evidence, most = near.evidence(spacing, tissue), np.inf
+    evidence, most = near.evidence(tissue), np.inf
     if is_far and near.voxels >= MAX_MARCH:  # it did not end before
         blocks = in_blocks(images, spacing, *where, math.ceil(farthest * MAX_BLOCKS / MAX_MARCH))
-        evidence = joined(evidence, Front.of(blocks, click, tissue, farthest).evidence(spacing, tissue))
+        evidence = joined(evidence, Front.of(blocks, click, tissue, farthest).evidence(tissue))
     proposal = by_evidence(evidence, prior, voxel)
     early = near.at(int(FAR_TOO_LARGE * proposal.volume_mm3 / voxel) + 1)
     outside = (one for one in clicks.clicks if one.side == "outside")
@@ -169,7 +181,7 @@ def _by_evidence(
         is_coarse = is_far and 2 * NEARBY * count > near.voxels
         front = Front.of(blocks, click, tissue, FARTHER * BEYOND * (NEARBY if is_coarse else 1.0) * count)
         if is_coarse:
-            proposal = with_finer_evidence(proposal, front.evidence(spacing, tissue), prior, voxel, most)
+            proposal = with_finer_evidence(proposal, front.evidence(tissue), prior, voxel, most)
     return front, proposal, first
 
 

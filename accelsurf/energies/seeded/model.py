@@ -14,10 +14,9 @@ from accelsurf.energies.seeded.blocks import field_in
 from accelsurf.energies.seeded.competition import Field, Times, reached
 from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import area_weight, at_edges
-from accelsurf.energies.seeded.first_click import BEYOND, FARTHER, answer_to_first, seeds_of
+from accelsurf.energies.seeded.first_click import BEYOND, FARTHER, answer_to_first, first_inside, seeds_of
 from accelsurf.energies.seeded.proposal import Proposal
 from accelsurf.energies.seeded.sureness import corrections_with
-from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.smoothing import gaussian_mm
@@ -109,7 +108,7 @@ def seeded_model(
     InputError
         When no click is inside, or the first lies outside box or mask; LeavesWindow when it looks beyond the window.
     """
-    first, sized = _first_inside(clicks), size_mm3 is not None
+    first, sized = first_inside(clicks), size_mm3 is not None
     where = _allowed(images[0].shape, box, mask), window
     if previous is not None and previous.answer is not None and _goes_on(clicks, previous.clicks, previous.answer):
         smooth, answer, proposal, shown = previous.images, previous.answer, previous.proposal, previous.shown
@@ -129,13 +128,6 @@ def seeded_model(
         arrays = on_whole_grid(at_edges(shown, images, smooth, spacing, clicks, where[0], pool), clicks.shape)
     area = area_weight(images, spacing, arrays[1], where[0])
     return SeededModel(*arrays, proposal, area, clicks, answer, smooth, sized, shown, corrections)
-
-
-def _first_inside(clicks: Clicks) -> Click:
-    for click in clicks.clicks:
-        if click.side == "inside":
-            return click
-    raise InputError("seeded: no inside click was given", "give one with --inside")
 
 
 def _shown(

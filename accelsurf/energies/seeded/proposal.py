@@ -156,9 +156,8 @@ def level_evidence(
         Voxels of a block.
     """
     counts = candidate_counts(first, len(order))
-    along = np.log(np.maximum(edge_along(edges, counts), 1e-6)) if counts.size else np.zeros(0)
-    score = scores(images, times, order, counts) + along if counts.size else along
-    return LevelEvidence(size * counts, score, size * len(order))
+    along = np.log(np.maximum(edge_along(edges, counts), 1e-6))
+    return LevelEvidence(size * counts, scores(images, times, order, counts) + along, size * len(order))
 
 
 def joined(near: LevelEvidence, far: LevelEvidence) -> LevelEvidence:

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of
+from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, counted_from, enclosing, placed_at
 from accelsurf.report.preview_content import marks_of
 from accelsurf.segmentation.clicked_voxels import on_image
-from accelsurf.segmentation.corrected_surface import counted_from, placed_at
 from accelsurf.segmentation.ensemble import overall_stop
 from accelsurf.segmentation.refine import state_at_end
 from accelsurf.segmentation.refiner import Change, Refiner
@@ -155,12 +154,8 @@ def _box_of_inside(inside: NDArray[np.bool_], corner: Corner) -> Box | None:
 
 
 def _around(box: Box | None, other: Box) -> Box:
-    """The smallest box that holds two."""
-    if box is None:
-        return other
-    low = [min(a.start, b.start) for a, b in zip(box, other, strict=True)]
-    high = [max(a.stop, b.stop) for a, b in zip(box, other, strict=True)]
-    return box_at((low[0], low[1], low[2]), [b - a for a, b in zip(low, high, strict=True)])
+    """The smallest box that holds two, or the one that there is."""
+    return other if box is None else enclosing(box, other)
 
 
 def _within(box: Box, shape: tuple[int, ...]) -> Box:
