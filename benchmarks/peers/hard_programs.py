@@ -81,19 +81,25 @@ def _local_threshold(work: Work, settings: Settings) -> np.ndarray:
 
 
 def _walker(work: Work, settings: Settings) -> np.ndarray:
-    """scikit-image's random walker from the clicks; without one outside, from the faces of the volume too."""
+    """scikit-image's random walker from the clicks, of one object also from the faces of the volume."""
     from skimage.segmentation import random_walker
 
-    seeds = seeds_of(work)
-    other = int(seeds.max()) + 1
-    seeds[seeds == -1] = other
-    if len(work.inside) == 1 and not work.outside:
-        faces = np.ones(seeds.shape, bool)
-        faces[1:-1, 1:-1, 1:-1] = False
-        seeds[faces & (seeds == 0)] = other
+    seeds, other = _seeds_with_outside(work)
     smooth = ndimage.gaussian_filter(work.image, settings["sigma"]) / abs(float(np.diff(work.means)[0]))
     labels = random_walker(smooth, seeds, beta=settings["beta"], mode="cg_j", tol=1e-3)
     return np.where(labels == other, 0, labels)
+
+
+def _seeds_with_outside(work: Work) -> tuple[np.ndarray, int]:
+    """Ids in their clicks, 0 where nothing is known; and the id of outside clicks and, of one object, of the faces."""
+    seeds = seeds_of(work)
+    other = int(seeds.max()) + 1
+    seeds[seeds == -1] = other
+    if len(work.inside) == 1:
+        faces = np.ones(seeds.shape, bool)
+        faces[1:-1, 1:-1, 1:-1] = False
+        seeds[faces & (seeds == 0)] = other
+    return seeds, other
 
 
 def _watershed(work: Work, settings: Settings) -> np.ndarray:
@@ -102,12 +108,11 @@ def _watershed(work: Work, settings: Settings) -> np.ndarray:
     from skimage.segmentation import watershed
 
     smooth = ndimage.gaussian_filter(work.image, settings["sigma"])
-    seeds = seeds_of(work)
-    other = int(seeds.max()) + 1
-    seeds[seeds == -1] = other
+    seeds, other = _seeds_with_outside(work)
     mask = None
     if settings["flooded"] == "depth":
-        mask = (smooth > threshold_otsu(smooth)) | (seeds > 0)
+        mask = (smooth > threshold_otsu(smooth)) | (seeds_of(work) != 0)
+        seeds = np.where(mask, seeds, 0)
         smooth = -ndimage.distance_transform_edt(mask)
     elif settings["flooded"] == "gradient":
         smooth = ndimage.gaussian_gradient_magnitude(work.image, settings["sigma"])

@@ -49,6 +49,7 @@ def _there(program: Program, options: Options) -> bool:
 def _played(program: Program, works: list[Work], options: Options) -> dict[str, Any]:
     grid = program.grid[:1] if options.quick else program.grid
     say = reporter(program.name, options)
+    program.run(works[0], grid[0])  # what is compiled or loaded at the first call is no cost of a setting
     trials = search(lambda s: works[0].score(program.run(works[0], s)), grid, None, SEARCH_S, say)
     top = best(trials)
     report(program.name, top)
