@@ -51,6 +51,8 @@ REACH = 2.5
 THICK_SLICES = 2.0
 #: Between what a march accepts and the border of its box lie at least so many voxels, so that the box changes nothing.
 CLEAR = 2
+#: So many of the last states are kept: the model goes on from one where a click takes voxels from an earlier click.
+MAX_EARLIER = 8
 
 
 class LocalState(NamedTuple):
@@ -59,7 +61,7 @@ class LocalState(NamedTuple):
     ``clicks`` that it was made from and the ``answer`` to them (None of a partition), on the whole grid's indices;
     ``images``, the channels as the model sees them, on the whole grid; ``field`` F and ``start`` on the box; ``sized``,
     whether a size was stated; ``shown``, F and start before they were brought to the edges of the image; ``proposal``
-    of the first click; ``corrections``, as of `SeededModel`.
+    of the first click; ``corrections``, as of `SeededModel`; ``earlier``, the states that it came from, oldest first.
     """
 
     clicks: Clicks
@@ -72,6 +74,12 @@ class LocalState(NamedTuple):
     shown: Shown | None = None
     proposal: Proposal | None = None
     corrections: tuple[float, ...] = ()
+    earlier: tuple[LocalState, ...] = ()
+
+    @property
+    def history(self) -> tuple[LocalState, ...]:
+        """The last states up to this one, each without those that it came from."""
+        return (*self.earlier, self._replace(earlier=()))[-MAX_EARLIER:]
 
     @classmethod
     def of(cls, model: SeededModel) -> LocalState:
@@ -144,34 +152,49 @@ class LocalModel:
             On the grid of the model, as its object sees it.
         """
         before, clicks = self.state, self.state.clicks.with_later([click])
-        # A model learns from each click: where voxels are taken from one, nothing that came of it may stay.
-        taken = not clicks.starts_with(before.clicks)
-        if before.answer is None or taken or before.answer.is_contradicted(click):
-            self.state = LocalState.of(self._whole(clicks))
-        else:
-            with ThreadPoolExecutor(max(self._threads, 1)) as pool:
-                answered = pool.submit(self._with_click, before.answer, click)
-                parts = contest(self._images, self.spacing, clicks, self._passes, before.answer.count, pool)
-                shown = mixed_answer(answered.result(), parts, clicks, before.sized, before.shown)
-                seen = self._images, before.images, self.spacing, clicks, self._passes
-                edges = at_edges(shown, *seen, pool)
-            assert before.shown is not None  # there is an answer
-            corrections = corrections_with(
-                before.corrections, click, (before.shown, shown), self.spacing, clicks.shape
-            )
-            self.state = LocalState(
-                clicks, answered.result(), before.images, *edges, before.sized, shown, before.proposal, corrections
-            )
+        self.state = self._going_on(clicks) or LocalState.of(self._whole(clicks))
         box = enclosing(self.state.box, before.box)
         now = on_box(self.state.start, self.state.box, box, False)
         return ModelChange(box, now != on_box(before.start, before.box, box, False), before)
 
-    def _with_click(self, answer: Answer, click: Click) -> Answer:
+    def _going_on(self, clicks: Clicks) -> LocalState | None:
+        """The state after some clicks, from the last one that none of them changes; None where none is known.
+
+        A model learns from each click: where voxels are taken from one, nothing that came of it may stay.
+        """
+        history = self.state.history
+        known = [i for i, one in enumerate(history) if clicks.starts_with(one.clicks)]
+        if not known:
+            return None
+        state = history[known[-1]]._replace(earlier=history[: known[-1]])
+        for click in clicks.clicks[len(state.clicks) :]:
+            if state.answer is None or state.answer.is_contradicted(click):
+                return None
+            state = self._with_click(state, state.answer, click)
+        return state
+
+    def _with_click(self, before: LocalState, answer: Answer, click: Click) -> LocalState:
+        """The state after one more click, which takes no voxel from the others."""
+        clicks = before.clicks.with_more([click])
+        with ThreadPoolExecutor(max(self._threads, 1)) as pool:
+            answered = pool.submit(self._answered, before, answer, click)
+            parts = contest(self._images, self.spacing, clicks, self._passes, answer.count, pool)
+            shown = mixed_answer(answered.result(), parts, clicks, before.sized, before.shown)
+            seen = self._images, before.images, self.spacing, clicks, self._passes
+            box, field, start = at_edges(shown, *seen, pool)
+        assert before.shown is not None  # there is an answer
+        corrections = corrections_with(before.corrections, click, (before.shown, shown), self.spacing, clicks.shape)
+        return LocalState(
+            clicks, answered.result(), before.images, box, field, start, before.sized, shown, before.proposal,
+            corrections, before.history,
+        )
+
+    def _answered(self, before: LocalState, answer: Answer, click: Click) -> Answer:
         """The answer to one more click, computed on a box that its march does not come near the border of."""
         blocks, own = answer.blocks, answer.blocks.click(click, answer.clicks)
         if own is None:
             return answer
-        tissue = learn(self.state.images, self.spacing, click)
+        tissue = learn(before.images, self.spacing, click)
         count = FARTHER * BEYOND * blocks.count(answer.count)
         axes = [n for n in blocks.shape if n > 1]
         reach = REACH * (count * (3.0 / (4.0 * math.pi) if len(axes) == 3 else 1.0 / math.pi)) ** (1.0 / len(axes))

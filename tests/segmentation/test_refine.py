@@ -429,6 +429,36 @@ def test_the_model_on_a_box_is_the_model_of_all_clicks(image):
         assert np.array_equal(local.state.field, previous.field)
 
 
+def test_a_click_that_takes_voxels_goes_on_from_the_last_model_that_it_does_not_change(image):
+    """To the last byte the model of what is left of all clicks; the whole model is made only when none is known."""
+    before = first_run(image, "seeded")
+    context, images, whole = before.state.contexts[1], before.state.prepared.images, box_at((0, 0, 0), SHAPE)
+    made = []
+
+    def remade(clicks):
+        made.append(clicks)
+        return whole_model(images)(clicks)
+
+    local = LocalModel(LocalState.of(context.seeded_model()), images, SPACING, None, remade)
+    first = local.state
+    rows = ("outside", (12, 14, 20), 1), ("inside", (12, 14, 46), 3), ("outside", (12, 14, 48), 2)
+    for side, at, length in rows:  # the last takes a voxel of the first correction
+        change = local.add(Click(side, box_at(at, (1, 1, length)), np.ones((1, 1, length), bool)))
+        model = seeded_model(images, SPACING, local.state.clicks)
+        assert local.field_on(whole).tobytes() == model.field.tobytes()
+    assert not made and len(local.state.clicks) == len(first.clicks) + 3
+    assert all(not one.earlier for one in local.state.earlier) and local.state.earlier[0].clicks is first.clicks
+    local.undo(change)
+    local.add(Click("outside", box_at((12, 14, 45), (1, 1, 6)), np.ones((1, 1, 6), bool)))  # all of it
+    assert not made and len(local.state.clicks) == len(first.clicks) + 2
+    assert local.field_on(whole).tobytes() == seeded_model(images, SPACING, local.state.clicks).field.tobytes()
+    inside = first.clicks.clicks[0]
+    taken = Click("outside", inside.box, inside.mask & (np.indices(inside.mask.shape)[2] == 0))
+    local.add(taken)
+    assert len(made) == 1
+    assert local.field_on(whole).tobytes() == seeded_model(images, SPACING, local.state.clicks).field.tobytes()
+
+
 def test_what_an_outside_click_cuts_off_is_won_by_it():
     """A leak through a neck: the click is in the neck, and the model's object loses all that lies behind it."""
     field, start = np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool)
