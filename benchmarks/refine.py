@@ -46,7 +46,7 @@ WANTED = {"later": (0.5, 1.0), "first": (3.0, None)}
 REPEATS = 3
 #: What is timed: module, name in it, part. Time in a part that another one calls counts for the inner one.
 PARTS = (
-    ("accelsurf.energies.seeded.model", "_smoothed", "smoothing"),
+    ("accelsurf.energies.seeded.model", "learned_images", "smoothing"),
     ("accelsurf.energies.seeded.first_click", "arrival", "arrival times"),
     ("accelsurf.energies.seeded.model", "reached", "arrival times"),
     ("accelsurf.energies.seeded.answers", "from_beyond", "arrival times"),

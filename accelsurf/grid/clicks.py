@@ -30,12 +30,15 @@ class Click(NamedTuple):
         The voxels, of the shape of the box.
     id : int
         The object; 1 where there is one alone, 0 for "no object".
+    owner : int or None
+        As one object sees it: the id inside which it was clicked; None of an outside click.
     """
 
     side: Side
     box: Box
     mask: NDArray[np.bool_]
     id: int = 1
+    owner: int | None = None
 
     def mask_on(self, box: Box) -> NDArray[np.bool_]:
         """Return its voxels on a box of the grid; none where it lies elsewhere."""
@@ -106,10 +109,11 @@ class Clicks:
         """
         own: list[Click] = []
         for click in self.clicks:
+            owner = click.id if click.side == "inside" else None
             if click.id == id:
-                own.append(click._replace(id=1))
+                own.append(click._replace(id=1, owner=owner))
             elif click.side == "inside":
-                own.append(click._replace(side="outside", id=1))
+                own.append(click._replace(side="outside", id=1, owner=owner))
         return Clicks(tuple(own), self.shape)
 
     def ids(self) -> tuple[int, ...]:

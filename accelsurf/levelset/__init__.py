@@ -2,7 +2,7 @@
 
 from accelsurf.levelset.checkpoint import SurfaceState, checkpoint_surface, restore_surface
 from accelsurf.levelset.displacement import FAR, Snapshot
-from accelsurf.levelset.extent import extent_of
+from accelsurf.levelset.extent import extent_of, inside_extent_of
 from accelsurf.levelset.level_set import FRONT_WIDTH, NO_CELLS, LevelSet
 from accelsurf.levelset.measures import BandChange
 from accelsurf.levelset.threads import Workers, dot
@@ -19,5 +19,6 @@ __all__ = [
     "checkpoint_surface",
     "dot",
     "extent_of",
+    "inside_extent_of",
     "restore_surface",
 ]

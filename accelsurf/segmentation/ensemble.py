@@ -24,12 +24,13 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
 from accelsurf.initialization.object_starts import ObjectStart
-from accelsurf.levelset import Workers
+from accelsurf.levelset import Workers, inside_extent_of
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 
-#: Voxels by which a band may grow in a round, and by which stencils extend.
-REACH = 3
+#: Objects can touch in a step where the boxes around them, larger by so many voxels on each side, overlap: contact sets
+#: in over one voxel, and none moves by more than one.
+NEAR = 2
 #: A converged object moves again when a neighbour is this deep inside it, in voxels of the smallest spacing.
 REACTIVATION_DEPTH = 0.5
 #: Reasons that hold for the whole run if they hold for any object, the worst first.
@@ -122,10 +123,10 @@ class Ensemble:
 
     def _meet(self) -> list[list[int]]:
         """Set the neighbours of each object; return their positions in the list of objects."""
-        bands = [one.extent() for one in self._objects]
-        low, high = np.array([band[0] for band in bands]), np.array([band[1] for band in bands])
-        there = np.array([one.surface.size > 0 for one in self._objects])
-        boxes = meeting(low - REACH, high + REACH)
+        ends = [np.array(one.corner) + inside_extent_of(one.surface) for one in self._objects]
+        low, high = np.array([end[0] for end in ends]), np.array([end[1] for end in ends])
+        there = np.all(low < high, axis=1).tolist()
+        boxes = meeting(low - NEAR, high + NEAR)
         meets = [[j for j in near if there[i] and there[j]] for i, near in enumerate(boxes)]
         for one, near in zip(self._objects, meets, strict=True):
             others = (self._objects[j] for j in near)

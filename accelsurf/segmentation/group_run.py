@@ -16,7 +16,6 @@ from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, e
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import LeavesWindow, Window
 from accelsurf.initialization.object_starts import ObjectStart
-from accelsurf.segmentation.ensemble import REACH
 from accelsurf.segmentation.first_window import MIN_MARGIN
 from accelsurf.segmentation.memory_need import PLAIN_BYTES, PROCESS_BYTES, bytes_text
 from accelsurf.segmentation.region_of_interest import cropped
@@ -33,6 +32,8 @@ from accelsurf.settings.run_config import RunConfig
 #: Bytes of a voxel of an object's own box, as of a whole run: image, psi twice, an index of the band, and the band; and
 #: of a voxel of the window beside the file's own: the image as float32, the union of the starts, and a copy of either.
 BOX_BYTES, WINDOW_BYTES = PLAIN_BYTES, 12
+#: Voxels by which a band may grow in a round, and by which stencils extend.
+REACH = 3
 _ALONE = "give --roi around them, or let the image be read into memory (more --max-memory)"
 
 
@@ -207,8 +208,8 @@ def _in(
 class VisitedBoxes:
     """Where each object of a run was at any time, as far as it matters to others.
 
-    The objects of a run look at each other where their bands, made larger by `REACH`, overlap; at the end all that is
-    not far outside of one counts for the others.
+    The objects of a run look at each other only where their bands, made larger by `REACH`, overlap; at the end all that
+    is not far outside of one counts for the others.
 
     Parameters
     ----------

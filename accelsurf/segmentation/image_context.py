@@ -26,6 +26,7 @@ from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.energies.seeded.model import SeededModel
+    from accelsurf.energies.seeded.partition import BasinsOnce
     from accelsurf.segmentation.whole_image import WholeImage
 
 #: A learned bound lies so many standard deviations from the mean of the start's values: 98.8 % of a Gaussian lie
@@ -81,8 +82,8 @@ class ModelInputs(NamedTuple):
     mask : ndarray (nz, ny, nx) of bool or None
         Where it may be.
     threads : int
-    partition : bool
-        Whether objects part the space between them at edges, and nothing else counts.
+    partition : BasinsOnce or None
+        What objects share that part the space between them at edges, where nothing else counts; else None.
     box : tuple of slice or None
         The box around the object that a person has given.
     window : Window or None
@@ -92,7 +93,7 @@ class ModelInputs(NamedTuple):
     size_mm3: float | None = None
     mask: Mask | None = None
     threads: int = 1
-    partition: bool = False
+    partition: BasinsOnce | None = None
     box: Box | None = None
     window: Window | None = None
 
@@ -228,8 +229,8 @@ class ImageContext:
         if not self._model:
             size, mask, threads, partition, box, window = self._model_inputs
             seen = self.images, self.spacing, self.clicks
-            if partition:
-                made = partition_model(*seen, mask=mask)
+            if partition is not None:
+                made = partition_model(*seen, mask=mask, basins=partition)
             else:
                 before = self._before
                 goes_on = before is not None and before.clicks is not None and before.clicks.ids()

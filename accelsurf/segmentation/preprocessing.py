@@ -212,7 +212,11 @@ def _context(
     )
     size = None if config.size is None else volume_mm3(config.size)
     limits = None if distance is None else np.asarray(distance < 0)
-    partition = any(term.name == "partition" for term in terms)
+    partition = None
+    if energy_expression.parts_space(config.energy):
+        from accelsurf.energies.seeded.partition import BasinsOnce
+
+        partition = BasinsOnce()
     around = None if config.box is None or limits is None else bounding_box(limits, 0)
     window = None if part is None else part.open_window
     context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config), partition, around, window))

@@ -11,6 +11,7 @@ from accelsurf.energies import CheckedEnergy
 from accelsurf.errors import UsageError
 from accelsurf.evolution.convergence import StopRule
 from accelsurf.flows import Flow
+from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import default_of, energy_settings
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.registry import load
@@ -29,13 +30,14 @@ PATIENCE = 3
 def stop_rule(config: RunConfig, levels: int) -> StopRule:
     """When a run on so many levels has converged on the finest one.
 
-    After a coarser level the run begins near its end and is checked more often. The window has an even number of
+    After a coarser level, and where objects part the space between them, whose start has the boundaries of the model,
+    the run begins near its end and is checked more often. The window has an even number of
     steps, so that an oscillation from step to step cancels. The waves of flowable-mass and region-mass keep their steps
     short, and the Sobolev gradient is small where forces are uneven: there a slow surface has not converged yet.
     """
     further = FURTHER * config.tolerance
     slow = SLOW * config.tolerance
-    if levels == 1:
+    if levels == 1 and not energy_expression.parts_space(config.energy):
         waves = config.flow in ("flowable-mass", "region-mass")
         return StopRule(motion=slow if waves else config.tolerance, further=further)
     if config.flow in SHORT_STEPS:

@@ -130,6 +130,11 @@ def learns(term: Term) -> bool:
     return TERMS[term.name].learns(term.settings)
 
 
+def parts_space(text: str) -> bool:
+    """Whether objects part the space between them at edges."""
+    return any(term.name == "partition" for term in parse(text))
+
+
 def uses_model(text: str) -> bool:
     """Whether a term of an energy is of the model of what a person has clicked."""
     return any(TERMS[term.name].uses_model for term in parse(text))

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from accelsurf.energies.constraints.constrained import ConstrainedEnergy
 from accelsurf.energies.energy import Energy
 from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner
+from accelsurf.kernels.contact import shared_cells, touching
 from accelsurf.levelset import FRONT_WIDTH, LevelSet
 
 #: Contact sets in at this distance, voxels of the smallest spacing, and grows until the surfaces touch.
@@ -103,21 +103,15 @@ class NonOverlap(ConstrainedEnergy):
             return
         steps = np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx])
         index = np.stack(np.unravel_index(surface.band.cells[on], surface.shape), axis=1) + np.array(self._corner)
-        to_closest = np.where(np.array(surface.shape) > 1, surface.band.to_closest[on] / steps, 0.0)
+        points = index + np.where(np.array(surface.shape) > 1, surface.band.to_closest[on] / steps, 0.0)
+        width = CONTACT_RANGE * float(steps.min())
         for other in self.neighbours:
-            shape = np.array(other.surface.shape)
-            place = index + to_closest - np.array(other.corner)
+            theirs = other.surface
             # Closest points of cells at the volume's border may lie beyond it: then the border's own voxels are read.
-            within = np.clip(place, 0, shape - 1)
-            near = np.flatnonzero((np.abs(place - within) <= FRONT_WIDTH).all(axis=1))
-            place = within
-            cells = np.ravel_multi_index(tuple(np.rint(place[near]).astype(np.int64).T), other.surface.shape)
-            slots = other.surface.dense.slot[cells]
-            near, cells, slots = near[slots >= 0], cells[slots >= 0], slots[slots >= 0]
-            gap = ndimage.map_coordinates(other.surface.psi, place[near].T, order=1, mode="nearest")
-            share = np.clip(1.0 - gap / (CONTACT_RANGE * steps.min()), 0.0, 1.0).astype(np.float32)
-            touches = share > 0
-            yield Contact(other, near[touches], cells[touches], slots[touches], share[touches])
+            found = touching(points, theirs.dense, theirs.grid, np.array(other.corner, float), FRONT_WIDTH, width)
+            near, slots, share = found
+            if near.size:
+                yield Contact(other, near, theirs.band.cells[slots], slots, share)
 
     def force_in(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
         """The object's own force at some cells of its grid in its last step, 0 away from its front."""
@@ -149,16 +143,22 @@ class NonOverlap(ConstrainedEnergy):
         """Cut the surface where it overlaps neighbours; between its motion and its redistancing."""
         super().project(surface)
         for other in self.neighbours:
-            on, theirs = shared_cells(surface, self._corner, other)
+            on, theirs = self._shared(surface, other)
             cells = surface.band.cells[on]
             mine = surface.dense.psi[cells]
             surface.dense.psi[cells] = np.maximum(mine, np.float32(0.5) * (mine - theirs))
+
+    def _shared(self, surface: LevelSet, other: Neighbour) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+        """Slots of the band cells that lie on a neighbour's grid too, and the neighbour's psi there, mm."""
+        shift = np.array(self._corner, np.int64) - np.array(other.corner, np.int64)
+        theirs = other.surface
+        return shared_cells(surface.band.cells, surface.grid, theirs.dense.psi, theirs.grid, shift)
 
     def overlap(self, surface: LevelSet) -> float:
         """Largest depth, mm, of neighbours inside the surface, measured within a voxel of it; 0 if none is inside."""
         deepest, on_surface = 0.0, surface.front(1.0)
         for other in self.neighbours:
-            on, theirs = shared_cells(surface, self._corner, other)
+            on, theirs = self._shared(surface, other)
             near = on_surface[on]
             if near.any():
                 deepest = max(deepest, -float((surface.band.psi[on] + theirs)[near].min()))
@@ -170,17 +170,3 @@ def contact_reaction(
 ) -> NDArray[np.float32]:
     """The change of a quantity along the inward normal to max(mine, -max(theirs, 0)), weighted by ``share``."""
     return np.asarray(-share * np.minimum(mine + np.maximum(theirs, 0.0), 0.0))
-
-
-def shared_cells(
-    surface: LevelSet, corner: Corner, other: Neighbour
-) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """Slots of the band cells that lie on a neighbour's grid too, and the neighbour's psi there, mm."""
-    index = np.unravel_index(surface.band.cells, surface.shape)
-    shifted = [i + (a - b) for i, a, b in zip(index, corner, other.corner, strict=True)]
-    inside = np.ones(surface.size, np.bool_)
-    for i, n in zip(shifted, other.surface.shape, strict=True):
-        inside &= (i >= 0) & (i < n)
-    on = np.flatnonzero(inside)
-    values: Any = other.surface.psi[tuple(i[on] for i in shifted)]
-    return on, values

@@ -115,11 +115,17 @@ def from_beyond(field: Field, tissue: Tissue, beyond: Mask) -> NDArray[np.float3
 
     Edges alone slow this march: the values of the surroundings are not known.
     """
-    times = np.where(beyond, np.float32(0.0), np.float32(np.inf)).ravel()
-    seeds = np.flatnonzero(beyond & ndimage.binary_dilation(~beyond, ndimage.generate_binary_structure(3, 1)))
+    times = np.where(beyond, np.float32(0.0), np.float32(np.inf))
+    seeds = beyond & ndimage.binary_dilation(~beyond, ndimage.generate_binary_structure(3, 1))
     edges = tissue._replace(weights=tissue.weights * np.array((1, 1, 1, 0, 1, 1)))
-    march(times, field.medium, edges, field.grid, seeds, _NO_CAP, _NEVER_LATE, times.size)
-    return times.reshape(beyond.shape)
+    return times_from(field, edges, times, seeds)
+
+
+def times_from(field: Field, tissue: Tissue, times: NDArray[np.float32], seeds: Mask) -> NDArray[np.float32]:
+    """Times, on the field's grid, also where they are inf, from ``seeds``, where they are not; ``times`` is used up."""
+    times = np.ravel(times)
+    march(times, field.medium, tissue, field.grid, np.flatnonzero(seeds), _NO_CAP, _NEVER_LATE, times.size)
+    return times.reshape(seeds.shape)
 
 
 def balance(inside: Times, outside: Times) -> Times:

@@ -115,7 +115,7 @@ def seeded_model(
         known, corrections, left = previous.clicks, previous.corrections, list(clicks.clicks[len(previous.clicks) :])
     else:
         known, left = Clicks((first,), clicks.shape), [one for one in clicks.clicks if one is not first]
-        smooth = _smoothed(images, spacing)
+        smooth = learned_images(images, spacing)
         answer, proposal = answer_to_first(smooth, spacing, where, clicks, size_mm3, box is not None)
         shown, corrections = _shown(images, spacing, where, answer, known, (sized, None)), ()
     assert shown is not None  # an answer was shown
@@ -148,7 +148,8 @@ def _shown(
     return shown
 
 
-def _smoothed(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
+def learned_images(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
+    """The channels as clicks learn from them: smoothed by `SMOOTHING`."""
     return tuple(gaussian_mm(image, spacing, SMOOTHING * min(spacing)) for image in images)
 
 
