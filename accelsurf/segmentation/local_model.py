@@ -167,22 +167,23 @@ class LocalModel:
         if not known:
             return None
         state = history[known[-1]]._replace(earlier=history[: known[-1]])
-        for click in clicks.clicks[len(state.clicks) :]:
-            if state.answer is None or state.answer.is_contradicted(click):
-                return None
-            state = self._with_click(state, state.answer, click)
+        answer, left = state.answer, clicks.clicks[len(state.clicks) :]
+        if answer is None or any(answer.is_contradicted(click) for click in left):
+            return None
+        for click in left:
+            state = self._with_click(state, click)
         return state
 
-    def _with_click(self, before: LocalState, answer: Answer, click: Click) -> LocalState:
+    def _with_click(self, before: LocalState, click: Click) -> LocalState:
         """The state after one more click, which takes no voxel from the others."""
-        clicks = before.clicks.with_more([click])
+        clicks, answer = before.clicks.with_more([click]), before.answer
+        assert answer is not None and before.shown is not None  # there is an answer, and it was shown
         with ThreadPoolExecutor(max(self._threads, 1)) as pool:
             answered = pool.submit(self._answered, before, answer, click)
             parts = contest(self._images, self.spacing, clicks, self._passes, answer.count, pool)
             shown = mixed_answer(answered.result(), parts, clicks, before.sized, before.shown)
             seen = self._images, before.images, self.spacing, clicks, self._passes
             box, field, start = at_edges(shown, *seen, pool)
-        assert before.shown is not None  # there is an answer
         corrections = corrections_with(before.corrections, click, (before.shown, shown), self.spacing, clicks.shape)
         return LocalState(
             clicks, answered.result(), before.images, box, field, start, before.sized, shown, before.proposal,

@@ -19,8 +19,8 @@ pytest.importorskip("selenium", reason="selenium is missing")
 def server(tmp_path_factory):
     viewing.needs_graphics()
     folder = tmp_path_factory.mktemp("settings")
-    made = Served(folder, "--energy", "threshold:40,160")
     with driven(folder) as browser:
+        made = Served(folder, "--energy", "threshold:40,160")
         browser.get(made.address)
         until(lambda: browser.find_elements("id", "picture") and browser.find_elements("id", "energy-line"))
         yield made, browser

@@ -203,12 +203,16 @@ def with_click(answer: Answer, field: Field, click: Click, marched: Times) -> An
     beyond = from_beyond(field.on_box(answer.box), answer.tissue, far) if is_inside else answer.times_out
     out = np.minimum(beyond, clicked)
     near = answer.inside & ~far
-    total = balance(times_in, out) - LIKELIHOOD * log_ratio(field.images_on(answer.box), near, ~(near | far))
+    competition = balance(times_in, out)
+    likely = log_ratio(field.images_on(answer.box), near, ~(near | far))
+    total = competition - LIKELIHOOD * likely
     if is_inside:
         force, changed = total, (total < 0) & (answer.force >= 0)
     else:
         force = answer.force + np.maximum(total - answer.total, 0.0)
-        force = np.where(times < times_in, np.maximum(force, total), force)
+        # What looks like the object and is nearer to the click is what the click says is none: looks count no more.
+        refused = competition - LIKELIHOOD * np.minimum(likely, 0.0)
+        force = np.where(times < times_in, np.maximum(force, refused), force)
         changed = (force >= 0) & (answer.force < 0)
     seen = click.mask_on(answer.box)
     changed |= seen

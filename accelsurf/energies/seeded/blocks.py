@@ -22,7 +22,7 @@ from accelsurf.grid.clicks import Click
 from accelsurf.grid.window import Window
 
 #: An object has so many blocks at most.
-MAX_BLOCKS = 100_000
+MAX_BLOCKS = 25_000
 
 
 class Blocks(NamedTuple):

@@ -70,6 +70,18 @@ def test_an_outside_click_takes_away_its_piece_alone(two_balls):
     assert not (both.start & ~ndimage.binary_dilation(wide.start)).any()
 
 
+@pytest.mark.parametrize("noise", [0.05, 0.15])
+def test_of_two_equals_that_touch_an_outside_click_takes_one_whole(noise):
+    """The other one looks as likely as the object: where the outside click is nearer, that says nothing for it."""
+    centres = (13, 20, 12.75), (13, 20, 35.25)  # 18 mm apart
+    one, other = (distance(at) for at in centres)
+    objects = (one < 10) & (one <= other), (other < 10) & (other < one)
+    image = ((objects[0] | objects[1]) + np.random.default_rng(0).normal(0, noise, SHAPE)).astype(np.float32)
+    for own, against, truth in ((*centres, objects[0]), (*centres[::-1], objects[1])):
+        clicks = Clicks((ball("inside", own, 3.0), ball("outside", against, 3.0)), SHAPE)
+        assert dice(seeded_model([image], SPACING, clicks).start, truth) > 0.985
+
+
 def test_an_inside_click_adds_and_takes_nothing_away(two_balls):
     image, one = two_balls
     first = ball("inside", (13, 20, 14), 4.0)
