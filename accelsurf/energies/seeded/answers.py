@@ -36,6 +36,8 @@ from accelsurf.kernels.blocks import hold_side
 CLICKED = {"inside": -3.0, "outside": 3.0}
 #: F is the balance plus this part of the likelihood; of the first click's, this part is taken by the level of its size.
 LIKELIHOOD, LEVEL = 0.5, 0.5
+#: Where an outside click is nearer, a likelihood that speaks for the object counts this part.
+DOUBTED = 0.25
 #: What the learned answer counts after 1, 2, ... clicks beside the paths (1) and the walks (2): the more clicks, the
 #: less has to be learned. After a stated size it is better, and counts more.
 OWN, OWN_SIZED = (3.0, 1.5, 1.0, 0.75, 0.6, 0.5), (3.0, 6.0, 3.0, 1.5, 1.0)
@@ -210,8 +212,8 @@ def with_click(answer: Answer, field: Field, click: Click, marched: Times) -> An
         force, changed = total, (total < 0) & (answer.force >= 0)
     else:
         force = answer.force + np.maximum(total - answer.total, 0.0)
-        # What looks like the object and is nearer to the click is what the click says is none: looks count no more.
-        refused = competition - LIKELIHOOD * np.minimum(likely, 0.0)
+        # What is nearer to the click and looks like the object may be what the click says is none.
+        refused = competition - LIKELIHOOD * np.where(likely > 0.0, DOUBTED * likely, likely)
         force = np.where(times < times_in, np.maximum(force, refused), force)
         changed = (force >= 0) & (answer.force < 0)
     seen = click.mask_on(answer.box)
