@@ -37,7 +37,7 @@ CLICKED = {"inside": -3.0, "outside": 3.0}
 #: F is the balance plus this part of the likelihood; of the first click's, this part is taken by the level of its size.
 LIKELIHOOD, LEVEL = 0.5, 0.5
 #: Where an outside click is nearer, a likelihood that speaks for the object counts this part.
-DOUBTED = 0.25
+DOUBTED = 0.5
 #: What the learned answer counts after 1, 2, ... clicks beside the paths (1) and the walks (2): the more clicks, the
 #: less has to be learned. After a stated size it is better, and counts more.
 OWN, OWN_SIZED = (3.0, 1.5, 1.0, 0.75, 0.6, 0.5), (3.0, 6.0, 3.0, 1.5, 1.0)

@@ -79,7 +79,7 @@ def test_of_two_equals_that_touch_an_outside_click_takes_one_whole(noise):
     image = ((objects[0] | objects[1]) + np.random.default_rng(0).normal(0, noise, SHAPE)).astype(np.float32)
     for own, against, truth in ((*centres, objects[0]), (*centres[::-1], objects[1])):
         clicks = Clicks((ball("inside", own, 3.0), ball("outside", against, 3.0)), SHAPE)
-        assert dice(seeded_model([image], SPACING, clicks).start, truth) > 0.985
+        assert dice(seeded_model([image], SPACING, clicks).start, truth) > 0.97
 
 
 def test_an_inside_click_adds_and_takes_nothing_away(two_balls):
