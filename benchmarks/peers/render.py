@@ -12,7 +12,8 @@ from benchmarks.figures.common import COLOURS
 
 #: The order in which they are shown.
 NAMES = (
-    "march", "advance", "segment-noise", "segment-real", "regularised", "step", "memory", "start", "threads",
+    "march", "advance", "segment-noise", "segment-hard", "segment-real", "regularised", "step", "memory", "start",
+    "threads",
 )
 NOTES = Path(__file__).with_name("notes.toml")
 PREFIX = "benchmark_"

@@ -218,6 +218,10 @@ def result_of(measured: float | None, **more: Any) -> dict[str, Any]:
     }
 
 
+def test_every_benchmark_is_shown() -> None:
+    assert set(render.NAMES) == set(benchmark.BENCHMARKS)
+
+
 def test_results_are_rendered_from_json_alone(tmp_path: Path) -> None:
     folder = tmp_path / "results"
     folder.mkdir()
