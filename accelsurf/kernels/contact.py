@@ -6,6 +6,7 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import unravel
+from accelsurf.kernels.interpolate import linear_at
 
 
 @kernel
@@ -48,27 +49,12 @@ def touching(points, dense, grid, corner, reach, width):
         slot = dense.slot[(np.int64(np.rint(z)) * grid.ny + np.int64(np.rint(y))) * grid.nx + np.int64(np.rint(x))]
         if slot < 0:
             continue
-        part = np.float32(min(max(1.0 - value_between(dense.psi, z, y, x, grid) / width, 0.0), 1.0))
+        gap = np.float32(linear_at(dense.psi, grid, z, y, x))
+        part = np.float32(min(max(1.0 - gap / width, 0.0), 1.0))
         if part > 0:
             near[count], slots[count], share[count] = i, slot, part
             count += 1
     return near[:count].copy(), slots[:count].copy(), share[:count].copy()
-
-
-@kernel
-def value_between(psi, z, y, x, grid):
-    """Psi at a place on the grid, linear between voxels, as float32."""
-    iz, iy, ix = np.int64(z), np.int64(y), np.int64(x)
-    tz, ty, tx = z - iz, y - iy, x - ix
-    a = (iz * grid.ny + iy) * grid.nx + ix
-    # On the border there is no next voxel, and its weight is 0.
-    up, right = (grid.nx if iy + 1 < grid.ny else 0), (1 if ix + 1 < grid.nx else 0)
-    b = a + (grid.ny * grid.nx if iz + 1 < grid.nz else 0)
-    here = (1.0 - ty) * ((1.0 - tx) * psi[a] + tx * psi[a + right])
-    here += ty * ((1.0 - tx) * psi[a + up] + tx * psi[a + up + right])
-    there = (1.0 - ty) * ((1.0 - tx) * psi[b] + tx * psi[b + right])
-    there += ty * ((1.0 - tx) * psi[b + up] + tx * psi[b + up + right])
-    return np.float32((1.0 - tz) * here + tz * there)
 
 
 @kernel

@@ -213,7 +213,7 @@ def with_click(answer: Answer, field: Field, click: Click, marched: Times) -> An
     else:
         force = answer.force + np.maximum(total - answer.total, 0.0)
         # What is nearer to the click and looks like the object may be what the click says is none.
-        refused = competition - LIKELIHOOD * np.where(likely > 0.0, DOUBTED * likely, likely)
+        refused = competition - LIKELIHOOD * np.minimum(likely, DOUBTED * likely)
         force = np.where(times < times_in, np.maximum(force, refused), force)
         changed = (force >= 0) & (answer.force < 0)
     seen = click.mask_on(answer.box)
