@@ -149,7 +149,11 @@ class Clicks:
 
     def starts_with(self, other: Clicks) -> bool:
         """Whether these are other clicks, unchanged, and maybe more."""
-        return len(self) >= len(other) and all(a is b for a, b in zip(other.clicks, self.clicks, strict=False))
+        return len(self) >= len(other) and all(map(_same, other.clicks, self.clicks))
+
+
+def _same(one: Click, other: Click) -> bool:
+    return one is other or (one.side == other.side and one.box == other.box and np.array_equal(one.mask, other.mask))
 
 
 def _click_on_box(click: Click, corner: Corner, shape: tuple[int, int, int]) -> Click | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies.seeded import Proposal, SeededModel
-from accelsurf.energies.seeded.answers import Answer, Shown, mixed_answer, with_click
+from accelsurf.energies.seeded.answers import Answer, mixed_answer, with_click
 from accelsurf.energies.seeded.appearance import learn
 from accelsurf.energies.seeded.competition import field_of
 from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
 from accelsurf.energies.seeded.model import later_times
+from accelsurf.energies.seeded.stages import Stage, first_and_last, unchanged
 from accelsurf.energies.seeded.sureness import Sureness, corrections_with, sureness_of
 from accelsurf.grid.boxes import (
     Box,
@@ -51,52 +52,40 @@ REACH = 2.5
 THICK_SLICES = 2.0
 #: Between what a march accepts and the border of its box lie at least so many voxels, so that the box changes nothing.
 CLEAR = 2
-#: So many of the last states are kept: the model goes on from one where a click takes voxels from an earlier click.
-MAX_EARLIER = 8
 
 
 class LocalState(NamedTuple):
     """A model between two clicks, as a value, on a ``box`` of the grid; beyond it F is 1 and nothing is inside.
 
-    ``clicks`` that it was made from and the ``answer`` to them (None of a partition), on the whole grid's indices;
-    ``images``, the channels as the model sees them, on the whole grid; ``field`` F and ``start`` on the box; ``sized``,
-    whether a size was stated; ``shown``, F and start before they were brought to the edges of the image; ``proposal``
-    of the first click; ``corrections``, as of `SeededModel`; ``earlier``, the states that it came from, oldest first.
+    ``clicks`` that it was made from, on the whole grid's indices; ``images``, the channels as the model sees them, on
+    the whole grid; ``field`` F and ``start`` on the box; ``sized``, whether a size was stated; ``proposal`` of the
+    first click; ``stages`` from which it goes on, the last with all clicks; none of a partition.
     """
 
     clicks: Clicks
-    answer: Answer | None
     images: tuple[Image, ...]
     box: Box
     field: Image
     start: Mask
     sized: bool = False
-    shown: Shown | None = None
     proposal: Proposal | None = None
-    corrections: tuple[float, ...] = ()
-    earlier: tuple[LocalState, ...] = ()
-
-    @property
-    def history(self) -> tuple[LocalState, ...]:
-        """The last states up to this one, each without those that it came from."""
-        return (*self.earlier, self._replace(earlier=()))[-MAX_EARLIER:]
+    stages: tuple[Stage, ...] = ()
 
     @classmethod
     def of(cls, model: SeededModel) -> LocalState:
         """That of a whole model."""
-        if model.answer is None:
-            return cls(model.clicks, None, model.images, whole_box(model.field.shape), model.field, model.start)
+        if not model.stages:
+            return cls(model.clicks, model.images, whole_box(model.field.shape), model.field, model.start)
         box = bounding_box((model.field != 1.0) | model.start, 0) or whole_box(model.field.shape)
         field, start = model.field[box].copy(), model.start[box].copy()
-        said = model.sized, model.shown, model.proposal, model.corrections
-        return cls(model.clicks, model.answer, model.images, box, field, start, *said)
+        return cls(model.clicks, model.images, box, field, start, model.sized, model.proposal, model.stages)
 
 
 def sureness_from(model: SeededModel | LocalState) -> Sureness | None:
     """How sure a model is of its object; None of a partition."""
-    if model.shown is None or model.proposal is None:
+    if not model.stages or model.proposal is None:
         return None
-    return sureness_of(model.shown, model.clicks, model.proposal, model.corrections)
+    return sureness_of(model.stages[-1].shown, model.clicks, model.proposal, model.stages[-1].corrections)
 
 
 class ModelChange(NamedTuple):
@@ -158,44 +147,40 @@ class LocalModel:
         return ModelChange(box, now != on_box(before.start, before.box, box, False), before)
 
     def _going_on(self, clicks: Clicks) -> LocalState | None:
-        """The state after some clicks, from the last one that none of them changes; None where none is known.
-
-        A model learns from each click: where voxels are taken from one, nothing that came of it may stay.
-        """
-        history = self.state.history
-        known = [i for i, one in enumerate(history) if clicks.starts_with(one.clicks)]
-        if not known:
+        """The state after some clicks, from the last stage that none of them changes; None where none is known."""
+        stages, left = unchanged(self.state.stages, clicks)
+        if not stages:
             return None
-        state = history[known[-1]]._replace(earlier=history[: known[-1]])
-        answer, left = state.answer, clicks.clicks[len(state.clicks) :]
-        if answer is None or any(answer.is_contradicted(click) for click in left):
-            return None
-        for click in left:
-            state = self._with_click(state, click)
-        return state
-
-    def _with_click(self, before: LocalState, click: Click) -> LocalState:
-        """The state after one more click, which takes no voxel from the others."""
-        clicks, answer = before.clicks.with_more([click]), before.answer
-        assert answer is not None and before.shown is not None  # there is an answer, and it was shown
         with ThreadPoolExecutor(max(self._threads, 1)) as pool:
-            answered = pool.submit(self._answered, before, answer, click)
-            parts = contest(self._images, self.spacing, clicks, self._passes, answer.count, pool)
-            shown = mixed_answer(answered.result(), parts, clicks, before.sized, before.shown)
-            seen = self._images, before.images, self.spacing, clicks, self._passes
-            box, field, start = at_edges(shown, *seen, pool)
-        corrections = corrections_with(before.corrections, click, (before.shown, shown), self.spacing, clicks.shape)
-        return LocalState(
-            clicks, answered.result(), before.images, box, field, start, before.sized, shown, before.proposal,
-            corrections, before.history,
-        )
+            stages = first_and_last((*stages, *self._stages_after(stages[-1], left, pool)))
+            seen = self._images, self.state.images, self.spacing, clicks, self._passes
+            box, field, start = at_edges(stages[-1].shown, *seen, pool)
+        return self.state._replace(clicks=clicks, box=box, field=field, start=start, stages=stages)
 
-    def _answered(self, before: LocalState, answer: Answer, click: Click) -> Answer:
+    def _stages_after(self, one: Stage, left: Sequence[Click], pool: ThreadPoolExecutor) -> Iterator[Stage]:
+        """The stages after some more clicks: contests ask for no answers, which are made beside them."""
+        answering = pool.submit(lambda: list(self._answers(one.answer, left)))
+        known = [one.clicks.with_more(left[: i + 1]) for i in range(len(left))]
+        fought = [contest(self._images, self.spacing, it, self._passes, one.answer.count, pool) for it in known]
+        for clicks, answer, parts in zip(known, answering.result(), fought, strict=True):
+            shown = mixed_answer(answer, parts, clicks, self.state.sized, one.shown)
+            both = one.shown, shown
+            corrections = corrections_with(one.corrections, clicks.clicks[-1], both, self.spacing, clicks.shape)
+            one = Stage(clicks, answer, shown, corrections)
+            yield one
+
+    def _answers(self, answer: Answer, left: Sequence[Click]) -> Iterator[Answer]:
+        """The answer after each of some more clicks."""
+        for click in left:
+            answer = self._answered(answer, click)
+            yield answer
+
+    def _answered(self, answer: Answer, click: Click) -> Answer:
         """The answer to one more click, computed on a box that its march does not come near the border of."""
         blocks, own = answer.blocks, answer.blocks.click(click, answer.clicks)
         if own is None:
             return answer
-        tissue = learn(before.images, self.spacing, click)
+        tissue = learn(self.state.images, self.spacing, click)
         count = FARTHER * BEYOND * blocks.count(answer.count)
         axes = [n for n in blocks.shape if n > 1]
         reach = REACH * (count * (3.0 / (4.0 * math.pi) if len(axes) == 3 else 1.0 / math.pi)) ** (1.0 / len(axes))

@@ -385,14 +385,19 @@ def whole_model(images):
     return lambda clicks: seeded_model(images, SPACING, clicks)
 
 
-def test_a_click_that_calls_the_proposal_far_too_large_makes_the_whole_model_again():
-    """A dim ball in tissue that is nearly as dim: the first proposal holds it many times."""
+@pytest.fixture(scope="module")
+def dim_ball():
+    """A dim ball in tissue nearly as dim, whose first proposal holds it many times; a click in it, one beside."""
     z, y, x = np.indices(SHAPE)
     ball = ((z - 12) * SPACING[0]) ** 2 + ((y - 14) * SPACING[1]) ** 2 + ((x - 14) * SPACING[2]) ** 2 < 4**2
     image = (100.0 + 4.0 * ball + np.random.default_rng(0).normal(0, 2.0, SHAPE)).astype(np.float32)
     voxel = np.ones((1, 1, 1), bool)
     inside = Click("inside", box_at((12, 14, 14), (1, 1, 1)), voxel)
-    outside = Click("outside", box_at((12, 14, 19), (1, 1, 1)), voxel)
+    return image, inside, Click("outside", box_at((12, 14, 19), (1, 1, 1)), voxel)
+
+
+def test_a_click_that_calls_the_proposal_far_too_large_makes_the_whole_model_again(dim_ball):
+    image, inside, outside = dim_ball
     first = seeded_model([image], SPACING, Clicks((inside,), SHAPE))
     assert first.answer.is_contradicted(outside) and not first.answer.is_contradicted(inside)
     both = seeded_model([image], SPACING, Clicks((inside, outside), SHAPE))
@@ -430,7 +435,7 @@ def test_the_model_on_a_box_is_the_model_of_all_clicks(image):
 
 
 def test_a_click_that_takes_voxels_goes_on_from_the_last_model_that_it_does_not_change(image):
-    """To the last byte the model of what is left of all clicks; the whole model is made only when none is known."""
+    """To the last byte the model of what is left of all clicks; made whole when the first click changes."""
     before = first_run(image, "seeded")
     context, images, whole = before.state.contexts[1], before.state.prepared.images, box_at((0, 0, 0), SHAPE)
     made = []
@@ -447,7 +452,6 @@ def test_a_click_that_takes_voxels_goes_on_from_the_last_model_that_it_does_not_
         model = seeded_model(images, SPACING, local.state.clicks)
         assert local.field_on(whole).tobytes() == model.field.tobytes()
     assert not made and len(local.state.clicks) == len(first.clicks) + 3
-    assert all(not one.earlier for one in local.state.earlier) and local.state.earlier[0].clicks is first.clicks
     local.undo(change)
     local.add(Click("outside", box_at((12, 14, 45), (1, 1, 6)), np.ones((1, 1, 6), bool)))  # all of it
     assert not made and len(local.state.clicks) == len(first.clicks) + 2
@@ -459,10 +463,48 @@ def test_a_click_that_takes_voxels_goes_on_from_the_last_model_that_it_does_not_
     assert local.field_on(whole).tobytes() == seeded_model(images, SPACING, local.state.clicks).field.tobytes()
 
 
+def never(clicks):
+    raise AssertionError(f"the whole model was asked for, with {len(clicks)} clicks")
+
+
+def test_a_model_of_several_clicks_goes_on_from_its_first_one(image):
+    """Made at once of clicks of which the first is outside: a stroke that takes from the second inside click."""
+    images = first_run(image, "seeded").state.prepared.images
+    rows = ("outside", (12, 14, 30), 1), ("inside", (12, 14, 14), 3), ("inside", (12, 14, 46), 3)
+    given = [Click(side, box_at(at, (1, 1, length)), np.ones((1, 1, length), bool)) for side, at, length in rows]
+    several = seeded_model(images, SPACING, Clicks(tuple(given), SHAPE))
+    assert [len(stage.clicks) for stage in several.stages] == [1, 3]
+    local = LocalModel(LocalState.of(several), images, SPACING, None, never, threads=2)
+    taker = Click("outside", box_at((12, 14, 48), (1, 1, 2)), np.ones((1, 1, 2), bool))
+    local.add(taker)
+    alone = seeded_model(images, SPACING, local.state.clicks)
+    again = seeded_model(images, SPACING, local.state.clicks, previous=several)
+    assert [len(one.clicks) for one in local.state.stages] == [1, 2, 3, 4]
+    assert local.field_on(box_at((0, 0, 0), SHAPE)).tobytes() == alone.field.tobytes() == again.field.tobytes()
+
+
+def test_no_model_goes_on_from_a_size_that_a_click_has_said_which_is_no_more(dim_ball):
+    """The size of a first proposal that an outside click made smaller, after all of that click was taken back."""
+    image, inside, outside = dim_ball
+    both = seeded_model([image], SPACING, Clicks((inside, outside), SHAPE))
+    assert [len(stage.clicks) for stage in both.stages] == [2]
+    made = []
+
+    def whole(clicks):
+        made.append(clicks)
+        return seeded_model([image], SPACING, clicks)
+
+    local = LocalModel(LocalState.of(both), [image], SPACING, None, whole)
+    local.add(outside._replace(side="inside"))
+    alone = seeded_model([image], SPACING, local.state.clicks)
+    assert len(made) == 1 and alone.proposal.volume_mm3 > 2.0 * both.proposal.volume_mm3
+    assert local.field_on(box_at((0, 0, 0), SHAPE)).tobytes() == alone.field.tobytes()
+
+
 def test_what_an_outside_click_cuts_off_is_won_by_it():
     """A leak through a neck: the click is in the neck, and the model's object loses all that lies behind it."""
     field, start = np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool)
-    state = LocalState(Clicks((), SHAPE), None, (), box_at((0, 0, 0), SHAPE), field, start)
+    state = LocalState(Clicks((), SHAPE), (), box_at((0, 0, 0), SHAPE), field, start)
     leak = np.zeros(SHAPE, bool)
     leak[8:18, 8:20, 22:60] = True
     local = LocalModel(state, [], SPACING, None, whole_model([]))
@@ -480,7 +522,7 @@ def test_single_voxels_far_from_a_click_are_not_won():
     A piece far away that is thicker than a voxel is won; so is a voxel beside the click.
     """
     field, start = np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool)
-    state = LocalState(Clicks((), SHAPE), None, (), box_at((0, 0, 0), SHAPE), field, start)
+    state = LocalState(Clicks((), SHAPE), (), box_at((0, 0, 0), SHAPE), field, start)
     changed = np.zeros(SHAPE, bool)
     changed[4, 6, 10:60:3] = changed[20, 8:20, 50] = True
     thick = np.zeros(SHAPE, bool)

@@ -16,6 +16,7 @@ from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import area_weight, at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER, answer_to_first, first_inside, seeds_of
 from accelsurf.energies.seeded.proposal import Proposal
+from accelsurf.energies.seeded.stages import Stage, unchanged
 from accelsurf.energies.seeded.sureness import corrections_with
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Clicks
@@ -45,17 +46,12 @@ class SeededModel:
         Weight of the area that suits the field, mm.
     clicks : Clicks
         What it was made from.
-    answer : Answer or None
-        What the next click's answer is made from; None of a partition.
     images : tuple of ndarray (nz, ny, nx), float32
         The channels, smoothed.
     sized : bool
         Whether a size was stated.
-    shown : Shown or None
-        F and start before they were brought to the edges of the image, from which the next click goes on; None of a
-        partition.
-    corrections : tuple of float
-        How far off the clicks were that corrected it, see `accelsurf.energies.seeded.sureness.corrections_with`.
+    stages : tuple of Stage
+        From which it goes on when clicks are added or changed, the last with all of them; none of a partition.
     """
 
     field: Image
@@ -63,11 +59,14 @@ class SeededModel:
     proposal: Proposal
     area_weight_mm: float
     clicks: Clicks
-    answer: Answer | None
     images: tuple[Image, ...]
     sized: bool = False
-    shown: Shown | None = None
-    corrections: tuple[float, ...] = ()
+    stages: tuple[Stage, ...] = ()
+
+    @property
+    def answer(self) -> Answer | None:
+        """What the next click's answer is made from; None of a partition."""
+        return self.stages[-1].answer if self.stages else None
 
 
 def seeded_model(
@@ -108,26 +107,28 @@ def seeded_model(
     InputError
         When no click is inside, or the first lies outside box or mask; LeavesWindow when it looks beyond the window.
     """
-    first, sized = first_inside(clicks), size_mm3 is not None
-    where = _allowed(images[0].shape, box, mask), window
-    if previous is not None and previous.answer is not None and _goes_on(clicks, previous.clicks, previous.answer):
-        smooth, answer, proposal, shown = previous.images, previous.answer, previous.proposal, previous.shown
-        known, corrections, left = previous.clicks, previous.corrections, list(clicks.clicks[len(previous.clicks) :])
+    sized, where = size_mm3 is not None, (_allowed(images[0].shape, box, mask), window)
+    stages, left = unchanged(() if previous is None else previous.stages, clicks)
+    if previous is not None and stages:
+        smooth, proposal = previous.images, previous.proposal
     else:
-        known, left = Clicks((first,), clicks.shape), [one for one in clicks.clicks if one is not first]
+        first, left = Clicks((first_inside(clicks),), clicks.shape), left[1:]
         smooth = learned_images(images, spacing)
         answer, proposal = answer_to_first(smooth, spacing, where, clicks, size_mm3, box is not None)
-        shown, corrections = _shown(images, spacing, where, answer, known, (sized, None)), ()
-    assert shown is not None  # an answer was shown
+        stages = (Stage(first, answer, _shown(images, spacing, where, answer, first, (sized, None))),)
+    one = stages[-1]
     with ThreadPoolExecutor(max(threads, 1)) as pool:
-        answers = _answers(answer, left, smooth, spacing, pool)
-        for click, answer in zip(left, answers, strict=True):
-            known = known.with_more([click])
-            before, shown = shown, _shown(images, spacing, where, answer, known, (sized, shown), pool)
-            corrections = corrections_with(corrections, click, (before, shown), spacing, clicks.shape)
-        arrays = on_whole_grid(at_edges(shown, images, smooth, spacing, clicks, where[0], pool), clicks.shape)
+        for click, answer in zip(left, _answers(one.answer, left, smooth, spacing, pool), strict=True):
+            # The size that a click contradicts is known from that click on: no model without it goes on from before.
+            stages = () if answer.is_contradicted(click) else stages
+            known, before = one.clicks.with_more([click]), one.shown
+            shown = _shown(images, spacing, where, answer, known, (sized, before), pool)
+            corrections = corrections_with(one.corrections, click, (before, shown), spacing, clicks.shape)
+            one = Stage(known, answer, shown, corrections)
+            stages = (*stages[:1], one)
+        arrays = on_whole_grid(at_edges(one.shown, images, smooth, spacing, clicks, where[0], pool), clicks.shape)
     area = area_weight(images, spacing, arrays[1], where[0])
-    return SeededModel(*arrays, proposal, area, clicks, answer, smooth, sized, shown, corrections)
+    return SeededModel(*arrays, proposal, area, clicks, smooth, sized, stages)
 
 
 def _shown(
@@ -151,18 +152,6 @@ def _shown(
 def learned_images(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
     """The channels as clicks learn from them: smoothed by `SMOOTHING`."""
     return tuple(gaussian_mm(image, spacing, SMOOTHING * min(spacing)) for image in images)
-
-
-def _same(one: Click, other: Click) -> bool:
-    return one.side == other.side and one.box == other.box and np.array_equal(one.mask, other.mask)
-
-
-def _goes_on(clicks: Clicks, before: Clicks, answer: Answer) -> bool:
-    """Whether the clicks are those ``before`` and maybe more, which do not contradict the first proposal."""
-    if any(answer.is_contradicted(click) for click in clicks.clicks[len(before) :]):
-        return False
-    pairs = zip(before.clicks, clicks.clicks, strict=False)
-    return len(clicks) >= len(before) and all(_same(one, other) for one, other in pairs)
 
 
 def _allowed(shape: tuple[int, ...], box: Box | None, mask: Mask | None) -> Mask | None:

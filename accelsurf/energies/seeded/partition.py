@@ -193,7 +193,7 @@ def partition_model(
     force[inside], force[outside] = CLICKED["inside"], CLICKED["outside"]
     start = connected_to(force < 0, inside)
     volume = float(np.count_nonzero(start)) * float(np.prod(spacing))
-    return SeededModel(force, start, Proposal(volume, 1.0), AREA * min(spacing), clicks, None, ())
+    return SeededModel(force, start, Proposal(volume, 1.0), AREA * min(spacing), clicks, ())
 
 
 def _at_other_basins(found: Basins, is_own: Sequence[bool]) -> tuple[Box, Image, Mask]:

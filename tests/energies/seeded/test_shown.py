@@ -116,7 +116,8 @@ def test_a_size_far_from_that_of_the_contests_says_nothing():
 def on_grid(model):
     """Where what is shown is inside, before it is brought to the edges of the image."""
     out = np.zeros(SHAPE, bool)
-    out[model.shown.box] = model.shown.inside
+    shown = model.stages[-1].shown
+    out[shown.box] = shown.inside
     return out
 
 
