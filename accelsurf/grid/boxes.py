@@ -181,6 +181,18 @@ def overlap(one: Box, other: Box) -> bool:
     return all(a.start < b.stop and b.start < a.stop for a, b in zip(one, other, strict=True))
 
 
+def common(one: Box, other: Box) -> Box:
+    """Return the voxels that two overlapping boxes have in common.
+
+    Examples
+    --------
+    >>> common((slice(1, 3), slice(0, 4), slice(5, 9)), (slice(2, 5), slice(1, 2), slice(0, 6)))
+    (slice(2, 3, None), slice(1, 2, None), slice(5, 6, None))
+    """
+    z, y, x = (slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
+    return z, y, x
+
+
 def shared(corner: Corner, shape: Sequence[int], other: Corner, other_shape: Sequence[int]) -> tuple[Box, Box]:
     """Return the voxels that two overlapping boxes share, counted from the first voxel of each.
 

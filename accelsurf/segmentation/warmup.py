@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.energies.seeded.contest import block_means
+from accelsurf.energies.seeded.coarse import block_means
 from accelsurf.grid.order_statistics import IntegerCounts
 from accelsurf.grid.volume import Volume
 from accelsurf.io import LazyVolume

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.energies.seeded.contest import median_change
+from accelsurf.energies.seeded.appearance import median_change
 from accelsurf.kernels.blocks import add_between, hold_side, tally_changes
 
 pytestmark = pytest.mark.nojit

@@ -14,7 +14,7 @@ Clicks on a large object are answered in blocks of voxels, see `accelsurf.energi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -70,13 +70,31 @@ class Shown(NamedTuple):
 
 class FirstTimes(NamedTuple):
     """What tells whether a click contradicts the first one, on the voxels: arrival ``times`` from the first click alone
-    on a ``box``. An outside click that its front comes to until ``early`` says that the first proposal was far too
-    large; -inf of a stated size, which no click contradicts.
+    on a ``box``, beyond which it is later. An outside click that its front comes to until ``early`` says that the first
+    proposal was far too large; -inf of a stated size, which no click contradicts.
     """
 
     box: Box
     times: Image
     early: float
+
+    def comes_to(self, click: Click) -> float:
+        """When the first click's front comes to a click; inf beyond the box."""
+        return float(self.times[click.mask_on(self.box)].min(initial=np.inf))
+
+    def contradicted(self, clicks: Clicks) -> Iterator[Click]:
+        """Those of some clicks, the first inside click before all others, that say that the proposal was too large.
+
+        Not one that came after an inside click to which the front comes later: then the object goes on beyond the
+        outside click, and times do not tell how large it is.
+        """
+        farthest = -np.inf
+        for click in clicks.clicks[1:]:
+            comes = self.comes_to(click)
+            if click.side == "inside":
+                farthest = max(farthest, comes)
+            elif farthest <= comes <= self.early:
+                yield click
 
     @classmethod
     def of(cls, field: Field, times: Times, order: Order, early: float) -> FirstTimes:
@@ -134,11 +152,6 @@ class Answer:
     def voxels(self) -> int:
         """Voxels inside."""
         return int(np.count_nonzero(self.inside)) * self.blocks.size
-
-    def is_contradicted(self, click: Click) -> bool:
-        """Whether a click, on the voxels, says that the first proposal was far too large."""
-        box, times, early = self.first
-        return click.side == "outside" and bool((times[click.mask_on(box)] <= early).any())
 
 
 def first_answer(

@@ -12,6 +12,7 @@ from accelsurf.grid.boxes import Box, widened
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.window import Window
 from accelsurf.kernels.arrival import Tissue
+from accelsurf.kernels.blocks import tally_changes
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -33,6 +34,8 @@ EDGE = 6.0
 EVEN_PART, ALIKE, EVEN_REACH, MIN_EVEN_REACH = 0.85, 2.5, 12.0, 15.0
 #: It is looked at within so many radii first, and then within twice as many, until it ends.
 FIRST_LOOK = 2.0
+#: The spread of voxels is at least this part of the median change between neighbours.
+MIN_CHANGE = 0.5
 #: Cost per mm, see `accelsurf.kernels.arrival.cost_at`.
 WEIGHTS = (0.02, 0.1, 50.0, 0.15, 2.0, 16.0)
 
@@ -55,6 +58,42 @@ def robust(values: NDArray[np.floating]) -> tuple[float, float]:
     """
     middle = float(np.median(values))
     return middle, DEVIATION * float(np.median(np.abs(values - middle)))
+
+
+def at_least_of_changes(part: Image, spread: float) -> float:
+    """The spread, or `MIN_CHANGE` times the median change between neighbours where that is more."""
+    limit = spread / MIN_CHANGE
+    change = median_change(part, limit)
+    return max(spread, MIN_CHANGE * change) if change > limit else spread
+
+
+def median_change(part: Image, least: float = 0.0) -> float:
+    """Median of the differences of neighbours along all axes, as numpy has it, without a list of them; 0 of one voxel.
+
+    Where it is at most ``least`` this is returned: one look at the upper bits tells that mostly.
+
+    Examples
+    --------
+    >>> median_change(np.array([[[1, 2, 7, 7]]], np.float32))
+    1.0
+    """
+    upper = np.cumsum(tally_changes(part, -1))
+    pairs = int(upper[-1])
+    ranks = (pairs - 1) // 2, pairs // 2
+    halves = [int(np.searchsorted(upper, rank, "right")) for rank in ranks]
+    if pairs == 0 or _float_of(halves[1] << 16 | 0xFFFF) <= least:
+        return least
+    lower = {half: np.cumsum(tally_changes(part, half)) for half in set(halves)}
+    middle = np.float32(0.0)
+    for rank, half in zip(ranks, halves, strict=True):
+        before = int(upper[half - 1]) if half else 0
+        middle += _float_of(half << 16 | int(np.searchsorted(lower[half], rank - before, "right")))
+    return max(least, float(middle / np.float32(2.0)))
+
+
+def _float_of(bits: int) -> np.float32:
+    """The float of some bits."""
+    return np.float32(np.array([bits], np.uint32).view(np.float32)[0])
 
 
 def radius_of(count: float, spacing: Spacing, flat: bool) -> float:

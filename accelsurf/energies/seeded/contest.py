@@ -9,7 +9,6 @@ a person clicks. Its faces count as outside, but for those close to an inside cl
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from typing import NamedTuple
@@ -18,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, radius_of, robust
+from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, at_least_of_changes, radius_of, robust
+from accelsurf.energies.seeded.coarse import block_means, coarsening
+from accelsurf.energies.seeded.implied import implied
 from accelsurf.grid.boxes import Box, Corner, corner_of
-from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.kernels.blocks import add_between, sums_along, tally_changes
+from accelsurf.grid.clicks import SIDES, Click, Clicks
+from accelsurf.kernels.blocks import add_between
 from accelsurf.kernels.paths import shortest_paths
 from accelsurf.kernels.walker import walk
 
@@ -41,8 +42,8 @@ SHARPNESS = 30.0
 TOLERANCE, MAX_ITERATIONS = 1e-2, 500
 #: Values are cut at so many spreads from the median of the inside clicks.
 WINDOW = 10.0
-#: A spread is at least this part of the median change between neighbours, and this part of the range.
-MIN_CHANGE, MIN_RANGE = 0.5, 1e-3
+#: A spread is at least this part of the range.
+MIN_RANGE = 1e-3
 
 
 class Around(NamedTuple):
@@ -127,10 +128,11 @@ def contest(
     pool : Executor, optional
         Both are made in its threads, at the same time where it has two.
     """
+    hints = implied(images, spacing, clicks, box_around(clicks, spacing, WALKS_REACH, count)[0])
     makers = (_by_paths, (PATHS_REACH, PATHS_MOST, count)), (_by_walks, (WALKS_REACH, WALKS_MOST, count))
 
     def made(maker: Callable[[Around], Balance], extent: tuple[float, int, int]) -> Balance:
-        return maker(around(images, spacing, clicks, allowed, extent))
+        return maker(around(images, spacing, clicks, allowed, extent, hints))
 
     paths, walks = (map if pool is None else pool.map)(made, *zip(*makers, strict=True))
     return paths, walks
@@ -154,7 +156,12 @@ def _by_walks(part: Around) -> Balance:
 
 
 def around(
-    images: Sequence[Image], spacing: Spacing, clicks: Clicks, allowed: Mask | None, extent: tuple[float, int, int]
+    images: Sequence[Image],
+    spacing: Spacing,
+    clicks: Clicks,
+    allowed: Mask | None,
+    extent: tuple[float, int, int],
+    hints: Sequence[Click] = (),
 ) -> Around:
     """Cut the box out, coarsen it, scale the values, and mark what is inside and outside.
 
@@ -162,18 +169,21 @@ def around(
     ----------
     extent : (reach, most, count)
         Depths around the inside clicks, voxels above which the box is coarsened, voxels of the proposed size.
+    hints : sequence of Click, optional
+        What the clicks imply; it counts where no click lies, and not where two say the opposite.
     """
     box, margin = box_around(clicks, spacing, extent[0], extent[2])
     steps = coarsening(box, spacing, extent[1])
     inside = [click for click in clicks.clicks if click.side == "inside"]
     values = np.stack([block_means(_scaled(image, box, inside), steps) for image in images])
-    held = {side: np.zeros(values.shape[1:], np.bool_) for side in ("inside", "outside")}
+    blocks = values.shape[1:]
+    held = _marked(clicks.clicks, box, steps, blocks)
     if allowed is not None:
         held["outside"] |= np.asarray(block_means((~allowed[box]).astype(np.float32), steps) > 0)
-    for click in clicks.clicks:
-        voxels = np.argwhere(click.mask) + corner_of(click.box) - corner_of(box)
-        held[click.side][tuple((voxels // steps).T)] = True
     seeds = held["outside"].astype(np.float32) - held["inside"]
+    if hints:
+        guessed, is_open = _marked(hints, box, steps, blocks), ~(held["outside"] | held["inside"])
+        seeds[is_open] = guessed["outside"][is_open].astype(np.float32) - guessed["inside"][is_open]
     for axis, end in outer_faces(inside, spacing, box, margin):
         face: list[slice] = [slice(None)] * 3
         face[axis] = slice(0, 1) if end == 0 else slice(-1, None)
@@ -181,6 +191,17 @@ def around(
         seeds[layer] = np.where(seeds[layer] == 0, 1.0, seeds[layer])
     relative = np.array(spacing) * steps
     return Around(box, steps, values, seeds, relative / relative.min())
+
+
+def _marked(clicks: Sequence[Click], box: Box, steps: Corner, blocks: Sequence[int]) -> dict[str, Mask]:
+    """The blocks of a box in which clicks have voxels, by side."""
+    held: dict[str, Mask] = {side: np.zeros(blocks, np.bool_) for side in SIDES}
+    shape = [s.stop - s.start for s in box]
+    for click in clicks:
+        voxels = np.argwhere(click.mask) + corner_of(click.box) - corner_of(box)
+        seen = voxels[((voxels >= 0) & (voxels < shape)).all(axis=1)]
+        held[click.side][tuple((seen // steps).T)] = True
+    return held
 
 
 def box_around(clicks: Clicks, spacing: Spacing, reach: float, count: int) -> tuple[Box, float]:
@@ -213,80 +234,11 @@ def outer_faces(inside: Sequence[Click], spacing: Spacing, box: Box, margin: flo
     return outer or [max(far, key=lambda face: far[face])] if far else []
 
 
-def coarsening(box: Box, spacing: Spacing, most: int) -> tuple[int, int, int]:
-    """Whole steps by which a box is coarsened to at most so many voxels, the finest axis first.
-
-    Examples
-    --------
-    >>> coarsening((slice(0, 40), slice(0, 40), slice(0, 40)), (3.0, 1.0, 1.0), 20000)
-    (1, 2, 2)
-    """
-    counts, steps = [s.stop - s.start for s in box], [1, 1, 1]
-    while np.prod([-(-n // step) for n, step in zip(counts, steps, strict=True)]) > most:
-        axis = min((i for i in range(3) if steps[i] < counts[i]), key=lambda i: (steps[i] * spacing[i], -i))
-        steps[axis] += 1
-    return steps[0], steps[1], steps[2]
-
-
-def block_means(values: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np.float32]:
-    """Means of blocks; those at the far ends may be smaller.
-
-    Examples
-    --------
-    >>> block_means(np.array([[[1, 3, 5]]], np.float32), (1, 1, 2)).tolist()
-    [[[2.0, 5.0]]]
-    """
-    values = np.ascontiguousarray(values)
-    for axis, step in enumerate(steps):
-        if step > 1:
-            before, count, after = values.shape[:axis], values.shape[axis], values.shape[axis + 1 :]
-            sums = sums_along(values.reshape(math.prod(before), count, math.prod(after)), step)
-            sizes = np.diff(np.append(np.arange(0, count, step), count)).astype(np.float32)
-            values = (sums / sizes[:, None]).reshape(*before, -1, *after)
-    return values
-
-
 def _scaled(image: Image, box: Box, inside: Sequence[Click]) -> Image:
     """A channel on a box, 0 at the median of the inside clicks and in units of their spread, cut at both ends."""
     part = image[box]
     middle, spread = robust(np.concatenate([image[click.box][click.mask] for click in inside]))
-    spread = _at_least_of_changes(part, max(spread, MIN_RANGE * float(np.ptp(part)), 1e-20))
+    spread = at_least_of_changes(part, max(spread, MIN_RANGE * float(np.ptp(part)), 1e-20))
     scaled = part - np.float32(middle)
     scaled /= np.float32(spread)
     return np.clip(scaled, -WINDOW, WINDOW, out=scaled)
-
-
-def _at_least_of_changes(part: Image, spread: float) -> float:
-    """The spread, or `MIN_CHANGE` times the median change between neighbours where that is more."""
-    limit = spread / MIN_CHANGE
-    change = median_change(part, limit)
-    return max(spread, MIN_CHANGE * change) if change > limit else spread
-
-
-def median_change(part: Image, least: float = 0.0) -> float:
-    """Median of the differences of neighbours along all axes, as numpy has it, without a list of them; 0 of one voxel.
-
-    Where it is at most ``least`` this is returned: one look at the upper bits tells that mostly.
-
-    Examples
-    --------
-    >>> median_change(np.array([[[1, 2, 7, 7]]], np.float32))
-    1.0
-    """
-    upper = np.cumsum(tally_changes(part, -1))
-    pairs = int(upper[-1])
-    ranks = (pairs - 1) // 2, pairs // 2
-    halves = [int(np.searchsorted(upper, rank, "right")) for rank in ranks]
-    if pairs == 0 or _float_of(halves[1] << 16 | 0xFFFF) <= least:
-        return least
-    lower = {half: np.cumsum(tally_changes(part, half)) for half in set(halves)}
-    middle = np.float32(0.0)
-    for rank, half in zip(ranks, halves, strict=True):
-        before = int(upper[half - 1]) if half else 0
-        middle += _float_of(half << 16 | int(np.searchsorted(lower[half], rank - before, "right")))
-    return max(least, float(middle / np.float32(2.0)))
-
-
-def _float_of(bits: int) -> np.float32:
-    """The float of some bits."""
-    return np.float32(np.array([bits], np.uint32).view(np.float32)[0])

@@ -31,6 +31,7 @@ from accelsurf.energies.seeded.proposal import (
     prior_of,
     with_finer_evidence,
 )
+from accelsurf.energies.seeded.stages import in_order
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import box_at
 from accelsurf.grid.clicks import Click, Clicks
@@ -169,12 +170,11 @@ def _by_evidence(
         evidence = joined(evidence, Front.of(blocks, click, tissue, farthest).evidence(tissue))
     proposal = by_evidence(evidence, prior, voxel)
     early = near.at(int(FAR_TOO_LARGE * proposal.volume_mm3 / voxel) + 1)
-    outside = (one for one in clicks.clicks if one.side == "outside")
-    earliest = min((float(near.times[seeds_of(one, near.field)].min()) for one in outside), default=np.inf)
-    if earliest <= early:
+    first, front = FirstTimes.of(near.field, near.times, near.order, early), near
+    earliest = min((first.comes_to(one) for one in first.contradicted(in_order(clicks))), default=np.inf)
+    if np.isfinite(earliest):
         most = float(np.searchsorted(near.times[near.order], earliest)) / FAR_TOO_LARGE
         proposal = by_evidence(evidence, prior, voxel, most)
-    first, front = FirstTimes.of(near.field, near.times, near.order, early), near
     count = round(proposal.volume_mm3 / voxel)
     blocks = in_blocks(images, spacing, *where, count)
     if blocks.size > 1:

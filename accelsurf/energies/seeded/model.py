@@ -16,7 +16,7 @@ from accelsurf.energies.seeded.contest import contest
 from accelsurf.energies.seeded.edge import area_weight, at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER, answer_to_first, first_inside, seeds_of
 from accelsurf.energies.seeded.proposal import Proposal
-from accelsurf.energies.seeded.stages import Stage, unchanged
+from accelsurf.energies.seeded.stages import Stage, contradicting, in_order, unchanged
 from accelsurf.energies.seeded.sureness import corrections_with
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Clicks
@@ -117,10 +117,11 @@ def seeded_model(
         answer, proposal = answer_to_first(smooth, spacing, where, clicks, size_mm3, box is not None)
         stages = (Stage(first, answer, _shown(images, spacing, where, answer, first, (sized, None))),)
     one = stages[-1]
+    contradicts = contradicting(one.answer, in_order(clicks), left)
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         for click, answer in zip(left, _answers(one.answer, left, smooth, spacing, pool), strict=True):
             # The size that a click contradicts is known from that click on: no model without it goes on from before.
-            stages = () if answer.is_contradicted(click) else stages
+            stages = () if any(click is other for other in contradicts) else stages
             known, before = one.clicks.with_more([click]), one.shown
             shown = _shown(images, spacing, where, answer, known, (sized, before), pool)
             corrections = corrections_with(one.corrections, click, (before, shown), spacing, clicks.shape)

@@ -62,6 +62,12 @@ def unchanged(stages: Sequence[Stage], clicks: Clicks) -> tuple[tuple[Stage, ...
     asked = in_order(clicks)
     count = sum(asked.starts_with(stage.clicks) for stage in stages)
     left = asked.clicks[len(stages[count - 1].clicks) :] if count else asked.clicks
-    if count and any(stages[count - 1].answer.is_contradicted(click) for click in left):
+    if count and contradicting(stages[count - 1].answer, asked, left):
         return (), asked.clicks
     return tuple(stages[:count]), left
+
+
+def contradicting(answer: Answer, clicks: Clicks, asked: Sequence[Click]) -> tuple[Click, ...]:
+    """Those of the clicks ``asked`` that contradict the first proposal; ``clicks``, in a model's order, hold them all."""
+    found = tuple(answer.first.contradicted(clicks))
+    return tuple(click for click in asked if any(click is one for one in found))

@@ -1,0 +1,132 @@
+"""What a click implies of the voxels around it: people click inside of what they mean, not along its edge.
+
+So what lies around a click, half as far again as the click is wide, is on its side too, unless it looks different or a
+click that says the opposite is nearer. That is a guess: it guides the contests of the clicks, and holds nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import ndimage
+
+from accelsurf.energies.seeded.appearance import (
+    ALIKE,
+    MIN_RANGE_FRACTION,
+    Image,
+    Mask,
+    Spacing,
+    at_least_of_changes,
+    robust,
+)
+from accelsurf.energies.seeded.coarse import block_means, coarsening
+from accelsurf.grid.boxes import Box, common, overlap, whole_box, widened
+from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.grid.connected import connected_to
+
+#: What is implied is so many times as wide as the click.
+WIDER = 1.5
+#: It is looked for among so many voxels; around a larger click among as many blocks.
+MOST = 100_000
+
+
+def implied(images: Sequence[Image], spacing: Spacing, clicks: Clicks, within: Box) -> list[Click]:
+    """What the clicks imply, one more for each that is wide enough: a single voxel implies nothing.
+
+    Parameters
+    ----------
+    images : sequence of ndarray (nz, ny, nx), float32
+        The channels.
+    spacing : (hz, hy, hx)
+        mm.
+    clicks : Clicks
+        Of one object.
+    within : tuple of slice
+        What lies beyond this box is not looked at.
+    """
+    out = []
+    for click in clicks.clicks:
+        if overlap(click.box, within):
+            more = (WIDER - 1.0) * half_width(click.mask, spacing, clicks.shape)
+            against = [one for one in clicks.clicks if one.side != click.side]
+            out += _implied_by(images, spacing, (click, against), more, (clicks.shape, within))
+    return out
+
+
+def half_width(mask: Mask, spacing: Spacing, shape: Sequence[int]) -> float:
+    """Largest distance (mm) from a voxel of a mask to one that is not in it; an axis of one voxel has no such voxels.
+
+    Parameters
+    ----------
+    mask : ndarray of bool
+    spacing : (hz, hy, hx)
+        mm.
+    shape : (nz, ny, nx)
+        Of the grid that it is a part of.
+
+    Examples
+    --------
+    >>> half_width(np.ones((1, 3, 9), bool), (1.0, 1.0, 1.0), (1, 20, 20))
+    2.0
+    >>> half_width(np.ones((1, 3, 9), bool), (1.5, 1.0, 1.0), (5, 20, 20))
+    1.5
+    """
+    around = np.pad(mask, [(1, 1) if n > 1 else (0, 0) for n in shape])
+    if around.all():
+        return 0.0
+    steps = coarsening(whole_box(around.shape), spacing, MOST)
+    coarse = block_means(around.astype(np.float32), steps) == 1.0
+    return float(ndimage.distance_transform_edt(coarse, sampling=np.multiply(spacing, steps)).max())
+
+
+def _implied_by(
+    images: Sequence[Image],
+    spacing: Spacing,
+    asked: tuple[Click, Sequence[Click]],
+    more: float,
+    where: tuple[tuple[int, int, int], Box],
+) -> list[Click]:
+    """What one click implies within ``more`` mm of it, as a list of one or of none.
+
+    ``asked`` are the click and those that say the opposite, ``where`` the grid's shape and the box to stay in.
+    """
+    (click, against), (shape, within) = asked, where
+    margin = [int(more / h) if n > 1 else 0 for h, n in zip(spacing, shape, strict=True)]
+    if not any(margin):
+        return []
+    box = common(widened(click.box, shape, margin), within)
+    # An opposite click may be nearer though it lies beyond that box, no farther than a margin.
+    larger = common(widened(box, shape, margin), within)
+    near = [one for one in against if overlap(one.box, larger)]
+    seen = larger if near else box
+    steps = coarsening(seen, spacing, MOST)
+    alike = _looks_alike(images, click, seen, steps)
+
+    def distance(ones: Sequence[Click]) -> Image:
+        mask = np.zeros([s.stop - s.start for s in seen], np.float32)
+        for one in ones:
+            mask[one.mask_on(seen)] = 1.0
+        far = block_means(mask, steps) == 0.0
+        return np.asarray(ndimage.distance_transform_edt(far, sampling=np.multiply(spacing, steps)), np.float32)
+
+    own = distance([click])
+    alike &= own <= more
+    if near:
+        alike &= own < distance(near)
+    mask = connected_to(alike | (own == 0.0), own == 0.0)
+    for axis, step in enumerate(steps):
+        mask = np.repeat(mask, step, axis)
+    z, y, x = (slice(0, s.stop - s.start) for s in seen)
+    return [click._replace(box=seen, mask=mask[z, y, x])]
+
+
+def _looks_alike(images: Sequence[Image], click: Click, box: Box, steps: tuple[int, int, int]) -> Mask:
+    """Which blocks of a box have values like those of a click: within `ALIKE` spreads of its median in each channel."""
+    alike = np.array(True)
+    for image in images:
+        part = image[box]
+        middle, spread = robust(image[click.box][click.mask])
+        spread = at_least_of_changes(part, max(spread, MIN_RANGE_FRACTION * float(np.ptp(part))))
+        alike = alike & (np.abs(block_means(part, steps) - np.float32(middle)) <= ALIKE * spread)
+    return np.asarray(alike)
