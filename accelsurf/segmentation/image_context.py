@@ -150,6 +150,7 @@ class ImageContext:
         self._model: list[SeededModel] = []
         self._before: ImageContext | None = None
         self._field: Callable[[], Image] | None = None
+        self._model_curvature: Callable[[], float] | None = None
 
     def of_object(self, corner: tuple[int, int, int], start: Mask) -> ImageContext:
         """The context of one of several objects; ``start`` is its mask, from voxel ``corner`` on.
@@ -163,13 +164,18 @@ class ImageContext:
             part._training = self._training._replace(box=box_at(corner, start.shape), inside=start)
         return part
 
-    def with_channels(self, images: Sequence[Image], field: Callable[[], Image] | None = None) -> ImageContext:
+    def with_channels(
+        self,
+        images: Sequence[Image],
+        field: Callable[[], Image] | None = None,
+        curvature: Callable[[], float] | None = None,
+    ) -> ImageContext:
         """The same context for energies on another grid, where the channels after the first are ``images``.
 
-        ``field`` returns that of the clicks' model there.
+        ``field`` returns that of the clicks' model there, ``curvature`` the mean curvature of its object, 1/mm.
         """
         part = copy.copy(self)
-        part.others, part._field = tuple(images), field
+        part.others, part._field, part._model_curvature = tuple(images), field, curvature
         return part
 
     def seeing_elsewhere(self, totals: RegionTotals, box: Box) -> ImageContext:
@@ -254,6 +260,12 @@ class ImageContext:
     def model_field(self) -> Image:
         """The field of the model on the grid at hand."""
         return self.seeded_model().field if self._field is None else self._field()
+
+    def model_curvature(self) -> float:
+        """Mean curvature of the model's object, 1/mm; 0 of one among several that fill a space."""
+        if self._model_curvature is not None:
+            return self._model_curvature()
+        return self.seeded_model().mean_curvature(self.spacing)
 
     def once(self, make: Callable[..., Found], channel: int, *args: Any) -> Found:
         """``make(image, *args)`` of a whole channel, computed once for all objects."""

@@ -16,6 +16,7 @@ from accelsurf.energies.seeded.answers import Answer, mixed_answer, with_click
 from accelsurf.energies.seeded.appearance import learn
 from accelsurf.energies.seeded.competition import field_of
 from accelsurf.energies.seeded.contest import contest
+from accelsurf.energies.seeded.curvature import mean_curvature
 from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
 from accelsurf.energies.seeded.model import later_times
@@ -131,6 +132,10 @@ class LocalModel:
     def field_on(self, box: Box) -> Image:
         """F on a box of the grid: the surface grows where it is below 0."""
         return on_box(self.state.field, self.state.box, box, 1.0)
+
+    def mean_curvature(self) -> float:
+        """Mean curvature of the model's object, 1/mm; 0 of a partition, see `SeededModel.mean_curvature`."""
+        return mean_curvature(self.state.start, self.spacing) if self.state.stages else 0.0
 
     def add(self, click: Click) -> ModelChange:
         """Go on to the model with one more click: the same as the model of all clicks, at the cost of a box.

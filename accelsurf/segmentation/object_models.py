@@ -97,10 +97,10 @@ class ObjectModels:
         """The energy of an object on a box of the grid; ``shared`` are the channels on the whole grid."""
         images = [np.ascontiguousarray(image[box]) for image in shared]
         model, settings = self.model(id), self.settings_of(id)
-        field = None if model is None else lambda: model.field_on(box)
+        field, curvature = (None, None) if model is None else (lambda: model.field_on(box), model.mean_curvature)
         given = None if id in self.settings else self._state.energy
         make = energy_maker(given, settings, 1, True)
-        return make(images[0], self.prepared.geometry.spacing, context.with_channels(images[1:], field))
+        return make(images[0], self.prepared.geometry.spacing, context.with_channels(images[1:], field, curvature))
 
     # -- changes of the objects ----------------------------------------------------------------------------
 

@@ -151,10 +151,14 @@ def geodesic(inputs: TermInputs) -> Made:
 
 def seeded(inputs: TermInputs) -> Made:
     """The field of the model of clicks, which is made of all channels."""
+    from accelsurf.energies.seeded.curvature import offset
+
     model = inputs.context.seeded_model()
     area = inputs.number("area", model.area_weight_mm)
-    energy: Energy = RegionField(inputs.context.model_field(), inputs.alpha + area)
-    used = {"area": area, "volume_mm3": model.proposal.volume_mm3, "sureness": model.proposal.sureness}
+    # The area smooths the object; how large it is, the clicks have said.
+    lower = offset(area, inputs.context.model_curvature())
+    energy: Energy = RegionField(inputs.context.model_field() - np.float32(lower), inputs.alpha + area)
+    used = {"area": area, "offset": lower, "volume_mm3": model.proposal.volume_mm3, "sureness": model.proposal.sureness}
     return energy, used
 
 

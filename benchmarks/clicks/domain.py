@@ -16,7 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.energies.seeded.implied import implied
 from accelsurf.grid.boxes import Box
+from accelsurf.grid.clicks import SIDES, Click, Clicks, Side
 from accelsurf.grid.connected import connected_to
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
@@ -53,7 +55,8 @@ class CroppedSession:
     image : Volume
     solver : callable
     settings : mapping
-        ``reach`` and what the solver takes.
+        ``reach`` and what the solver takes; with ``implied`` what accelsurf takes the clicks to imply of the voxels
+        around them (`accelsurf.energies.seeded.implied`) counts as said here too.
     cap : int
         Voxels above which the crop is coarsened.
     """
@@ -68,7 +71,8 @@ class CroppedSession:
         geometry = self.image.geometry
         box, margin = crop(self.clicks, geometry, self.settings["reach"])
         steps = strides(box, geometry.spacing, self.cap)
-        domain = made(self.image.array, geometry, self.clicks, box, steps, margin)
+        hints = self._hints(box) if self.settings.get("implied") else []
+        domain = made(self.image.array, geometry, self.clicks, box, steps, margin, hints)
         field = np.asarray(self.solver(domain, self.settings), np.float32)
         labels = np.zeros(geometry.shape, bool)
         labels[box] = enlarged(field, steps, labels[box].shape) > 0
@@ -76,6 +80,13 @@ class CroppedSession:
             where, ball = ball_voxels(one, geometry)
             labels[where][ball] = one.side == "inside"
         return labels
+
+    def _hints(self, box: Box) -> list[Click]:
+        """What the clicks imply in a box."""
+        shape = self.image.geometry.shape
+        side: dict[str, Side] = {"inside": "inside", "outside": "outside"}
+        clicks = [Click(side[one.side], *ball_voxels(one, self.image.geometry)) for one in self.clicks]
+        return implied([self.image.as_float32()], self.image.geometry.spacing, Clicks(tuple(clicks), shape), box)
 
 
 def crop(clicks: Sequence[PersonClick], geometry: Geometry, reach: float) -> tuple[Box, float]:
@@ -109,11 +120,13 @@ def strides(box: Box, spacing: Sequence[float], cap: int) -> tuple[int, int, int
 
 def made(
     image: NDArray[Any], geometry: Geometry, clicks: Sequence[PersonClick], box: Box, steps: tuple[int, int, int],
-    margin: float,
+    margin: float, hints: Sequence[Click] = (),
 ) -> Domain:
-    """Cut, coarsen, scale, and mark the seeds."""
+    """Cut, coarsen, scale, and mark the seeds: clicks, and where none lies what they imply, unless two disagree."""
     part = image[box].astype(np.float32)
+    sides = [np.any([one.mask_on(box) for one in hints if one.side == side] or [False], axis=0) for side in SIDES]
     seeds = np.zeros(part.shape, np.uint8)
+    seeds += (sides[0] & ~sides[1]).astype(np.uint8) * INSIDE + (sides[1] & ~sides[0]).astype(np.uint8) * OUTSIDE
     balls: list[tuple[str, NDArray[np.float32]]] = []
     for one in clicks:
         where, ball = ball_voxels(one, geometry)

@@ -137,12 +137,23 @@ def neighbours(spacing: tuple[float, ...], diagonal: bool) -> tuple[NDArray[np.i
 
 
 #: By name. Those that solve large systems are coarsened sooner.
+def with_implied(grid: list[dict[str, Any]], **best: Any) -> list[dict[str, Any]]:
+    """A grid and its best setting once more, with what accelsurf takes clicks to imply beside the clicks."""
+    return [*grid, {**best, "implied": 1}]
+
+
 PEERS = {peer.name: peer for peer in (
     ClickPeer("threshold", threshold, combinations(reach=REACHES, spreads=(1.5, 2.5, 4.0))),
-    ClickPeer("watershed", watershed, combinations(reach=REACHES, sigma=(0.5, 1.0, 2.0))),
-    ClickPeer("geodesic", geodesic, combinations(reach=REACHES, sigma=(0.5,), weight=(64.0, 256.0))),
-    ClickPeer("grow-cut", grow_cut, combinations(reach=REACHES, sigma=(0.5,), penalty=(0.1, 0.3))),
-    ClickPeer("random-walker", random_walker, combinations(reach=REACHES, beta=(100.0, 400.0)), 120_000),
-    ClickPeer("graph-cut", graph_cut, combinations(reach=REACHES, weight=(2.0, 8.0)), 120_000),
-    ClickPeer("classifier", classifier, combinations(reach=REACHES, position=(False, True)), 250_000),
+    ClickPeer("watershed", watershed, with_implied(
+        combinations(reach=REACHES, sigma=(0.5, 1.0, 2.0)), reach=4.0, sigma=1.0)),
+    ClickPeer("geodesic", geodesic, with_implied(
+        combinations(reach=REACHES, sigma=(0.5,), weight=(64.0, 256.0)), reach=2.0, sigma=0.5, weight=64.0)),
+    ClickPeer("grow-cut", grow_cut, with_implied(
+        combinations(reach=REACHES, sigma=(0.5,), penalty=(0.1, 0.3)), reach=2.0, sigma=0.5, penalty=0.1)),
+    ClickPeer("random-walker", random_walker, with_implied(
+        combinations(reach=REACHES, beta=(100.0, 400.0)), reach=4.0, beta=100.0), 120_000),
+    ClickPeer("graph-cut", graph_cut, with_implied(
+        combinations(reach=REACHES, weight=(2.0, 8.0)), reach=2.0, weight=2.0), 120_000),
+    ClickPeer("classifier", classifier, with_implied(
+        combinations(reach=REACHES, position=(False, True)), reach=4.0, position=True), 250_000),
 )}

@@ -9,6 +9,7 @@ import pytest
 import accelsurf
 from accelsurf.analysis.surface_mesh import extract
 from accelsurf.energies.seeded import seeded_model
+from accelsurf.energies.seeded.stages import contradicting
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import box_at
 from accelsurf.grid.clicks import Click, Clicks
@@ -399,7 +400,7 @@ def dim_ball():
 def test_a_click_that_calls_the_proposal_far_too_large_makes_the_whole_model_again(dim_ball):
     image, inside, outside = dim_ball
     first = seeded_model([image], SPACING, Clicks((inside,), SHAPE))
-    assert first.answer.is_contradicted(outside) and not first.answer.is_contradicted(inside)
+    assert contradicting(first.answer, Clicks((inside, outside), SHAPE), [outside]) == (outside,)
     both = seeded_model([image], SPACING, Clicks((inside, outside), SHAPE))
     assert both.proposal.volume_mm3 < 0.4 * first.proposal.volume_mm3 and not both.start[12, 14, 19:].any()
     again = seeded_model([image], SPACING, Clicks((inside, outside), SHAPE), previous=first)
@@ -408,7 +409,21 @@ def test_a_click_that_calls_the_proposal_far_too_large_makes_the_whole_model_aga
     assert again.field.tobytes() == both.field.tobytes()
     assert local.field_on(box_at((0, 0, 0), SHAPE)).tobytes() == both.field.tobytes()
     sized = seeded_model([image], SPACING, Clicks((inside,), SHAPE), size_mm3=first.proposal.volume_mm3)
-    assert not sized.answer.is_contradicted(outside)
+    assert contradicting(sized.answer, Clicks((inside, outside), SHAPE), [outside]) == ()
+
+
+def test_it_does_not_where_an_inside_click_before_it_lies_farther(dim_ball):
+    """Who has clicked inside far away and then outside near by does not say that the object is small."""
+    image, inside, outside = dim_ball
+    far = inside._replace(box=box_at((12, 14, 34), (1, 1, 1)))
+    first = seeded_model([image], SPACING, Clicks((inside,), SHAPE))
+    for order, expected in (((inside, far, outside), ()), ((inside, outside, far), (outside,))):
+        assert contradicting(first.answer, Clicks(order, SHAPE), order[1:]) == expected
+        whole, model = seeded_model([image], SPACING, Clicks(order, SHAPE)), None
+        assert (whole.proposal.volume_mm3 == first.proposal.volume_mm3) == (not expected)
+        for count in (1, 2, 3):
+            model = seeded_model([image], SPACING, Clicks(order[:count], SHAPE), previous=model)
+        assert model.field.tobytes() == whole.field.tobytes()
 
 
 def test_the_model_on_a_box_is_the_model_of_all_clicks(image):

@@ -13,6 +13,7 @@ from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
 from accelsurf.energies.seeded.blocks import field_in
 from accelsurf.energies.seeded.competition import Field, Times, reached
 from accelsurf.energies.seeded.contest import contest
+from accelsurf.energies.seeded.curvature import mean_curvature
 from accelsurf.energies.seeded.edge import area_weight, at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER, answer_to_first, first_inside, seeds_of
 from accelsurf.energies.seeded.proposal import Proposal
@@ -67,6 +68,10 @@ class SeededModel:
     def answer(self) -> Answer | None:
         """What the next click's answer is made from; None of a partition."""
         return self.stages[-1].answer if self.stages else None
+
+    def mean_curvature(self, spacing: Spacing) -> float:
+        """Mean curvature of the start, 1/mm; 0 of a partition, whose walls are drawn to no side."""
+        return mean_curvature(self.start, spacing) if self.stages else 0.0
 
 
 def seeded_model(

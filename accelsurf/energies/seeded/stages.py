@@ -68,6 +68,6 @@ def unchanged(stages: Sequence[Stage], clicks: Clicks) -> tuple[tuple[Stage, ...
 
 
 def contradicting(answer: Answer, clicks: Clicks, asked: Sequence[Click]) -> tuple[Click, ...]:
-    """Those of the clicks ``asked`` that contradict the first proposal; ``clicks``, in a model's order, hold them all."""
+    """Those of the clicks ``asked`` that contradict the first proposal; ``clicks`` are all, in a model's order."""
     found = tuple(answer.first.contradicted(clicks))
     return tuple(click for click in asked if any(click is one for one in found))

@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from accelsurf.energies.seeded import appearance
 from accelsurf.energies.seeded import contest as module
 from accelsurf.energies.seeded.appearance import radius_of
 from accelsurf.energies.seeded.contest import Balance, around, box_around, contest, outer_faces
@@ -110,8 +111,8 @@ def test_block_means_are_numpy_s(steps):
 def test_the_spread_is_at_least_that_of_changes(spread):
     part = np.random.default_rng(4).normal(size=(6, 7, 8)).astype(np.float32)
     changes = np.concatenate([np.abs(np.diff(part, axis=axis)).ravel() for axis in range(3)])
-    expected = max(spread, module.MIN_CHANGE * float(np.median(changes)))
-    assert module._at_least_of_changes(part, spread) == expected
+    expected = max(spread, appearance.MIN_CHANGE * float(np.median(changes)))
+    assert appearance.at_least_of_changes(part, spread) == expected
 
 
 def test_threads_change_no_byte(one_ball):
