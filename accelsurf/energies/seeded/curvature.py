@@ -18,7 +18,7 @@ from accelsurf.grid.boxes import bounding_box
 #: Parallel surfaces are so many of the smallest spacings away.
 APART = 2.0
 #: Larger boxes are coarsened to so many voxels.
-MOST = 100_000
+MOST = 40_000
 #: F is lowered by so much at most: on a tiny object the area would otherwise outweigh what the clicks say.
 MAX_OFFSET = 0.2
 
