@@ -405,6 +405,52 @@ def test_the_command_opens_the_same_window(screen, scan, tmp_path):
     assert RunConfig.from_toml(tmp_path / "out/run.toml").flow == "gradient"
 
 
+#: Runs the command with a run that is not prepared until the first picture was looked at; prints what was in it.
+SLICES_FIRST = """
+import sys, threading
+from accelsurf.viewer.core import session
+from accelsurf.viewer.frontends import desktop
+
+looked, timeline, draw = threading.Event(), session.Timeline, desktop.Window._draw_first
+session.Timeline = lambda *given: timeline(*given) if looked.wait(60) else None
+
+def look(window):
+    draw(window)
+    tile, scene = window.scene.tiles.renderer("axial"), window.scene
+    left, bottom, right, top = tile.GetViewport()
+    picture = scene.screenshot()
+    rows, columns = picture.shape[:2]
+    part = picture[int((1 - top) * rows):int((1 - bottom) * rows), int(left * columns):int(right * columns)]
+    print(len({int(grey) for grey in part[..., 0].ravel()}), scene.frame is None, window.session.ready.done())
+    looked.set()
+    window.session.ready.result(60)
+    window.window().close()
+
+desktop.Window._draw_first = look
+from accelsurf.cli import main
+main(sys.argv[1:])
+"""
+
+
+@needs_screen
+def test_the_command_draws_the_slices_before_the_run_is_prepared(screen, scan):
+    env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb"}
+    words = [sys.executable, "-c", SLICES_FIRST, "view", str(scan), "--start", "ball:24,24,20,6", "--no-recent"]
+    done = subprocess.run(words, env=env, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    greys, has_no_frame, is_prepared = done.stdout.split()
+    assert int(greys) > 60 and (has_no_frame, is_prepared) == ("True", "False")
+
+
+@needs_screen
+def test_the_command_closes_the_window_where_the_run_cannot_be_prepared(screen, scan):
+    env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb"}
+    words = [sys.executable, "-m", "accelsurf", "view", str(scan), "--start", "ball:999,24,20,6", "--no-recent"]
+    done = subprocess.run(words, env=env, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    error = done.stderr.splitlines()
+    assert done.returncode == 3 and len(error) == 2 and error[0].startswith("error: start 'ball:999"), done.stderr
+
+
 def test_without_a_screen_it_is_one_line(scan, monkeypatch, capsys):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
         monkeypatch.delenv(name, raising=False)

@@ -58,7 +58,7 @@ class Window(QMainWindow):
     Parameters
     ----------
     session : Session
-        Closed with the window.
+        Begins when the first picture is drawn, if it has not; closed with the window.
     reference : Volume, optional
         Labels to compare with.
     folder : Path, optional
@@ -238,7 +238,12 @@ class Window(QMainWindow):
     def showEvent(self, event: QShowEvent) -> None:
         """Fit the camera: the size is known only now."""
         super().showEvent(event)
-        QTimer.singleShot(0, functools.partial(self._ask, "whole"))
+        QTimer.singleShot(0, self._draw_first)
+
+    def _draw_first(self) -> None:
+        """Draw the image, then have its run prepared: both at once, and the picture would wait."""
+        self._ask("whole")
+        self.session.begin()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Keep the help centred."""
