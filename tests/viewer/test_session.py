@@ -55,6 +55,7 @@ def test_a_session_that_is_closed_before_it_began_never_begins():
     session = Session(volume(), RunConfig(start=START), begin=False)
     asked = session.single_step()
     assert session.close(0.1) and not session.is_alive and asked.cancelled()
+    assert session.next_view() is None  # a window that is about to close may still ask
     session.begin()
     assert not session.is_alive and session.wait(0.1) is False
     with pytest.raises(UsageError, match="closed"):

@@ -92,13 +92,13 @@ class Session(SessionCommands):
         #: Set when the image is prepared; has the error if it could not be.
         self.ready: Future[None] = Future()
         self._thread = threading.Thread(target=self._loop, name="accelsurf session", daemon=True)
-        self._has_begun = False
+        self._has_begun, self._never_begins = False, False
         if begin:
             self.begin()
 
     def begin(self) -> None:
         """Begin to prepare the image; nothing when that has begun, or the session has been closed."""
-        if not self._has_begun and not self._commands.is_closed:
+        if not self._has_begun and not self._never_begins:
             self._has_begun = True
             self._thread.start()
 
@@ -112,7 +112,7 @@ class Session(SessionCommands):
     @property
     def is_alive(self) -> bool:
         """Whether commands are carried out, or will be: False once it has been closed."""
-        return self._thread.is_alive() if self._has_begun else not self._commands.is_closed
+        return self._thread.is_alive() if self._has_begun else not self._never_begins
 
     @property
     def has_unseen_state(self) -> bool:
@@ -151,6 +151,7 @@ class Session(SessionCommands):
         if self._has_begun:
             self._thread.join(timeout)
         else:
+            self._never_begins = True
             self._commands.abandon()
         return not self.is_alive
 

@@ -96,6 +96,7 @@ class Window(QMainWindow):
             session.volume, theme=theme, reference=reference, plotter=self.canvas, title=session.name,
             window=parse_window(session.status.settings.window),
         )
+        self.scene.tiles.redraw.is_painted = True
         self.workplace = Workplace(session, self.scene, folder, overwrite, frames)
         self.side = SidePanels(self.workplace)
         self.bar, self.frame_bar = PlaybackBar(self.workplace), FrameBar(self.workplace)
