@@ -12,8 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
-from scipy.spatial.distance import cdist
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import DisplayOrientation
@@ -112,6 +110,9 @@ def _corners(voxels: NDArray[np.int64], geometry: Geometry, flat_axis: int | Non
 
 def _longest(points: Floats, with_across: bool = True) -> tuple[Floats, Floats]:
     """The longest line between points (n, 3), and the longest across it in their convex hull; both (2, 3)."""
+    # Not with the module: the viewer draws its first picture without, and this loads half of SciPy.
+    from scipy.spatial import ConvexHull
+
     middle = points.mean(axis=0)
     _, sizes, axes = np.linalg.svd(points - middle, full_matrices=False)
     rank = int((sizes > 1e-9 * max(float(sizes[0]), 1e-300)).sum())
@@ -127,6 +128,8 @@ def _longest(points: Floats, with_across: bool = True) -> tuple[Floats, Floats]:
 
 def _farthest(points: Floats) -> Floats:
     """The two points that are farthest apart; the distances of so many are not stored at once."""
+    from scipy.spatial.distance import cdist
+
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radii = np.sqrt(((points - middle) ** 2).sum(axis=1))
     start = points[radii.argmax()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from accelsurf.cli.first_image import FirstImage, loading
 from accelsurf.cli.options import FILES, SHOW, InputFile, Overwrite, Settings, run_config
 from accelsurf.cli.track_options import SequenceSettings, track_config
 from accelsurf.errors import UsageError
@@ -106,9 +108,15 @@ def view(
     made, page, viewer = run_config(settings, config), page or PageOptions(), viewer or ViewerOptions()
     times = track_config(frames, None, None)
     _check_given(input, reference, tracks, times)
-    page = front_end(page)
-    first = None if input is None else _read(input, made, reference, tracks, times)
-    return _show(first, made, page, viewer, result, overwrite)
+    waiting: list[Callable[[], OpenedImage]] = []
+
+    def begin() -> None:
+        if input is not None:
+            waiting.append(FirstImage(input, made, reference, tracks, times).begin())
+
+    with loading():
+        page = front_end(page, begin)
+    return _show(waiting[0]() if waiting else None, made, page, viewer, result, overwrite)
 
 
 def show_tracks(source: Path, tracks: Path, config: TrackConfig, page: PageOptions) -> int:
@@ -127,7 +135,8 @@ def show_tracks(source: Path, tracks: Path, config: TrackConfig, page: PageOptio
     """
     run = config.run
     made = RunConfig(time_index=config.frame, **{key: getattr(run, key) for key in _OF_READING})
-    return _show(_read(source, made, None, tracks, config), made, page, ViewerOptions(), None, False)
+    image = FirstImage(source, made, None, tracks, config).begin()()
+    return _show(image, made, page, ViewerOptions(), None, False)
 
 
 def _show(
@@ -143,8 +152,9 @@ def _show(
         opening = _opening(made, viewer.recent, page)
         session = None
         if first is not None:
-            session = stack.enter_context(first.session(viewer.keep))
-            session.ready.result()
+            session = stack.enter_context(first.session(viewer.keep, begin=page.browser))
+            if page.browser:
+                session.ready.result()
         opened = None if first is None or session is None else (first, session)
         if page.browser:
             _serve(opening, opened, result, overwrite, viewer, page)
@@ -164,24 +174,6 @@ def _check_given(image: Path | None, reference: Path | None, tracks: Path | None
         raise UsageError("tracks: they were given without a sequence", "give the sequence, too")
     if tracks is not None and reference is not None:
         raise UsageError("reference: it was given with tracks", "leave one of both out")
-
-
-def _read(
-    source: Path, config: RunConfig, reference: Path | None, tracks: Path | None, times: TrackConfig
-) -> OpenedImage:
-    """Read the image, as the other commands do, or a sequence as ``times`` say, and labels to compare with."""
-    from accelsurf import io
-    from accelsurf.io import channels
-    from accelsurf.viewer.core.opening import OpenedImage, is_sequence, read_tracked
-
-    truth = None if reference is None else io.read_labels(reference)
-    if tracks is not None or times.frames_from_slices or is_sequence(source, config):
-        found = read_tracked(source, config, tracks, times.frame_time, times.frames_from_slices)
-        return replace(found, reference=truth)
-    if times.frame_time is not None:
-        raise UsageError("frame_time: it was given for a single image", "leave it out, or add --frames-from-slices")
-    volume, *more = channels.read(source, config.reading)
-    return OpenedImage(volume, config, io.split_name(source)[0], source, tuple(more), truth)
 
 
 def _opening(config: RunConfig, recent: bool, page: PageOptions) -> Opening:
@@ -204,10 +196,27 @@ def _is_local(page: PageOptions) -> bool:
     return page.host in (None, "127.0.0.1", "localhost")
 
 
-def front_end(page: PageOptions) -> PageOptions:
-    """Check that the window, or else the page, can be shown here, before the image is read.
+def _load() -> None:
+    """Load what window and page draw with; it takes seconds."""
+    import accelsurf.viewer.workplace.opening  # noqa: F401
+
+
+def _load_window() -> None:
+    """Load Qt, which may be done only where it can open a window."""
+    import accelsurf.viewer.frontends.main_window  # noqa: F401
+
+
+def front_end(page: PageOptions, begin: Callable[[], None] | None = None) -> PageOptions:
+    """Check that the window, or else the page, can be shown here.
 
     Where the packages of the window are missing, but not those of the page, the page opens.
+
+    Parameters
+    ----------
+    page : PageOptions
+    begin : callable, optional
+        Begins to read what is to be shown at once, when nothing that is known at once is in the way. Then what draws it
+        is loaded too, while another process tries whether it can.
 
     Raises
     ------
@@ -219,6 +228,11 @@ def front_end(page: PageOptions) -> PageOptions:
     from accelsurf.viewer.frontends import display
     from accelsurf.viewer.scene.headless import require_graphics
 
+    def meanwhile() -> None:
+        if begin is not None:
+            begin()
+            _load()
+
     if not page.browser:
         asked = {"--host": page.host, "--port": page.port, "--no-open": not page.open_page or None}
         for name, given in {**asked, "--folder": page.folder}.items():
@@ -226,11 +240,14 @@ def front_end(page: PageOptions) -> PageOptions:
                 raise UsageError(f"{name} was given for a window", "it has an effect with --browser only")
         lack = display.lacks_window_packages()
         if not lack or not display.has_page_packages():
-            display.require_display()
+            display.require_display(meanwhile)
+            if begin is not None:
+                _load_window()
             return page
         print(f"note: {lack} ({display.INSTALL}); a page in the browser opens instead", file=sys.stderr)
     elif not display.has_page_packages():
         raise UsageError("browser: trame is not installed", display.INSTALL)
+    meanwhile()
     require_graphics()
     return replace(page, browser=True)
 
@@ -239,16 +256,28 @@ def _open_window(
     opening: Opening, first: tuple[OpenedImage, Session] | None, folder: Path | None, overwrite: bool,
     viewer: ViewerOptions,
 ) -> None:
-    """Open a window until the user closes it."""
+    """Open a window until the user closes it, or the run of the first image cannot be prepared.
+
+    Raises
+    ------
+    AccelsurfError
+        With what is wrong with the settings of that run.
+    """
     from accelsurf.viewer.frontends.desktop import application
     from accelsurf.viewer.frontends.main_window import MainWindow
 
     app = application()
     window = MainWindow(opening, folder, viewer.theme, overwrite, viewer.keep)
-    if first is not None:
-        window.open(*first)
+    if first is None:
+        window.show()
+        app.exec()
+        return
+    window.open(*first, close_if_it_fails=True)
     window.show()
     app.exec()
+    ready = first[1].ready
+    if ready.done():
+        ready.result()
 
 
 def _serve(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,6 +71,37 @@ def read_sequence(
             "the frames, add --frames-from-slices (frames_from_slices=True)",
         )
     return found
+
+
+def is_sequence(path: Path, options: ReadOptions) -> bool:
+    """Whether a path has several images in time: a file with time points, or a folder of volumes.
+
+    A folder or pattern of slices is an image: only tracks tell that its slices are frames.
+
+    Parameters
+    ----------
+    path : Path
+    options : ReadOptions
+        Time points that are asked for as channels are none.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    """
+    if headers.is_pattern(path):
+        return False
+    if path.is_dir() and not headers.is_stored(path):
+        try:
+            headers.format_of(path)
+        except InputError:  # no image by itself
+            return any(headers.split_name(entry)[1] for entry in path.iterdir())
+        return False
+    with naming(path):
+        form = headers.format_of(path)
+        if "time_index" not in form.options or options.channels_from_time:
+            return False
+        return headers.counts(path, replace(options.among(form.options), level=0))[1] > 1
 
 
 def opened(

@@ -22,7 +22,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-from scipy.spatial.transform import Rotation
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
@@ -139,6 +138,9 @@ class Recipe(BaseModel):
         """The grid: its middle is the world's origin."""
         direction = np.eye(3)
         if any(self.rotation):
+            # Not with the module: the viewer lists the recipes as it starts, and this loads half of SciPy.
+            from scipy.spatial.transform import Rotation
+
             direction = Rotation.from_euler("xyz", self.rotation, degrees=True).as_matrix()
         corner = direction @ (-np.array(self.spacing) * (np.array(self.shape) - 1) / 2)
         nx, ny, nz = self.shape

@@ -93,3 +93,13 @@ def test_the_program_starts_no_threads_for_linear_algebra(given, expected):
     environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
     assert ended.stdout.splitlines()[-1] == expected
+
+
+def test_the_viewer_loads_nothing_of_scipy_that_its_first_picture_does_not_need():
+    code = (
+        "import sys, accelsurf.viewer.workplace.opening\n"
+        "print([name for name in ('scipy.spatial', 'scipy.linalg', 'scipy.sparse', 'scipy.optimize') "
+        "if name in sys.modules])"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.stdout.strip() == "[]", ended.stderr

@@ -405,6 +405,127 @@ def test_the_command_opens_the_same_window(screen, scan, tmp_path):
     assert RunConfig.from_toml(tmp_path / "out/run.toml").flow == "gradient"
 
 
+#: Runs the command with a run that is not prepared until the first picture was looked at; prints what was in it.
+SLICES_FIRST = """
+import sys, threading
+from accelsurf.viewer.core import session
+from accelsurf.viewer.frontends import desktop
+
+looked, timeline, draw = threading.Event(), session.Timeline, desktop.Window._draw_first
+session.Timeline = lambda *given: timeline(*given) if looked.wait(60) else None
+
+def look(window):
+    draw(window)
+    tile, scene = window.scene.tiles.renderer("axial"), window.scene
+    left, bottom, right, top = tile.GetViewport()
+    picture = scene.screenshot()
+    rows, columns = picture.shape[:2]
+    part = picture[int((1 - top) * rows):int((1 - bottom) * rows), int(left * columns):int(right * columns)]
+    print(len({int(grey) for grey in part[..., 0].ravel()}), scene.frame is None, window.session.ready.done())
+    looked.set()
+    window.session.ready.result(60)
+    window.window().close()
+
+desktop.Window._draw_first = look
+from accelsurf.cli import main
+main(sys.argv[1:])
+"""
+
+
+@needs_screen
+def test_the_command_draws_the_slices_before_the_run_is_prepared(screen, scan):
+    env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb"}
+    words = [sys.executable, "-c", SLICES_FIRST, "view", str(scan), "--start", "ball:24,24,20,6", "--no-recent"]
+    done = subprocess.run(words, env=env, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    greys, has_no_frame, is_prepared = done.stdout.split()
+    assert int(greys) > 60 and (has_no_frame, is_prepared) == ("True", "False")
+
+
+@needs_screen
+def test_the_command_closes_the_window_where_the_run_cannot_be_prepared(screen, scan):
+    env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb"}
+    words = [sys.executable, "-m", "accelsurf", "view", str(scan), "--start", "ball:999,24,20,6", "--no-recent"]
+    done = subprocess.run(words, env=env, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    error = done.stderr.splitlines()
+    assert done.returncode == 3 and len(error) == 2 and error[0].startswith("error: start 'ball:999"), done.stderr
+
+
+#: Prints for several changes how many tiles were drawn, whether it is seen, and whether all is that there is to see.
+PAINTED = """
+import sys, time
+import numpy as np
+from accelsurf import io
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.frontends.desktop import Window, application
+
+app = application()
+window = Window(Session(io.read(sys.argv[1]), RunConfig(start="ball:24,24,20,6", levels=1), name="scan"))
+window.resize(900, 600)
+window.show()
+scene, drawn = window.scene, []
+
+def turn(seconds):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        app.processEvents()
+        time.sleep(0.01)
+
+def screen():
+    picture = window.screen().grabWindow(window.winId()).toImage()
+    return np.frombuffer(picture.constBits(), np.uint8).reshape(picture.height(), -1).copy()
+
+def look(name, change, draws):
+    turn(0.5)
+    before = screen()
+    drawn.clear()
+    change()
+    scene.render() if draws else window.canvas.update()
+    turn(0.5)
+    shown, count = screen(), len(drawn)
+    scene.tiles.redraw.mark_all()
+    scene.render()
+    window.canvas.update()
+    turn(0.3)
+    window.canvas.update()  # nothing was drawn by us before: a whole picture
+    turn(0.3)
+    print(name, count, not np.array_equal(before, shown), np.array_equal(shown, screen()), flush=True)
+
+def azimuth():
+    scene.space.renderer.GetActiveCamera().Azimuth(30.0)
+
+turn(1.0)
+while scene.frame is None:
+    turn(0.1)
+window._timer.stop()
+turn(0.5)
+for renderer in scene.plotter.renderers:
+    renderer.AddObserver("StartEvent", lambda *_: drawn.append(1))
+middle = scene.geometry.center_world()
+look("ball", lambda: scene.mark_ball(middle, 8.0), True)
+look("slice", lambda: scene.step_slice("axial", 3), True)
+look("turned", azimuth, False)
+look("both", lambda: (azimuth(), scene.step_slice("axial", 2)), True)
+look("larger", lambda: (scene.step_slice("axial", 1), window.resize(1000, 640)), True)
+look("theme", lambda: scene.paint("light"), True)
+window._timer.start()
+window.close()
+"""
+
+
+@needs_screen
+def test_what_was_drawn_is_painted_without_being_drawn_again(screen, scan):
+    env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb"}
+    done = subprocess.run([sys.executable, "-c", PAINTED, str(scan)], env=env, cwd=ROOT, capture_output=True, text=True,
+                          timeout=300)
+    found = {name: words for name, *words in map(str.split, done.stdout.splitlines())}
+    assert list(found) == ["ball", "slice", "turned", "both", "larger", "theme"], done.stdout + done.stderr
+    assert all(words[1:] == ["True", "True"] for words in found.values()), found  # it is on the screen, all of it
+    assert int(found["slice"][0]) <= 3  # one tile, the cube beside the object, and a picture of nothing else
+    assert int(found["turned"][0]) >= 4 and int(found["both"][0]) >= 2 and int(found["larger"][0]) >= 5
+
+
 def test_without_a_screen_it_is_one_line(scan, monkeypatch, capsys):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
         monkeypatch.delenv(name, raising=False)

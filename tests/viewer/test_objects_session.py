@@ -193,8 +193,14 @@ def test_it_goes_back_to_any_step_with_little_memory_and_two_threads(config, tmp
 def test_the_command_opens_a_session_of_the_objects(config, tmp_path, monkeypatch):
     io.write(volume(), tmp_path / "scan.nii.gz")
     seen = []
-    monkeypatch.setattr(view, "front_end", lambda page: page)
-    monkeypatch.setattr(view, "_open_window", lambda opening, first, *_: seen.append(first[1].status.objects))
+
+    def objects_of(session):
+        session.begin()  # as the window does, with its first picture
+        session.ready.result(60)
+        return session.status.objects
+
+    monkeypatch.setattr(view, "front_end", lambda page, begin: begin() or page)
+    monkeypatch.setattr(view, "_open_window", lambda opening, first, *_: seen.append(objects_of(first[1])))
     assert cli.execute(["view", str(tmp_path / "scan.nii.gz"), "--objects", config.objects]) == 0
     assert seen == [(3, 8)]
 

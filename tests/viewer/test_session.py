@@ -40,6 +40,28 @@ def session():
         yield made
 
 
+def test_a_session_that_shall_not_begin_waits_until_it_is_told_to():
+    with Session(volume(), RunConfig(start=START), begin=False) as session:
+        asked = session.single_step()  # what is asked for meanwhile is done then
+        time.sleep(0.3)
+        assert session.is_alive and not session.ready.done() and not asked.done()
+        session.begin()
+        session.begin()  # no second time
+        asked.result(60)
+        assert session.wait(60) and session.status.step == 1
+
+
+def test_a_session_that_is_closed_before_it_began_never_begins():
+    session = Session(volume(), RunConfig(start=START), begin=False)
+    asked = session.single_step()
+    assert session.close(0.1) and not session.is_alive and asked.cancelled()
+    assert session.next_view() is None  # a window that is about to close may still ask
+    session.begin()
+    assert not session.is_alive and session.wait(0.1) is False
+    with pytest.raises(UsageError, match="closed"):
+        session.single_step().result(1)
+
+
 @pytest.mark.parametrize("flow", FLOWS)
 def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_path):
     io.write(volume(), tmp_path / "scan.nii.gz")

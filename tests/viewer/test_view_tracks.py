@@ -37,6 +37,8 @@ def seen(monkeypatch) -> list[dict]:
 
     def drive(opening, opened: tuple[OpenedImage, Session], *others) -> None:
         first, session = opened
+        session.begin()  # as the window does, with its first picture
+        session.ready.result(60)
         scene = Scene(first.volume, size=(320, 180))
         workplace = Workplace(session, scene, frames=first.frames)
         begun = workplace.state()["frame"]
@@ -47,7 +49,9 @@ def seen(monkeypatch) -> list[dict]:
             found.append({"words": state["frame_words"], "lines": state["frame_lines"], "ids": drawn, "begun": begun})
         scene.close()
 
-    monkeypatch.setattr(view, "front_end", lambda page: replace(page, browser=False))
+    monkeypatch.setattr(
+        view, "front_end", lambda page, begin=lambda: None: begin() or replace(page, browser=False)
+    )
     monkeypatch.setattr(view, "_open_window", drive)
     return found
 
@@ -75,7 +79,7 @@ def test_slices_are_frames_without_tracks_too(stack: Path, seen) -> None:
 
 
 def test_without_a_screen_nothing_is_tracked(stack: Path, tmp_path: Path, monkeypatch, capsys) -> None:
-    def lacks(page):
+    def lacks(page, begin=None):
         raise GraphicsError("no screen was found", "use --browser")
 
     monkeypatch.setattr(view, "front_end", lacks)

@@ -14,7 +14,10 @@ from accelsurf.settings import budgets
 
 TRUNCATED_HINT = "the file is truncated: copy or export it again"
 GZIP_START = b"\x1f\x8b"
-_CHUNK, _PIECE = 1 << 16, 1 << 20
+#: Packed bytes that are read at a time, first and at most.
+_FIRST_CHUNK, _LAST_CHUNK = 1 << 16, 1 << 21
+#: Unpacked bytes that are given at a time, at most; beyond the end that a header announces.
+_PIECE, _PIECE_BEYOND = 1 << 23, 1 << 20
 
 
 def inflate(file: BinaryIO, limit: int | None = None, claimed: int | None = None) -> Iterator[bytes]:
@@ -45,7 +48,9 @@ def inflate(file: BinaryIO, limit: int | None = None, claimed: int | None = None
                         return
                     stream = zlib.decompressobj(47)
                 started = True
-                piece = stream.decompress(chunk, _PIECE)
+                # Beyond what is announced in small pieces: no more of it is unpacked than is needed to refuse it.
+                most = _PIECE if claimed is None else min(_PIECE, max(claimed - unpacked, _PIECE_BEYOND))
+                piece = stream.decompress(chunk, most)
                 unpacked += len(piece)
                 check_unpacked(unpacked, claimed)
                 yield piece
@@ -72,9 +77,11 @@ def check_unpacked(unpacked: int, claimed: int | None) -> None:
 
 
 def _chunks(file: BinaryIO, limit: int | None) -> Iterator[bytes]:
-    left = math.inf if limit is None else limit
-    while left > 0 and (chunk := file.read(int(min(_CHUNK, left)))):
-        left -= len(chunk)
+    # Each chunk gives Python's lock back twice, and beside a busy thread waits 5 ms for it each time: a scan shall have
+    # few. The first are small, as who reads a header wants no more.
+    left, size = math.inf if limit is None else limit, _FIRST_CHUNK
+    while left > 0 and (chunk := file.read(int(min(size, left)))):
+        left, size = left - len(chunk), min(2 * size, _LAST_CHUNK)
         yield chunk
 
 

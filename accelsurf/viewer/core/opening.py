@@ -71,11 +71,11 @@ class OpenedImage:
     note: str = ""
     frames: SequenceView | None = None
 
-    def session(self, checkpoint_mb: float = CHECKPOINT_MB) -> Session:
-        """Return a session of it, which prepares itself in its own thread."""
+    def session(self, checkpoint_mb: float = CHECKPOINT_MB, begin: bool = True) -> Session:
+        """Return a session of it, which prepares itself in its own thread, at once or when it is told to begin."""
         return Session(
             self.volume, self.config, name=self.name, source=self.source, checkpoint_mb=checkpoint_mb,
-            channels=self.channels,
+            channels=self.channels, begin=begin,
         )
 
 
@@ -166,31 +166,6 @@ def frames_of(path: Path, config: RunConfig) -> SequenceView | None:
         return None
     sequence = io.read_sequence(path, options=replace(config.reading, time_index=None))
     return SequenceView(sequence, config.time_index)
-
-
-def is_sequence(path: Path, config: RunConfig) -> bool:
-    """Whether a path has several images in time: a file with time points, or a folder of volumes.
-
-    A folder or pattern of slices is an image: only tracks tell that its slices are frames.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read.
-    """
-    if headers.is_pattern(path):
-        return False
-    if path.is_dir() and not headers.is_stored(path):
-        try:
-            headers.format_of(path)
-        except InputError:  # no image by itself
-            return any(headers.split_name(entry)[1] for entry in path.iterdir())
-        return False
-    with naming(path):
-        form = headers.format_of(path)
-        if "time_index" not in form.options or config.channels_from_time:
-            return False
-        return headers.counts(path, replace(config.reading.among(form.options), level=0))[1] > 1
 
 
 def read_tracked(

@@ -48,6 +48,8 @@ class Session(SessionCommands):
         Memory for checkpoints, MB.
     channels : sequence of Volume, optional
         Further channels of the image.
+    begin : bool, optional
+        Begin to prepare the image at once; else `begin` does: who shows the image first has the processor until then.
 
     See Also
     --------
@@ -75,6 +77,7 @@ class Session(SessionCommands):
         source: Path | None = None,
         checkpoint_mb: float = CHECKPOINT_MB,
         channels: Sequence[Volume] = (),
+        begin: bool = True,
     ) -> None:
         config = config or RunConfig()
         if config.levels == "auto":
@@ -89,7 +92,15 @@ class Session(SessionCommands):
         #: Set when the image is prepared; has the error if it could not be.
         self.ready: Future[None] = Future()
         self._thread = threading.Thread(target=self._loop, name="accelsurf session", daemon=True)
-        self._thread.start()
+        self._has_begun, self._never_begins = False, False
+        if begin:
+            self.begin()
+
+    def begin(self) -> None:
+        """Begin to prepare the image; nothing when that has begun, or the session has been closed."""
+        if not self._has_begun and not self._never_begins:
+            self._has_begun = True
+            self._thread.start()
 
     # -- to watch -----------------------------------------------------------------------------------------
 
@@ -100,8 +111,8 @@ class Session(SessionCommands):
 
     @property
     def is_alive(self) -> bool:
-        """Whether the session's thread lives: False once it has been closed."""
-        return self._thread.is_alive()
+        """Whether commands are carried out, or will be: False once it has been closed."""
+        return self._thread.is_alive() if self._has_begun else not self._never_begins
 
     @property
     def has_unseen_state(self) -> bool:
@@ -137,7 +148,11 @@ class Session(SessionCommands):
             Whether it has ended in time.
         """
         self._commands.close()
-        self._thread.join(timeout)
+        if self._has_begun:
+            self._thread.join(timeout)
+        else:
+            self._never_begins = True
+            self._commands.abandon()
         return not self.is_alive
 
     def __enter__(self) -> Session:

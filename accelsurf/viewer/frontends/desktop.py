@@ -58,7 +58,7 @@ class Window(QMainWindow):
     Parameters
     ----------
     session : Session
-        Closed with the window.
+        Begins when the first picture is drawn, if it has not; closed with the window.
     reference : Volume, optional
         Labels to compare with.
     folder : Path, optional
@@ -96,6 +96,7 @@ class Window(QMainWindow):
             session.volume, theme=theme, reference=reference, plotter=self.canvas, title=session.name,
             window=parse_window(session.status.settings.window),
         )
+        self.scene.tiles.redraw.is_painted = True
         self.workplace = Workplace(session, self.scene, folder, overwrite, frames)
         self.side = SidePanels(self.workplace)
         self.bar, self.frame_bar = PlaybackBar(self.workplace), FrameBar(self.workplace)
@@ -238,7 +239,12 @@ class Window(QMainWindow):
     def showEvent(self, event: QShowEvent) -> None:
         """Fit the camera: the size is known only now."""
         super().showEvent(event)
-        QTimer.singleShot(0, functools.partial(self._ask, "whole"))
+        QTimer.singleShot(0, self._draw_first)
+
+    def _draw_first(self) -> None:
+        """Draw the image, then have its run prepared: both at once, and the picture would wait."""
+        self._ask("whole")
+        self.session.begin()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Keep the help centred."""

@@ -6,6 +6,8 @@ import importlib.util
 import os
 import subprocess
 import sys
+from collections.abc import Callable
+from subprocess import PIPE
 
 from accelsurf.viewer.scene.headless import GraphicsError
 
@@ -28,8 +30,13 @@ def has_page_packages() -> bool:
     return not _missing(PAGE_PACKAGES)
 
 
-def require_display() -> None:
+def require_display(meanwhile: Callable[[], None] = lambda: None) -> None:
     """Make sure that a window can be opened.
+
+    Parameters
+    ----------
+    meanwhile : callable, optional
+        Is done while another process tries it; may not load Qt. What it raises is raised.
 
     Raises
     ------
@@ -46,12 +53,21 @@ def require_display() -> None:
         )
     # Qt ends the process when it cannot open a window, so another process tries it first.
     try:
-        done = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, text=True, timeout=_SECONDS)
-    except (OSError, subprocess.TimeoutExpired):
+        trial = subprocess.Popen([sys.executable, "-c", _PROBE], stdout=PIPE, stderr=PIPE, text=True)
+    except OSError:
+        meanwhile()
         return
-    if "opened" in done.stdout:
+    try:
+        meanwhile()
+        said, complaints = trial.communicate(timeout=_SECONDS)
+    except subprocess.TimeoutExpired:
         return
-    words = " ".join(done.stderr.split())
+    finally:
+        trial.kill()
+        trial.communicate()
+    if "opened" in said:
+        return
+    words = " ".join(complaints.split())
     if "xcb-cursor" in words or "cannot open shared object" in words or "libEGL" in words:
         raise GraphicsError(
             f"a library of Qt is missing: {_shortened(words)}",

@@ -62,6 +62,8 @@ class MainWindow(QMainWindow):
         self._folders = ResultFolders(folder)
         self.inner: Window | None = None
         self._former = FormerSessions()
+        #: The session without whose run the window closes, until that is prepared.
+        self._awaited: Session | None = None
         self._shown: dict[str, Any] = {}
         self.dialog: Any = None
         self.setWindowTitle("accelsurf")
@@ -133,6 +135,12 @@ class MainWindow(QMainWindow):
     # -- news ---------------------------------------------------------------------------------------------
 
     def _poll(self) -> None:
+        if self._awaited is not None and self._awaited.ready.done():
+            has_failed = self._awaited.ready.exception() is not None
+            self._awaited = None
+            if has_failed:
+                self.close()
+                return
         opened = self.opening.fetch()
         if opened is not None:
             self.open(opened)
@@ -189,16 +197,19 @@ class MainWindow(QMainWindow):
 
     # -- images -------------------------------------------------------------------------------------------
 
-    def open(self, opened: OpenedImage, session: Session | None = None) -> None:
-        """Show an image in place of what is shown now.
+    def open(self, opened: OpenedImage, session: Session | None = None, close_if_it_fails: bool = False) -> None:
+        """Show an image in place of what is shown now; its slices at once, its surface when the run is prepared.
 
         Parameters
         ----------
         opened : OpenedImage
         session : Session, optional
             Of it; one is begun otherwise.
+        close_if_it_fails : bool, optional
+            Close the window if the run cannot be prepared, unless another image is open by then; else the window says
+            what is wrong.
         """
-        session = opened.session(self._checkpoint_mb) if session is None else session
+        session = opened.session(self._checkpoint_mb, begin=False) if session is None else session
         former, theme = self.inner, self._theme if self.inner is None else self.inner.scene.theme_name
         folder = self._folders.of_next(opened.name)
         self.inner = Window(session, opened.reference, folder, theme, self._overwrite, opened.frames)
@@ -212,6 +223,7 @@ class MainWindow(QMainWindow):
         self.setWindowTitle(self.inner.windowTitle())
         self.inner.show()
         self.opening.show(self.inner.workplace, opened)
+        self._awaited = session if close_if_it_fails else None
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """Close the image; sessions of former ones finish what was asked of them."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from typing import Any
 
 import pyvista as pv
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow
@@ -25,6 +26,9 @@ class Redraw:
     ----------
     hurries : bool
         While this is set, tiles with something over them (the one in 3D) wait if their last picture was slow.
+    is_painted : bool
+        Whether the window system asks for each picture once more, to paint it, as Qt does: what has been drawn is in
+        VTK's memory then, and is not drawn again, unless a camera was moved or the size changed in between.
     """
 
     def __init__(self, window: vtkRenderWindow, renderers: Iterable[pv.Renderer]) -> None:
@@ -34,7 +38,10 @@ class Redraw:
         #: What is drawn over a tile, after it -> the tile.
         self._overlays: dict[vtkRenderer, pv.Renderer] = {}
         self._seconds = 0.0
-        self.hurries, self._is_empty = False, True
+        self.hurries, self.is_painted, self._is_empty = False, False, True
+        #: Where each tile was seen from when it was drawn last; and the size of our last picture, until it is painted.
+        self._sights: dict[vtkRenderer, tuple[Any, ...]] = {}
+        self._unpainted: tuple[int, int] | None = None
         self._is_ours = False
         window.AddObserver("StartEvent", lambda *_: self._before_picture())  # type: ignore[arg-type]
 
@@ -85,7 +92,9 @@ class Redraw:
             self._seconds = time.perf_counter() - began
         self._is_empty = False
         self._waiting -= due
+        self._note(due)
         self._choose(self._whole())
+        self._unpainted = self._window.GetSize() if self.is_painted else None
 
     def _due(self) -> set[vtkRenderer]:
         """What has changed and is shown, with what is drawn over it."""
@@ -100,9 +109,22 @@ class Redraw:
         return self._shown | {over for over, tile in self._overlays.items() if tile in self._shown}
 
     def _before_picture(self) -> None:
-        """Before a picture that the window system has asked for: all of it is needed."""
-        if not self._is_ours:
+        """Before a picture that the window system has asked for: all of it is needed, unless it paints our last one."""
+        if self._is_ours:
+            return
+        size, self._unpainted = self._unpainted, None
+        if size is None or size != self._window.GetSize() or self._is_empty:
+            self._note(self._whole())
             self._choose(self._whole())
+            return
+        # A hand that turns the object moves a camera without a word to us.
+        moved = {tile for tile in self._shown if self._sights.get(tile) != _sight(tile)}
+        self._note(moved)
+        self._choose(moved | {over for over, tile in self._overlays.items() if tile in moved})
+
+    def _note(self, renderers: Iterable[vtkRenderer]) -> None:
+        """These are drawn with the cameras that they have."""
+        self._sights.update((renderer, _sight(renderer)) for renderer in renderers)
 
     def _choose(self, renderers: set[vtkRenderer]) -> None:
         for renderer in self._renderers:
@@ -110,3 +132,9 @@ class Redraw:
         for over, tile in self._overlays.items():
             over.SetViewport(tile.GetViewport())
             over.SetDraw(over in renderers)
+
+
+def _sight(renderer: vtkRenderer) -> tuple[Any, ...]:
+    """Where a renderer's camera stands and looks."""
+    one = renderer.GetActiveCamera()
+    return one.GetPosition(), one.GetFocalPoint(), one.GetViewUp(), one.GetParallelScale()

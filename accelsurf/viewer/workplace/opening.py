@@ -6,8 +6,6 @@ take what was read from `fetch()`: then they begin another session.
 
 from __future__ import annotations
 
-import contextvars
-import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
@@ -18,6 +16,7 @@ from typing import Any
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.grid.volume import Volume
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.background import in_background
 from accelsurf.viewer.core.opening import (
     Choice,
     OpenedImage,
@@ -234,18 +233,9 @@ class Opening:
     def _start(self, doing: str, work: Callable[[], Any]) -> None:
         """Work in a thread, with what the command line allows."""
         self._check_free()
-        future: Future[Any] = Future()
-        context = contextvars.copy_context()
-
-        def carry_out() -> None:
-            try:
-                future.set_result(context.run(work))
-            except BaseException as error:
-                future.set_exception(error)
-
-        self._work, self._doing, self._began = future, doing, time.monotonic()
+        self._doing, self._began = doing, time.monotonic()
         self.say(f"{doing} ...")
-        threading.Thread(target=carry_out, name="accelsurf opening", daemon=True).start()
+        self._work = in_background(work, "accelsurf opening")
 
     def fetch(self) -> OpenedImage | None:
         """Return the image that has been read, once; None while there is none. Errors become `message`."""
