@@ -21,10 +21,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.seeded.appearance import Image, Mask
+from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
 from accelsurf.energies.seeded.blocks import Blocks
 from accelsurf.energies.seeded.competition import Field, Order, Times, balance, from_beyond
 from accelsurf.energies.seeded.contest import Balance
+from accelsurf.energies.seeded.implied import half_width
 from accelsurf.energies.seeded.likelihood import log_ratio
 from accelsurf.grid.boxes import Box, bounding_box, enclosing, on_box
 from accelsurf.grid.clicks import Click, Clicks
@@ -36,6 +37,8 @@ from accelsurf.kernels.blocks import hold_side
 CLICKED = {"inside": -3.0, "outside": 3.0}
 #: F is the balance plus this part of the likelihood; of the first click's, this part is taken by the level of its size.
 LIKELIHOOD, LEVEL = 0.5, 0.5
+#: An outside click in the first proposal that is so many times as wide as the inside clicks says that it is too large.
+MUCH_WIDER = 2.0
 #: Where an outside click is nearer, a likelihood that speaks for the object counts this part.
 DOUBTED = 0.5
 #: What the learned answer counts after 1, 2, ... clicks beside the paths (1) and the walks (2): the more clicks, the
@@ -68,15 +71,47 @@ class Shown(NamedTuple):
         return on_box(self.force, self.box, box, 1.0), on_box(self.inside, self.box, box, False)
 
 
+class Proposed(NamedTuple):
+    """Where the first proposal lies, for as much as it rests on the even tissue around the first click: on a ``box`` of
+    ``blocks`` a ``mask``; ``spacing`` (hz, hy, hx) of the voxels, mm.
+    """
+
+    blocks: Blocks
+    box: Box
+    mask: Mask
+    spacing: Spacing
+
+    def disowned(self, clicks: Clicks) -> Iterator[Click]:
+        """Those of some clicks, the first inside click before all others, that say that it is far too large.
+
+        An outside click in it that is much wider than all inside clicks before: people click about as wide as what they
+        mean is, so that what is wrong is wider than the object.
+        """
+        widest = 0.0
+        for click in clicks.clicks:
+            width = half_width(click.mask, self.spacing, clicks.shape)
+            if click.side == "inside":
+                widest = max(widest, width)
+            elif width >= MUCH_WIDER * widest and self._holds(click):
+                yield click
+
+    def _holds(self, click: Click) -> bool:
+        """Whether most of a click lies in it."""
+        own = self.blocks.click(click, ())
+        return own is not None and bool(np.mean(on_box(self.mask, self.box, own.box, False)[own.mask]) > 0.5)
+
+
 class FirstTimes(NamedTuple):
     """What tells whether a click contradicts the first one, on the voxels: arrival ``times`` from the first click alone
     on a ``box``, beyond which it is later. An outside click that its front comes to until ``early`` says that the first
-    proposal was far too large; -inf of a stated size, which no click contradicts.
+    proposal was far too large; -inf of a stated size, which no click contradicts. ``proposed`` is None where the even
+    tissue says nothing.
     """
 
     box: Box
     times: Image
     early: float
+    proposed: Proposed | None = None
 
     def comes_to(self, click: Click) -> float:
         """When the first click's front comes to a click; inf beyond the box."""
@@ -96,12 +131,19 @@ class FirstTimes(NamedTuple):
             elif farthest <= comes <= self.early:
                 yield click
 
+    def contradict(self, clicks: Clicks) -> list[Click]:
+        """Those of some clicks, the first inside click before all others, after which the proposal is made anew."""
+        disowned = () if self.proposed is None else self.proposed.disowned(clicks)
+        return [*self.contradicted(clicks), *disowned]
+
     @classmethod
-    def of(cls, field: Field, times: Times, order: Order, early: float) -> FirstTimes:
+    def of(
+        cls, field: Field, times: Times, order: Order, early: float, proposed: Proposed | None = None
+    ) -> FirstTimes:
         """Of a march over voxels, which come in ``order``."""
         arrived = order[: int(np.searchsorted(times[order], early, "right"))]
         z, y, x = (slice(int(i.min()), int(i.max()) + 1) for i in np.unravel_index(arrived, field.shape))
-        return cls((z, y, x), times.reshape(field.shape)[z, y, x].copy(), early)
+        return cls((z, y, x), times.reshape(field.shape)[z, y, x].copy(), early, proposed)
 
 
 @dataclass(frozen=True, eq=False)

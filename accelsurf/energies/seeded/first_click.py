@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.seeded.answers import Answer, FirstTimes, first_answer
+from accelsurf.energies.seeded.answers import Answer, FirstTimes, Proposed, first_answer
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, count_of, even_radius, learn
 from accelsurf.energies.seeded.blocks import MAX_BLOCKS, Blocks, field_in, in_blocks
 from accelsurf.energies.seeded.competition import Field, Order, Times, arrival
@@ -33,7 +33,7 @@ from accelsurf.energies.seeded.proposal import (
 )
 from accelsurf.energies.seeded.stages import in_order
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import box_at
+from accelsurf.grid.boxes import bounding_box, box_at
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.window import Window
 from accelsurf.kernels.arrival import Tissue
@@ -77,6 +77,13 @@ class Front(NamedTuple):
     def at(self, voxels: float) -> float:
         """When so many voxels have arrived."""
         return float(self.times[self.order[min(self.blocks.count(voxels), len(self.order)) - 1]])
+
+    def proposed(self, voxels: float, spacing: Spacing) -> Proposed:
+        """Where the first so many voxels have arrived; ``spacing`` of the voxels, mm."""
+        mask = (self.times <= self.at(voxels)).reshape(self.field.shape)
+        box = bounding_box(mask)
+        assert box is not None  # the click is in it
+        return Proposed(self.blocks, box, mask[box].copy(), spacing)
 
     def evidence(self, tissue: Tissue) -> LevelEvidence:
         """What the image says of each level."""
@@ -158,19 +165,28 @@ def _by_evidence(
     clicks: Clicks,
     asked: tuple[Click, Tissue],
     boxed: bool,
+    by_tissue: bool = True,
 ) -> tuple[Front, Proposal, FirstTimes]:
-    """The answer's march, the size that is likely, and what contradicts it; ``asked`` are a click and its tissue."""
+    """The answer's march, the size that is likely, and what contradicts it; ``asked`` are a click and its tissue.
+
+    ``by_tissue``: the even tissue around the click may be the object.
+    """
     (click, tissue), voxel = asked, float(np.prod(spacing))
-    prior, farthest = _expected(images, spacing, where, asked, boxed)
+    prior, farthest = _expected(images, spacing, where, asked, boxed, by_tissue)
     is_far = farthest > MAX_LONGER * MAX_MARCH
     near = Front.of(in_blocks(images, spacing, *where, 0), click, tissue, (MAX_MARCH if is_far else farthest) - 1)
-    evidence, most = near.evidence(tissue), np.inf
+    evidence, most, whole = near.evidence(tissue), np.inf, near
     if is_far and near.voxels >= MAX_MARCH:  # it did not end before
         blocks = in_blocks(images, spacing, *where, math.ceil(farthest * MAX_BLOCKS / MAX_MARCH))
-        evidence = joined(evidence, Front.of(blocks, click, tissue, farthest).evidence(tissue))
-    proposal = by_evidence(evidence, prior, voxel)
+        whole = Front.of(blocks, click, tissue, farthest)
+        evidence = joined(evidence, whole.evidence(tissue))
+    proposal, proposed = by_evidence(evidence, prior, voxel), None
+    if prior.even and np.isfinite(prior.spread):
+        proposed = whole.proposed(proposal.volume_mm3 / voxel, spacing)
+        if any(proposed.disowned(in_order(clicks))):
+            return _by_evidence(images, spacing, where, clicks, asked, boxed, by_tissue=False)
     early = near.at(int(FAR_TOO_LARGE * proposal.volume_mm3 / voxel) + 1)
-    first, front = FirstTimes.of(near.field, near.times, near.order, early), near
+    first, front = FirstTimes.of(near.field, near.times, near.order, early, proposed), near
     earliest = min((first.comes_to(one) for one in first.contradicted(in_order(clicks))), default=np.inf)
     if np.isfinite(earliest):
         most = float(np.searchsorted(near.times[near.order], earliest)) / FAR_TOO_LARGE
@@ -191,6 +207,7 @@ def _expected(
     where: tuple[Mask | None, Window | None],
     asked: tuple[Click, Tissue],
     boxed: bool,
+    by_tissue: bool,
 ) -> tuple[Prior, int]:
     """What is expected of the number of voxels, and how many a march may accept."""
     (click, tissue), (allowed, window), flat = asked, where, images[0].shape[0] == 1
@@ -198,4 +215,6 @@ def _expected(
     open_count = whole if allowed is None else int(np.count_nonzero(allowed))
     even = count_of(even_radius(images, spacing, click, tissue, window), spacing, flat)
     prior = prior_of(int(np.count_nonzero(click.mask)), open_count if boxed else None, even, flat)
+    if not by_tissue:
+        prior = prior._replace(even=0.0)
     return prior, open_count if boxed else int(min(prior.farthest(), int(MAX_PART * open_count)))

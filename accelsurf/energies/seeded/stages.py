@@ -69,5 +69,5 @@ def unchanged(stages: Sequence[Stage], clicks: Clicks) -> tuple[tuple[Stage, ...
 
 def contradicting(answer: Answer, clicks: Clicks, asked: Sequence[Click]) -> tuple[Click, ...]:
     """Those of the clicks ``asked`` that contradict the first proposal; ``clicks`` are all, in a model's order."""
-    found = tuple(answer.first.contradicted(clicks))
+    found = answer.first.contradict(clicks)
     return tuple(click for click in asked if any(click is one for one in found))

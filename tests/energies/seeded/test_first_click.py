@@ -121,3 +121,36 @@ def test_the_even_tissue_is_that_of_one_look_at_all(shape, spacing, monkeypatch)
             assert even_radius(*seen) == found
         if 6.0 <= radius < 15.0:
             assert found == pytest.approx(radius, abs=1.5)
+
+
+@pytest.fixture(scope="module")
+def dim_in_large():
+    """A ball hardly brighter than the large one that it is in, which is the even tissue around a click in it."""
+    large, small = distance((20, 40, 42)) < 27, distance((20, 40, 42)) < 5
+    image = 1.0 * large + 0.05 * small + np.random.default_rng(0).normal(0, 0.05, SHAPE)
+    return image.astype(np.float32), small
+
+
+def test_an_outside_click_much_wider_than_the_inside_ones_disowns_the_even_tissue(dim_in_large):
+    image, small = dim_in_large
+    inside, wide = ball("inside", (20, 40, 42), 2.5), ball("outside", (20, 40, 63), 6.5)
+
+    def made(*clicks, **kwargs):
+        return seeded_model([image], SPACING, Clicks(clicks, SHAPE), **kwargs)
+
+    first = made(inside)
+    assert first.proposal.volume_mm3 > 10 * np.count_nonzero(small) * np.prod(SPACING)
+    both = made(inside, wide)
+    assert both.proposal.volume_mm3 < 0.2 * first.proposal.volume_mm3
+    assert dice(both.start, small) > 5 * dice(first.start, small)
+    # As wide as the object is no contradiction of it, nor a wide one elsewhere, nor after an inside click as wide.
+    for others in (
+        [ball("outside", (20, 40, 63), 3.0)],
+        [ball("outside", (20, 8, 8), 7.0)],
+        [ball("inside", (20, 24, 42), 5.0), wide],
+    ):
+        assert made(inside, *others).proposal.volume_mm3 == first.proposal.volume_mm3
+    again = made(inside, wide, previous=first)
+    assert again.field.tobytes() == both.field.tobytes()
+    more = wide, ball("inside", (20, 42, 42), 1.5)
+    assert made(inside, *more, previous=both).field.tobytes() == made(inside, *more).field.tobytes()
