@@ -43,7 +43,7 @@ MUCH_WIDER = 2.0
 DOUBTED = 0.5
 #: What the learned answer counts after 1, 2, ... clicks beside the paths (1) and the walks (2): the more clicks, the
 #: less has to be learned. After a stated size it is better, and counts more.
-OWN, OWN_SIZED = (3.0, 1.5, 1.0, 0.75, 0.6, 0.5), (3.0, 6.0, 3.0, 1.5, 1.0)
+OWN, OWN_SIZED = (3.0, 1.0, 0.75, 0.6, 0.5, 0.4), (3.0, 6.0, 3.0, 1.5, 1.0)
 PATHS, WALKS = 1.0, 2.0
 #: So much of F before stays in F after 2, 3, ... clicks: the more there were, the less is wrong far from the new one.
 INERTIA = (0.0, 0.2, 0.3, 0.4)
