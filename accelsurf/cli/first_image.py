@@ -48,7 +48,7 @@ class FirstImage:
     tracks: Path | None
     times: TrackConfig
 
-    def begin(self) -> Callable[[], OpenedImage]:
+    def start_reading(self) -> Callable[[], OpenedImage]:
         """Begin to read; return what waits for the image.
 
         A single image is read in a thread. Of a sequence headers and one frame are read, when it is waited for.

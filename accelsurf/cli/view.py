@@ -110,12 +110,12 @@ def view(
     _check_given(input, reference, tracks, times)
     waiting: list[Callable[[], OpenedImage]] = []
 
-    def begin() -> None:
+    def start() -> None:
         if input is not None:
-            waiting.append(FirstImage(input, made, reference, tracks, times).begin())
+            waiting.append(FirstImage(input, made, reference, tracks, times).start_reading())
 
     with loading():
-        page = front_end(page, begin)
+        page = front_end(page, start)
     return _show(waiting[0]() if waiting else None, made, page, viewer, result, overwrite)
 
 
@@ -135,7 +135,7 @@ def show_tracks(source: Path, tracks: Path, config: TrackConfig, page: PageOptio
     """
     run = config.run
     made = RunConfig(time_index=config.frame, **{key: getattr(run, key) for key in _OF_READING})
-    image = FirstImage(source, made, None, tracks, config).begin()()
+    image = FirstImage(source, made, None, tracks, config).start_reading()()
     return _show(image, made, page, ViewerOptions(), None, False)
 
 

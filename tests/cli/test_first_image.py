@@ -40,7 +40,7 @@ def test_it_is_read_while_something_else_is_done(scan, monkeypatch):
         return read(*given)
 
     monkeypatch.setattr(channels, "read", slow)
-    wait = first_image(scan).begin()  # comes back, though nothing has been read
+    wait = first_image(scan).start_reading()  # comes back, though nothing has been read
     may_read.set()
     opened = wait()
     assert np.array_equal(opened.volume.array, io.read(scan).array)
@@ -49,12 +49,12 @@ def test_it_is_read_while_something_else_is_done(scan, monkeypatch):
 
 
 def test_its_reference_is_read_too(scan):
-    assert first_image(scan, scan).begin()().reference.array.shape == (6, 7, 8)
+    assert first_image(scan, scan).start_reading()().reference.array.shape == (6, 7, 8)
 
 
 def test_what_is_wrong_with_it_is_raised_where_it_is_waited_for(scan):
     scan.write_bytes(scan.read_bytes()[:-40])
-    wait = first_image(scan).begin()
+    wait = first_image(scan).start_reading()
     with pytest.raises(InputError, match="scan.nii.gz: .*end"):
         wait()
 
@@ -90,6 +90,7 @@ def test_work_goes_on_while_another_process_tries_the_screen(on_a_screen, monkey
     monkeypatch.setattr(display, "_PROBE", probe)
     monkeypatch.setattr(display, "_SECONDS", 30)
     display.require_display(mark.touch)  # before it, the trial would wait for ever
+    assert mark.exists()
 
 
 def test_a_trial_that_fails_is_told_after_the_work(on_a_screen, monkeypatch):

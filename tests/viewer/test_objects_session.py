@@ -195,7 +195,7 @@ def test_the_command_opens_a_session_of_the_objects(config, tmp_path, monkeypatc
     seen = []
 
     def objects_of(session):
-        session.begin()  # as the window does, with its first picture
+        session.start_preparing()  # as the window does, with its first picture
         session.ready.result(60)
         return session.status.objects
 

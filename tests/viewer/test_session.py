@@ -45,8 +45,8 @@ def test_a_session_that_shall_not_begin_waits_until_it_is_told_to():
         asked = session.single_step()  # what is asked for meanwhile is done then
         time.sleep(0.3)
         assert session.is_alive and not session.ready.done() and not asked.done()
-        session.begin()
-        session.begin()  # no second time
+        session.start_preparing()
+        session.start_preparing()  # no second time
         asked.result(60)
         assert session.wait(60) and session.status.step == 1
 
@@ -56,7 +56,7 @@ def test_a_session_that_is_closed_before_it_began_never_begins():
     asked = session.single_step()
     assert session.close(0.1) and not session.is_alive and asked.cancelled()
     assert session.next_view() is None  # a window that is about to close may still ask
-    session.begin()
+    session.start_preparing()
     assert not session.is_alive and session.wait(0.1) is False
     with pytest.raises(UsageError, match="closed"):
         session.single_step().result(1)

@@ -37,7 +37,7 @@ def seen(monkeypatch) -> list[dict]:
 
     def drive(opening, opened: tuple[OpenedImage, Session], *others) -> None:
         first, session = opened
-        session.begin()  # as the window does, with its first picture
+        session.start_preparing()  # as the window does, with its first picture
         session.ready.result(60)
         scene = Scene(first.volume, size=(320, 180))
         workplace = Workplace(session, scene, frames=first.frames)

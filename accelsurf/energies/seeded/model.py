@@ -121,16 +121,15 @@ def seeded_model(
         smooth = learned_images(images, spacing)
         answer, proposal = answer_to_first(smooth, spacing, where, clicks, size_mm3, box is not None)
         stages = (Stage(first, answer, _shown(images, spacing, where, answer, first, (sized, None))),)
-    one = stages[-1]
-    contradicts = contradicting(one.answer, in_order(clicks), left)
+    one, contradicts = stages[-1], contradicting(stages[-1].answer, in_order(clicks), left)
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         for click, answer in zip(left, _answers(one.answer, left, smooth, spacing, pool), strict=True):
             # The size that a click contradicts is known from that click on: no model without it goes on from before.
             stages = () if any(click is other for other in contradicts) else stages
-            known, before = one.clicks.with_more([click]), one.shown
-            shown = _shown(images, spacing, where, answer, known, (sized, before), pool)
-            corrections = corrections_with(one.corrections, click, (before, shown), spacing, clicks.shape)
-            one = Stage(known, answer, shown, corrections)
+            known = one.clicks.with_more([click])
+            shown = _shown(images, spacing, where, answer, known, (sized, one.shown), pool)
+            off = corrections_with(one.corrections, click, (one.shown, shown), spacing, clicks.shape)
+            one = Stage(known, answer, shown, off)
             stages = (*stages[:1], one)
         arrays = on_whole_grid(at_edges(one.shown, images, smooth, spacing, clicks, where[0], pool), clicks.shape)
     area = area_weight(images, spacing, arrays[1], where[0])

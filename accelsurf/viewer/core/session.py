@@ -49,7 +49,8 @@ class Session(SessionCommands):
     channels : sequence of Volume, optional
         Further channels of the image.
     begin : bool, optional
-        Begin to prepare the image at once; else `begin` does: who shows the image first has the processor until then.
+        Begin to prepare the image at once; else `start_preparing` does: who shows the image first has the processor
+        until then.
 
     See Also
     --------
@@ -94,9 +95,9 @@ class Session(SessionCommands):
         self._thread = threading.Thread(target=self._loop, name="accelsurf session", daemon=True)
         self._has_begun, self._never_begins = False, False
         if begin:
-            self.begin()
+            self.start_preparing()
 
-    def begin(self) -> None:
+    def start_preparing(self) -> None:
         """Begin to prepare the image; nothing when that has begun, or the session has been closed."""
         if not self._has_begun and not self._never_begins:
             self._has_begun = True

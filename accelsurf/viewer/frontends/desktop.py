@@ -244,7 +244,7 @@ class Window(QMainWindow):
     def _draw_first(self) -> None:
         """Draw the image, then have its run prepared: both at once, and the picture would wait."""
         self._ask("whole")
-        self.session.begin()
+        self.session.start_preparing()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Keep the help centred."""
