@@ -1,4 +1,4 @@
-"""Blocks of voxels: sums over them, and their values on voxels; and how many voxels differ from the next."""
+"""Blocks of voxels: sums and means over them, and their values on voxels; and how much voxels differ from the next."""
 
 from __future__ import annotations
 
@@ -28,6 +28,69 @@ def sums_along(values, step):
                     rest += values[i, j, k]
                 out[i, block, k] = values[i, first, k] + rest
     return out
+
+
+@kernel
+def scaled_means(values, middle, spread, window, steps):
+    """Means over blocks of (values - middle)/spread, cut at -window and window; the last blocks may be smaller.
+
+    Parameters
+    ----------
+    values : ndarray (nz, ny, nx) float32
+    middle, spread, window : float32
+    steps : (int, int, int)
+        Voxels of a block along z, y, x.
+
+    Returns
+    -------
+    ndarray float32
+        Of the blocks. Sums are made along z, then along y, then along x.
+    """
+    nz, ny, nx = values.shape
+    (step_z, step_y, step_x), scale = steps, np.float32(1.0) / spread
+    out = np.empty(((nz + step_z - 1) // step_z, (ny + step_y - 1) // step_y, (nx + step_x - 1) // step_x), np.float32)
+    plane, line = np.empty((ny, nx), np.float32), np.empty(nx, np.float32)
+    for block_z in range(out.shape[0]):
+        plane[:] = np.float32(0.0)
+        for iz in range(block_z * step_z, min((block_z + 1) * step_z, nz)):
+            for iy in range(ny):
+                row, total = values[iz, iy], plane[iy]
+                for ix in range(nx):
+                    total[ix] += min(max((row[ix] - middle) * scale, -window), window)
+        depth = min((block_z + 1) * step_z, nz) - block_z * step_z
+        for block_y in range(out.shape[1]):
+            line[:] = np.float32(0.0)
+            stop_y = min((block_y + 1) * step_y, ny)
+            for iy in range(block_y * step_y, stop_y):
+                for ix in range(nx):
+                    line[ix] += plane[iy, ix]
+            layers = depth * (stop_y - block_y * step_y)
+            for block_x in range(out.shape[2]):
+                first, stop, total = block_x * step_x, min((block_x + 1) * step_x, nx), np.float32(0.0)
+                for ix in range(first, stop):
+                    total += line[ix]
+                out[block_z, block_y, block_x] = total / np.float32(layers * (stop - first))
+    return out
+
+
+@kernel
+def changes_up_to(values, limit):
+    """How many differences of neighbours along all axes (nz, ny, nx) float32 are at most ``limit``, a float32."""
+    nz, ny, nx = values.shape
+    total = 0
+    for iz in range(nz):
+        for iy in range(ny):
+            row, count = values[iz, iy], np.int32(0)
+            for ix in range(nx - 1):
+                count += np.int32(abs(row[ix + 1] - row[ix]) <= limit)
+            for axis in range(2):
+                if (axis == 0 and iz == nz - 1) or (axis == 1 and iy == ny - 1):
+                    continue
+                other = values[iz + 1, iy] if axis == 0 else values[iz, iy + 1]
+                for ix in range(nx):
+                    count += np.int32(abs(other[ix] - row[ix]) <= limit)
+            total += count
+    return total
 
 
 @kernel

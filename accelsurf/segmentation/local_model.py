@@ -20,7 +20,7 @@ from accelsurf.energies.seeded.curvature import mean_curvature
 from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
 from accelsurf.energies.seeded.model import later_times
-from accelsurf.energies.seeded.stages import Stage, first_and_last, unchanged
+from accelsurf.energies.seeded.stages import Stage, first_and_last, in_order, keep_most, unchanged
 from accelsurf.energies.seeded.sureness import Sureness, corrections_with, sureness_of
 from accelsurf.grid.boxes import (
     Box,
@@ -138,7 +138,10 @@ class LocalModel:
         return mean_curvature(self.state.start, self.spacing) if self.state.stages else 0.0
 
     def add(self, click: Click) -> ModelChange:
-        """Go on to the model with one more click: the same as the model of all clicks, at the cost of a box.
+        """Go on to the model with one more click, at the cost of a box.
+
+        It is the model of all clicks; but where the click takes a small part of others, what was shown before stands
+        beside the answers to what is left of them, see `keep_most`.
 
         Parameters
         ----------
@@ -157,7 +160,11 @@ class LocalModel:
         if not stages:
             return None
         with ThreadPoolExecutor(max(self._threads, 1)) as pool:
-            stages = first_and_last((*stages, *self._stages_after(stages[-1], left, pool)))
+            if len(left) > 1 and keep_most(self.state.clicks, clicks):
+                after = [self._stage_beside(stages[-1].answer, left, pool)]
+            else:
+                after = list(self._stages_after(stages[-1], left, pool))
+            stages = first_and_last((*stages, *after))
             seen = self._images, self.state.images, self.spacing, clicks, self._passes
             box, field, start = at_edges(stages[-1].shown, *seen, pool)
         return self.state._replace(clicks=clicks, box=box, field=field, start=start, stages=stages)
@@ -173,6 +180,21 @@ class LocalModel:
             corrections = corrections_with(one.corrections, clicks.clicks[-1], both, self.spacing, clicks.shape)
             one = Stage(clicks, answer, shown, corrections)
             yield one
+
+    def _stage_beside(self, answer: Answer, left: Sequence[Click], pool: ThreadPoolExecutor) -> Stage:
+        """The stage after the last of some clicks, of which the others are left of what was clicked before.
+
+        It goes on from what was shown before that click, and from the ``answer`` to the clicks before all of them.
+        """
+        before = self.state.stages[-1]
+        answering = pool.submit(lambda: [answer, *self._answers(answer, left)][-1])
+        clicks = in_order(self.state.clicks.with_later(left[-1:]))
+        parts = contest(self._images, self.spacing, clicks, self._passes, answer.count, pool)
+        answer = answering.result()
+        shown = mixed_answer(answer, parts, clicks, self.state.sized, before.shown)
+        both = before.shown, shown
+        corrections = corrections_with(before.corrections, left[-1], both, self.spacing, clicks.shape)
+        return Stage(clicks, answer, shown, corrections)
 
     def _answers(self, answer: Answer, left: Sequence[Click]) -> Iterator[Answer]:
         """The answer after each of some more clicks."""

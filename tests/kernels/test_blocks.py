@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.energies.seeded.appearance import median_change
-from accelsurf.kernels.blocks import add_between, hold_side, tally_changes
+from accelsurf.kernels.blocks import add_between, changes_up_to, hold_side, scaled_means, tally_changes
 
 pytestmark = pytest.mark.nojit
 
@@ -71,3 +71,19 @@ def test_the_median_change_is_numpys(shape, kind):
         assert median_change(part, least) == max(expected, least)
     if changes.size:
         assert tally_changes(part, -1).sum() == changes.size
+        assert changes_up_to(part, np.float32(expected)) == np.count_nonzero(changes <= np.float32(expected))
+
+
+@pytest.mark.parametrize("steps", [(1, 1, 1), (1, 2, 3), (3, 1, 2), (5, 9, 4)])
+def test_scaled_means_are_numpys(steps):
+    """Of a part of an image, blocks at its ends smaller, values cut at both ends."""
+    part = np.random.default_rng(5).normal(2, 3, (7, 9, 12)).astype(np.float32)[1:6, :, 2:]
+    scaled = np.clip((part.astype(np.float64) - 1.5) / 2.0, -1.2, 1.2)
+    expected = scaled
+    for axis, step in enumerate(steps):
+        at = np.arange(0, part.shape[axis], step)
+        sizes = np.diff(np.append(at, part.shape[axis]))
+        expected = np.add.reduceat(expected, at, axis) / np.expand_dims(sizes, [i for i in range(3) if i != axis])
+    found = scaled_means(part, np.float32(1.5), np.float32(2.0), np.float32(1.2), steps)
+    assert found.dtype == np.float32 and (np.abs(scaled) == 1.2).any()
+    np.testing.assert_allclose(found, expected, atol=1e-6)

@@ -461,8 +461,8 @@ def test_a_click_that_takes_voxels_goes_on_from_the_last_model_that_it_does_not_
 
     local = LocalModel(LocalState.of(context.seeded_model()), images, SPACING, None, remade)
     first = local.state
-    rows = ("outside", (12, 14, 20), 1), ("inside", (12, 14, 46), 3), ("outside", (12, 14, 48), 2)
-    for side, at, length in rows:  # the last takes a voxel of the first correction
+    rows = ("outside", (12, 14, 20), 1), ("inside", (12, 14, 46), 3), ("outside", (12, 14, 47), 3)
+    for side, at, length in rows:  # the last takes two of the three voxels of the one before
         change = local.add(Click(side, box_at(at, (1, 1, length)), np.ones((1, 1, length), bool)))
         model = seeded_model(images, SPACING, local.state.clicks)
         assert local.field_on(whole).tobytes() == model.field.tobytes()
@@ -478,6 +478,35 @@ def test_a_click_that_takes_voxels_goes_on_from_the_last_model_that_it_does_not_
     assert local.field_on(whole).tobytes() == seeded_model(images, SPACING, local.state.clicks).field.tobytes()
 
 
+def test_what_was_shown_stands_where_a_click_takes_little_of_others(image):
+    """The answer is that to what is left, what is shown goes on from what was: without the contests in between."""
+    images = first_run(image, "seeded").state.prepared.images
+    rows = ("inside", (12, 14, 14), 3), ("outside", (12, 14, 30), 1), ("inside", (12, 14, 46), 3)
+    given = [Click(side, box_at(at, (1, 1, length)), np.ones((1, 1, length), bool)) for side, at, length in rows]
+    state = LocalState.of(seeded_model(images, SPACING, Clicks(tuple(given), SHAPE)))
+    taker, made = Click("outside", box_at((12, 14, 48), (1, 1, 2)), np.ones((1, 1, 2), bool)), []
+    for threads in (1, 2):
+        local = LocalModel(state, images, SPACING, None, never, threads)
+        local.add(taker)
+        made.append(local)
+    one, last = made[0].state, made[0].state.stages[-1]
+    assert one.field.tobytes() == made[1].state.field.tobytes()
+    assert [len(stage.clicks) for stage in one.stages] == [1, 4]
+    model = seeded_model(images, SPACING, one.clicks)
+    assert np.array_equal(model.stages[-1].answer.force, last.answer.force)
+    assert last.shown.force.tobytes() != model.stages[-1].shown.force.tobytes()
+    start, before = (np.zeros(SHAPE, bool) for _ in range(2))
+    start[one.box], before[state.box] = one.start, state.start
+    assert start[12, 14, 46:48].all() and not start[12, 14, 48:50].any()
+    assert not (start & ~before).any()  # an outside click gives nothing
+    common = 2.0 * np.count_nonzero(start & model.start) / (np.count_nonzero(start) + np.count_nonzero(model.start))
+    assert common > 0.95
+    # Where it takes more, nothing that came of the other click may stay.
+    local = LocalModel(state, images, SPACING, None, never)
+    local.add(taker._replace(box=box_at((12, 14, 47), (1, 1, 2))))
+    assert [len(stage.clicks) for stage in local.state.stages] == [1, 2, 3, 4]
+
+
 def never(clicks):
     raise AssertionError(f"the whole model was asked for, with {len(clicks)} clicks")
 
@@ -490,8 +519,8 @@ def test_a_model_of_several_clicks_goes_on_from_its_first_one(image):
     several = seeded_model(images, SPACING, Clicks(tuple(given), SHAPE))
     assert [len(stage.clicks) for stage in several.stages] == [1, 3]
     local = LocalModel(LocalState.of(several), images, SPACING, None, never, threads=2)
-    taker = Click("outside", box_at((12, 14, 48), (1, 1, 2)), np.ones((1, 1, 2), bool))
-    local.add(taker)
+    taker = Click("outside", box_at((12, 14, 47), (1, 1, 2)), np.ones((1, 1, 2), bool))
+    local.add(taker)  # two of its three voxels
     alone = seeded_model(images, SPACING, local.state.clicks)
     again = seeded_model(images, SPACING, local.state.clicks, previous=several)
     assert [len(one.clicks) for one in local.state.stages] == [1, 2, 3, 4]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,9 @@ from scipy import ndimage
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, at_least_of_changes, radius_of, robust
 from accelsurf.energies.seeded.coarse import block_means, coarsening
 from accelsurf.energies.seeded.implied import implied
-from accelsurf.grid.boxes import Box, Corner, corner_of
+from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, whole_box
 from accelsurf.grid.clicks import SIDES, Click, Clicks
-from accelsurf.kernels.blocks import add_between
+from accelsurf.kernels.blocks import add_between, scaled_means
 from accelsurf.kernels.paths import shortest_paths
 from accelsurf.kernels.walker import walk
 
@@ -40,6 +40,8 @@ SMOOTHING = 0.5
 SHARPNESS = 30.0
 #: The walks end at this residual, or after so many iterations.
 TOLERANCE, MAX_ITERATIONS = 1e-2, 500
+#: The walks' box ends where all beyond it is outside by so much.
+CERTAIN = 0.9
 #: Values are cut at so many spreads from the median of the inside clicks.
 WINDOW = 10.0
 #: A spread is at least this part of the range.
@@ -129,30 +131,40 @@ def contest(
         Both are made in its threads, at the same time where it has two.
     """
     hints = implied(images, spacing, clicks, box_around(clicks, spacing, WALKS_REACH, count)[0])
-    makers = (_by_paths, (PATHS_REACH, PATHS_MOST, count)), (_by_walks, (WALKS_REACH, WALKS_MOST, count))
+    extents = (PATHS_REACH, PATHS_MOST, count), (WALKS_REACH, WALKS_MOST, count)
+    each = map if pool is None else pool.map
+    near, far = each(lambda extent: around(images, spacing, clicks, allowed, extent, hints), extents)
+    widths = [SMOOTHING / h if n > 1 else 0.0 for h, n in zip(near.spacing, near.seeds.shape, strict=True)]
+    smooth = np.stack([ndimage.gaussian_filter(values, widths) for values in near.values])
 
-    def made(maker: Callable[[Around], Balance], extent: tuple[float, int, int]) -> Balance:
-        return maker(around(images, spacing, clicks, allowed, extent, hints))
+    def lengths(side: float) -> Image:
+        return np.asarray(shortest_paths(near.seeds == side, smooth, near.spacing, CHANGE))
 
-    paths, walks = (map if pool is None else pool.map)(made, *zip(*makers, strict=True))
-    return paths, walks
+    jobs: tuple[Callable[[], Any], ...] = (lambda: lengths(-1.0), lambda: lengths(1.0), lambda: _by_walks(far))
+    inside, outside, walks = each(lambda job: job(), jobs)
+    return _by_paths(near, inside, outside), walks
 
 
-def _by_paths(part: Around) -> Balance:
-    widths = [SMOOTHING / h if n > 1 else 0.0 for h, n in zip(part.spacing, part.seeds.shape, strict=True)]
-    smooth = np.stack([ndimage.gaussian_filter(values, widths) for values in part.values])
-    inside, outside = (shortest_paths(part.seeds == side, smooth, part.spacing, CHANGE) for side in (-1, 1))
+def _by_paths(part: Around, inside: Image, outside: Image) -> Balance:
+    """The contest by the lengths of the shortest paths from either side."""
     both = np.where(np.isfinite(outside), inside + outside, 1.0)
     balance = np.where(np.isfinite(outside), inside - outside, -1.0) / np.maximum(both, 1e-6)
     return Balance(part.box, balance.astype(np.float32), part.steps)
 
 
 def _by_walks(part: Around) -> Balance:
+    """The contest by random walks, on the box in which it is not certain that all is outside."""
     found = part.seeds.astype(np.float64)
     spread = max(float(np.sqrt(sum(values.var() for values in part.values))), 1e-6)
     walk(found, part.seeds != 0, part.values, part.spacing, SHARPNESS / spread, TOLERANCE, MAX_ITERATIONS)
     # Before it has converged it may lie beyond the values at the seeds.
-    return Balance(part.box, np.clip(found, -1.0, 1.0).astype(np.float32), part.steps)
+    balance = np.clip(found, -1.0, 1.0).astype(np.float32)
+    kept = bounding_box(balance < CERTAIN, 1) or whole_box(balance.shape)
+    z, y, x = (
+        slice(whole.start + own.start * step, min(whole.start + own.stop * step, whole.stop))
+        for whole, own, step in zip(part.box, kept, part.steps, strict=True)
+    )
+    return Balance((z, y, x), balance[kept].copy(), part.steps)
 
 
 def around(
@@ -175,7 +187,7 @@ def around(
     box, margin = box_around(clicks, spacing, extent[0], extent[2])
     steps = coarsening(box, spacing, extent[1])
     inside = [click for click in clicks.clicks if click.side == "inside"]
-    values = np.stack([block_means(_scaled(image, box, inside), steps) for image in images])
+    values = np.stack([_scaled(np.ascontiguousarray(image[box]), image, inside, steps) for image in images])
     blocks = values.shape[1:]
     held = _marked(clicks.clicks, box, steps, blocks)
     if allowed is not None:
@@ -234,11 +246,8 @@ def outer_faces(inside: Sequence[Click], spacing: Spacing, box: Box, margin: flo
     return outer or [max(far, key=lambda face: far[face])] if far else []
 
 
-def _scaled(image: Image, box: Box, inside: Sequence[Click]) -> Image:
-    """A channel on a box, 0 at the median of the inside clicks and in units of their spread, cut at both ends."""
-    part = image[box]
+def _scaled(part: Image, image: Image, inside: Sequence[Click], steps: Corner) -> Image:
+    """A part of a channel in blocks, 0 at the median of the inside clicks and in units of their spread, cut."""
     middle, spread = robust(np.concatenate([image[click.box][click.mask] for click in inside]))
     spread = at_least_of_changes(part, max(spread, MIN_RANGE * float(np.ptp(part)), 1e-20))
-    scaled = part - np.float32(middle)
-    scaled /= np.float32(spread)
-    return np.clip(scaled, -WINDOW, WINDOW, out=scaled)
+    return np.asarray(scaled_means(part, np.float32(middle), np.float32(spread), np.float32(WINDOW), steps))

@@ -12,7 +12,7 @@ from accelsurf.energies.seeded.answers import Answer, Shown, mixed_answer, on_wh
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
 from accelsurf.energies.seeded.blocks import field_in
 from accelsurf.energies.seeded.competition import Field, Times, reached
-from accelsurf.energies.seeded.contest import contest
+from accelsurf.energies.seeded.contest import WALKS_REACH, box_around, contest
 from accelsurf.energies.seeded.curvature import mean_curvature
 from accelsurf.energies.seeded.edge import area_weight, at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER, answer_to_first, first_inside, seeds_of
@@ -147,6 +147,8 @@ def _shown(
 ) -> Shown:
     """What is shown after some clicks, by their answer and whether a size was stated, and what was shown before."""
     allowed, window = where
+    if window is not None:  # a part of what is looked at is shown
+        window.check_box(box_around(clicks, spacing, WALKS_REACH, answer.count)[0])
     parts = contest(images, spacing, clicks, allowed, answer.count, pool)
     shown = mixed_answer(answer, parts, clicks, *earlier)
     if window is not None:

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from accelsurf.energies.seeded.answers import Answer, Shown
 from accelsurf.grid.clicks import Click, Clicks
 
 #: So many stages are kept: that of the first click, whose march is the longest, and the last ones.
 MAX_STAGES = 9
+#: A click from which voxels are taken still says what it said where it keeps this part of them.
+KEPT = 0.5
 
 
 class Stage(NamedTuple):
@@ -65,6 +69,21 @@ def unchanged(stages: Sequence[Stage], clicks: Clicks) -> tuple[tuple[Stage, ...
     if count and contradicting(stages[count - 1].answer, asked, left):
         return (), asked.clicks
     return tuple(stages[:count]), left
+
+
+def keep_most(before: Clicks, after: Clicks) -> bool:
+    """Whether clicks keep at least the part `KEPT` of their voxels each, and with it what they say.
+
+    Parameters
+    ----------
+    before : Clicks
+    after : Clicks
+        What is left of these, and one more.
+    """
+    if len(after) != len(before) + 1:
+        return False
+    pairs = zip(before.clicks, after.clicks, strict=False)
+    return all(np.count_nonzero(left.mask) >= KEPT * np.count_nonzero(one.mask) for one, left in pairs)
 
 
 def contradicting(answer: Answer, clicks: Clicks, asked: Sequence[Click]) -> tuple[Click, ...]:

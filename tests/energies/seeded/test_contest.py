@@ -36,6 +36,24 @@ def test_both_find_an_even_object(one_ball):
         assert whole.min() >= -1.0 and whole.max() <= 1.0 and np.isfinite(whole).all()
 
 
+@pytest.mark.parametrize("most", [120_000, 8000])
+def test_the_walks_end_where_all_beyond_is_outside(one_ball, monkeypatch, most):
+    """Their box is cut, at blocks, and what is cut off is nearly 1; an unsure block more than there is stays."""
+    inside = one_ball[1]
+    image = inside.astype(np.float32)
+    monkeypatch.setattr(module, "WALKS_MOST", most)
+    cut = contest([image], SPACING, clicks_of(), None, 1)[1]
+    monkeypatch.setattr(module, "CERTAIN", 2.0)
+    whole = contest([image], SPACING, clicks_of(), None, 1)[1]
+    assert cut.values.size < 0.8 * whole.values.size and cut.steps == whole.steps
+    ours, all_of_them = on_whole(cut), on_whole(whole)
+    kept = np.zeros(SHAPE, bool)
+    kept[cut.box] = True
+    near = tuple(slice(s.start + 1, s.stop - 1) for s in cut.box)  # between blocks values are linear
+    assert (all_of_them[~kept] >= 0.9).all() and (ours[~kept] == 1.0).all()
+    assert np.array_equal(ours[near], all_of_them[near])
+
+
 def test_a_coarsened_box_finds_it_too(one_ball, monkeypatch):
     image, inside = one_ball
     monkeypatch.setattr(module, "PATHS_MOST", 8000)

@@ -8,11 +8,12 @@ import pytest
 from accelsurf.energies.seeded import appearance, first_click, seeded_model
 from accelsurf.energies.seeded import blocks as blocks_module
 from accelsurf.energies.seeded.appearance import even_radius, learn
+from accelsurf.energies.seeded.contest import WALKS_REACH, box_around
 from accelsurf.energies.seeded.proposal import LevelEvidence, joined
-from accelsurf.grid.boxes import box_at
+from accelsurf.grid.boxes import box_at, widened
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.window import Window
+from accelsurf.grid.window import GUARD, LeavesWindow, Window
 from tests.energies.seeded.test_seeded_model import dice
 from tests.support import clicked_balls
 
@@ -90,6 +91,26 @@ def test_a_window_changes_no_byte_of_what_is_asked_over_blocks(short):
     part = seeded_model([image[box].copy()], SPACING, clicks.on_box(box), window=window)
     assert whole.answer.blocks.size > 1
     assert part.proposal == whole.proposal and part.field.tobytes() == whole.field[box].tobytes()
+
+
+def test_a_window_that_cuts_what_the_contests_look_at_is_left():
+    """Though what they show lies well within it: they end where all beyond is outside."""
+    shape = (60, 120, 120)
+    near = partial(clicked_balls.distance, shape=shape, spacing=SPACING)
+    image = (near((30, 60, 60)) < 6).astype(np.float32)
+    click = Clicks((clicked_balls.ball("inside", (30, 60, 60), 3.0, shape=shape, spacing=SPACING),), shape)
+    whole = seeded_model([image], SPACING, click)
+    walks = box_around(click, SPACING, WALKS_REACH, whole.answer.count)[0]
+    for margin in (GUARD, GUARD - 1):
+        box = widened(walks, shape, (margin, margin, margin))
+        assert all(s.start > 0 and s.stop < n for s, n in zip(box[1:], shape[1:], strict=True))
+        window, part = Window(Geometry(shape, SPACING[::-1]), box), [image[box].copy()]
+        if margin == GUARD:
+            inner = seeded_model(part, SPACING, click.on_box(box), window=window)
+            assert inner.field.tobytes() == whole.field[box].tobytes()
+        else:
+            with pytest.raises(LeavesWindow):
+                seeded_model(part, SPACING, click.on_box(box), window=window)
 
 
 def test_evidence_over_blocks_goes_on_where_that_over_voxels_ends():
