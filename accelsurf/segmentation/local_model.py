@@ -20,7 +20,7 @@ from accelsurf.energies.seeded.curvature import mean_curvature
 from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
 from accelsurf.energies.seeded.model import later_times
-from accelsurf.energies.seeded.stages import Stage, first_and_last, in_order, keep_most, unchanged
+from accelsurf.energies.seeded.stages import Stage, first_and_last, in_order, mostly_left, unchanged
 from accelsurf.energies.seeded.sureness import Sureness, corrections_with, sureness_of
 from accelsurf.grid.boxes import (
     Box,
@@ -141,7 +141,7 @@ class LocalModel:
         """Go on to the model with one more click, at the cost of a box.
 
         It is the model of all clicks; but where the click takes a small part of others, what was shown before stands
-        beside the answers to what is left of them, see `keep_most`.
+        beside the answers to what is left of them, see `mostly_left`.
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class LocalModel:
         if not stages:
             return None
         with ThreadPoolExecutor(max(self._threads, 1)) as pool:
-            if len(left) > 1 and keep_most(self.state.clicks, clicks):
+            if len(left) > 1 and mostly_left(self.state.clicks, clicks):
                 after = [self._stage_beside(stages[-1].answer, left, pool)]
             else:
                 after = list(self._stages_after(stages[-1], left, pool))

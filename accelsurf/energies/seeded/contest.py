@@ -159,12 +159,12 @@ def _by_walks(part: Around) -> Balance:
     walk(found, part.seeds != 0, part.values, part.spacing, SHARPNESS / spread, TOLERANCE, MAX_ITERATIONS)
     # Before it has converged it may lie beyond the values at the seeds.
     balance = np.clip(found, -1.0, 1.0).astype(np.float32)
-    kept = bounding_box(balance < CERTAIN, 1) or whole_box(balance.shape)
+    seen = bounding_box(balance < CERTAIN, 1) or whole_box(balance.shape)
     z, y, x = (
         slice(whole.start + own.start * step, min(whole.start + own.stop * step, whole.stop))
-        for whole, own, step in zip(part.box, kept, part.steps, strict=True)
+        for whole, own, step in zip(part.box, seen, part.steps, strict=True)
     )
-    return Balance((z, y, x), balance[kept].copy(), part.steps)
+    return Balance((z, y, x), balance[seen].copy(), part.steps)
 
 
 def around(

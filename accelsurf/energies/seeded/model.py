@@ -113,16 +113,16 @@ def seeded_model(
         When no click is inside, or the first lies outside box or mask; LeavesWindow when it looks beyond the window.
     """
     sized, where = size_mm3 is not None, (_allowed(images[0].shape, box, mask), window)
-    stages, left = unchanged(() if previous is None else previous.stages, clicks)
-    if previous is not None and stages:
-        smooth, proposal = previous.images, previous.proposal
-    else:
-        first, left = Clicks((first_inside(clicks),), clicks.shape), left[1:]
-        smooth = learned_images(images, spacing)
-        answer, proposal = answer_to_first(smooth, spacing, where, clicks, size_mm3, box is not None)
-        stages = (Stage(first, answer, _shown(images, spacing, where, answer, first, (sized, None))),)
-    one, contradicts = stages[-1], contradicting(stages[-1].answer, in_order(clicks), left)
     with ThreadPoolExecutor(max(threads, 1)) as pool:
+        stages, left = unchanged(() if previous is None else previous.stages, clicks)
+        if previous is not None and stages:
+            smooth, proposal = previous.images, previous.proposal
+        else:
+            first, left = Clicks((first_inside(clicks),), clicks.shape), left[1:]
+            smooth = learned_images(images, spacing)
+            answer, proposal = answer_to_first(smooth, spacing, where, clicks, size_mm3, box is not None)
+            stages = (Stage(first, answer, _shown(images, spacing, where, answer, first, (sized, None), pool)),)
+        one, contradicts = stages[-1], contradicting(stages[-1].answer, in_order(clicks), left)
         for click, answer in zip(left, _answers(one.answer, left, smooth, spacing, pool), strict=True):
             # The size that a click contradicts is known from that click on: no model without it goes on from before.
             stages = () if any(click is other for other in contradicts) else stages
@@ -143,7 +143,7 @@ def _shown(
     answer: Answer,
     clicks: Clicks,
     earlier: tuple[bool, Shown | None],
-    pool: ThreadPoolExecutor | None = None,
+    pool: ThreadPoolExecutor,
 ) -> Shown:
     """What is shown after some clicks, by their answer and whether a size was stated, and what was shown before."""
     allowed, window = where

@@ -13,7 +13,7 @@ from accelsurf.grid.clicks import Click, Clicks
 #: So many stages are kept: that of the first click, whose march is the longest, and the last ones.
 MAX_STAGES = 9
 #: A click from which voxels are taken still says what it said where it keeps this part of them.
-KEPT = 0.5
+MOSTLY = 0.5
 
 
 class Stage(NamedTuple):
@@ -71,8 +71,8 @@ def unchanged(stages: Sequence[Stage], clicks: Clicks) -> tuple[tuple[Stage, ...
     return tuple(stages[:count]), left
 
 
-def keep_most(before: Clicks, after: Clicks) -> bool:
-    """Whether clicks keep at least the part `KEPT` of their voxels each, and with it what they say.
+def mostly_left(before: Clicks, after: Clicks) -> bool:
+    """Whether clicks keep at least the part `MOSTLY` of their voxels each, and with it what they say.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def keep_most(before: Clicks, after: Clicks) -> bool:
     if len(after) != len(before) + 1:
         return False
     pairs = zip(before.clicks, after.clicks, strict=False)
-    return all(np.count_nonzero(left.mask) >= KEPT * np.count_nonzero(one.mask) for one, left in pairs)
+    return all(np.count_nonzero(left.mask) >= MOSTLY * np.count_nonzero(one.mask) for one, left in pairs)
 
 
 def contradicting(answer: Answer, clicks: Clicks, asked: Sequence[Click]) -> tuple[Click, ...]:
