@@ -7,8 +7,10 @@ A ball in noise is opened in the window, on the display given or a screen of its
 into Qt's queue from another thread, as a hand does, at most 60 a second; each is timed from there until the picture
 that shows it is drawn, inside the window; beside it the time of the processor that the window's own thread took, which
 a busy machine changes little. What is timed: a placed ball; a stroke in a slice while the run plays and after its end;
-a stroke on the surface in 3D; the slider of the radius; from the release of a correcting stroke until the surface is
-drawn that obeys it. Software rendering competes with the solver for the same cores. Run it on a quiet machine.
+a stroke on the surface in 3D; the slider of the radius; slices by the wheel, and how many a second; grey values by a
+drag with the right button; a press in the object that is drawn to its size; from the release of a correcting stroke
+until the surface is drawn that obeys it. Software rendering competes with the solver for the same cores. Run it on a
+quiet machine.
 """
 
 from __future__ import annotations
@@ -118,6 +120,7 @@ def summary(times: Sequence[tuple[float, float]]) -> dict[str, float]:
         "median_ms": round(float(np.median(wall)), 1), "p95_ms": round(float(np.percentile(wall, 95)), 1),
         "largest_ms": round(float(wall.max()), 1), "within_50_ms": round(float(np.mean(wall <= DRAWN_MS)), 3),
         "own_median_ms": round(float(np.median(own)), 1), "own_largest_ms": round(float(own.max()), 1),
+        "a_second": round(1000.0 / max(float(wall.mean()), 1000.0 / RATE), 1),
     }
 
 
@@ -167,8 +170,11 @@ class Hand:
         found["stroke on the surface"] = self._drag("outside", self._over_the_ball())
         time.sleep(1.5)
         found["radius"] = self._slide()
+        found["slices by the wheel"] = self._scroll()
+        found["grey values by a drag"] = self._grey()
         found["obeyed"] = [self._correct(number) for number in range(CORRECTIONS)]
         found["placed ball"] = self._drag("ball", self._along("axial"))
+        found["drag to the size"] = self._drag("size", self._outwards("axial"))
         times = found.pop("obeyed")
         found = {name: summary(value) for name, value in found.items()}
         return found | {"obeyed_s": [wall for wall, _ in times], "obeyed_cpu_s": [cpu for _, cpu in times]}
@@ -179,6 +185,12 @@ class Hand:
         """Places across a tile, as parts of the canvas."""
         left, bottom, right, top = self.window.scene.tiles.renderer(tile).GetViewport()
         for share in np.linspace(0.42, 0.56, MOTIONS):
+            yield left + share * (right - left), 1.0 - (bottom + 0.5 * (top - bottom))
+
+    def _outwards(self, tile: str) -> Iterator[tuple[float, float]]:
+        """Places from the middle of a tile to one side, as parts of the canvas."""
+        left, bottom, right, top = self.window.scene.tiles.renderer(tile).GetViewport()
+        for share in np.linspace(0.5, 0.62, MOTIONS):
             yield left + share * (right - left), 1.0 - (bottom + 0.5 * (top - bottom))
 
     def _over_the_ball(self) -> Iterator[tuple[float, float]]:
@@ -214,30 +226,65 @@ class Hand:
         self._in_window(lambda: self.window._ask("tool", tool))
         self._in_window(lambda: self.window.workplace.request("radius", 0.12 * self.radius))
 
-    def _event(self, kind: str, place: tuple[float, float] | None) -> tuple[float, float]:
-        """Send an event; milliseconds until the picture after it, and of the window's thread until then."""
-        from PySide6.QtCore import QEvent, QPointF, Qt
+    def _event(self, kind: str, place: tuple[float, float] | None, right: bool = False) -> tuple[float, float]:
+        """Send an event of a button; milliseconds until the picture after it, and of the window's thread until then."""
+        from PySide6.QtCore import QEvent, Qt
         from PySide6.QtGui import QMouseEvent
-        from PySide6.QtWidgets import QApplication
 
-        canvas = self.window.canvas
         kinds = {
             "press": QEvent.Type.MouseButtonPress, "move": QEvent.Type.MouseMove,
             "release": QEvent.Type.MouseButtonRelease,
         }
         self._place = place or self._place
-        at = QPointF(self._place[0] * (canvas.width() - 1), self._place[1] * (canvas.height() - 1))
-        buttons = Qt.MouseButton.LeftButton
+        at = self._on_canvas(self._place)
+        buttons = Qt.MouseButton.RightButton if right else Qt.MouseButton.LeftButton
         button = Qt.MouseButton.NoButton if kind == "move" else buttons
-        event = QMouseEvent(kinds[kind], at, canvas.mapToGlobal(at), button, buttons, Qt.KeyboardModifier.NoModifier)
+        anywhere = self.window.canvas.mapToGlobal(at)
+        event = QMouseEvent(kinds[kind], at, anywhere, button, buttons, Qt.KeyboardModifier.NoModifier)
+        return self._until_drawn(event, 3.0 if kind != "release" else 0.5)
+
+    def _on_canvas(self, place: tuple[float, float]) -> Any:
+        """A place that is parts of the canvas, in pixels."""
+        from PySide6.QtCore import QPointF
+
+        canvas = self.window.canvas
+        return QPointF(place[0] * (canvas.width() - 1), place[1] * (canvas.height() - 1))
+
+    def _until_drawn(self, event: Any, seconds: float) -> tuple[float, float]:
+        """Send an event; milliseconds until the next picture, at most some seconds, and of the window's thread."""
+        from PySide6.QtWidgets import QApplication
+
         before, began, worked = len(self._drawn), time.perf_counter(), self._own_seconds()
-        QApplication.postEvent(canvas, event)
-        seconds = 3.0 if kind != "release" else 0.5
+        QApplication.postEvent(self.window.canvas, event)
         while len(self._drawn) == before and time.perf_counter() - began < seconds:
             time.sleep(0.0005)
         drawn, own = self._drawn[before] if len(self._drawn) > before else (began + seconds, self._own_seconds())
         time.sleep(max(0.0, began + 1.0 / RATE - time.perf_counter()))
         return 1000.0 * (drawn - began), 1000.0 * (own - worked)
+
+    def _scroll(self) -> list[tuple[float, float]]:
+        """Milliseconds from a turn of the wheel over the axial slices until the next slice is drawn."""
+        from PySide6.QtCore import QPoint, Qt
+        from PySide6.QtGui import QWheelEvent
+
+        at = self._on_canvas(next(self._along("axial")))
+        none, anywhere, times = Qt.MouseButton.NoButton, self.window.canvas.mapToGlobal(at), []
+        for number in range(2 * MOTIONS):
+            turned = QPoint(0, 120 if number % MOTIONS < MOTIONS // 2 else -120)
+            keys, phase = Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase
+            event = QWheelEvent(at, anywhere, QPoint(), turned, none, keys, phase, False)
+            times.append(self._until_drawn(event, 3.0))
+        time.sleep(1.0)
+        return times
+
+    def _grey(self) -> list[tuple[float, float]]:
+        """Milliseconds from each event of a drag with the right button until its grey values are drawn."""
+        places = list(self._along("axial"))
+        self._event("press", places[0], True)
+        times = [self._event("move", place, True) for place in places[1:]]
+        self._event("release", None, True)
+        time.sleep(1.0)
+        return times
 
     def _slide(self) -> list[tuple[float, float]]:
         """Milliseconds from a motion of the radius slider until the slider is painted."""
