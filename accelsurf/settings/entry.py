@@ -77,7 +77,7 @@ class SettingEntry:
         Whether the viewer shows it as a list to choose from.
     viewer : {"first", "more", "elsewhere"}
         Where the viewer shows it: among the common ones, under "more" with its group, or not as a setting: what is
-        clicked and drawn, how the image is read, which files are written.
+        clicked and drawn, how the image is read, what objects are called.
     names : callable, optional
         Names that the value is made of, with the meaning of each; they are appended to the help.
     listed : callable, optional

@@ -34,7 +34,7 @@ RUN_FILE = "run.toml"
 
 def save(
     run: Run, folder: Path, name: str, source: Path | None, what: Collection[str], replaceable: Collection[Path] | None,
-    corrected: Result | None = None, named: Mapping[str, Any] | None = None,
+    corrected: Result | None = None, others: Mapping[str, Any] | None = None,
 ) -> list[Path]:
     """Write the present result of a run into a folder, all files at once.
 
@@ -55,8 +55,8 @@ def save(
         Files that may be replaced; None: all.
     corrected : Result, optional
         Of the run and the corrections that were made after its end, with settings that repeat them.
-    named : mapping of str to tuple, optional
-        Settings ``name`` and ``color`` in place of those of the run.
+    others : mapping of str to value, optional
+        Settings of files in place of those of the run: names, colours, formats.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def save(
     for kind in what:
         check_known("save", kind, KINDS)
     result = corrected or dataclasses.replace(result_of(run), config=repeating(run))
-    config = result.config.replace(**(named or {}))
+    config = result.config.replace(**(others or {}))
     result = dataclasses.replace(result, config=config)
     empty = not result.labels.any() or bool(result.labels.all())
     if empty and set(what) & {"labels", "mesh"}:

@@ -71,6 +71,16 @@ class SessionCommands:
         """
         return self._do(lambda timeline: timeline.change(settings))
 
+    def change_files(self, **settings: Any) -> Future[None]:
+        """Change settings of the files that are saved: formats of meshes and labels, names and layout; the run goes on.
+
+        Raises
+        ------
+        UsageError
+            From the Future, when one is no such setting or not valid; nothing is changed then.
+        """
+        return self._do(lambda timeline: timeline.files.change(settings))
+
     def edit_ball(
         self, kind: Literal["add", "remove"], ball: str, object_id: int | None = None, joined: bool = False
     ) -> Future[None]:

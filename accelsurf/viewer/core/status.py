@@ -96,7 +96,7 @@ class Status(NamedTuple):
             playing=timeline.is_playing,
             step=timeline.step_number,
             checkpoints=timeline.checkpoints.steps,
-            settings=timeline.run.settings,
+            settings=timeline.files.in_force(timeline.run.settings),
             edits=timeline.run.config.edit,
             stop=timeline.stop,
             message=message,

@@ -17,6 +17,7 @@ from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.change_log import ChangeLog, Moment, edits_with
 from accelsurf.viewer.core.change_words import balls_in_words, clicks_in_words, in_words
 from accelsurf.viewer.core.corrections import Corrections
+from accelsurf.viewer.core.file_settings import FileSettings
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.history import CheckpointHistory
 from accelsurf.viewer.core.object_commands import ObjectCommands
@@ -49,6 +50,7 @@ class Timeline:
     corrections : Corrections
     log : ChangeLog
     objects : ObjectCommands
+    files : FileSettings
     """
 
     def __init__(
@@ -59,7 +61,7 @@ class Timeline:
         self._playing, self._last_step, self._message = False, -1, ""
         self.log, self.corrections = ChangeLog(), Corrections(config.refine)
         self._written: set[Path] = set()
-        self.objects = ObjectCommands(self, config)
+        self.objects, self.files = ObjectCommands(self, config), FileSettings(self)
         self.run = Run(volume, config.replace(refine=()), None, self._channels)
         self._present = self.run.checkpoint()
         self.checkpoints.add(self._present)
@@ -391,8 +393,8 @@ class Timeline:
         """Write files, see `saving.save`; those written before may be replaced."""
         self.run.apply_edits()
         known, corrected = None if overwrite else self._written, self.corrections.result()
-        labels = self.objects.named_settings(self.run.config)
-        written = saving.save(self.run, folder, name, source, what, known, corrected, labels)
+        others = self.objects.named_settings(self.run.config) | self.files.changed
+        written = saving.save(self.run, folder, name, source, what, known, corrected, others)
         self._written.update(written)
         self._message = f"saved {len(written)} files in {folder}"
         return written

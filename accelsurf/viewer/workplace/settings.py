@@ -10,6 +10,7 @@ from typing import Any
 from accelsurf.errors import UsageError
 from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import as_typed, default_of, entry, is_switch, viewer_settings
+from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import did_you_mean
@@ -30,7 +31,7 @@ LOOK_SECONDS, MAX_FILES = 5.0, 200
 
 
 class SettingsFeature(Feature):
-    """Changes settings of the run; those that are fixed while it runs begin another."""
+    """Changes settings of the run; those that are fixed while it runs begin another, those of files touch no run."""
 
     def __init__(self, workplace: Any) -> None:
         super().__init__(workplace)
@@ -82,8 +83,14 @@ class SettingsFeature(Feature):
         return tuple(typed.split()) if entry(key).repeated else typed
 
     def _change(self, key: str, value: Any) -> None:
-        """Change a setting from here on, or begin another run where it is fixed; the same value changes nothing."""
+        """Change a setting from here on, or begin another run where it is fixed; the same value changes nothing.
+
+        Which files are written may change at any time.
+        """
         session = self.workplace.session
+        if entry(key).group is SettingGroup.FILES:
+            self.workplace.ask(session.change_files(**{key: value}))
+            return
         if entry(key).fixed:
             if key == "preset" or as_typed(value) != as_typed(getattr(session.status.settings, key)):
                 self.workplace.ask(session.restart_with(**{key: value}))

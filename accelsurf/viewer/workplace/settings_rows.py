@@ -8,6 +8,7 @@ from typing import Any
 from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import as_typed, entry, help_of, kind_of, label_of, names_of, viewer_settings
 from accelsurf.settings.energy_terms import TERMS, Word, examples
+from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 
@@ -50,10 +51,11 @@ def settings_rows(settings: RunConfig, terms: Sequence[Mapping[str, Any]], fines
 def _setting_row(key: str, settings: RunConfig, finest: float, is_first: bool) -> Row:
     said, value = entry(key), getattr(settings, key)
     kind: str = {"energy": "energy", "mask": "file"}.get(key, kind_of(key))
+    restarts = said.fixed and said.group is not SettingGroup.FILES
     row: Row = {
         "key": key, "label": label_of(key), "unit": said.unit, "help": help_of(key), "kind": kind,
         "group": "" if is_first else str(said.group), "value": shown_value(key, value),
-        "enabled": settings.matters(key), "restarts": said.fixed, "names": _names(key, settings), "term": [],
+        "enabled": settings.matters(key), "restarts": restarts, "names": _names(key, settings), "term": [],
         "now": "", "low": 0.0, "high": 0.0, "power": 1.0, "digits": 0, "limit": 0.0, "words": [],
         "tick": 0,
     }
@@ -69,7 +71,7 @@ def shown_value(key: str, value: Any) -> Any:
     """A value as a row has it: numbers of sliders and switches as they are, all else as it would be typed."""
     if kind_of(key) == "switch" or (kind_of(key) == "slider" and not isinstance(value, str)):
         return value
-    return " ".join(value) if isinstance(value, tuple) else as_typed(value)
+    return " ".join(value) if entry(key).repeated else as_typed(value)
 
 
 def _names(key: str, settings: RunConfig) -> list[dict[str, str]]:
