@@ -224,6 +224,7 @@ def click_features(found: Quality) -> dict[str, float] | None:
         "correction": math.log(min(max(correction, 0.03), 5.0)),
         "corrections": math.log1p(min(found.corrections or 0, 9)),
         "size_spread": min(found.size_spread, 3.0),
+        "compactness": _round(found),
     }
 
 
@@ -237,13 +238,18 @@ def image_features(found: Quality, reason: str, volume_mm3: float) -> dict[str, 
         "beyond_clicks": math.log(min(max(found.beyond_clicks or USUAL_BEYOND, 1.0), 1000.0)),
         "inside_like": found.inside_like,
         "drift": math.log1p(min(found.drift, 20.0)),
-        "compactness": math.log(min(max(found.compactness, 1e-3), 1.0)),
+        "compactness": _round(found),
         "border": min(found.border_fraction, 1.0),
         "burst": math.log(min(max(burst, 1.0), 20.0)),
         "growth": math.log(min(max(found.growth, 0.1), 1000.0)),
         "no_edge": found.no_edge_fraction,
         "unconverged": float(reason not in ("converged", "rested")),
     }
+
+
+def _round(found: Quality) -> float:
+    """The compactness as a feature; 0 of a ball."""
+    return math.log(min(max(found.compactness, 1e-3), 1.0))
 
 
 def _beyond(inside: NDArray[np.bool_], clicked: NDArray[np.bool_]) -> float:
