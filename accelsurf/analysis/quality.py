@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIKE = 0.2, 0.4, 2.0, 0.02, 20, 0.1
 #: A rest is noted where the object has grown to so many times its size since.
 MIN_BURST = 1.1
-#: What counts for an object without clicks as its volume over theirs, and where no click has corrected it (radii).
-USUAL_BEYOND, USUAL_CORRECTION = 20.0, 0.37
+#: What counts for an object without clicks as its volume over theirs, where no click has corrected it (radii), and as
+#: compactness where no surface was measured.
+USUAL_BEYOND, USUAL_CORRECTION, USUAL_COMPACTNESS = 20.0, 0.37, 0.49
 
 
 class RestNote(NamedTuple):
@@ -248,8 +249,8 @@ def image_features(found: Quality, reason: str, volume_mm3: float) -> dict[str, 
 
 
 def _round(found: Quality) -> float:
-    """The compactness as a feature; 0 of a ball."""
-    return math.log(min(max(found.compactness, 1e-3), 1.0))
+    """The compactness as a feature: 0 of a ball; that of most objects where no surface was measured."""
+    return math.log(min(max(found.compactness or USUAL_COMPACTNESS, 1e-3), 1.0))
 
 
 def _beyond(inside: NDArray[np.bool_], clicked: NDArray[np.bool_]) -> float:
