@@ -294,6 +294,7 @@ class Frame:
         Examples
         --------
         >>> from accelsurf import Volume
+        >>> from accelsurf.segmentation.run import Run
         >>> from accelsurf.settings.run_config import RunConfig
         >>> image = np.zeros((24, 24, 24))
         >>> image[6:18, 6:18, 6:18] = 1
