@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from accelsurf.levelset import LevelSet
+if TYPE_CHECKING:
+    from accelsurf.levelset import LevelSet
 
 StopReason = Literal[
     "converged", "max-steps", "vanished", "filled", "stalled", "interrupted", "diverged", "leaked", "rested"

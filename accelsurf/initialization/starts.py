@@ -22,7 +22,6 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.slabs import slabs
 from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import Window
-from accelsurf.initialization import region_growing
 from accelsurf.io import meshes, split_name
 from accelsurf.settings import budgets
 from accelsurf.settings.label_ids import parse_ids
@@ -269,19 +268,8 @@ def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDAr
         return psi_of_mask(_read_mask(start, window), geometry)
     if start.kind == "mesh":
         return psi_of_mask(meshes.inside(start.file, geometry, start.word == "ras", box), geometry)
-    if start.kind == "seed":
-        z, y, x = start.numbers[2::-1] if start.vox else geometry.world_to_index(start.numbers[:3])
-        radius = start.numbers[3] * (min(geometry.steps) if start.vox else 1.0)
-        mask = region_growing.grow_region(values, geometry, (float(z), float(y), float(x)), radius)
-        return psi_of_mask(mask, geometry)
-    if start.kind in ("threshold", "largest", "otsu"):
-        if start.numbers:
-            # Beyond 32-bit floats a bound is open; numpy would warn.
-            low, high = (math.copysign(math.inf, v) if abs(v) > 3e38 else v for v in start.numbers)
-            mask = (values >= low) & (values <= high)
-        else:
-            mask = region_growing.otsu(values, dark=start.word.endswith("dark"))
-        return psi_of_mask(region_growing.largest(mask) if start.kind == "largest" else mask, geometry)
+    if start.kind in BY_VALUES:
+        return psi_of_mask(_by_values(start, geometry, values), geometry)
     if start.kind == "center":
         extents = [e for e, n in zip(geometry.extent_mm, geometry.shape, strict=True) if n > 1]
         centre = tuple(0.5 * (n - 1) for n in reversed(geometry.shape))
@@ -293,6 +281,24 @@ def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDAr
         z, y, x = geometry.world_to_index(start.numbers[:3])
         return _ball(window, (x, y, z), start.numbers[3])
     return _box(window, start)
+
+
+def _by_values(start: Start, geometry: Geometry, values: NDArray) -> NDArray[np.bool_]:
+    """Voxels of a start that looks at values everywhere."""
+    # Not with the module: who reads a place or a box needs neither scikit-image nor SciPy.
+    from accelsurf.initialization import region_growing
+
+    if start.kind == "seed":
+        z, y, x = start.numbers[2::-1] if start.vox else geometry.world_to_index(start.numbers[:3])
+        radius = start.numbers[3] * (min(geometry.steps) if start.vox else 1.0)
+        return region_growing.grow_region(values, geometry, (float(z), float(y), float(x)), radius)
+    if start.numbers:
+        # Beyond 32-bit floats a bound is open; numpy would warn.
+        low, high = (math.copysign(math.inf, v) if abs(v) > 3e38 else v for v in start.numbers)
+        mask = (values >= low) & (values <= high)
+    else:
+        mask = region_growing.otsu(values, dark=start.word.endswith("dark"))
+    return region_growing.largest(mask) if start.kind == "largest" else mask
 
 
 def _read_mask(start: Start, window: Window) -> NDArray[np.bool_]:

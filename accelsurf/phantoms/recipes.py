@@ -26,7 +26,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.slabs import slabs
-from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import Volume
 from accelsurf.phantoms.recipe_files import checked, read_recipe
 from accelsurf.phantoms.solids import SOLIDS, Solid
@@ -282,6 +281,9 @@ def _antialias(image: NDArray[np.float32], distance: Floats, points: tuple[Float
 def _degraded(image: NDArray[np.float32], recipe: Recipe) -> NDArray[np.float32]:
     """The image with blur, bias and noise; the array given may be overwritten."""
     if recipe.blur:
+        # Not with the module: the viewer lists the recipes as it starts, and this loads the compiler.
+        from accelsurf.grid.smoothing import gaussian_mm
+
         image = gaussian_mm(image, recipe.spacing[::-1], recipe.blur)
     if recipe.bias:
         # Its own stream: the same noise with and without a bias field.

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from accelsurf import io
 from accelsurf.errors import InputError
@@ -159,6 +158,9 @@ def _check_grid(folder: Path, sequence: ImageSequence, labels: ImageSequence) ->
 
 def _piece_of(labels: NDArray[np.unsignedinteger], own: int) -> DrawnObject:
     """An object of a label map, its stair steps smoothed; psi is negative inside, in no unit."""
+    # Not with the module: the viewer, which knows these folders, begins without half of SciPy.
+    from scipy import ndimage
+
     inner = bounding_box(labels == own)
     assert inner is not None  # it has a voxel
     box = widened(inner, labels.shape, (_AROUND, _AROUND, _AROUND))

@@ -21,8 +21,9 @@ from accelsurf.grid.window import Window
 from accelsurf.initialization import starts
 from accelsurf.initialization.clicks import read_clicks
 from accelsurf.segmentation.image_context import ImageContext, Mask, ModelInputs, Scale
-from accelsurf.segmentation.region_of_interest import cropped, distance_of_mask
+from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.run_clicks import placed
+from accelsurf.segmentation.run_mask import distance_of_mask
 from accelsurf.segmentation.run_setup import thread_count
 from accelsurf.segmentation.window_input import WindowInput, region_in, whole_of, window_of
 from accelsurf.settings import budgets, energy_expression

@@ -17,6 +17,7 @@ from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import StepLimits
 from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.resolved_levels import AUTO_MIN_VOXELS, count_resolved_levels
 from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import NeedsLevels, Window
 from accelsurf.initialization.object_starts import ObjectStart
@@ -78,9 +79,9 @@ def choose_levels(
         terms = energy_expression.parse(config.energy)
         if psi is None or not has_name or any(TERMS[term.name].keeps_fine_edges for term in terms):
             return in_window(pyramid.levels(shape, spacing, 1))
-        possible = pyramid.levels(shape, spacing, min_voxels=pyramid.AUTO_MIN_VOXELS)
+        possible = pyramid.levels(shape, spacing, min_voxels=AUTO_MIN_VOXELS)
         grids = in_window(possible)
-        count = pyramid.count_resolved_levels(grids, psi)
+        count = count_resolved_levels(grids, psi)
         if window is not None and count == window.levels < len(possible):
             raise NeedsLevels(count + 1)
         return grids[:count]

@@ -411,8 +411,8 @@ import sys, threading
 from accelsurf.viewer.core import session
 from accelsurf.viewer.frontends import desktop
 
-looked, timeline, draw = threading.Event(), session.Timeline, desktop.Window._draw_first
-session.Timeline = lambda *given: timeline(*given) if looked.wait(60) else None
+looked, solver, draw = threading.Event(), session._solver, desktop.Window._draw_first
+session._solver = lambda: solver() if looked.wait(60) else None
 
 def look(window):
     draw(window)

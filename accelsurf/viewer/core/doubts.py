@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import time
 from typing import NamedTuple
 
 import numpy as np
 
 from accelsurf.analysis.evidence import doubtful_places, gather
 from accelsurf.segmentation.result import Result, SegmentedObject
-from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_result import result_of
 
 #: Places that are offered, of all objects together.
 COUNT = 5
-#: Seconds without a command after which they are looked for.
-QUIET = 0.4
 #: Below this share of doubt there is nothing to click.
 MIN_SHARE = 0.1
 
@@ -52,28 +47,3 @@ def _doubts(one: SegmentedObject) -> list[Doubt]:
         if share >= MIN_SHARE:
             out.append(Doubt((x, y, z), share, one.id))
     return out
-
-
-class DoubtWatch:
-    """When the doubts of a session are looked for: once for each state after the run's end, when nothing else is asked.
-
-    Looking takes tenths of a second on a large object, which the next command must not wait for.
-    """
-
-    def __init__(self) -> None:
-        self._looked_at, self._busy_until = -1, 0.0
-
-    def is_wanted(self, version: int, has_ended: bool) -> bool:
-        """Whether this version of the state has not been looked at."""
-        return has_ended and self._looked_at != version
-
-    def postpone(self) -> None:
-        """Something was done: wait again until it has been quiet for some time."""
-        self._busy_until = time.perf_counter() + QUIET
-
-    def find(self, version: int, run: Run, corrected: Result | None) -> tuple[Doubt, ...] | None:
-        """The doubts of a version of the state; None while it is not quiet yet."""
-        if time.perf_counter() < self._busy_until:
-            return None
-        self._looked_at = version
-        return doubts_of(corrected if corrected is not None else result_of(run))

@@ -5,21 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from accelsurf.evolution.records import StepFields, StepRecord
-from accelsurf.flows import Flow
-from accelsurf.flows.flowable_mass import FlowableMass
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import bounding_box, corner_of
-from accelsurf.levelset import LevelSet
 from accelsurf.report.preview_content import ClickMark, marks_of
 from accelsurf.segmentation.clicked_voxels import on_image
-from accelsurf.segmentation.result import Result, SegmentedObject
-from accelsurf.segmentation.run import Run
+
+if TYPE_CHECKING:
+    from accelsurf.flows import Flow
+    from accelsurf.levelset import LevelSet
+    from accelsurf.segmentation.result import Result, SegmentedObject
+    from accelsurf.segmentation.run import Run
 
 #: What the surface can be coloured by; ``plain`` is one colour.
 COLORS = ("plain", "speed", "force", "density")
@@ -293,6 +294,7 @@ class Frame:
         Examples
         --------
         >>> from accelsurf import Volume
+        >>> from accelsurf.segmentation.run import Run
         >>> from accelsurf.settings.run_config import RunConfig
         >>> image = np.zeros((24, 24, 24))
         >>> image[6:18, 6:18, 6:18] = 1
@@ -370,6 +372,9 @@ def histories_of_run(run: Run, present: Sequence[StepRecord] = ()) -> tuple[tupl
 
 def _quantities(state: ObjectState) -> dict[str, BandQuantity]:
     """Copies of what the surface can be coloured by."""
+    # Not with the module: frames are known before the solver is loaded, which who has a state has done.
+    from accelsurf.flows.flowable_mass import FlowableMass
+
     quantities, fields, flow = {}, state.fields, state.flow
     if fields is not None:
         quantities["speed"] = BandQuantity(fields.cells, -fields.speed)

@@ -18,6 +18,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.restarted import FROM_CLICKS
 from accelsurf.viewer.core.size_drag import SizeDrag
+from accelsurf.viewer.core.size_press import size_drag_of
 
 if TYPE_CHECKING:
     from accelsurf.viewer.core.timeline import Timeline
@@ -137,7 +138,7 @@ class ObjectCommands:
         if object_id is None and len(ids) > 1:
             raise UsageError("a size is dragged for one object, there are several", "choose one, or add one")
         taken = timeline.corrections.taken(timeline.run, ball, object_id or ids[0])
-        drag = SizeDrag.of_press(timeline.run, ball, voxels, taken)
+        drag = size_drag_of(timeline.run, ball, voxels, taken)
         self._drag = drag, object_id
         timeline.say(f"pressed {ball}: drag outwards until it fits")
         return drag

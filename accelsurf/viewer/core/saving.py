@@ -26,9 +26,8 @@ from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.saved_kinds import KINDS
 
-#: What can be saved; ``run`` is the configuration that repeats the run.
-KINDS = ("labels", "mesh", "picture", "trace", "report", "run")
 RUN_FILE = "run.toml"
 
 
@@ -50,7 +49,7 @@ def save(
     source : Path or None
         The image's file, for the report and the format of the labels.
     what : collection of str
-        Of `KINDS`.
+        Of `saved_kinds.KINDS`.
     replaceable : collection of Path or None
         Files that may be replaced; None: all.
     corrected : Result, optional

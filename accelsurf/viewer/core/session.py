@@ -12,17 +12,19 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
-from accelsurf.viewer.core.doubts import QUIET, DoubtWatch
+from accelsurf.viewer.core.doubt_watch import QUIET, DoubtWatch
 from accelsurf.viewer.core.session_commands import SessionCommands
 from accelsurf.viewer.core.status import Status, View, error_line
-from accelsurf.viewer.core.timeline import Timeline
 from accelsurf.viewer.core.view_slot import ViewSlot
+
+if TYPE_CHECKING:
+    from accelsurf.viewer.core.timeline import Timeline
 
 #: Voxels of a frame while the run plays; a frame of a paused run has all of them.
 PLAYING_VOXELS = 3_000_000
@@ -178,7 +180,7 @@ class Session(SessionCommands):
     def _loop(self) -> None:
         """All that the session's thread does."""
         try:
-            timeline = Timeline(self.volume, self._config, self._checkpoint_mb, self._channels)
+            timeline = _solver()(self.volume, self._config, self._checkpoint_mb, self._channels)
         except Exception as error:
             self._status = Status.preparing(self._config, error_line(error), True)
             self.ready.set_exception(error)
@@ -282,3 +284,17 @@ class Session(SessionCommands):
             self._status = Status.of(timeline, error_line(error), True)
             return
         self._views.put(View(frame, histories, self._status), self._version, time.perf_counter() - began)
+
+
+def _solver() -> type[Timeline]:
+    """Load the solver, which takes as long as a window's first picture does without it; return what makes a run.
+
+    All that the thread will need is loaded here: nothing is then loaded while a person waits, and no other thread loads
+    a part of it meanwhile. Two sessions that begin at once wait for one another, as both begin with the same module.
+    """
+    import accelsurf.segmentation.image_force
+    import accelsurf.viewer.core.doubts
+    import accelsurf.viewer.core.figures  # noqa: F401
+    from accelsurf.viewer.core.timeline import Timeline
+
+    return Timeline

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from accelsurf.analysis.diameters import Diameters
 from accelsurf.grid.clicks import Side
-from accelsurf.segmentation.run import Run
-from accelsurf.viewer.core import saving
-from accelsurf.viewer.core.figures import Figures, diameters_of, figures_of
-from accelsurf.viewer.core.object_commands import ObjectCommands
+from accelsurf.viewer.core.saved_kinds import KINDS
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
-from accelsurf.viewer.core.timeline import Timeline
+
+if TYPE_CHECKING:
+    from accelsurf.segmentation.run import Run
+    from accelsurf.viewer.core.figures import Figures
+    from accelsurf.viewer.core.object_commands import ObjectCommands
+    from accelsurf.viewer.core.timeline import Timeline
 
 T = TypeVar("T")
 
@@ -159,18 +161,18 @@ class SessionCommands:
 
     def figures(self) -> Future[Figures]:
         """Compute the figures of the objects as they are now: volume, surface, intensities, diameters."""
-        return self._do(figures_of)
+        return self._do(_figures)
 
     def diameters(self, object_id: int) -> Future[Diameters]:
         """Compute the longest lines of an object as it is now; fails when it has no voxel."""
-        return self._do(lambda timeline: diameters_of(timeline, object_id))
+        return self._do(lambda timeline: _diameters(timeline, object_id))
 
     def go_to_change(self, count: int) -> Future[None]:
         """Undo changes, or make them again, until the first ``count`` of `Status.changes` are in force; in one go."""
         return self._do(lambda timeline: timeline.go_to_change(count))
 
     def save(
-        self, folder: Path, what: Sequence[str] = saving.KINDS, overwrite: bool = False
+        self, folder: Path, what: Sequence[str] = KINDS, overwrite: bool = False
     ) -> Future[list[Path]]:
         """Write files into a folder as `accelsurf segment` does, and ``run.toml``, which repeats the run.
 
@@ -179,7 +181,7 @@ class SessionCommands:
         folder : Path
             Made when missing.
         what : sequence of str
-            Of `saving.KINDS`.
+            Of `saved_kinds.KINDS`.
         overwrite : bool
             Replace files that another session or program has written; those of this one are always replaced.
 
@@ -190,3 +192,16 @@ class SessionCommands:
         """
         kinds = tuple(what)
         return self._do(lambda timeline: timeline.save(Path(folder), self.name, self.source, kinds, overwrite))
+
+
+# Both are called in the session's thread, which has loaded the solver; who asks may do so before.
+def _figures(timeline: Timeline) -> Figures:
+    from accelsurf.viewer.core.figures import figures_of
+
+    return figures_of(timeline)
+
+
+def _diameters(timeline: Timeline, object_id: int) -> Diameters:
+    from accelsurf.viewer.core.figures import diameters_of
+
+    return diameters_of(timeline, object_id)

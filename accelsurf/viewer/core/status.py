@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
@@ -13,9 +13,11 @@ from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.refinements import Refinement
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.change_log import ChangeLine
-from accelsurf.viewer.core.doubts import Doubt
 from accelsurf.viewer.core.frame import Frame
-from accelsurf.viewer.core.timeline import Timeline
+
+if TYPE_CHECKING:
+    from accelsurf.viewer.core.doubts import Doubt
+    from accelsurf.viewer.core.timeline import Timeline
 
 
 class Status(NamedTuple):

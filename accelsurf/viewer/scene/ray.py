@@ -9,7 +9,6 @@ from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.viewer.core.frame import SurfaceFrame
@@ -40,6 +39,9 @@ def _share(one: SurfaceFrame, ends: Floats) -> float | None:
     """How far along the line, 0 to 1, it enters an object."""
     if not one.has_surface:
         return None
+    # Not with the module: the first picture has no surface yet, and what makes one has loaded this.
+    from scipy import ndimage
+
     first, last = one.from_image(ends)
     span = _within(first, last, one.psi.shape)
     if span is None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 from vtkmodules.vtkFiltersCore import vtkFlyingEdges2D, vtkFlyingEdges3D
 from vtkmodules.vtkRenderingCore import vtkTexture
 
@@ -46,6 +45,9 @@ def isosurface(surface: SurfaceFrame, geometry: Geometry, color: str = "plain") 
 
 def label_surface(labels: NDArray[np.bool_], geometry: Geometry) -> pv.PolyData:
     """The surface of a label map in world mm (LPS), with the stair steps of its voxels smoothed away."""
+    # Not with the module: the first picture has a label map only where one was asked for.
+    from scipy import ndimage
+
     inside = np.argwhere(labels)
     if not len(inside):
         return pv.PolyData()

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import UsageError
-from accelsurf.viewer.core.saving import KINDS
+from accelsurf.viewer.core.saved_kinds import KINDS
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.workplace.checks import word
 from accelsurf.viewer.workplace.feature import Feature, Key

@@ -5,15 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.segmentation.image_force import image_forces
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.force_overlay import ForceOverlay, ForceSlice
 from accelsurf.viewer.workplace.feature import Feature, Key
+
+if TYPE_CHECKING:
+    from accelsurf.segmentation.run import Run
 
 #: Seconds from one picture to the next while the run goes on: its steps are more important.
 PAUSE_SECONDS = 1.0
@@ -69,7 +71,7 @@ class ForceFeature(Feature):
             return
         self._run, self._planes, self._asked_at = run, planes, time.monotonic()
         measured = is_same and not status.playing
-        future = self.workplace.session.look(lambda now: image_forces(now, list(wanted.values()), whose, measured))
+        future = self.workplace.session.look(lambda run: _forces(run, list(wanted.values()), whose, measured))
         self._waiting = future
         self.workplace.ask(future, lambda forces: self._show(wanted, forces, is_same), quiet=True)
         future.add_done_callback(lambda _: setattr(self, "_waiting", None))
@@ -85,3 +87,12 @@ class ForceFeature(Feature):
         scale = f"full colour at {self.overlay.scale:.3g}"
         self._note = f"purple grows, orange shrinks, {scale}" if slices else "this energy does not tell its force"
         self.workplace.changed = True
+
+
+def _forces(
+    run: Run, planes: list[tuple[int, int]], object_id: int | None, is_measured: bool
+) -> list[NDArray[np.float32]] | None:
+    """The forces, in the session's thread, which has loaded what computes them; this module is loaded before."""
+    from accelsurf.segmentation.image_force import image_forces
+
+    return image_forces(run, planes, object_id, is_measured)

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from accelsurf.errors import UsageError
-from accelsurf.viewer.core.doubts import Doubt
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.workplace.checks import whole
 from accelsurf.viewer.workplace.feature import Feature, Key
 
 if TYPE_CHECKING:
+    from accelsurf.viewer.core.doubts import Doubt
     from accelsurf.viewer.workplace.workplace import Workplace
 
 

@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from accelsurf.report import output_folder
 from accelsurf.report.tables import csv_text
 from accelsurf.settings.refinements import MAX_ID
 from accelsurf.settings.wording import in_unit, size_text
-from accelsurf.viewer.core.figures import Figures
 from accelsurf.viewer.core.measurements import COLUMNS, Measurement, Measurements
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.captions import measure
@@ -26,6 +25,9 @@ from accelsurf.viewer.workplace.feature import Feature
 from accelsurf.viewer.workplace.files import FilesFeature
 from accelsurf.viewer.workplace.measure_tools import Angle, Distance
 from accelsurf.viewer.workplace.tool import Tool
+
+if TYPE_CHECKING:
+    from accelsurf.viewer.core.figures import Figures
 
 
 class MeasureFeature(Feature):
