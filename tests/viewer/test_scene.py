@@ -1,7 +1,10 @@
 """The scene: what it draws lies where it should, in mm, on oblique, left-handed, anisotropic and coarse grids."""
 
+import dataclasses
+
 import numpy as np
 import pytest
+import pyvista as pv
 from PIL import Image
 
 from accelsurf import Volume
@@ -10,6 +13,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.io.metadata import DICOM_KEY, UNIT_KEY
 from accelsurf.report import canvas
 from accelsurf.viewer.scene import colors, shapes
+from accelsurf.viewer.scene.box import BoxOverlay, VoxelBox
 from tests.support import viewing
 
 DIRECTIONS = {"straight": np.eye(3), "left-handed, oblique": viewing.TURN, "axes swapped": np.eye(3)[[2, 0, 1]]}
@@ -389,6 +393,39 @@ def test_text_and_lines_scale_once_with_the_screen(scene_of, ratio):
     ink = [float((np.abs(one - one[0, 0]).max(axis=2) > 60).mean()) for one in (pictures[0], small.astype(float))]
     assert ink[1] == pytest.approx(ink[0], rel=0.04)
     assert np.abs(small - pictures[0]).mean() < 5.0
+
+
+def line_widths(scene):
+    """Widths of all lines that are seen, in the order in which they are drawn."""
+    found = []
+    for renderer in scene.plotter.render_window.GetRenderers():
+        for prop in renderer.GetViewProps():
+            mesh = prop.GetMapper().GetInput() if hasattr(prop, "GetMapper") and prop.GetVisibility() else None
+            if prop.IsA("vtkAnnotatedCubeActor"):
+                found.append(prop.GetTextEdgesProperty().GetLineWidth())
+            elif mesh is not None and mesh.GetNumberOfLines():
+                found.append(prop.GetProperty().GetLineWidth())
+    return found
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.5, 2.0, 3.0])
+def test_the_lines_of_box_ways_and_cube_scale_with_the_screen(scene_of, ratio):
+    """Whatever draws lines is as wide on a fine screen as on a usual one; the box as a share of the picture, too."""
+    volume, center = viewing.ball_image()
+    frame = viewing.run_frames(volume, center, levels=1)[0][-1]
+    way = center + np.array([[-8.0, 0.0, 0.0], [0.0, 6.0, 0.0], [9.0, 0.0, 3.0]])
+    widths, ink = [], []
+    for own in (1.0, ratio):
+        scene = scene_of(volume, size=(round(640 * own), round(360 * own)))
+        scene.tiles.pixel_ratio = own
+        scene.update(dataclasses.replace(frame, paths=(way,)))
+        BoxOverlay(scene).show(VoxelBox((2, 3, 4), (15, 30, 33)))
+        picture = scene.screenshot().astype(float)
+        widths.append(np.array(line_widths(scene)))
+        purple = np.abs(picture - pv.Color(colors.MARK).int_rgb).max(axis=2) < 90
+        ink.append(float(purple.mean()))
+    assert len(widths[0]) >= 10 and widths[1] == pytest.approx(ratio * widths[0])
+    assert ink[0] > 0.002 and ink[1] == pytest.approx(ink[0], rel=0.25)
 
 
 @pytest.mark.parametrize("size", [(640, 360), (1280, 720)])
