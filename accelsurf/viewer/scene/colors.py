@@ -54,17 +54,6 @@ SHADES = {
 }
 
 
-def object_color(position: int) -> str:
-    """Return the colour of the object at this position in the order of ids; colours repeat after five objects.
-
-    Examples
-    --------
-    >>> object_color(0) == SURFACE, object_color(5) == SURFACE
-    (True, True)
-    """
-    return OBJECT_COLORS[position % len(OBJECT_COLORS)]
-
-
 def theme_named(name: str) -> Theme:
     """Return a theme by its name.
 
