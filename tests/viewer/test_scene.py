@@ -1,6 +1,7 @@
 """The scene: what it draws lies where it should, in mm, on oblique, left-handed, anisotropic and coarse grids."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import InputError, UsageError
 from accelsurf.io.metadata import DICOM_KEY, UNIT_KEY
 from accelsurf.report import canvas
+from accelsurf.viewer.frontends.page_document import style_sheet
 from accelsurf.viewer.scene import colors, shapes
 from accelsurf.viewer.scene.box import BoxOverlay, VoxelBox
 from tests.support import viewing
@@ -296,6 +298,48 @@ def test_the_reference_has_a_colour_of_its_own_in_every_picture():
         canvas.SURFACE, canvas.REFERENCE, canvas.OBJECT_COLORS
     )  # fmt: skip
     assert colors.REFERENCE not in colors.OBJECT_COLORS and colors.OBJECT_COLORS[0] == colors.SURFACE
+
+
+def luminance(code):
+    rgb = np.array(pv.Color(code).int_rgb) / 255
+    return float(np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722])
+
+
+def contrast(one, other):
+    """As of the Web Content Accessibility Guidelines: 4.5 for text."""
+    dark, light = sorted((luminance(one), luminance(other)))
+    return (light + 0.05) / (dark + 0.05)
+
+
+@pytest.mark.parametrize("theme", colors.THEMES)
+def test_curves_of_one_object_have_neither_colour_of_a_surface(scene_of, theme):
+    volume, center = viewing.ball_image()
+    frames, history = viewing.run_frames(volume, center, levels=1)
+    scene = scene_of(volume, theme=theme, size=(960, 540))
+    scene.update(frames[-1], [history])
+    chart = scene.screenshot()[270:, 720:].astype(int)
+    for code in (colors.SURFACE, colors.REFERENCE, canvas.BLUE, canvas.VERMILION):
+        assert not (np.abs(chart - pv.Color(code).int_rgb).max(axis=2) < 12).any(), code
+    look = colors.theme_named(theme)
+    assert (np.abs(chart - pv.Color(look.ink).int_rgb).max(axis=2) < 12).sum() > 200
+    assert contrast(look.ink, look.background) > 4.5
+
+
+def test_the_page_has_the_accent_of_the_window_and_of_the_surface():
+    """Never the reference's colour; what is written can be read in both themes."""
+    sheet = style_sheet()
+    given = re.findall(r"^[.]page([.]light)? {([^}]*)}?", sheet, re.MULTILINE)
+    themes = {"dark": {}, "light": {}}
+    for light, text in given:
+        for name in themes if not light else ("light",):
+            themes[name] |= dict(re.findall(r"--(\w+): (#\w{6});", text))
+    for theme, known in themes.items():
+        assert known["main"] == colors.SURFACE and contrast(known["on"], known["main"]) > 4.5
+        for ground in (known["ground"], known["panel"]):
+            assert min(contrast(known[name], ground) for name in ("edge", "alarm", "ink", "soft")) > 4.5
+        assert known["alarm"] == colors.ALARM[theme] != known["edge"]
+    others = (colors.REFERENCE, *colors.OBJECT_COLORS[1:4])
+    assert not [code for code in others if code.lower() in sheet.lower()]
 
 
 # -- what is written and drawn over it ----------------------------------------------------------------------
