@@ -16,7 +16,6 @@ from accelsurf.settings.wording import shown
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
     from accelsurf.evolution.records import Stop
-    from accelsurf.grid.grey_window import GreyWindow
     from accelsurf.grid.volume import Volume
     from accelsurf.segmentation.run import Run
     from accelsurf.viewer.frontends.movie_file import MovieSettings
@@ -96,7 +95,6 @@ def movie(
         Write one PNG of the last step instead of a movie.
     """
     from accelsurf.cli.progress import Watcher
-    from accelsurf.grid.grey_window import parse_window
     from accelsurf.io import channels
     from accelsurf.report.output_folder import refuse_existing
     from accelsurf.segmentation.run import Run
@@ -111,7 +109,7 @@ def movie(
     refuse_existing({"movie": target}, overwrite)
     require_graphics()
     volume, *more = channels.read(image, run_settings.reading)
-    scene = _scene(volume, reference, look, movie_settings.size, parse_window(run_settings.window))
+    scene = _scene(volume, reference, look, movie_settings.size, run_settings)
     watcher = Watcher(display)
     try:
         with watcher.watch(image.name, run_settings.max_steps):
@@ -155,14 +153,16 @@ def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, Run
     return movie_file.run_of_folder(source)
 
 
-def _scene(
-    volume: Volume, reference: Path | None, look: Look, size: tuple[int, int], window: GreyWindow | None
-) -> Scene:
+def _scene(volume: Volume, reference: Path | None, look: Look, size: tuple[int, int], settings: RunConfig) -> Scene:
     from accelsurf import io
+    from accelsurf.grid.grey_window import parse_window
+    from accelsurf.viewer.scene.object_styles import given_styles
     from accelsurf.viewer.scene.scene import Scene
 
+    styles = given_styles(settings)
     truth = None if reference is None else io.read_labels(reference)
-    scene = Scene(volume, theme=look.theme, reference=truth, size=size, window=window)
+    scene = Scene(volume, theme=look.theme, reference=truth, size=size, window=parse_window(settings.window))
+    scene.restyle(styles)
     scene.color_by(look.color)
     scene.tiles.look_from(look.view)
     scene.show_volume(look.volume)

@@ -32,17 +32,20 @@ OutputFolder = Annotated[Path, Parameter(name=("--output", "-o"), group=FILES)]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)]
 
 def settings_class(
-    name: str, leave_out: tuple[str, ...] = (), groups: tuple[SettingGroup, ...] = tuple(SettingGroup)
+    name: str,
+    leave_out: tuple[str, ...] = (),
+    groups: tuple[SettingGroup, ...] = tuple(SettingGroup),
+    further: tuple[str, ...] = (),
 ) -> type:
-    """Return a dataclass with an option for each field of RunConfig; ``None`` where the option was not given.
+    """Return a dataclass with an option for each field of RunConfig that is in a group, and for further ones.
 
-    The values stay text as typed. RunConfig checks them, so that an invalid one has the same message in a file, on the
-    command line and in Python.
+    Each is ``None`` where it was not given. The values stay text as typed. RunConfig checks them, so that an invalid
+    one has the same message in a file, on the command line and in Python.
     """
     members: list[tuple[str, Any, Any]] = []
     for key in RunConfig.model_fields:
         said = entry(key)
-        if key in leave_out or said.group not in groups:
+        if key in leave_out or (said.group not in groups and key not in further):
             continue
         completer = None if is_switch(key) else partial(_completions, key)
         members.append(option(key, RunConfig.model_fields[key], default_shown(key), completer=completer))
@@ -81,8 +84,8 @@ _WITHOUT_FILES = tuple(group for group in SettingGroup if group is not SettingGr
 Settings = settings_class("Settings")
 #: For commands that read a folder in a layout of its own.
 SettingsWithoutLayout = settings_class("SettingsWithoutLayout", leave_out=("layout",))
-#: For commands that write none of a run's files.
-RunSettings = settings_class("RunSettings", groups=_WITHOUT_FILES)
+#: For commands that write none of a run's files, and draw it; ``color`` is what they colour surfaces by.
+RunSettings = settings_class("RunSettings", groups=_WITHOUT_FILES, further=("name", "label_table", "window"))
 #: For commands that choose the flow and the files themselves.
 SharedSettings = settings_class("SharedSettings", leave_out=("flow",), groups=_WITHOUT_FILES)
 #: For commands that only read an image.

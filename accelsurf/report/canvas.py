@@ -37,6 +37,17 @@ _COMPRESSION = 3
 Box = tuple[float, float, float, float]
 
 
+def object_color(position: int) -> str:
+    """Return the colour of the object at this place in the order of ids; colours repeat after five objects.
+
+    Examples
+    --------
+    >>> object_color(0) == SURFACE, object_color(5) == SURFACE
+    (True, True)
+    """
+    return OBJECT_COLORS[position % len(OBJECT_COLORS)]
+
+
 class _Text(NamedTuple):
     at: tuple[float, float]
     text: str

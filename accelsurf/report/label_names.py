@@ -35,6 +35,24 @@ def table_of(config: RunConfig) -> LabelTable:
     return known.with_settings(config.name, config.color)
 
 
+def given_of(config: RunConfig) -> LabelTable:
+    """Return `table_of` where settings or the file of the objects name labels, else an empty table.
+
+    What draws objects has colours of its own for those that nothing was said of.
+
+    Raises
+    ------
+    InputError
+        When a table cannot be read.
+
+    Examples
+    --------
+    >>> given_of(RunConfig(name=["liver"])).entries[1].name, given_of(RunConfig()).entries
+    ('liver', {})
+    """
+    return table_of(config) if is_named(config) or config.objects is not None else LabelTable()
+
+
 def is_named(config: RunConfig) -> bool:
     """Whether the settings name labels, so that label maps carry names."""
     return bool(config.name or config.color or config.label_table)

@@ -15,14 +15,13 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io.headers import is_anatomical
 from accelsurf.io.metadata import UNIT_KEY
 from accelsurf.report.axes import ticks
-from accelsurf.report.canvas import SKY, SURFACE, YELLOW, Box, Canvas
+from accelsurf.report.canvas import SKY, SURFACE, YELLOW, Box, Canvas, object_color
 from accelsurf.report.preview import BELOW, LEFT, PANEL, TOP, WIDTH, panel_at
 from accelsurf.report.slice_plot import (
     Slice,
     draw_contour,
     draw_scale_bar,
     name_section,
-    object_color,
     open_slice,
     write_letters,
 )

@@ -20,7 +20,7 @@ from accelsurf.io.headers import is_anatomical
 from accelsurf.io.metadata import LABELS_KEY, UNIT_KEY
 from accelsurf.report import layouts, object_files, preview, statistics_files, tables
 from accelsurf.report.document import describe_objects
-from accelsurf.report.label_names import is_named, table_of
+from accelsurf.report.label_names import given_of, is_named, table_of
 from accelsurf.report.mesh_files import MeshNotes, is_shaped, shaped
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.segmentation.state_file import state_bytes
@@ -247,6 +247,7 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
         late_growth=result.late_growth,
         window=parse_window(result.config.window),
         unit=result.volume.metadata.get(UNIT_KEY, "mm"),
+        labels=given_of(result.config),
         clicks=marks_of(result.clicks.clicks if result.clicks is not None else (), result.geometry.spacing),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,10 +13,16 @@ from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
+from accelsurf.report.canvas import object_color
+from accelsurf.settings.labels import LabelEntry, LabelTable
 
 if TYPE_CHECKING:
     from accelsurf.analysis.surface_mesh import Surface
     from accelsurf.evolution.records import StepRecord
+
+
+#: The label of the one object of a run without ids.
+ONE_LABEL = 1
 
 
 class ObjectShape(NamedTuple):
@@ -105,6 +111,8 @@ class PreviewContent:
         Which values are black and white; from the object and what is around it unless given.
     unit : str
         Of lengths in the file, in which scale bars are; places are in mm, as settings take them.
+    labels : LabelTable
+        Names and colours that were given; other objects have a colour by their place among the ids.
     """
 
     image: NDArray[Any]
@@ -121,6 +129,20 @@ class PreviewContent:
     late_growth: tuple[float, float, float] | None = None
     window: GreyWindow | None = None
     unit: str = "mm"
+    labels: LabelTable = field(default_factory=LabelTable)
+
+    def color(self, position: int = 0) -> str:
+        """The colour of the object at a place in ``objects``, or of the one without an id."""
+        said = self._said(position)
+        return object_color(position) if said is None else said.hex
+
+    def name(self, position: int = 0) -> str:
+        """The name that was given to the object at a place; empty without one."""
+        said = self._said(position)
+        return "" if said is None else said.name
+
+    def _said(self, position: int) -> LabelEntry | None:
+        return self.labels.entries.get(self.objects[position].id if self.objects else ONE_LABEL)
 
     def inside(self) -> NDArray[np.bool_]:
         """Voxels in any object, (nz, ny, nx)."""

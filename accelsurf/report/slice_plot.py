@@ -24,15 +24,14 @@ from accelsurf.report.axes import Axes, round_step
 from accelsurf.report.canvas import (
     DARK,
     GREEN,
-    OBJECT_COLORS,
     REFERENCE,
     SOLID,
-    SURFACE,
     VERMILION,
     YELLOW,
     Box,
     Canvas,
     Dashes,
+    fitting,
     text_width,
 )
 from accelsurf.report.preview_content import ClickMark, PreviewContent
@@ -47,6 +46,8 @@ NEARLY_ALL = 0.6
 MIN_FOR_INSET, MIN_FOR_BAR = 150, 90
 #: An object whose section is less deep than this has no room for its id, pixels.
 MIN_FOR_ID = 7
+#: Width of a name at most, pixels.
+MAX_NAME = 110
 #: Length of the arms of a click's mark, pixels.
 ARM = 7
 REFERENCE_DASHES: Dashes = (3, 3)
@@ -145,7 +146,7 @@ def draw_slice(
     )
     named = _draw_contours(shown, content)
     for mark in content.clicks:
-        draw_click(shown, mark, {one.id: object_color(place) for place, one in enumerate(content.objects)})
+        draw_click(shown, mark, {one.id: content.color(place) for place, one in enumerate(content.objects)})
     if content.late_growth is not None:
         _draw_late_growth(shown, content.late_growth)
     draw_inset(shown, content.image, window)
@@ -160,8 +161,8 @@ def _draw_contours(shown: Slice, content: PreviewContent) -> list[tuple[str, str
     """Draw the contours of result, reference and start; returns name, colour and dashes of those that need a legend."""
     lines: list[tuple[str, str, Dashes]] = []
     if not content.objects:
-        draw_contour(shown, shown.section(content.psi), SURFACE)
-        lines.append(("result", SURFACE, SOLID))
+        draw_contour(shown, shown.section(content.psi), content.color())
+        lines.append((content.name() or "result", content.color(), SOLID))
     else:
         _draw_objects(shown, content)
     if content.reference is not None:
@@ -173,13 +174,8 @@ def _draw_contours(shown: Slice, content: PreviewContent) -> list[tuple[str, str
     return lines if len(lines) > 1 or (content.objects and lines) else []
 
 
-def object_color(position: int) -> str:
-    """Colour of the object at a place in the list of all."""
-    return OBJECT_COLORS[position % len(OBJECT_COLORS)]
-
-
 def _draw_objects(shown: Slice, content: PreviewContent) -> None:
-    """Draw the contour of each of several objects in its colour, with its id in the middle of the section."""
+    """Draw the contour of each of several objects in its colour, with its name or id in the middle of the section."""
     far = max(float(np.abs(one.psi).max()) for one in content.objects)
     plane = shown.up.order[shown.view.plane]
     n = content.geometry.shape[plane]
@@ -190,13 +186,13 @@ def _draw_objects(shown: Slice, content: PreviewContent) -> None:
         whole = np.full(content.geometry.shape, far, np.float32)
         whole[one.box] = one.psi
         section = shown.section(whole)
-        color = object_color(position)
+        color = content.color(position)
         draw_contour(shown, section, color)
-        name_section(shown, section < 0, str(one.id), color)
+        name_section(shown, section < 0, fitting(content.name(position) or str(one.id), 12, MAX_NAME), color)
 
 
 def name_section(shown: Slice, inside: NDArray[np.bool_], name: str, color: str) -> None:
-    """Write an id at the deepest place of an object's section."""
+    """Write a name or an id at the deepest place of an object's section."""
     if not inside.any():
         return
     depth = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1]

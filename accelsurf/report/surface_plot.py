@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.report.axes import LABEL_SIZE, TITLE_SIZE, round_step
-from accelsurf.report.canvas import INK, SURFACE, Box, Canvas
+from accelsurf.report.canvas import INK, Box, Canvas
 from accelsurf.report.rasterizer import Picture, render
-from accelsurf.report.slice_plot import object_color
 from accelsurf.settings.wording import in_unit
 
 if TYPE_CHECKING:
@@ -21,18 +20,21 @@ _BELOW = 70
 
 
 def draw_surface(
-    canvas: Canvas, panel: Box, content: PreviewContent, box: NDArray[Any] | None = None, color: str = SURFACE
+    canvas: Canvas, panel: Box, content: PreviewContent, box: NDArray[Any] | None = None, color: str = ""
 ) -> None:
-    """Draw the surface; ``box``, points (k, 3) in mm that the picture has to show, gives several runs one scale."""
+    """Draw the surface, in its own colour unless one is given.
+
+    ``box``, points (k, 3) in mm that the picture has to show, gives several runs one scale.
+    """
     left, top, right, bottom = panel
     if content.surface is None or not len(content.surface.faces):
         canvas.text(((left + right) / 2, (top + bottom) / 2), "no surface", LABEL_SIZE, anchor="mm")
         return
     size = int(min(right - left, bottom - top - _BELOW))
-    paint: NDArray[np.float64] = _light(color)
+    paint: NDArray[np.float64] = _light(color or content.color())
     counts = [one.vertices for one in content.objects]
     if sum(counts) == len(content.surface.vertices):
-        paint = np.repeat([_light(object_color(place)) for place in range(len(counts))], counts, axis=0)
+        paint = np.repeat([_light(content.color(place)) for place in range(len(counts))], counts, axis=0)
     picture = render(content.surface.vertices, content.surface.faces, size=size, color=paint, box=box)
     first = (left + right - size) / 2
     canvas.image((255 * picture.pixels + 0.5).astype(np.uint8), (first, top, first + size, top + size))

@@ -14,14 +14,13 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.grid.volume import Volume
-from accelsurf.report.canvas import DARK, REFERENCE, SOLID, Box, Canvas, Dashes
+from accelsurf.report.canvas import DARK, REFERENCE, SOLID, Box, Canvas, Dashes, object_color
 from accelsurf.report.slice_plot import (
     REFERENCE_DASHES,
     Slice,
     draw_contour,
     lay_slice,
     name_section,
-    object_color,
     write_legend,
 )
 from accelsurf.report.slice_views import MARGIN, MIN_MARGIN, Ranges, SliceView, displayed, native_plane

@@ -6,8 +6,7 @@ import numpy as np
 
 from accelsurf.analysis.beats import Beat, find_beat
 from accelsurf.report.axes import LABEL_SIZE, Axes, range_of
-from accelsurf.report.canvas import Canvas, fitting
-from accelsurf.report.slice_plot import object_color
+from accelsurf.report.canvas import Canvas, fitting, object_color
 from accelsurf.report.track_frames import TrackSet
 
 #: Objects that are named beside the curves at most, and drawn.

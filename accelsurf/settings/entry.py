@@ -38,8 +38,6 @@ class Slider:
         Words that may stand for a number.
     power : float
         Above 1 the slider is finer at its lower end.
-    digits : int
-        After the point.
     limit : float
         Largest number that can be typed.
     """
@@ -49,7 +47,6 @@ class Slider:
     voxel_power: int = 0
     words: tuple[str, ...] = ()
     power: float = 2.0
-    digits: int = 3
     limit: float = 1e6
 
 

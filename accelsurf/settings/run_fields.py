@@ -267,7 +267,7 @@ class RunFields(BaseModel):
         entry=SettingEntry(
             unit="voxels",
             metavar="VOXELS",
-            slider=Slider(0.05, 1.0, power=1.0, digits=2, limit=1.0),
+            slider=Slider(0.05, 1.0, power=1.0, limit=1.0),
         ),
         gt=0, le=1,
     )

@@ -55,6 +55,21 @@ def test_the_place_chooses_the_slices_and_the_window_the_greys(tmp_path):
     assert bright > (looked("--at", "30,12,3vox", "--window", "200,390").min(axis=2) > 0.97).mean()
 
 
+def test_window_sets_the_greys_of_the_preview_of_a_run(tmp_path):
+    """The tube of 100 in 0 from -50 to 150: light grey on dark grey, in the picture that segment writes."""
+    z, y, x = np.indices((12, 40, 50))
+    array = (100.0 * ((x - 30) ** 2 + (y - 16) ** 2 < 100)).astype(np.float32)
+    io.write(Volume(array, Geometry(array.shape, (2.0, 1.0, 1.0))), tmp_path / "scan.nii.gz")
+    words = ("--start", "ball:30,16,12,6", "--max-steps", 3, "--threads", 1, "--overwrite", "--quiet")
+
+    def greys(*window):
+        assert run("segment", tmp_path / "scan.nii.gz", "-o", tmp_path / "out", *words, *window) == 0
+        picture = 255 * picture_of(tmp_path / "out" / "scan_preview.png")
+        return [float((np.abs(picture - grey).max(axis=2) <= 2).mean()) for grey in (64, 191)]
+
+    assert max(greys()) < 0.005 and min(greys("--window", "50,200")) > 0.02
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

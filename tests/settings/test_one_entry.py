@@ -353,7 +353,7 @@ def _panel():
 
     application = QApplication([])
     status = Status.preparing(RunConfig(), "", False)
-    scene, session = SimpleNamespace(geometry=volume().geometry), SimpleNamespace(status=status, source=None)
+    scene, session = SimpleNamespace(geometry=volume().geometry, unit="mm"), SimpleNamespace(status=status, source=None)
     workplace = SimpleNamespace(scene=scene, session=session, folder=None)
     panel = SettingsPanel(workplace)
     panel.show_state(SettingsFeature(workplace).state(status) | {"has_box": False})

@@ -7,7 +7,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.region_of_interest import region_of_interest
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.scene.box import VoxelBox
+from accelsurf.viewer.scene.box import BoxOverlay, VoxelBox
 from accelsurf.viewer.scene.colors import MARK
 from accelsurf.viewer.scene.force_overlay import OPACITY, force_colors
 from accelsurf.viewer.scene.scene import Scene
@@ -111,6 +111,23 @@ def test_a_box_is_drawn_in_a_slice_and_its_sides_are_dragged(workplace):
     settle(workplace)
     assert box_of(workplace) == before
     assert workplace.feature(BoxFeature).overlay.box == VoxelBox(*zip(*before, strict=True))
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.5, 2.0, 3.0])
+def test_a_side_is_taken_from_as_far_on_a_fine_screen(placed, ratio):
+    """A hand is as steady there: six pixels of a usual screen beside the side, twelve are too far."""
+    scene, _, _ = placed
+    overlay, tile = BoxOverlay(scene), scene.slice_tiles["axial"]
+    scene.tiles.pixel_ratio = ratio
+    try:
+        overlay.show(VoxelBox((2, 3, 4), (15, 30, 33)))
+        for pixels, sides in ((6.0, {1: 1}), (12.0, {})):
+            index = np.array([tile.index, 30.5, 18.0])
+            index[1] += pixels * ratio * tile.mm_per_pixel() / scene.geometry.spacing[1]
+            assert overlay.sides_at(tile, index) == sides
+    finally:
+        scene.tiles.pixel_ratio = 1.0
+        overlay.show(None)
 
 
 def test_a_box_that_the_run_refuses_leaves_the_one_before(workplace):

@@ -216,6 +216,29 @@ def test_mp4_without_its_encoder_is_one_line(monkeypatch, tmp_path):
     movies.check_target(tmp_path / "a.gif", (320, 180))
 
 
+# -- grey values --------------------------------------------------------------------------------------------
+
+
+def share_of_grey(picture, grey):
+    """How much of a picture is of this grey, with what drawing rounds."""
+    return float((np.abs(np.asarray(picture)[..., :3].astype(int) - grey).max(axis=2) <= 2).mean())
+
+
+def test_window_sets_the_greys_of_movies_and_their_pictures(image, tmp_path):
+    """The ball of 100 in 0 is white on black by itself; from -50 to 150 it is light grey on dark grey."""
+    path, options = image
+    look = ["--size", "640x360", "--max-steps", "2", "--hold", "0", "--quiet"]
+    for window, share in (([], 0.0), (["--window", "50,200"], 0.02)):
+        words = ["movie", str(path), "--overwrite", *options[:-4], "--levels", "1", *look, *window]
+        assert cli.execute([*words, "-o", str(tmp_path / "a.png"), "--preview"]) == 0
+        assert cli.execute([*words, "-o", str(tmp_path / "a.webp")]) == 0
+        with Image.open(tmp_path / "a.png") as opened:
+            greys = [share_of_grey(opened, grey) for grey in (64, 191)]
+        assert (min(greys) > share) if share else (max(greys) < 0.005)
+        moved = [share_of_grey(decoded(tmp_path / "a.webp")[-1], grey) for grey in (64, 191)]
+        assert moved == pytest.approx(greys, abs=0.05)  # webp loses some
+
+
 # -- without a screen ---------------------------------------------------------------------------------------
 
 

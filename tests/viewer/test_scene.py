@@ -1,7 +1,11 @@
 """The scene: what it draws lies where it should, in mm, on oblique, left-handed, anisotropic and coarse grids."""
 
+import dataclasses
+import re
+
 import numpy as np
 import pytest
+import pyvista as pv
 from PIL import Image
 
 from accelsurf import Volume
@@ -9,7 +13,9 @@ from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import InputError, UsageError
 from accelsurf.io.metadata import DICOM_KEY, UNIT_KEY
 from accelsurf.report import canvas
+from accelsurf.viewer.frontends.page_document import style_sheet
 from accelsurf.viewer.scene import colors, shapes
+from accelsurf.viewer.scene.box import BoxOverlay, VoxelBox
 from tests.support import viewing
 
 DIRECTIONS = {"straight": np.eye(3), "left-handed, oblique": viewing.TURN, "axes swapped": np.eye(3)[[2, 0, 1]]}
@@ -294,6 +300,48 @@ def test_the_reference_has_a_colour_of_its_own_in_every_picture():
     assert colors.REFERENCE not in colors.OBJECT_COLORS and colors.OBJECT_COLORS[0] == colors.SURFACE
 
 
+def luminance(code):
+    rgb = np.array(pv.Color(code).int_rgb) / 255
+    return float(np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722])
+
+
+def contrast(one, other):
+    """As of the Web Content Accessibility Guidelines: 4.5 for text."""
+    dark, light = sorted((luminance(one), luminance(other)))
+    return (light + 0.05) / (dark + 0.05)
+
+
+@pytest.mark.parametrize("theme", colors.THEMES)
+def test_curves_of_one_object_have_neither_colour_of_a_surface(scene_of, theme):
+    volume, center = viewing.ball_image()
+    frames, history = viewing.run_frames(volume, center, levels=1)
+    scene = scene_of(volume, theme=theme, size=(960, 540))
+    scene.update(frames[-1], [history])
+    chart = scene.screenshot()[270:, 720:].astype(int)
+    for code in (colors.SURFACE, colors.REFERENCE, canvas.BLUE, canvas.VERMILION):
+        assert not (np.abs(chart - pv.Color(code).int_rgb).max(axis=2) < 12).any(), code
+    look = colors.theme_named(theme)
+    assert (np.abs(chart - pv.Color(look.ink).int_rgb).max(axis=2) < 12).sum() > 200
+    assert contrast(look.ink, look.background) > 4.5
+
+
+def test_the_page_has_the_accent_of_the_window_and_of_the_surface():
+    """Never the reference's colour; what is written can be read in both themes."""
+    sheet = style_sheet()
+    given = re.findall(r"^[.]page([.]light)? {([^}]*)}?", sheet, re.MULTILINE)
+    themes = {"dark": {}, "light": {}}
+    for light, text in given:
+        for name in themes if not light else ("light",):
+            themes[name] |= dict(re.findall(r"--(\w+): (#\w{6});", text))
+    for theme, known in themes.items():
+        assert known["main"] == colors.SURFACE and contrast(known["on"], known["main"]) > 4.5
+        for ground in (known["ground"], known["panel"]):
+            assert min(contrast(known[name], ground) for name in ("edge", "alarm", "ink", "soft")) > 4.5
+        assert known["alarm"] == colors.ALARM[theme] != known["edge"]
+    others = (colors.REFERENCE, *colors.OBJECT_COLORS[1:4])
+    assert not [code for code in others if code.lower() in sheet.lower()]
+
+
 # -- what is written and drawn over it ----------------------------------------------------------------------
 
 
@@ -389,6 +437,39 @@ def test_text_and_lines_scale_once_with_the_screen(scene_of, ratio):
     ink = [float((np.abs(one - one[0, 0]).max(axis=2) > 60).mean()) for one in (pictures[0], small.astype(float))]
     assert ink[1] == pytest.approx(ink[0], rel=0.04)
     assert np.abs(small - pictures[0]).mean() < 5.0
+
+
+def line_widths(scene):
+    """Widths of all lines that are seen, in the order in which they are drawn."""
+    found = []
+    for renderer in scene.plotter.render_window.GetRenderers():
+        for prop in renderer.GetViewProps():
+            mesh = prop.GetMapper().GetInput() if hasattr(prop, "GetMapper") and prop.GetVisibility() else None
+            if prop.IsA("vtkAnnotatedCubeActor"):
+                found.append(prop.GetTextEdgesProperty().GetLineWidth())
+            elif mesh is not None and mesh.GetNumberOfLines():
+                found.append(prop.GetProperty().GetLineWidth())
+    return found
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.5, 2.0, 3.0])
+def test_the_lines_of_box_ways_and_cube_scale_with_the_screen(scene_of, ratio):
+    """Whatever draws lines is as wide on a fine screen as on a usual one; the box as a share of the picture, too."""
+    volume, center = viewing.ball_image()
+    frame = viewing.run_frames(volume, center, levels=1)[0][-1]
+    way = center + np.array([[-8.0, 0.0, 0.0], [0.0, 6.0, 0.0], [9.0, 0.0, 3.0]])
+    widths, ink = [], []
+    for own in (1.0, ratio):
+        scene = scene_of(volume, size=(round(640 * own), round(360 * own)))
+        scene.tiles.pixel_ratio = own
+        scene.update(dataclasses.replace(frame, paths=(way,)))
+        BoxOverlay(scene).show(VoxelBox((2, 3, 4), (15, 30, 33)))
+        picture = scene.screenshot().astype(float)
+        widths.append(np.array(line_widths(scene)))
+        purple = np.abs(picture - pv.Color(colors.MARK).int_rgb).max(axis=2) < 90
+        ink.append(float(purple.mean()))
+    assert len(widths[0]) >= 10 and widths[1] == pytest.approx(ratio * widths[0])
+    assert ink[0] > 0.002 and ink[1] == pytest.approx(ink[0], rel=0.25)
 
 
 @pytest.mark.parametrize("size", [(640, 360), (1280, 720)])

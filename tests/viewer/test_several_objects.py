@@ -1,7 +1,9 @@
 """Several objects in one scene: each in its own colour, in 3D, in slices, in the chart, in the legend and in pages."""
 
+import dataclasses
 import json
 import re
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -11,11 +13,14 @@ from skimage import color
 from accelsurf import cli, io, segment_objects, show
 from accelsurf.grid import pyramid
 from accelsurf.levelset import LevelSet
+from accelsurf.report import outputs, preview
 from accelsurf.segmentation.run import Run
+from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, ObjectState
 from accelsurf.viewer.frontends.export import write_html
 from accelsurf.viewer.scene import colors
+from accelsurf.viewer.scene.object_styles import ObjectStyle, given_styles
 from tests.support import two_balls, viewing
 
 
@@ -176,6 +181,81 @@ def test_a_result_is_shown_with_both_colours(files, tmp_path):
     with Image.open(tmp_path / "a.png") as opened:
         picture = np.asarray(opened.convert("RGB"))
     assert all(count(picture, code) > 100 for code in colors.OBJECT_COLORS[:2])
+
+
+#: Names and colours that a person gives; the colours are none of the palette.
+NAMED = {"name": ("3=left lobe", "8=right lobe"), "color": ("3=#aa00ff", "8=#b4ff00")}
+CHOSEN = "#aa00ff", "#b4ff00"
+
+
+@pytest.fixture
+def named(files):
+    return segment_objects(io.read(files[0]), str(files[1]), threads=1, max_steps=20, **NAMED)
+
+
+def has_chosen(picture, least=10):
+    """Whether both chosen colours are seen, and neither of the palette in their place."""
+    return all(count(picture, code) > least for code in CHOSEN) and not any(
+        count(picture, code) > least for code in colors.OBJECT_COLORS[:2]
+    )
+
+
+def test_the_preview_has_the_names_and_colours_that_were_given(named):
+    content = outputs.preview_content(named, "balls")
+    assert [content.name(place) for place in (0, 1)] == ["left lobe", "right lobe"]
+    picture = np.asarray(Image.open(BytesIO(preview.preview_png(content))).convert("RGB"))
+    assert has_chosen(picture[:460])
+    unnamed = dataclasses.replace(content, labels=LabelTable())
+    other = np.asarray(Image.open(BytesIO(preview.preview_png(unnamed))).convert("RGB"))
+    assert not has_chosen(other) and all(count(other, code) > 10 for code in colors.OBJECT_COLORS[:2])
+    below = slice(560, 900), slice(960, None)  # the surface in 3D, which is shaded
+    assert (picture[below] != other[below]).any()
+
+
+def test_a_shown_result_has_the_names_and_colours_that_were_given(named, tmp_path):
+    for kind in ("png", "html"):
+        show(named, to=tmp_path / f"a.{kind}")
+    with Image.open(tmp_path / "a.png") as opened:
+        assert has_chosen(np.asarray(opened.convert("RGB")), 100)
+    page = (tmp_path / "a.html").read_text()
+    assert "left lobe\nright lobe" in page
+    meshes = json.loads(re.search(r'application/json">(.*?)</script>', page).group(1))["meshes"]
+    rgb = [[int(code[i : i + 2], 16) / 255 for i in (1, 3, 5)] for code in CHOSEN]
+    assert [mesh["color"] for mesh in meshes[1:]] == [pytest.approx(one) for one in rgb]
+
+
+def test_a_page_has_what_the_scene_shows(scene_of, tmp_path):
+    """An object that is hidden there is not in the page; one that is translucent is so in it."""
+    volume, _ = viewing.ball_image()
+    frame, histories = two_objects(volume)
+    scene = scene_of(volume)
+    scene.update(frame, histories)
+    scene.restyle({4: ObjectStyle("a", "#112233", visible=False), 7: ObjectStyle("b", "#112233", opacity=0.4)})
+    write_html(scene, tmp_path / "a.html")
+    page = (tmp_path / "a.html").read_text()
+    _, surface = json.loads(re.search(r'application/json">(.*?)</script>', page).group(1))["meshes"]
+    assert surface["opacity"] == 0.4 and surface["color"] == pytest.approx([17 / 255, 34 / 255, 51 / 255])
+
+
+def test_a_movie_has_the_colours_that_were_given(files, tmp_path):
+    image, starts = files
+    options = ["--objects", str(starts), "--threads", "1", "--max-steps", "20", "--theme", "light", "--quiet"]
+    config, out = tmp_path / "run.toml", tmp_path / "last.png"
+    config.write_text(RunConfig(**NAMED).to_toml())  # --color is what a movie colours the surfaces by
+    words = ["movie", str(image), "--preview", "-o", str(out), "--config", str(config), *options]
+    assert cli.execute(words) == 0
+    with Image.open(out) as opened:
+        assert has_chosen(np.asarray(opened.convert("RGB")), 100)
+
+
+def test_one_object_with_a_name_is_called_so_beside_the_reference(scene_of):
+    volume, center = viewing.ball_image()
+    frames, history = viewing.run_frames(volume, center, levels=1, max_steps=8)
+    scene = scene_of(volume, reference=volume.with_array(volume.array > 0))
+    scene.update(frames[-1], [history])
+    assert scene.legend[0] == "surface"
+    scene.restyle(given_styles(RunConfig(name=["liver"], color=["#aa00ff"])))
+    assert scene.legend[0] == "liver"
 
 
 def test_the_legend_of_many_objects_ends(scene_of):

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
-from accelsurf.report.label_names import table_of
-from accelsurf.settings.labels import LabelTable, colored, named
+from accelsurf.report.label_names import given_of
+from accelsurf.settings.labels import colored, named
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.restarted import FROM_CLICKS
@@ -42,9 +42,7 @@ class ObjectCommands:
     def __init__(self, timeline: Timeline, config: RunConfig) -> None:
         self._timeline = timeline
         self._names, self._colors = dict[int, str](), dict[int, str]()
-        is_named = config.name or config.color or config.label_table or config.objects
-        self._first = table_of(config) if is_named else LabelTable()
-        self.labels = self._first
+        self.labels = self._first = given_of(config)
         self._drag: tuple[SizeDrag, int | None] | None = None
 
     # -- which there are -----------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from PySide6.QtGui import QColor, QPalette
 
-from accelsurf.viewer.scene.colors import SURFACE
+from accelsurf.viewer.scene.colors import ALARM, EDGE, ON_SURFACE, SURFACE
 from accelsurf.viewer.workplace.feature import Key
 from accelsurf.viewer.workplace.help import help_rows
 
@@ -27,8 +27,6 @@ CONTROL_COLORS = {
     "dark": ControlColors("#1D2128", "#14171C", "#2B313B", "#F2F2F2", "#8A93A0", "#3A424E"),
     "light": ControlColors("#F3F4F6", "#FFFFFF", "#FFFFFF", "#1A1A1A", "#70767E", "#C4C9D0"),
 }
-#: Of error messages, which also begin with a word that says so.
-ALARM = {"dark": "#FF9A7A", "light": "#B03A00"}
 
 def page_of_help(keys: Mapping[str, Key]) -> str:
     """Return what keys and mouse do, as rich text."""
@@ -50,7 +48,7 @@ def palette(theme: str) -> QPalette:
     for role, color in {
         roles.Window: ui.background, roles.Base: ui.field, roles.AlternateBase: ui.raised, roles.Button: ui.raised,
         roles.Text: ui.ink, roles.WindowText: ui.ink, roles.ButtonText: ui.ink, roles.ToolTipBase: ui.field,
-        roles.ToolTipText: ui.ink, roles.Highlight: SURFACE, roles.HighlightedText: "#101010",
+        roles.ToolTipText: ui.ink, roles.Highlight: SURFACE, roles.HighlightedText: ON_SURFACE,
         roles.PlaceholderText: ui.weak,
     }.items():
         made.setColor(role, QColor(color))
@@ -67,12 +65,12 @@ def sheet(theme: str) -> str:
     QGroupBox {{ border: 1px solid {ui.lines}; border-radius: 6px; margin-top: 14px; padding-top: 4px; }}
     QGroupBox::title {{ subcontrol-origin: margin; left: 8px; padding: 0 3px; color: {ui.weak}; }}
     QPushButton {{ background: {ui.raised}; border: 1px solid {ui.lines}; border-radius: 5px; padding: 4px 8px; }}
-    QPushButton:hover {{ border-color: {SURFACE}; }}
+    QPushButton:hover {{ border-color: {EDGE[theme]}; }}
     QPushButton:disabled {{ color: {ui.weak}; }}
-    QPushButton:checked, QPushButton#play {{ background: {SURFACE}; color: #101010; border-color: {SURFACE}; }}
+    QPushButton:checked, QPushButton#play {{ background: {SURFACE}; color: {ON_SURFACE}; border-color: {SURFACE}; }}
     QPushButton#play:disabled {{ background: {ui.raised}; color: {ui.weak}; }}
     QToolButton#section {{ border: none; color: {ui.weak}; font-weight: bold; padding: 3px 0; }}
-    QToolButton#section:focus, QPushButton:focus {{ color: {SURFACE}; }}
+    QToolButton#section:focus, QPushButton:focus {{ color: {EDGE[theme]}; }}
     QSlider::groove:horizontal {{ height: 4px; border-radius: 2px; background: {ui.lines}; }}
     QSlider::sub-page:horizontal {{ background: {SURFACE}; border-radius: 2px; }}
     QSlider::sub-page:horizontal:disabled {{ background: {ui.lines}; }}
@@ -82,12 +80,12 @@ def sheet(theme: str) -> str:
     QCheckBox::indicator {{ width: 13px; height: 13px; border: 1px solid {ui.weak}; border-radius: 3px;
         background: {ui.field}; }}
     QCheckBox::indicator:checked {{ background: {SURFACE}; border-color: {SURFACE}; }}
-    QLabel#help {{ background: {ui.field}; border: 1px solid {SURFACE}; border-radius: 8px; padding: 14px 22px; }}
+    QLabel#help {{ background: {ui.field}; border: 1px solid {EDGE[theme]}; border-radius: 8px; padding: 14px 22px; }}
     QLabel#message {{ color: {ui.weak}; }}
     QLabel#title {{ font-size: 24px; font-weight: bold; }}
     QListWidget {{ background: {ui.field}; border: 1px solid {ui.lines}; border-radius: 6px; }}
     QListWidget::item {{ padding: 4px 6px; }}
     QListWidget::item:disabled {{ color: {ui.weak}; }}
-    QListWidget:focus {{ border-color: {SURFACE}; }}
+    QListWidget:focus {{ border-color: {EDGE[theme]}; }}
     QLabel#message[failed="true"] {{ color: {ALARM[theme]}; font-weight: bold; }}
     """

@@ -18,7 +18,7 @@ from accelsurf.errors import UsageError
 from accelsurf.grid.orientation import LETTERS
 from accelsurf.io.files import write_bytes
 from accelsurf.settings.wording import in_unit
-from accelsurf.viewer.scene.colors import REFERENCE, SHADES, color_range, object_color
+from accelsurf.viewer.scene.colors import REFERENCE, SHADES, color_range
 from accelsurf.viewer.scene.pictures import png_bytes
 from accelsurf.viewer.scene.scene import Scene
 
@@ -37,9 +37,9 @@ def html_page(scene: Scene) -> str:
     middle = scene.geometry.center_world()
     theme = scene.theme
     meshes = [_lines(space.box, theme.lines, middle)]
-    for position, mesh in enumerate(space.meshes):
-        if mesh.n_points:
-            meshes.append(_triangles(mesh, object_color(position), middle, 1.0, space.color))
+    for mesh, style in zip(space.meshes, scene.styles.of(scene.frame), strict=True):
+        if mesh.n_points and style.visible:
+            meshes.append(_triangles(mesh, style.color, middle, style.opacity, space.color))
     if space.reference is not None and space.reference.n_points:
         meshes.append(_triangles(space.reference, REFERENCE, middle, 0.35, "plain"))
     picture = scene.screenshot()

@@ -18,6 +18,7 @@ from accelsurf.segmentation.api import Result
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.frontends.export import html_page, write_html
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
+from accelsurf.viewer.scene.object_styles import given_styles
 from accelsurf.viewer.scene.pictures import png_bytes
 from accelsurf.viewer.scene.scene import SIZE, Scene
 
@@ -79,6 +80,7 @@ def show(
     plotter = None if to is not None else _plotter(image.geometry, size, backend, title)
     scene = Scene(image, theme=theme, reference=reference, plotter=plotter, size=size, title=title)
     if isinstance(what, Result):
+        scene.restyle(given_styles(what.config))
         scene.update(Frame.of_result(what), [one.history for one in what.objects])
     scene.show_volume(volume)
     scene.show_planes(planes)

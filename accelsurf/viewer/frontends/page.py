@@ -31,7 +31,7 @@ from accelsurf.viewer.core.opening import OpenedImage
 from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
 from accelsurf.viewer.core.status import error_line
 from accelsurf.viewer.frontends.display import INSTALL
-from accelsurf.viewer.frontends.page_document import document, page_text
+from accelsurf.viewer.frontends.page_document import document, style_sheet
 from accelsurf.viewer.frontends.page_guard import LOCAL, PageGuard
 from accelsurf.viewer.frontends.page_uploads import PageUploads
 from accelsurf.viewer.scene.scene import Scene
@@ -136,7 +136,7 @@ class Page:
         """The page has other parts when an image is open."""
         with self._layout as page:
             page.root.clear()
-            page.root.add_child(self._style(page_text("page.css")))
+            page.root.add_child(self._style(style_sheet()))
             page.root.add_child(document(() if self.workplace is None else PANELS))
 
     def _state(self) -> dict[str, Any]:

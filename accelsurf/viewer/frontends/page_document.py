@@ -6,6 +6,8 @@ import html
 from collections.abc import Sequence
 from importlib import resources
 
+from accelsurf.viewer.scene.colors import ALARM, EDGE, MARK, ON_SURFACE, SURFACE
+
 #: A key by Qt's name of it; keys that are typed into a field, or turn a control, are left to it.
 _ON_KEY = """
   const typed = ['INPUT', 'SELECT', 'TEXTAREA', 'BUTTON', 'SUMMARY', 'A'].includes($event.target.tagName);
@@ -47,6 +49,18 @@ def document(panels: Sequence[str]) -> str:
     return f"""<div class="page" :class="theme" tabindex="0" autofocus @keydown="{_inline(_ON_KEY)}" {drop}>
 <details class="panels" open><summary id="fold">Panels</summary>
 <aside aria-label="panels">{asked}{inner}</aside></details>{page_text("canvas.html")}</div>"""
+
+
+def style_sheet() -> str:
+    """Return the style sheet of the page, with the colours that it shares with the scene and the window."""
+    shared = {"main": SURFACE, "on": ON_SURFACE, "mark": MARK}
+    dark = {**shared, "edge": EDGE["dark"], "alarm": ALARM["dark"]}
+    light = {"edge": EDGE["light"], "alarm": ALARM["light"]}
+    sheets = ((".page", dark), (".page.light", light))
+    own = "\n".join(
+        f"{where} {{ {' '.join(f'--{name}: {color};' for name, color in colors.items())} }}" for where, colors in sheets
+    )
+    return f"{own}\n{page_text('page.css')}"
 
 
 def _inline(script: str) -> str:

@@ -18,8 +18,8 @@ from accelsurf.viewer.scene.slices import SliceTile
 DEPTH = 4.0
 #: Opacity of the rectangle in slices that the box does not reach.
 BESIDE = 0.3
-#: Pixels from a side within which it is taken.
-REACH = 8.0
+#: Pixels of a usual screen: from a side within which it is taken, and how wide its lines are.
+REACH, LINE = 8.0, 2.2
 
 
 class VoxelBox(NamedTuple):
@@ -70,7 +70,7 @@ class BoxOverlay:
         self._scene = scene
         self.box: VoxelBox | None = None
         self._actors: dict[str, pv.Actor] = {}
-        scene.plotter.render_window.AddObserver("StartEvent", lambda *_: self._follow_slices())
+        scene.plotter.render_window.AddObserver("StartEvent", lambda *_: self._fit())
 
     def show(self, box: VoxelBox | None, in_space: bool = True) -> None:
         """Draw a box in place of the one before, in the slices and, unless it is being dragged, in 3D; None: none."""
@@ -87,7 +87,7 @@ class BoxOverlay:
         box, found = self.box, {}
         if box is None:
             return {}
-        reach = REACH * tile.mm_per_pixel()
+        reach = REACH * self._scene.tiles.pixel_ratio * tile.mm_per_pixel()
         for axis in (other for other in range(3) if other != tile.axis):
             step = self._scene.geometry.spacing[axis]
             away = [abs(index[axis] - box.low[axis] + 0.5) * step, abs(index[axis] - box.high[axis] - 0.5) * step]
@@ -105,15 +105,17 @@ class BoxOverlay:
             mapper = vtkPolyDataMapper()
             mapper.ScalarVisibilityOff()
             actor = pv.Actor(mapper=mapper)
-            actor.prop.color, actor.prop.lighting, actor.prop.line_width = MARK, False, 2.2
+            actor.prop.color, actor.prop.lighting = MARK, False
             renderer.add_actor(actor, reset_camera=False, render=False)
             self._actors[name] = actor
         self._actors[name].mapper.SetInputData(mesh)
         self._actors[name].SetVisibility(mesh.n_points > 0)
         self._scene.tiles.redraw.mark(renderer)
 
-    def _follow_slices(self) -> None:
-        """Before each picture: fainter where the slice is not one of the box."""
+    def _fit(self) -> None:
+        """Before each picture: lines as wide as the screen asks for, fainter where the slice is not one of the box."""
+        for actor in self._actors.values():
+            actor.prop.line_width = LINE * self._scene.tiles.pixel_ratio
         for name, tile in self._scene.slice_tiles.items():
             if self.box is not None and name in self._actors:
                 is_in = self.box.low[tile.axis] <= tile.index <= self.box.high[tile.axis]

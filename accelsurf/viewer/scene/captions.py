@@ -8,7 +8,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.colors import REFERENCE
-from accelsurf.viewer.scene.object_styles import ObjectStyle
+from accelsurf.viewer.scene.object_styles import ObjectStyle, unnamed
 
 #: Lines of the legend at most.
 MAX_LEGEND = 20
@@ -56,7 +56,10 @@ def legend_lines(
     if not several and dice is None:
         return []
     lines = [
-        (style.name if several else "surface", style.color) for style in styles[:MAX_LEGEND] if style.visible
+        # One object alone is the surface, unless somebody has named it.
+        (style.name if several or style.name != unnamed(one.id) else "surface", style.color)
+        for one, style in zip(frame.surfaces[:MAX_LEGEND], styles, strict=False)
+        if style.visible
     ]
     if len(frame.surfaces) > MAX_LEGEND:
         lines.append((f"and {len(frame.surfaces) - MAX_LEGEND} more", ink))

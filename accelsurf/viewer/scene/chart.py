@@ -114,12 +114,12 @@ class EnergyChart:
         self._paint_lines()
 
     def _paint_lines(self) -> None:
-        """Colour the lines: of one object as the theme has it, of several each in the colour of its surface."""
-        colors = (self._theme.potential, self._theme.kinetic)
-        for lines, curves, color in zip((self._potential, self._kinetic), self._curves, colors, strict=True):
+        """Colour the lines: of one object as text, of several each in the colour of its surface."""
+        ink = self._theme.ink
+        for lines, curves in zip((self._potential, self._kinetic), self._curves, strict=True):
             for line, curve in zip(lines, curves, strict=True):
-                several = self.colors[curve.position] if curve.position < len(self.colors) else color
-                line.color = color if self._is_single else several
+                several = self.colors[curve.position] if curve.position < len(self.colors) else ink
+                line.color = ink if self._is_single else several
 
     def fit(self, pixels: Pixels) -> None:
         """Make text readable, and lines as wide as the screen asks for."""

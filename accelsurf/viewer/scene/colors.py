@@ -9,27 +9,31 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
 from accelsurf.report import canvas
-from accelsurf.report.canvas import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, YELLOW
+from accelsurf.report.canvas import GREEN, PURPLE, VERMILION, YELLOW
 
 
 class Theme(NamedTuple):
-    """Colours of everything but the data: behind the surface, behind charts, text, lines of charts and boxes."""
+    """Colours of everything but the data: behind the surface, behind charts, text and curves, lines of charts and
+    boxes.
+    """
 
     background: str
     paper: str
     ink: str
     lines: str
-    potential: str
-    kinetic: str
 
 
 THEMES = {
-    "dark": Theme("#14171C", "#1D2128", "#F2F2F2", "#5A6270", SKY, ORANGE),
-    "light": Theme("#FFFFFF", "#FFFFFF", "#1A1A1A", "#9AA0A8", BLUE, VERMILION),
+    "dark": Theme("#14171C", "#1D2128", "#F2F2F2", "#5A6270"),
+    "light": Theme("#FFFFFF", "#FFFFFF", "#1A1A1A", "#9AA0A8"),
 }
 #: Surfaces and contours of the objects, in order of their ids; the first, also the accent of controls; the reference:
 #: as in the pictures of reports.
 OBJECT_COLORS, SURFACE, REFERENCE = canvas.OBJECT_COLORS, canvas.SURFACE, canvas.REFERENCE
+#: What is written on the accent; the accent of thin lines and of text, which on light must be darker to be read.
+ON_SURFACE, EDGE = "#101010", {"dark": SURFACE, "light": "#8F5F00"}
+#: Of error messages, which also begin with a word that says so.
+ALARM = {"dark": "#FF9A7A", "light": "#B03A00"}
 #: The cursor's lines; a ball that is being placed.
 CURSOR, MARK = YELLOW, PURPLE
 #: Measurements, and the rim around their lines.
@@ -52,17 +56,6 @@ SHADES = {
     "force": Shade("outward force (above 0: grows)", "PuOr", True),
     "density": Shade("density, mass per mm2", "cividis", False),
 }
-
-
-def object_color(position: int) -> str:
-    """Return the colour of the object at this position in the order of ids; colours repeat after five objects.
-
-    Examples
-    --------
-    >>> object_color(0) == SURFACE, object_color(5) == SURFACE
-    (True, True)
-    """
-    return OBJECT_COLORS[position % len(OBJECT_COLORS)]
 
 
 def theme_named(name: str) -> Theme:

@@ -7,8 +7,10 @@ from typing import NamedTuple
 
 import pyvista as pv
 
+from accelsurf.report.canvas import object_color
+from accelsurf.report.label_names import given_of
+from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame
-from accelsurf.viewer.scene.colors import object_color
 
 
 class ObjectStyle(NamedTuple):
@@ -30,6 +32,33 @@ class ObjectStyle(NamedTuple):
     opacity: float = 1.0
 
 
+def unnamed(own: int) -> str:
+    """What an object is called that nobody has named.
+
+    Examples
+    --------
+    >>> unnamed(3)
+    'object 3'
+    """
+    return f"object {own}"
+
+
+def given_styles(config: RunConfig) -> dict[int, ObjectStyle]:
+    """Return the styles of the objects that settings name or colour, by id.
+
+    Raises
+    ------
+    InputError
+        When a table that they name cannot be read.
+
+    Examples
+    --------
+    >>> given_styles(RunConfig(name=["2=liver"], color=["2=#c83c3c"]))
+    {2: ObjectStyle(name='liver', color='#c83c3c', visible=True, opacity=1.0)}
+    """
+    return {own: ObjectStyle(said.name, said.hex) for own, said in given_of(config).entries.items()}
+
+
 class ObjectStyles:
     """The styles of objects by id; one that has none has a colour by its place among the ids.
 
@@ -49,7 +78,7 @@ class ObjectStyles:
         surfaces = () if frame is None else frame.surfaces
         given = self.tracked if frame is not None and frame.said else self.given
         return [
-            given.get(one.id) or ObjectStyle(f"object {one.id}", object_color(position))
+            given.get(one.id) or ObjectStyle(unnamed(one.id), object_color(position))
             for position, one in enumerate(surfaces)
         ]
 

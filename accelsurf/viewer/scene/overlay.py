@@ -15,8 +15,8 @@ from accelsurf.settings.wording import in_unit
 
 #: Height of text, parts of the window's height, and the smallest that can be read, pixels of a usual screen.
 TEXT, MIN_TEXT = 1 / 50, 12
-#: Thickness of a scale bar, pixels of a usual screen.
-BAR = 4.0
+#: Thickness of a scale bar, and of the letters' edges on the cube of directions, pixels of a usual screen.
+BAR, EDGE = 4.0, 1.0
 #: Pixels of an inch, so that the size of text in points is that in pixels: VTK would scale it a second time.
 DPI = 72
 
@@ -187,7 +187,6 @@ def orientation_cube(anatomical: bool) -> vtkAnnotatedCubeActor:
     cube.SetZFaceTextRotation(-90)
     cube.GetCubeProperty().SetColor(0.30, 0.33, 0.38)
     cube.GetTextEdgesProperty().SetColor(1.0, 1.0, 1.0)
-    cube.GetTextEdgesProperty().SetLineWidth(1.0)
     for axis in "XYZ":
         for side in ("Minus", "Plus"):
             face = getattr(cube, f"Get{axis}{side}FaceProperty")()

@@ -15,15 +15,15 @@ from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, SURFACE, Theme, color_range
 from accelsurf.viewer.scene.legend import color_scale
 from accelsurf.viewer.scene.object_styles import ObjectStyles, paint
-from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar, orientation_cube
+from accelsurf.viewer.scene.overlay import EDGE, Label, Pixels, ScaleBar, orientation_cube
 from accelsurf.viewer.scene.picking import place_in_renderer
 from accelsurf.viewer.scene.ray import first_met
 from accelsurf.viewer.scene.shapes import GreyTexture, box_edges, isosurface
 from accelsurf.viewer.scene.track_marks import TRANSLUCENT, path_lines
 from accelsurf.viewer.scene.volume_picture import VolumePicture
 
-#: Width of the edges of the volume, pixels of a usual screen.
-BOX = 1.0
+#: Width of the edges of the volume, of the ways of tracked objects, pixels of a usual screen.
+BOX, WAY = 1.0, 2.0
 #: Voxels of psi from which a surface is drawn coarsely.
 COARSE_VOXELS = 400_000
 #: Where the camera is, as a direction (x, y, z) in LPS, and which direction is up; it begins at `corner`.
@@ -95,7 +95,8 @@ class SpaceTile:
         self._ends = [Label(self.renderer, theme.ink, (right, 0.095), top=True) for right in (0.2, 0.5, 0.8)]
         self.title = Label(self.renderer, theme.ink, (0.015, 0.985), top=True)
         self._bar = ScaleBar(self.renderer, theme.ink, unit)
-        plotter.add_orientation_widget(orientation_cube(anatomical), interactive=False, viewport=(0, 0, 0.17, 0.17))
+        self._cube = orientation_cube(anatomical)
+        plotter.add_orientation_widget(self._cube, interactive=False, viewport=(0, 0, 0.17, 0.17))
         self.look_from()
 
     # -- the surface --------------------------------------------------------------------------------------
@@ -123,7 +124,7 @@ class SpaceTile:
             if not frame.predicted and not frame.paths:
                 return
             self._tracks = self._add(pv.PolyData(), REFERENCE, TRANSLUCENT), self._add(pv.PolyData(), CURSOR)
-            self._tracks[1].prop.lighting, self._tracks[1].prop.line_width = False, 2.0
+            self._tracks[1].prop.lighting = False
         meshes = [isosurface(surface, self._geometry) for surface in frame.predicted]
         meshes = [mesh for mesh in meshes if mesh.n_points]
         for actor, mesh in zip(
@@ -359,6 +360,9 @@ class SpaceTile:
         self._bar.fit(pixels)
         self._volume.cut_away(self._meshes)
         self._box.prop.line_width = BOX * pixels.ratio
+        self._cube.GetTextEdgesProperty().SetLineWidth(EDGE * pixels.ratio)
+        if self._tracks is not None:
+            self._tracks[1].prop.line_width = WAY * pixels.ratio
         for label in (self._quantity, *self._ends):
             label.fit(pixels)
 

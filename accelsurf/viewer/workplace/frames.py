@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from accelsurf.errors import UsageError
+from accelsurf.report.canvas import object_color
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.status import Status, View
-from accelsurf.viewer.scene.colors import object_color
-from accelsurf.viewer.scene.object_styles import ObjectStyle
+from accelsurf.viewer.scene.object_styles import ObjectStyle, unnamed
 from accelsurf.viewer.scene.track_marks import show_image
 from accelsurf.viewer.workplace.checks import whole
 from accelsurf.viewer.workplace.feature import Feature, Key
@@ -51,7 +51,7 @@ class FramesFeature(Feature):
             tracks = self._frames.tracks
             ids = () if tracks is None else tracks.ids
             workplace.scene.styles.tracked = {
-                own: ObjectStyle(f"object {own}", object_color(place)) for place, own in enumerate(ids)
+                own: ObjectStyle(unnamed(own), object_color(place)) for place, own in enumerate(ids)
             }
             if tracks is not None:
                 self._draw()

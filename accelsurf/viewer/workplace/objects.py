@@ -11,7 +11,7 @@ from accelsurf.settings.labels import MAX_NAME
 from accelsurf.settings.refinements import MAX_ID
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.colors import OBJECT_COLORS
-from accelsurf.viewer.scene.object_styles import ObjectStyle
+from accelsurf.viewer.scene.object_styles import ObjectStyle, unnamed
 from accelsurf.viewer.scene.picking import Picked
 from accelsurf.viewer.workplace.checks import number, short, text, whole, word
 from accelsurf.viewer.workplace.feature import Feature, Key
@@ -97,7 +97,7 @@ class ObjectsFeature(Feature):
             # A colour stays with its object, whatever becomes of the others.
             usual = self._palette.setdefault(own, OBJECT_COLORS[len(self._palette) % len(OBJECT_COLORS)])
             said = status.labels.entries.get(own)
-            name = f"object {own}" if said is None else said.name
+            name = unnamed(own) if said is None else said.name
             color = usual if said is None else said.hex
             styles[own] = ObjectStyle(name, color, own not in self._hidden, self._opacity.get(own, 1.0))
         return styles

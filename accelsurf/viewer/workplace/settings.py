@@ -15,9 +15,10 @@ from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import did_you_mean
 from accelsurf.viewer.core.status import Status
+from accelsurf.viewer.workplace.amounts import from_read
 from accelsurf.viewer.workplace.checks import short, text, whole
 from accelsurf.viewer.workplace.feature import Feature
-from accelsurf.viewer.workplace.settings_rows import Row, settings_rows
+from accelsurf.viewer.workplace.settings_rows import Row, settings_rows, unit_read
 from accelsurf.viewer.workplace.tool import finest
 
 #: Settings that can be changed.
@@ -35,7 +36,7 @@ class SettingsFeature(Feature):
 
     def __init__(self, workplace: Any) -> None:
         super().__init__(workplace)
-        self._finest = finest(workplace.scene.geometry)
+        self._finest, self._unit = finest(workplace.scene.geometry), workplace.scene.unit
         self._shown: tuple[RunConfig, Sequence[Mapping[str, Any]], tuple[str, ...]] | None = None
         self._rows: list[Row] = []
         self._energy_error = ""
@@ -51,7 +52,8 @@ class SettingsFeature(Feature):
         if self._shown is None or any(a is not b for a, b in zip(now[:2], self._shown[:2], strict=True)) or (
             masks != self._shown[2]
         ):
-            self._shown, self._rows = now, settings_rows(status.settings, status.terms, self._finest)
+            self._shown = now
+            self._rows = settings_rows(status.settings, status.terms, self._finest, self._unit)
             for row in self._rows:
                 if row["kind"] == "file":
                     row["names"] = [{"name": name, "help": str(self._masks.get(name, ""))} for name in masks]
@@ -65,7 +67,7 @@ class SettingsFeature(Feature):
             raise UsageError(f"set: {short(key)}: there is no such setting", did_you_mean(short(key), SETTINGS))
         if key == "mask" and value != "":
             raise UsageError("mask: a file is chosen by the request mask")
-        self._change(key, self._checked(key, value))
+        self._change(key, self._checked(key, from_read(value, unit_read(key, self._unit)[1])))
 
     def _checked(self, key: str, value: Any) -> Any:
         """A value as the configuration takes it."""

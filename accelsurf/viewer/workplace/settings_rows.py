@@ -11,13 +11,14 @@ from accelsurf.settings.energy_terms import TERMS, Word, examples
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.workplace.amounts import amount, read_in, rounded
 
 Row = dict[str, Any]
-#: Positions of a slider.
-TICKS = 1000
 
 
-def settings_rows(settings: RunConfig, terms: Sequence[Mapping[str, Any]], finest: float) -> list[Row]:
+def settings_rows(
+    settings: RunConfig, terms: Sequence[Mapping[str, Any]], finest: float, of_file: str = "mm"
+) -> list[Row]:
     """Return a row for each setting that the viewer shows, in the order of the help; the common ones first.
 
     Parameters
@@ -28,6 +29,8 @@ def settings_rows(settings: RunConfig, terms: Sequence[Mapping[str, Any]], fines
         Of the energy, with every setting resolved, see `Status.terms`.
     finest : float
         Smallest spacing of the image, mm: lengths of sliders are in voxels.
+    of_file : str, optional
+        Unit of lengths in the file, in which they are shown: mm, um or nm.
 
     Returns
     -------
@@ -35,40 +38,53 @@ def settings_rows(settings: RunConfig, terms: Sequence[Mapping[str, Any]], fines
         ``key``, ``label``, ``unit``, ``help``; ``kind``: slider, list, text, switch, energy or file; ``group``: empty
         for the common ones; ``value`` in force; ``enabled``: whether it acts on this flow and energy; ``restarts``:
         whether a change begins another run; ``names`` of a list, each with its help; of a slider its ``low`` and
-        ``high`` end, ``power``, ``digits``, ``limit``, ``words``, and ``tick``, its position from 0 to `TICKS`;
+        ``high`` end, ``power``, ``digits``, ``limit``, ``words`` and ``tick``, see `amounts.amount`;
         ``term``: of a setting of a term its place and name, else empty (the channel of a term only where there are
         several); ``now``: the value that is meant by an empty field.
     """
     rows = []
     for where in ("first", "more"):
         for key in viewer_settings("first" if where == "first" else "more"):
-            rows.append(_setting_row(key, settings, finest, where == "first"))
+            rows.append(_setting_row(key, settings, finest, where == "first", of_file))
             if key == "energy":
                 rows += _term_rows(settings.energy, terms)
     return rows
 
 
-def _setting_row(key: str, settings: RunConfig, finest: float, is_first: bool) -> Row:
-    said, value = entry(key), getattr(settings, key)
+def unit_read(key: str, of_file: str) -> tuple[str, float]:
+    """Return the unit in which a setting is shown, and how many of it are one of its own; boxes stay in mm.
+
+    Examples
+    --------
+    >>> unit_read("smoothness", "um"), unit_read("roi", "um"), unit_read("smoothness", "mm")
+    (('um', 1000.0), ('mm', 1.0), ('mm', 1.0))
+    """
+    said = entry(key)
+    return (said.unit, 1.0) if said.metavar == "BOX" else read_in(said.unit, of_file)
+
+
+def _setting_row(key: str, settings: RunConfig, finest: float, is_first: bool, of_file: str) -> Row:
+    said, value, (unit, per) = entry(key), getattr(settings, key), unit_read(key, of_file)
     kind: str = {"energy": "energy", "mask": "file"}.get(key, kind_of(key))
     restarts = said.fixed and said.group is not SettingGroup.FILES
     row: Row = {
-        "key": key, "label": label_of(key), "unit": said.unit, "help": help_of(key), "kind": kind,
-        "group": "" if is_first else str(said.group), "value": shown_value(key, value),
+        "key": key, "label": label_of(key), "unit": unit, "kind": kind,
+        "help": help_of(key) + ("" if per == 1.0 else f" Here in {unit}."),
+        "group": "" if is_first else str(said.group), "value": shown_value(key, value, per),
         "enabled": settings.matters(key), "restarts": restarts, "names": _names(key, settings), "term": [],
         "now": "", "low": 0.0, "high": 0.0, "power": 1.0, "digits": 0, "limit": 0.0, "words": [],
         "tick": 0,
     }
     if said.slider is not None:
-        unit, one = finest**said.slider.voxel_power, said.slider
-        row |= {"low": one.low * unit, "high": one.high * unit, "power": one.power, "digits": one.digits}
-        share = 0.0 if isinstance(value, str) else min(max((value - row["low"]) / (row["high"] - row["low"]), 0.0), 1.0)
-        row |= {"limit": one.limit, "words": list(one.words), "tick": round(TICKS * share ** (1.0 / one.power))}
+        scale, one = finest**said.slider.voxel_power, said.slider
+        row |= amount(one.low * scale, one.high * scale, value, one.power, one.limit, one.words, per)
     return row
 
 
-def shown_value(key: str, value: Any) -> Any:
+def shown_value(key: str, value: Any, per: float) -> Any:
     """A value as a row has it: numbers of sliders and switches as they are, all else as it would be typed."""
+    if per != 1.0 and isinstance(value, float):
+        value = rounded(value * per)
     if kind_of(key) == "switch" or (kind_of(key) == "slider" and not isinstance(value, str)):
         return value
     return " ".join(value) if entry(key).repeated else as_typed(value)

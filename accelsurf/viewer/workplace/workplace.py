@@ -29,6 +29,7 @@ from accelsurf.viewer.workplace.measure import MeasureFeature
 from accelsurf.viewer.workplace.mouse import MouseFeature
 from accelsurf.viewer.workplace.objects import ObjectsFeature
 from accelsurf.viewer.workplace.picture import PictureFeature
+from accelsurf.viewer.workplace.radius import RadiusFeature
 from accelsurf.viewer.workplace.run import RunFeature
 from accelsurf.viewer.workplace.settings import SettingsFeature
 from accelsurf.viewer.workplace.slices import SlicesFeature
@@ -40,6 +41,7 @@ FEATURES: tuple[type[Feature], ...] = (
     FramesFeature,
     RunFeature,
     MouseFeature,
+    RadiusFeature,
     ObjectsFeature,
     StrokesFeature,
     HistoryFeature,

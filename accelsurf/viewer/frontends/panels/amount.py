@@ -2,52 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from typing import Any
 
 from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
 from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QSlider, QWidget
 
 from accelsurf.viewer.frontends.panels.wheel import WheelGuard
+from accelsurf.viewer.workplace.amounts import TICKS
 
-#: Positions of a slider; and how long after the last change its value is emitted, milliseconds.
-TICKS, DELAY_MS = 1000, 250
+#: How long after the last change the value of a slider is emitted, milliseconds.
+DELAY_MS = 250
+#: Largest number that a box can have; its width with three digits after the point and that of one more, pixels.
+MAX_BOX, WIDTH, DIGIT = 1e12, 74, 8
 
 
 class Amount(QWidget):
-    """A number on a slider and in a box; optionally words that may stand for it.
+    """A number on a slider and in a box, where it may be larger; optionally words that may stand for it.
 
     Parameters
     ----------
-    low, high : float
-        Ends of the slider; in the box the number may be larger.
-    words : sequence of str
-        Words that may stand for a number.
-    power : float
-        Above 1 the slider is finer at its lower end.
-    digits : int
-        After the point.
-    limit : float, optional
-        Largest number that the box takes.
+    shown : mapping of str to object
+        Its ends, digits and words, as of `accelsurf.viewer.workplace.amounts.amount`.
     """
 
     changed = Signal(object)
 
-    def __init__(
-        self, low: float, high: float, words: Sequence[str] = (), power: float = 1.0, digits: int = 3,
-        limit: float = 1e6,
-    ) -> None:
+    def __init__(self, shown: Mapping[str, Any]) -> None:
         super().__init__()
-        self._low, self._high, self._power = low, high, power
+        low, high = self._low, self._high = shown["low"], shown["high"]
+        self._power = shown["power"]
+        words, digits = shown["words"], shown["digits"]
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(0, TICKS)
         self.slider.setPageStep(TICKS // 10)
         self.slider.setMinimumWidth(70)
         self.box = QDoubleSpinBox()
         self.box.setDecimals(digits)
-        self.box.setRange(low, limit)
+        self.box.setRange(low, min(shown["limit"], MAX_BOX))
         self.box.setSingleStep((high - low) / 20)
         self.box.setKeyboardTracking(False)
-        self.box.setFixedWidth(74)
+        self.box.setFixedWidth(WIDTH + DIGIT * max(digits - 3, 0))
         self.word: QComboBox | None = None
         line = QHBoxLayout(self)
         line.setContentsMargins(0, 0, 0, 0)

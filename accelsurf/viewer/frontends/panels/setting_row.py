@@ -50,7 +50,7 @@ class SliderRow(SettingRow):
 
     def __init__(self, row: Row) -> None:
         super().__init__(row)
-        self.amount = Amount(row["low"], row["high"], row["words"], row["power"], row["digits"], row["limit"])
+        self.amount = Amount(row)
         self.amount.changed.connect(lambda value: self.changed.emit(value))
         self._grid.addWidget(self.label, 0, 0, 1, 2)
         self._grid.addWidget(self.amount, 1, 0, 1, 2)

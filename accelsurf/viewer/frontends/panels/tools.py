@@ -32,14 +32,14 @@ class ToolsPanel(Section):
             self._group.addButton(made)
             grid.addWidget(made, place // IN_ROW, place % IN_ROW)
         row = -(-len(self.tools) // IN_ROW)
-        state = workplace.state()
-        self.radius = Amount(state["radius_least"], 0.8 * state["radius_most"], power=2.0, digits=2)
-        self.radius.changed.connect(lambda value: self.ask("radius", value))
-        grid.addWidget(QLabel("Radius of click, ball and brush (mm)"), row, 0, 1, IN_ROW)
+        shown = workplace.state()["radius_row"]
+        self.radius = Amount(shown)
+        self.radius.changed.connect(lambda value: self.ask("set_radius", value))
+        grid.addWidget(QLabel(f"Radius of click, ball and brush ({shown['unit']})"), row, 0, 1, IN_ROW)
         grid.addWidget(self.radius, row + 1, 0, 1, IN_ROW)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the tool in use, and its radius."""
         self.tools[state["tool"]].setChecked(True)
         if not self.radius.is_being_moved:
-            self.radius.show_value(state["radius"])
+            self.radius.show_value(state["radius_row"]["value"])
