@@ -101,6 +101,21 @@ def test_releasing_begins_the_run_that_the_same_settings_before_picture(tmp_path
     assert np.array_equal(io.read(next(tmp_path.glob("*_seg.*"))).array, result.labels)
 
 
+def test_letting_go_plays_the_run_to_its_end_and_is_one_change():
+    volume, own = scan()
+    with Session(volume, RunConfig(start="ball:5,5,5,2", max_steps=60, levels=1)) as session:
+        session.press(PRESS).result()
+        session.release(10.0).result()
+        assert session.wait(120)
+        status = session.status
+        assert status.step > 0 and status.stop is not None and len(status.changes) == status.undoable == 1
+        inside = session.look(lambda run: run.objects[0].surface.psi < 0).result()
+        assert 2 * (inside & own).sum() / (inside.sum() + own.sum()) > 0.95
+        session.undo().result()
+        assert session.wait(60) and session.status.undoable == session.status.step == 0
+        assert session.status.settings.start == ("ball:5,5,5,2",) and session.status.settings.inside == ()
+
+
 def test_a_press_outside_or_of_several_objects_is_refused(tmp_path):
     volume, _ = scan()
     with Session(volume, RunConfig(start=PRESS)) as session:

@@ -142,8 +142,8 @@ class ObjectCommands:
         return drag
 
     def release(self, drag_mm: float) -> None:
-        """Begin the object that was pressed with the size that a drag stands for: alone another run, else beside the
-        others.
+        """Begin the object that was pressed with the size that a drag stands for: alone another run, which plays,
+        else beside the others.
 
         Raises
         ------
@@ -157,7 +157,11 @@ class ObjectCommands:
         if len(ids) == 1 and object_id in (None, ids[0]) and not self.has_ids:
             settings: dict[str, Any] = {"inside": (drag.click,), "outside": (), "start": FROM_CLICKS}
             settings |= {"energy": "seeded", "size": size}
-            return self._timeline.start_with(settings, f"inside: {drag.click}, size {size}")
+            said = f"inside: {drag.click}, size {size}"
+            self._timeline.start_with(settings, said)
+            # Who lets go has said all that the object needs, as beside others, where the run goes on too.
+            self._timeline.play()
+            return self._timeline.say(said)
         own = object_id or ids[0]
         said = f"{'object' if own in ids else 'new object'} {own}: {drag.click}, size {size}"
         return self._timeline.refine({"new": own, "inside": [drag.click], "size": size}, said)

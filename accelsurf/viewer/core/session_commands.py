@@ -123,7 +123,7 @@ class SessionCommands:
         return self._do(lambda timeline: timeline.objects.press(ball, voxels, object_id))
 
     def release(self, drag_mm: float) -> Future[None]:
-        """Begin another run from what was pressed, of a size that a drag of so many mm stands for; others stay."""
+        """Play another run from what was pressed, of a size that a drag of so many mm stands for; others stay."""
         return self._do(lambda timeline: timeline.objects.release(drag_mm))
 
     def objects(self, work: Callable[[ObjectCommands], Any]) -> Future[None]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt
-from PySide6.QtGui import QMouseEvent, QNativeGestureEvent, QWheelEvent
+from PySide6.QtGui import QEventPoint, QInputDevice, QMouseEvent, QNativeGestureEvent, QTouchEvent, QWheelEvent
 from pyvistaqt import QtInteractor
 
-from accelsurf.viewer.workplace.mouse import LEFT, MIDDLE, RIGHT, ZOOM, MouseFeature
+from accelsurf.viewer.workplace.mouse import LEFT, MIDDLE, RIGHT, MouseFeature
+from accelsurf.viewer.workplace.wheel import ZOOM
 from accelsurf.viewer.workplace.workplace import Workplace
 
 _BUTTONS = {Qt.MouseButton.LeftButton: LEFT, Qt.MouseButton.MiddleButton: MIDDLE, Qt.MouseButton.RightButton: RIGHT}
@@ -33,6 +34,7 @@ class CanvasEvents(QObject):
         super().__init__(canvas)
         self._workplace, self._canvas, self._refresh = workplace, canvas, refresh
         canvas.setMouseTracking(True)
+        canvas.setAttribute(Qt.WidgetAttribute.WA_AcceptTouchEvents)
         canvas.installEventFilter(self)
 
     # -- events -------------------------------------------------------------------------------------------
@@ -54,6 +56,10 @@ class CanvasEvents(QObject):
             if event.gestureType() == Qt.NativeGestureType.ZoomNativeGesture:
                 self._ask("wheel", event.position(), event.value() / (ZOOM - 1.0), True)
             return True
+        if isinstance(event, QTouchEvent) and event.device().type() == QInputDevice.DeviceType.TouchScreen:
+            self._touch(event)
+            event.accept()  # so that Qt makes no mouse of it
+            return True
         if isinstance(event, QMouseEvent):
             self._mouse(event)
             return True
@@ -70,12 +76,30 @@ class CanvasEvents(QObject):
             is_dragging = self._workplace.feature(MouseFeature).is_dragging
             self._ask("move" if is_dragging else "hover", place)
         elif kind == QEvent.Type.MouseButtonRelease:
-            self._workplace.request("release")
+            if event.button() in _BUTTONS:
+                self._workplace.request("release", _BUTTONS[event.button()])
             self._refresh()
 
+    def _touch(self, event: QTouchEvent) -> None:
+        """Fingers on a screen."""
+        if event.type() == QEvent.Type.TouchCancel:
+            self._workplace.request("finger_cancel")
+        for point in event.points():
+            if point.state() == QEventPoint.State.Pressed:
+                self._request("finger_down", point.position(), point.id(), event.type() == QEvent.Type.TouchBegin)
+            elif point.state() == QEventPoint.State.Updated:
+                self._request("finger_move", point.position(), point.id())
+            elif point.state() == QEventPoint.State.Released:
+                self._workplace.request("finger_up", point.id())
+        self._refresh()
+
     def _ask(self, name: str, place: QPointF, *more: object) -> None:
+        """A request with a place, whose effect is drawn at once."""
+        self._request(name, place, *more)
+        self._refresh()
+
+    def _request(self, name: str, place: QPointF, *more: object) -> None:
         """A request with a place as parts of the canvas; a drag may leave it."""
         across = place.x() / max(self._canvas.width() - 1, 1)
         down = place.y() / max(self._canvas.height() - 1, 1)
         self._workplace.request(name, min(max(across, 0.0), 1.0), min(max(down, 0.0), 1.0), *more)
-        self._refresh()

@@ -14,12 +14,32 @@ _ON_KEY = """
   const names = {' ': 'Space', ArrowRight: 'Right', ArrowLeft: 'Left', ArrowUp: 'Up', ArrowDown: 'Down'};
   const key = names[$event.key] || ($event.key.length === 1 ? $event.key.toUpperCase() : $event.key);
   const name = ($event.ctrlKey ? 'Ctrl+' : '') + ($event.shiftKey && $event.ctrlKey ? 'Shift+' : '') + key;
-  const copies = {'Ctrl+C': as_point, 'Ctrl+Shift+C': as_ball}[name];
-  if (copies && $event.view.getSelection().isCollapsed && $event.view.navigator.clipboard) {
-    $event.view.navigator.clipboard.writeText(copies); }
-  if (!$event.altKey && !$event.metaKey && ($event.ctrlKey || !typed) && keys.includes(name)) {
-    $event.preventDefault(); trigger('ask', ['key', name]); }
+  const words = {'Ctrl+C': as_point, 'Ctrl+Shift+C': as_ball, '/': as_correction}[name];
+  const selects = name === 'Ctrl+C' && (!$event.view.getSelection().isCollapsed
+    || $event.target.matches('input[type=text], input[type=number], textarea'));
+  if (!$event.altKey && !$event.metaKey && ($event.ctrlKey || !typed) && keys.includes(name) && !selects) {
+    $event.preventDefault(); trigger('ask', ['key', name]);
+    if (words) { COPY } }
 """
+
+#: Puts ``words`` on the clipboard. A page on http of another machine has none of its own; there a text is selected and
+#: copied as a person would, and who had the keys has them again.
+_COPY = """
+  const view = $event.view, failed = () => trigger('ask', ['copy_failed']);
+  if (view.navigator.clipboard) { view.navigator.clipboard.writeText(words).catch(failed); }
+  else {
+    const field = view.document.getElementById('copied'), before = view.document.activeElement;
+    field.value = words; field.select();
+    if (!view.document.execCommand('copy')) { failed(); }
+    before.focus();
+  }
+"""
+
+#: Where a pointer is, as parts of the width and of the height from the top; a drag may leave the picture.
+_PLACE = ", ".join(
+    f"Math.min(Math.max($event.offset{axis} / $event.target.client{side}, 0), 1)"
+    for axis, side in (("X", "Width"), ("Y", "Height"))
+)
 
 #: A file that is dropped, or chosen in a field, is sent to the address for uploads.
 _SEND = """
@@ -46,9 +66,12 @@ def document(panels: Sequence[str]) -> str:
         begin = f'<div class="begin">{_with_lists("start.html")}{asked}</div>'
         return f'<div class="page" :class="theme" {drop}>{begin}</div>'
     inner = "\n".join(_with_lists(f"{name}.html") for name in panels)
-    return f"""<div class="page" :class="theme" tabindex="0" autofocus @keydown="{_inline(_ON_KEY)}" {drop}>
+    on_key = _inline(_ON_KEY.replace("COPY", _COPY))
+    canvas = page_text("canvas.html").replace("PLACE", _inline(_PLACE))
+    return f"""<div class="page" :class="theme" tabindex="0" autofocus @keydown="{on_key}" {drop}>
 <details class="panels" open><summary id="fold">Panels</summary>
-<aside aria-label="panels">{asked}{inner}</aside></details>{page_text("canvas.html")}</div>"""
+<aside aria-label="panels">{asked}{inner}</aside></details>{canvas}
+<textarea id="copied" class="aside" readonly tabindex="-1" aria-hidden="true"></textarea></div>"""
 
 
 def style_sheet() -> str:
@@ -69,9 +92,10 @@ def _inline(script: str) -> str:
 
 
 def _with_lists(name: str) -> str:
-    """A file of the page, with the lists of what can be opened where it has them."""
+    """A file of the page, with the lists of what can be opened, and what copies, where it has them."""
     send = _inline(_SEND.replace("FILES", "$event.target.files"))
-    return page_text(name).replace("LISTS", page_text("lists.html")).replace("UPLOAD", send)
+    text = page_text(name).replace("LISTS", page_text("lists.html"))
+    return text.replace("UPLOAD", send).replace("COPY", _inline(_COPY))
 
 
 def page_text(name: str) -> str:

@@ -157,10 +157,14 @@ class Tiles:
             self._space.shift(right, up)
             self.redraw.mark(self._space.renderer)
 
-    def zoom(self, factor: float) -> None:
-        """Enlarge the picture in 3D."""
+    def zoom(self, factor: float, right: float = 0.5, up: float = 0.5) -> None:
+        """Enlarge the picture in 3D; what is at this place of its tile, each coordinate from 0 to 1, stays there."""
         if self._space is not None:
+            before = self.mm_per_pixel("space")
             self._space.zoom(factor)
+            width, height = self._space.renderer.GetSize()
+            grown = 1.0 - before / self.mm_per_pixel("space")
+            self._space.shift((right - 0.5) * width * grown, (up - 0.5) * height * grown)
             self.redraw.mark(self._space.renderer)
 
     def coarsen(self, on: bool) -> bool:

@@ -77,7 +77,7 @@ class FramesFeature(Feature):
         return {
             "frames": 0 if frames is None else len(frames), "frame": self.number, "frames_play": self.is_playing,
             "frame_words": "" if frames is None else frames.said(self.number),
-            "frame_lines": self._lines(),
+            "frame_lines": self._lines(), "as_correction": self._correction(),
         }
 
     def _lines(self) -> str:
@@ -174,5 +174,9 @@ class FramesFeature(Feature):
     def _copy_correction(self) -> None:
         """Copy the words with which ``accelsurf track`` corrects this frame at the place under the mouse."""
         self._checked()
-        place = self.workplace.feature(SlicesFeature).point_text()
-        self.workplace.copy(f'--correct "frame={self.number} inside={place}"')
+        self.workplace.copy(self._correction())
+
+    def _correction(self) -> str:
+        if self._frames is None:
+            return ""
+        return f'--correct "frame={self.number} inside={self.workplace.feature(SlicesFeature).point_text()}"'

@@ -14,7 +14,8 @@ MOUSE = (
     ("right in 3D", "zooms"),
     ("middle, or shift with left", "moves the picture"),
     ("wheel", "next slice; zooms in 3D; with Ctrl, or a pinch, zooms in a slice"),
-    ("double click", "this tile alone, and back"),
+    ("two fingers on a screen", "zoom and move what is under them"),
+    ("double click", "with Look: this tile alone, and back"),
 )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +33,8 @@ class Distance(Tool):
         #: Number of the measurement, and its end, that moves with the mouse.
         self._held: tuple[int, int] | None = None
         self._unfinished: int | None = None
+        #: Takes back what the last press has done, until the button is up.
+        self._restore: Callable[[], None] | None = None
         self._pixel_mm = 0.0
 
     def press(self, at: Picked) -> None:
@@ -42,12 +46,14 @@ class Distance(Tool):
         near = known.nearest(at.world, GRAB * self._pixel_mm)
         if self._unfinished is not None and near != (self._unfinished, len(known[self._unfinished].points) - 1):
             known.add_point(self._unfinished, at.world)
+            self._restore = functools.partial(known.shorten, self._unfinished)
             self._held = self._unfinished, len(known[self._unfinished].points) - 1
         elif near is not None:
             self._held = near
+            self._restore = functools.partial(known.move, *near, known[near[0]].points[near[1]])
         else:
             one = known.add(self.name, [at.world, at.world])
-            self._held, self._unfinished = (one.number, 1), one.number
+            self._held, self._unfinished, self._restore = (one.number, 1), one.number, self.forget
         self._show()
 
     def move(self, at: Picked) -> None:
@@ -56,7 +62,7 @@ class Distance(Tool):
             self._show(at.tile)
 
     def release(self) -> None:
-        held, self._held = self._held, None
+        held, self._held, self._restore = self._held, None, None
         if held is not None and held[0] == self._unfinished:
             self._finish(held[0])
         self._show()
@@ -69,6 +75,13 @@ class Distance(Tool):
         elif one.is_complete:
             self._unfinished = None
 
+    def cancel(self) -> None:
+        """What was clicked before this press stays."""
+        restore, self._restore, self._held = self._restore, None, None
+        if restore is not None:
+            restore()
+        self._show()
+
     def leave(self) -> None:
         """Another tool is used: what has not all its points is forgotten."""
         self.forget()
@@ -78,7 +91,7 @@ class Distance(Tool):
         """Let go of what is held, and delete what is unfinished."""
         if self._unfinished is not None and self._unfinished in self._measurements:
             self._measurements.delete(self._unfinished)
-        self._held = self._unfinished = None
+        self._held = self._unfinished = self._restore = None
 
     def _show(self, dragged_in: str | None = None) -> None:
         self.workplace.scene.measures.show(self._measurements, dragged_in)

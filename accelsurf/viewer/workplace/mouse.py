@@ -1,8 +1,8 @@
 """The mouse in the scene, of window and page alike.
 
 Left uses the tool, or looks around; right changes the grey values of slices, and zooms in 3D; middle (or shift with
-left) moves the picture; the wheel goes through slices, with Ctrl it zooms. Places are parts of the width, and of the
-height from the top, each from 0 to 1.
+left) moves the picture; the wheel goes through slices, with Ctrl it zooms. One button at a time counts. Places are
+parts of the width, and of the height from the top, each from 0 to 1.
 """
 
 from __future__ import annotations
@@ -12,18 +12,19 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from accelsurf.viewer.core.status import Status
-from accelsurf.viewer.scene.picking import Picked, place_in_renderer
+from accelsurf.viewer.scene.picking import Picked
 from accelsurf.viewer.workplace.checks import number, whole, word
 from accelsurf.viewer.workplace.feature import Feature, Key
 from accelsurf.viewer.workplace.frames import FramesFeature
 from accelsurf.viewer.workplace.slices import SlicesFeature
 from accelsurf.viewer.workplace.tool import Tool, finest
 from accelsurf.viewer.workplace.tools import TOOLS
+from accelsurf.viewer.workplace.wheel import ZOOM, SliceTurns, notches_of
 
 #: Buttons, as browsers number them.
 LEFT, MIDDLE, RIGHT = 0, 1, 2
-#: Degrees that the camera turns per pixel of a picture 720 high; zoom per notch of the wheel.
-TURN, ZOOM = 0.45, 1.12
+#: Degrees that the camera turns per pixel of a picture 720 high.
+TURN = 0.45
 #: A mouse that has not moved for so many seconds is still.
 STILL = 0.5
 
@@ -37,14 +38,17 @@ class MouseFeature(Feature):
         In use.
     is_dragging : bool
         Whether a button is down.
+    gesture : int
+        How many presses there have been.
     """
 
     def __init__(self, workplace: Any) -> None:
         super().__init__(workplace)
         self._tools = tuple(kind(workplace) for kind in TOOLS)
         self.tool: Tool = self._tools[0]
-        self._tile, self._button, self._at = "", LEFT, (0.0, 0.0)
-        self._moved_at = 0.0
+        #: The tile in which a button is down, that button, and what it does: with shift, left is as middle.
+        self._tile, self._pressed, self._button, self._at = "", LEFT, LEFT, (0.0, 0.0)
+        self._moved_at, self.gesture, self._turns = 0.0, 0, SliceTurns()
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
         return {
@@ -52,11 +56,13 @@ class MouseFeature(Feature):
             "no_tool": lambda: self._use("look"),
             "radius": self._radius,
             "scale_radius": lambda factor: self._radius(self.workplace.radius * number(factor, 0.1, 10.0)),
-            "press": self._press,
-            "move": self._move,
-            "release": self._release,
+            "press": self.press,
+            "move": self.move,
+            "release": self.release,
+            "cancel": self.cancel,
             "hover": self._hover,
             "wheel": self._wheel,
+            "scroll": self._scroll,
             "double": self._double,
         }
 
@@ -91,6 +97,7 @@ class MouseFeature(Feature):
 
     def _use(self, name: Any) -> None:
         tool = self.workplace.tools[word(name, tuple(self.workplace.tools))]
+        self.cancel()
         self.tool.leave()
         self.tool = tool
         self.workplace.scene.mark_ball(None)
@@ -105,11 +112,15 @@ class MouseFeature(Feature):
 
     # -- events -------------------------------------------------------------------------------------------
 
-    def _press(self, x: Any, y: Any, button: Any = LEFT, shift: Any = False) -> None:
+    def press(self, x: Any, y: Any, button: Any = LEFT, shift: Any = False) -> None:
+        """A button goes down; while another one is down nothing happens."""
         pixel, button = self._pixel(x, y), whole(button, LEFT, RIGHT)
-        self._moved_at = time.monotonic()
+        if self.is_dragging and button != self._pressed:
+            return
+        self.cancel()  # the same one again: its release was lost
+        self._moved_at, self.gesture = time.monotonic(), self.gesture + 1
         at = self.workplace.scene.pick(*pixel)
-        self._button = MIDDLE if shift and button == LEFT else button
+        self._pressed, self._button = button, MIDDLE if shift and button == LEFT else button
         self._tile, self._at = at.tile, pixel
         tiles = self.workplace.scene.tiles
         tiles.redraw.hurries = at.tile in self.workplace.scene.slice_tiles
@@ -120,7 +131,8 @@ class MouseFeature(Feature):
             self.tool.press(at)
         self.workplace.changed = True
 
-    def _move(self, x: Any, y: Any) -> None:
+    def move(self, x: Any, y: Any) -> None:
+        """The mouse moves; without a button nothing happens."""
         pixel = self._pixel(x, y)
         if not self._tile:
             return
@@ -153,12 +165,25 @@ class MouseFeature(Feature):
             else:
                 tiles.turn(-TURN * 720.0 / size[1] * right, -TURN * 720.0 / size[1] * up)
 
-    def _release(self) -> None:
+    def release(self, button: Any = None) -> None:
+        """A button goes up, by default the one that is down."""
+        if button is not None and whole(button, LEFT, RIGHT) != self._pressed:
+            return
+        if self._leave_tile():
+            self.tool.release()
+
+    def cancel(self) -> None:
+        """End what is being dragged, as if no button had gone down."""
+        if self._leave_tile():
+            self.tool.cancel()
+            self.workplace.scene.mark_ball(None)
+
+    def _leave_tile(self) -> bool:
+        """No button is down any more; returns whether the tool was used."""
         tile, self._tile = self._tile, ""
         self.workplace.scene.tiles.redraw.hurries = False
-        if tile and self._button == LEFT and self._uses_tool(tile):
-            self.tool.release()
         self.workplace.changed = True
+        return bool(tile) and self._button == LEFT and self._uses_tool(tile)
 
     def _hover(self, x: Any, y: Any) -> None:
         self._read(self.workplace.scene.pick(*self._pixel(x, y)) if not self.is_dragging else None)
@@ -170,15 +195,31 @@ class MouseFeature(Feature):
         if at.tile in scene.slice_tiles and zoom:
             scene.tiles.zoom_slice(at.tile, factor, *self._place(at.tile, across, up))
         elif at.tile in scene.slice_tiles:
-            scene.step_slice(at.tile, 1 if notches > 0 else -1)
+            slices = self._turns.add(at.tile, notches)
+            if not slices:
+                return
+            scene.step_slice(at.tile, slices)
             self._read(scene.pick(across, up))
         elif at.tile == "space":
             scene.tiles.zoom(factor)
         self.workplace.changed = True
 
+    def _scroll(self, x: Any, y: Any, delta: Any, mode: Any, zoom: Any = False) -> None:
+        """The wheel as browsers report it: how much, and in pixels, lines or pages."""
+        self._wheel(x, y, notches_of(delta, mode, bool(zoom)), zoom)
+
+    def zoom(self, x: float, y: float, factor: float) -> None:
+        """Enlarge the tile in which a button is down; what is at this place stays there."""
+        scene, place = self.workplace.scene, self._place(self._tile, *self._pixel(x, y))
+        if self._tile in scene.slice_tiles:
+            scene.tiles.zoom_slice(self._tile, factor, *place)
+        elif self._tile == "space":
+            scene.tiles.zoom(factor, *place)
+        self.workplace.changed = True
+
     def _double(self, x: Any, y: Any) -> None:
         tile = self.workplace.scene.pick(*self._pixel(x, y)).tile
-        self._tile = ""
+        self.cancel()
         if tile in self.workplace.scene.tiles.names and self.tool.name == "look":
             self.workplace.feature(SlicesFeature).enlarge(tile)
 
@@ -195,5 +236,9 @@ class MouseFeature(Feature):
         return number(x, 0.0, 1.0) * width, (1.0 - number(y, 0.0, 1.0)) * height
 
     def _place(self, tile: str, x: float, y: float) -> tuple[float, float]:
-        """Place of a pixel in a tile, each coordinate from 0 to 1."""
-        return place_in_renderer(self.workplace.scene.tiles.renderer(tile), x, y) or (0.5, 0.5)
+        """Place of a pixel in a tile, each coordinate from 0 to 1; beyond that where it lies beside it."""
+        width, height = self.workplace.scene.plotter.render_window.GetSize()
+        left, bottom, right, top = self.workplace.scene.tiles.renderer(tile).GetViewport()
+        if right <= left or top <= bottom:  # another layout, which does not show it
+            return 0.5, 0.5
+        return (x / width - left) / (right - left), (y / height - bottom) / (top - bottom)

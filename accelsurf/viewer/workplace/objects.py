@@ -37,9 +37,20 @@ class Split(Tool):
     name, key, text = "split", "Q", "Split"
     tip = "Click in a part of an object: what is connected to it becomes an object of its own"
 
+    def __init__(self, workplace: Any) -> None:
+        super().__init__(workplace)
+        self._at: tuple[float, ...] = ()
+
     def press(self, at: Picked) -> None:
-        if at.world is not None:
-            self.workplace.request("object_split", *map(float, at.world))
+        self._at = () if at.world is None else tuple(map(float, at.world))
+
+    def release(self) -> None:
+        at, self._at = self._at, ()
+        if at:
+            self.workplace.request("object_split", *at)
+
+    def leave(self) -> None:
+        self._at = ()
 
 
 class ObjectsFeature(Feature):

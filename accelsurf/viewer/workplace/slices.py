@@ -49,6 +49,7 @@ class SlicesFeature(Feature):
             "layout": self._layout,
             "next_layout": self._next_layout,
             "large": lambda tile: self.enlarge(word(tile, self.workplace.scene.tiles.names)),
+            "next_large": self._next_large,
             "chart": self._chart,
             "next_chart": lambda: self._chart(not self.workplace.scene.tiles.shows_chart),
             "interpolate": self._interpolate,
@@ -67,6 +68,7 @@ class SlicesFeature(Feature):
             "Down": Key("through", (-1,), "slice before it"),
             "A": Key("window_named", (AUTO,), "grey values of the object and what is around it"),
             "W": Key("next_layout", (), "next layout"),
+            "1": Key("next_large", (), "tile under the mouse alone, and back"),
             "E": Key("next_chart", (), "chart of the energies"),
             "M": Key("next_interpolate", (), "smooth slices, or voxels"),
             "Ctrl+C": Key("copy_point", (), "copy the place under the mouse as point:X,Y,Z"),
@@ -172,6 +174,12 @@ class SlicesFeature(Feature):
             self._before = self._before if tiles.layout == "single" else tiles.layout
             tiles.lay_out("single", tile)
         self.workplace.changed = True
+
+    def _next_large(self) -> None:
+        """Show the tile under the mouse alone, or else the large one; asked for again, all as before."""
+        tiles, picked = self.workplace.scene.tiles, self._picked
+        under = tiles.large if picked is None or tiles.layout == "single" else picked.tile
+        self.enlarge(under if under in tiles.names else tiles.large)
 
     def _chart(self, on: Any) -> None:
         self.workplace.scene.tiles.lay_out(chart=bool(on))

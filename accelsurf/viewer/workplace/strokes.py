@@ -48,7 +48,8 @@ class StrokeTool(Tool):
     def press(self, at: Picked) -> None:
         if at.world is None:
             return
-        self._pieces, self._mark = [], self.workplace.scene.marks.strokes.new_stroke()
+        self.leave()
+        self._mark = self.workplace.scene.marks.strokes.new_stroke()
         self.move(at)
 
     def move(self, at: Picked) -> None:

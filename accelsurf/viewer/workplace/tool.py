@@ -44,6 +44,10 @@ class Tool:
     def release(self) -> None:
         """The button goes up."""
 
+    def cancel(self) -> None:
+        """What the press has begun is not meant: all is as before it, and the button is up."""
+        self.leave()
+
     def resize(self) -> None:
         """The radius has changed."""
 

@@ -22,11 +22,25 @@ class Look(Tool):
     name, key, text = "look", "V", "Look"
     tip = "Turn the surface; drag in a slice to move the slices"
 
+    def __init__(self, workplace: Workplace) -> None:
+        super().__init__(workplace)
+        self._before: NDArray[np.float64] | None = None
+
     def press(self, at: Picked) -> None:
+        self._before = self.workplace.scene.cursor
+        self.move(at)
+
+    def move(self, at: Picked) -> None:
         if at.world is not None:
             self.workplace.scene.cursor = at.world
 
-    move = press
+    def release(self) -> None:
+        self._before = None
+
+    def cancel(self) -> None:
+        if self._before is not None:
+            self.workplace.scene.cursor = self._before
+        self._before = None
 
 
 class Ball(Tool):
@@ -69,16 +83,26 @@ class Points(Tool):
     def __init__(self, workplace: Workplace) -> None:
         super().__init__(workplace)
         self._balls: list[str] = []
+        self._center: NDArray[np.float64] | None = None
 
     def press(self, at: Picked) -> None:
-        if at.world is None:
-            return
-        self._balls.append(ball_text(at.world, self.radius))
-        self.workplace.scene.mark_ball(at.world, self.radius)
-        self.workplace.ask(self.workplace.session.start_from(self._balls))
+        self._center = at.world
+        self.workplace.scene.mark_ball(self._center, self.radius)
+
+    move = press
+
+    def release(self) -> None:
+        if self._center is not None:
+            self._balls.append(ball_text(self._center, self.radius))
+            self.workplace.scene.cursor = self._center
+            self.workplace.ask(self.workplace.session.start_from(self._balls))
+        self._center = None
+
+    def cancel(self) -> None:
+        self._center = None  # those placed before stay
 
     def leave(self) -> None:
-        self._balls = []
+        self._balls, self._center = [], None
 
 
 class Size(Tool):

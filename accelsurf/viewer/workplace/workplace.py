@@ -12,7 +12,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, TypeVar
 
-from accelsurf.errors import AccelsurfError
+from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import Status, View, error_line
@@ -21,6 +21,7 @@ from accelsurf.viewer.workplace.box import BoxFeature
 from accelsurf.viewer.workplace.checks import carry_out
 from accelsurf.viewer.workplace.feature import Feature, Key
 from accelsurf.viewer.workplace.files import FilesFeature
+from accelsurf.viewer.workplace.fingers import FingersFeature
 from accelsurf.viewer.workplace.force import ForceFeature
 from accelsurf.viewer.workplace.frames import FramesFeature
 from accelsurf.viewer.workplace.histogram import HistogramFeature
@@ -42,6 +43,7 @@ FEATURES: tuple[type[Feature], ...] = (
     RunFeature,
     MouseFeature,
     RadiusFeature,
+    FingersFeature,
     ObjectsFeature,
     StrokesFeature,
     HistoryFeature,
@@ -55,7 +57,7 @@ FEATURES: tuple[type[Feature], ...] = (
     FilesFeature,
 )
 #: Requests after which an earlier error stays in sight: the mouse moves all the time.
-QUIET = ("hover", "move", "release", "size")
+QUIET = ("hover", "move", "release", "cancel", "finger_move", "finger_up", "finger_cancel", "size")
 #: Letters of a message at most.
 MAX_MESSAGE = 300
 
@@ -108,7 +110,7 @@ class Workplace:
         self._copied = (0, "")
         self._waiting: list[tuple[Future[Any], Callable[[Any], None] | None]] = []
         self.features = tuple(kind(self) for kind in FEATURES)
-        self._requests: dict[str, Callable[..., None]] = {"key": self._key}
+        self._requests: dict[str, Callable[..., None]] = {"key": self._key, "copy_failed": self._copy_failed}
         self._requests |= {name: work for feature in self.features for name, work in feature.requests().items()}
         self.tools: dict[str, Tool] = {tool.name: tool for feature in self.features for tool in feature.tools()}
         self.keys = {tool.key: Key("tool", (tool.name,), tool.text.lower()) for tool in self.tools.values()}
@@ -157,6 +159,10 @@ class Workplace:
         """Have the front end put a text on the clipboard."""
         self._copied = (self._copied[0] + 1, words)
         self.note(f"copied {words}")
+
+    def _copy_failed(self) -> None:
+        """The front end could not put the last text on the clipboard, though `copy` has said that it does."""
+        raise UsageError("copy: the browser gives this page no clipboard", "open it on https, or on this machine")
 
     def collect_results(self) -> None:
         """Read the results and errors of the commands that have been carried out."""
