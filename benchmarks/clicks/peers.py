@@ -1,7 +1,7 @@
 """What a user would take instead: methods that label a scan from inside and outside clicks, each with a small grid.
 
-scikit-image's random walker and watershed are the libraries' own. The others have no library with a free licence
-that is installed here, so they are written down plainly: geodesic competition (Criminisi et al. 2008), grow-cut as
+scikit-image's random walker and watershed are the libraries' own. The others are written down plainly, as each would
+bring a library of its own for one row: geodesic competition (Criminisi et al. 2008), grow-cut as
 shortest paths (Zhu et al. 2014, as in itk-growcut and 3D Slicer), graph cut (Boykov & Jolly 2001, SciPy's maximum
 flow), a classifier of ITK-SNAP's kind, and a threshold learned from the clicks.
 """
