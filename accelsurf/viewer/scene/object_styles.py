@@ -53,8 +53,8 @@ def given_styles(config: RunConfig) -> dict[int, ObjectStyle]:
 
     Examples
     --------
-    >>> given_styles(RunConfig(name=["2=liver"], color=["2=#c83c3c"]))
-    {2: ObjectStyle(name='liver', color='#c83c3c', visible=True, opacity=1.0)}
+    >>> given_styles(RunConfig(name=["liver"], color=["#c83c3c"]))
+    {1: ObjectStyle(name='liver', color='#c83c3c', visible=True, opacity=1.0)}
     """
     return {own: ObjectStyle(said.name, said.hex) for own, said in given_of(config).entries.items()}
 
