@@ -184,7 +184,8 @@ def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
     rests = [{**rest._asdict(), "place": list(rest.place)} for rest in quality.rests]
     place = None if quality.next_click is None else list(quality.next_click)
     lists = {"rests": rests, "warnings": list(quality.warnings), "notes": list(quality.notes)}
-    return {**quality._asdict(), "next_click": place, **lists}
+    size = None if quality.first_size is None else quality.first_size._asdict()
+    return {**quality._asdict(), "next_click": place, **lists, "first_size": size}
 
 
 def describe_objects(result: Result) -> list[dict[str, Any]]:
