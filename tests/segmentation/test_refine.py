@@ -106,6 +106,21 @@ def test_what_is_missing_is_added_whole(image, result):
     assert after.history[: len(result.history) - 1] == result.history[:-1]
 
 
+@pytest.mark.parametrize("edits", [[], ["step=3 smoothness=0.2"]])
+def test_the_energy_in_the_report_is_that_of_the_run_alone(image, edits):
+    """That of a correction is of its box, which compares with no other."""
+    before = first_run(image, edit=edits)
+    assert before.run_history == before.history and before.report["energy"]["steps_of_corrections"] == 0
+    once = refine(before, inside=f"ball:{world(12, 14, 48)},3")
+    for after in (once, refine(once, outside=f"point:{world(12, 14, 21)}", near=6)):
+        assert after.run_history == before.history[:-1]
+        assert abs(after.history[-1].potential / before.history[-1].potential - 1) > 0.05
+        energy = after.report["energy"]
+        assert energy["first"] == before.report["energy"]["first"]
+        assert energy["last"] == before.history[-2].potential
+        assert energy["steps_of_corrections"] == len(after.history) - len(before.history) + 1
+
+
 def test_a_click_that_changes_nothing_changes_nothing(image):
     for energy in ("chan-vese", "seeded"):
         before = first_run(image, energy)
