@@ -16,11 +16,11 @@ from accelsurf.analysis.edges import no_edge_fraction
 from accelsurf.analysis.necks import parts_beyond_necks
 from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.geometry import Geometry
-from accelsurf.settings.wording import volume_text
+from accelsurf.settings.wording import place_text, volume_text
 
 if TYPE_CHECKING:
     from accelsurf.analysis.evidence import Evidence
-    from accelsurf.energies.seeded import Sureness
+    from accelsurf.energies.seeded import Proposal, Sureness
     from accelsurf.evolution.records import StepRecord, Stop
 
 #: A note is made beyond these: fraction of the surface on the border, and without an edge; contrast across the surface
@@ -99,6 +99,9 @@ class Quality(NamedTuple):
         What is in doubt, each with a command to try next.
     notes : tuple of str
         What is worth knowing and mostly harmless.
+    first_size : Proposal or None
+        The volume that the first click proposed, how sure that is, and other likely ones; None without a model of
+        clicks.
     """
 
     probability: float
@@ -125,6 +128,7 @@ class Quality(NamedTuple):
     rests: tuple[RestNote, ...]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
+    first_size: Proposal | None = None
 
 
 def assess(
@@ -186,7 +190,8 @@ def assess(
     )
     probability = good_result.probability(kind_of(measured), features(measured, stop.reason, last))
     measured = measured._replace(probability=probability)
-    return measured._replace(warnings=tuple(_warnings(measured, stop, last)), notes=tuple(_notes(measured, last)))
+    said = _warnings(measured, stop, last, inside, geometry), _notes(measured, last, geometry)
+    return measured._replace(warnings=tuple(said[0]), notes=tuple(said[1]))
 
 
 def _along_surface(found: Evidence | None) -> dict[str, Any]:
@@ -199,8 +204,9 @@ def _along_surface(found: Evidence | None) -> dict[str, Any]:
 
 def _by_clicks(sureness: Sureness | None) -> dict[str, Any]:
     """The measures by the model of the clicks; without one they are None."""
-    overlap, corrections, last, spread = sureness or (None, None, None, None)
-    return {"level_overlap": overlap, "corrections": corrections, "correction": last, "size_spread": spread}
+    overlap, corrections, last, spread, first = sureness or (None, None, None, None, None)
+    known = {"level_overlap": overlap, "corrections": corrections, "correction": last, "size_spread": spread}
+    return {**known, "first_size": first}
 
 
 def kind_of(found: Quality) -> good_result.Kind:
@@ -271,26 +277,42 @@ def _compactness(last: StepRecord | None, geometry: Geometry) -> float:
     return 36.0 * math.pi * last.volume_mm3**2 / last.area_mm2**3
 
 
-def _point(place: Sequence[float]) -> str:
-    return ",".join(f"{value:.1f}" for value in place)
-
-
-def _warnings(found: Quality, stop: Stop, last: float) -> list[str]:
+def _warnings(
+    found: Quality, stop: Stop, last: float, inside: NDArray[np.bool_], geometry: Geometry
+) -> list[str]:
+    """What is in doubt, each with one command to try."""
     warnings = []
-    there = "" if found.next_click is None else _point(found.next_click)
+    there = "" if found.next_click is None else place_text(found.next_click, geometry.steps)
     if found.leaked:
-        warnings.append(f"leak: {stop.message}; try --outside point:X,Y,Z in what it ran into")
+        warnings.append(f"leak: {stop.message}; try {_against_leak(found, there, geometry)}")
     if found.probability < good_result.threshold(kind_of(found)) and found.next_click is not None:
         click = f"look at {there} first and try --inside point:{there}, or --outside if it is not the object"
         sure = f"{found.probability:.0%} likely to be good"
         warnings.append(f"doubt: probably not right ({_why(found)}; {sure}); {click}")
     if found.next_click is None and stop.reason not in ("vanished", "filled"):
-        size = volume_text(last)
-        warnings.append(f"doubt: its surface cannot be judged, at {size}; try a larger --inside ball:X,Y,Z,R")
+        tried = f"; try --inside ball:{_larger_ball(inside, geometry)}" if inside.any() else ""
+        warnings.append(f"doubt: its surface cannot be judged, at {volume_text(last)}{tried}")
     if abs(found.late_growth) > MAX_GROWTH and stop.reason not in ("converged", "rested", "leaked"):
         change = f"the volume changed by {found.late_growth:+.0%} in the last {LAST_STEPS} steps"
-        warnings.append(f"growth: {change}; try --stop-at-rest, or a larger --max-steps")
+        # Where it has rested before, more steps lead farther away.
+        tried = "--stop-at-rest" if found.rests else f"--max-steps {2 * stop.steps}"
+        warnings.append(f"growth: {change}; try {tried}")
     return warnings
+
+
+def _against_leak(found: Quality, doubtful: str, geometry: Geometry) -> str:
+    """What to try where the object has run into something else: a click where it broke through, or in doubt."""
+    if found.rests:
+        return f"--outside point:{place_text(found.rests[-1].place, geometry.steps)}, near which it broke through"
+    return f"--outside point:{doubtful}, its most doubtful place" if doubtful else "--stop-at-rest"
+
+
+def _larger_ball(inside: NDArray[np.bool_], geometry: Geometry) -> str:
+    """X,Y,Z,R of a ball around a small object, larger than it."""
+    voxels = np.argwhere(inside)
+    middle = voxels[int(np.argmin(((voxels - voxels.mean(axis=0)) ** 2).sum(axis=1)))]
+    radius = 2.0 * max(geometry.steps) + 0.5 * max(np.ptp(voxels, axis=0) * geometry.spacing)
+    return f"{place_text(_world(geometry, middle.tolist()), geometry.steps)},{radius:.2g}"
 
 
 def _why(found: Quality) -> str:
@@ -317,13 +339,13 @@ def _why(found: Quality) -> str:
     return words[good_result.lowest_term(kind_of(found), features(found, "converged", last), words)]
 
 
-def _notes(found: Quality, last: float) -> list[str]:
+def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
     notes = []
     for rest in found.rests:
         if last > MIN_BURST * rest.volume_mm3:
             notes.append(
                 f"rest: rested at step {rest.step} at {volume_text(rest.volume_mm3)}, then broke through near "
-                f"{_point(rest.place)}, to {volume_text(last)} in the end; try --stop-at-rest"
+                f"{place_text(rest.place, geometry.steps)}, to {volume_text(last)} in the end; try --stop-at-rest"
             )
     if found.unlike_learned is not None and found.unlike_learned > MAX_UNLIKE:
         notes.append(

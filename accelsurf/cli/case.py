@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from accelsurf.cli import INTERRUPTED
+from accelsurf.cli.error_lines import doubt_line
 from accelsurf.cli.interrupts import Interrupts, say
 from accelsurf.cli.outcome import shortcoming
 from accelsurf.cli.place import Place
@@ -204,7 +205,7 @@ def _warn(log: Log, error: AccelsurfError | None, watcher: Watcher) -> None:
     for warning in log.warnings:
         if warning in watcher.said:
             continue
-        say(f"warning: {warning}")
+        say(doubt_line(warning))
     if error is not None:
         say(f"error: {error.message}\nhint: {error.hint}")
 

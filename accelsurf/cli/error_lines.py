@@ -1,4 +1,4 @@
-"""Lines about errors: short, on one line, in characters that a terminal prints."""
+"""Lines about errors and doubts: short, on one line, in characters that a terminal prints."""
 
 from __future__ import annotations
 
@@ -39,3 +39,16 @@ def printable(text: str, length: int) -> str:
             text = text[: length // 2 - 2] + "..." + text[2 - length // 2 :]
         text = escaped(text)
     return text
+
+
+def doubt_line(text: str) -> str:
+    """Return the line about a doubt: a warning, unless it says itself that it is a note.
+
+    Examples
+    --------
+    >>> doubt_line("area: it shrinks"), doubt_line("object 3: note: click: of two kinds")
+    ('warning: area: it shrinks', 'note: object 3: click: of two kinds')
+    """
+    before, note, after = text.partition("note: ")
+    is_note = note and (not before or before.startswith("object "))
+    return f"note: {before}{after}" if is_note else f"warning: {text}"

@@ -7,12 +7,18 @@ from typing import TYPE_CHECKING
 
 from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
 from accelsurf.io.metadata import UNIT_KEY
-from accelsurf.settings.wording import size_text, volume_text
+from accelsurf.settings.wording import place_text, size_option, size_text, volume_text
 
 if TYPE_CHECKING:
+    from accelsurf.analysis.quality import Quality
     from accelsurf.cli.case import Finished
     from accelsurf.segmentation.result import Result, SegmentedObject
 
+#: Other sizes are not named where the first one is as sure as this.
+SURE = 0.95
+EMPTY = ("vanished", "filled")
+#: The checks before the first step that foretell these, see `accelsurf.segmentation.start_checks`.
+CAUSES = {"vanished": ("start", "area"), "filled": ("size", "window", "start")}
 _LATER = "raise --max-steps; the outputs show how far it got"
 _LOOK = "look at the picture; without --strict it is a warning"
 _REPORT = "use a smaller --cfl; and please report this image and its settings"
@@ -35,10 +41,9 @@ def shortcoming(name: str, result: Result, strict: bool) -> tuple[AccelsurfError
     summary = f"{name}: {stop.message}"
     if not result.has_ids:
         summary = f"{name}: {stop.reason} after {stop.steps} steps: {stop.message}"
-    if stop.reason in ("vanished", "filled") and not result.has_ids:
-        return EmptyResultError(summary, "start closer to the object, or with less --smoothness"), []
-    if result.has_ids and not any(one.has_surface for one in result.objects):
-        return EmptyResultError(summary, "start closer to the objects, or with less --smoothness"), []
+    if not any(one.has_surface for one in result.objects) and (result.has_ids or stop.reason in EMPTY):
+        tried = _try_of(result, result.objects[0])
+        return EmptyResultError(summary, f"try {tried}" if tried else ""), []
     if stop.reason == "diverged":
         return DivergedError(summary, _REPORT), []
     late = [text for one in result.objects for text in _late(name, result, one)]
@@ -67,13 +72,35 @@ def _doubts(result: Result, one: SegmentedObject) -> list[str]:
 
 def _end_of(whose: str, result: Result, one: SegmentedObject) -> str:
     """How an object's evolution ended, and what to try."""
-    tries = {
-        "max-steps": f"; try --max-steps {2 * result.config.max_steps}",
-        "vanished": "; try a start deeper in it, or a smaller --smoothness",
-        "filled": "; try a box around it with --box, or a larger --smoothness",
-    }
-    stop = one.stop
-    return f"{whose}: {stop.reason} after {stop.steps} steps: {stop.message}{tries.get(stop.reason, '')}"
+    tried, stop = _try_of(result, one), one.stop
+    return f"{whose}: {stop.reason} after {stop.steps} steps: {stop.message}{f'; try {tried}' if tried else ''}"
+
+
+def _try_of(result: Result, one: SegmentedObject) -> str:
+    """One command for an object whose evolution did not end well; empty where none is known.
+
+    What was seen before the first step is the cause where it was seen. A start that is clicked cannot vanish, and tells
+    what the object looks like.
+    """
+    if one.stop.reason == "max-steps":
+        return f"--max-steps {2 * result.config.max_steps}"
+    if one.stop.reason not in EMPTY:
+        return ""
+    config, own = result.config, f"object {one.id}: " if result.has_ids else ""
+    for check in CAUSES[one.stop.reason]:
+        for line in result.warnings:
+            if line.startswith(f"{own}{check}: ") and "; try " in line:
+                return line.rpartition("; try ")[2]
+    if one.stop.reason == "filled":
+        if one.rests:
+            return "--stop-at-rest"
+        corner = place_text(result.geometry.index_to_world((0, 0, 0)), result.geometry.steps)
+        return f"--outside point:{corner}, where it is not the object"
+    if config.smoothness > 0:
+        return f"--smoothness {0.25 * config.smoothness:.2g}"
+    if result.has_ids or "start" in result.given or len(config.start) != 1:
+        return "--energy threshold:learned,learned"
+    return f"--inside {config.start[0]} in place of --start and --energy"
 
 
 def _and_more(texts: Sequence[str]) -> str:
@@ -128,10 +155,23 @@ def _judgement(result: Result) -> list[str]:
             continue
         quality, whose = one.quality, f"object {one.id}: " if result.has_ids else ""
         if quality.next_click is not None:
-            place = ",".join(f"{value:.1f}" for value in quality.next_click)
+            place = place_text(quality.next_click, result.geometry.steps)
             lines.append(f"{whose}{quality.probability:.0%} likely to be good; most doubtful near {place}")
+        lines += [f"{whose}{line}" for line in _other_sizes(quality)]
         lines += [f"{whose}note: {note}" for note in quality.notes]
     return lines
+
+
+def _other_sizes(quality: Quality) -> list[str]:
+    """A line about other likely sizes, as long as the first one was neither stated nor corrected, and is not sure."""
+    first = quality.first_size
+    if first is None or not first.others or first.sureness >= SURE or quality.corrections:
+        return []
+    others = " or ".join(volume_text(size) for size in first.others[:2])
+    return [
+        f"size by the first click: {volume_text(first.volume_mm3)} ({first.sureness:.0%} sure); else {others}: "
+        f"--size {size_option(first.others[0])}"
+    ]
 
 
 def _in_words(result: Result, said: str) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from accelsurf.cli.error_lines import doubt_line
 from accelsurf.cli.interrupts import Interrupts, say
 from accelsurf.cli.options import Display, ProgressKind
 from accelsurf.report.document import to_json
@@ -115,7 +116,7 @@ class Watcher:
     def on_warning(self, text: str) -> None:
         """Print a doubt about the start, before the first step."""
         self.said.add(text)
-        say(f"warning: {text}")
+        say(doubt_line(text))
 
     def on_window(self, window: Window) -> None:
         """Show the part of a large image that a run begins on."""

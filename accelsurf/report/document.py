@@ -130,9 +130,11 @@ def describe_result(result: Result | None) -> dict[str, Any]:
     if result is None:
         keys = ("stop", "window", "resolved_settings", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2")
         return dict.fromkeys((*keys, "enclosed_mm2", "length_mm", "components", "touches_border", "quality", "objects"))
-    last = result.history[-1] if result.history else None
+    # Of the run alone: the potential of a correction is that of its box.
+    ran = result.run_history
+    last = ran[-1] if ran else None
     # Coarse levels have another image, with less noise: energies are comparable on one level only.
-    first = next((row for row in result.history if row.level == 0), None)
+    first = next((row for row in ran if row.level == 0), None)
     return {
         "stop": {
             "reason": result.stop.reason,
@@ -157,6 +159,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
             "friction_work": last.friction_work if last else None,
             "smoothing_work": last.smoothing_work if last else None,
             "noise_work": last.noise_work if last else None,
+            "steps_of_corrections": len(result.history) - len(ran),
         },
         "mass": describe_mass(result),
         "volume_mm3": result.volume_mm3,
@@ -184,7 +187,8 @@ def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
     rests = [{**rest._asdict(), "place": list(rest.place)} for rest in quality.rests]
     place = None if quality.next_click is None else list(quality.next_click)
     lists = {"rests": rests, "warnings": list(quality.warnings), "notes": list(quality.notes)}
-    return {**quality._asdict(), "next_click": place, **lists}
+    size = None if quality.first_size is None else quality.first_size._asdict()
+    return {**quality._asdict(), "next_click": place, **lists, "first_size": size}
 
 
 def describe_objects(result: Result) -> list[dict[str, Any]]:

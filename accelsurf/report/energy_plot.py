@@ -12,8 +12,11 @@ if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord
 
 
-def draw_energies(canvas: Canvas, panel: Box, history: Sequence[StepRecord]) -> None:
-    """Draw the energy of a run and, on a second scale, its kinetic energy; triangles mark restarts."""
+def draw_energies(canvas: Canvas, panel: Box, history: Sequence[StepRecord], left_out: int = 0) -> None:
+    """Draw the energy of a run and, on a second scale, its kinetic energy; triangles mark restarts.
+
+    It is said how many steps of corrections are ``left_out``.
+    """
     left, top, right, bottom = panel
     steps, values = energy_curve(history)
     x = (float(min(steps, default=0)), float(max([*steps, min(steps, default=0) + 1])))
@@ -28,6 +31,9 @@ def draw_energies(canvas: Canvas, panel: Box, history: Sequence[StepRecord]) -> 
         second.right_scale("kinetic energy (dashed)", VERMILION)
     else:
         canvas.text((right - 8, top + 14), "no kinetic energy: the flow has no momentum", 11, anchor="rm")
+    if left_out:
+        canvas.text((right - 8, top + 34), f"{left_out} steps of corrections are not drawn:", 11, anchor="rm")
+        canvas.text((right - 8, top + 48), "their energy is that of a box", 11, anchor="rm")
     restarts = [row.step for row in history if row.restarted]
     for step in restarts:
         at = float(axes.to_canvas([(step, axes.y[0])])[0, 0])

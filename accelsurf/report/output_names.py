@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from accelsurf.errors import UsageError
+from accelsurf.errors import InputError, UsageError
 from accelsurf.settings.budgets import MAX_RESTS
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, image_format
 from accelsurf.settings.label_outputs import ending_of
@@ -83,8 +83,21 @@ def keeps_state(config: RunConfig) -> bool:
     >>> keeps_state(RunConfig()), keeps_state(RunConfig(inside="point:1,2,3")), keeps_state(RunConfig(keep_state="yes"))
     (False, True, True)
     """
-    clicked = bool(config.inside or config.outside or config.refine)
-    return config.keep_state == "yes" or (config.keep_state == "auto" and clicked)
+    if config.keep_state != "auto":
+        return config.keep_state == "yes"
+    return bool(config.inside or config.outside or config.refine) or _is_table_of_clicks(config.objects)
+
+
+def _is_table_of_clicks(objects: str | None) -> bool:
+    """Whether the objects begin as clicks; of a table that cannot be read the run says what is wrong."""
+    if objects is None or not objects.lower().endswith(".csv"):
+        return False
+    from accelsurf.initialization.object_clicks import has_sides  # loads what a run needs
+
+    try:
+        return has_sides(objects)
+    except InputError:
+        return False
 
 
 def check(config: RunConfig, labels: str, geometry: Geometry) -> None:

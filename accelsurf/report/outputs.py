@@ -237,7 +237,8 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
         image=result.volume.array,
         psi=result.psi,
         geometry=result.geometry,
-        history=result.history,
+        history=result.run_history,
+        steps_left_out=len(result.history) - len(result.run_history),
         surface=result.surface if not is_2d and _has_surface(result) else None,
         start=result.start,
         title=title,
@@ -245,11 +246,23 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
         reference=reference,
         objects=_object_shapes(result) if result.has_ids else (),
         late_growth=result.late_growth,
+        next_clicks=_next_clicks(result),
         window=parse_window(result.config.window),
         unit=result.volume.metadata.get(UNIT_KEY, "mm"),
         labels=given_of(result.config),
         clicks=marks_of(result.clicks.clicks if result.clicks is not None else (), result.geometry.spacing),
     )
+
+
+def _next_clicks(result: Result) -> list[tuple[float, float, float]]:
+    """Where it is said to click next, the most doubtful object's first."""
+    judged = [one.quality for one in result.objects if one.has_surface]
+    places = []
+    for quality in sorted(judged, key=lambda quality: quality.probability):
+        if quality.next_click is not None:
+            z, y, x = (float(at) for at in result.geometry.world_to_index(quality.next_click))
+            places.append((z, y, x))
+    return places
 
 
 def _object_shapes(result: Result) -> tuple[ObjectShape, ...]:

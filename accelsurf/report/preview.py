@@ -17,7 +17,7 @@ from accelsurf.report.canvas import PALE, RUN_COLORS, RUN_DASHES, Box, Canvas, t
 from accelsurf.report.energy_plot import draw_energies, energy_curve
 from accelsurf.report.preview_content import PreviewContent
 from accelsurf.report.slice_plot import draw_slice
-from accelsurf.report.slice_views import Ranges, SliceView, box_of, click_views, late_view, main_views, shown_ranges
+from accelsurf.report.slice_views import Ranges, SliceView, box_of, click_views, doubt_views, main_views, shown_ranges
 from accelsurf.report.surface_plot import draw_surface
 
 #: Width of a picture, of its margins and of the space between panels, pixels.
@@ -30,8 +30,9 @@ def preview_png(content: PreviewContent) -> bytes:
     """Draw one run, so that a person can judge it.
 
     Above three slices with the contour, through the first click or the largest sections, cropped to the object. Below
-    the slice of the fastest late growth if that is known, the energies against step, and the surface in 3D; then
-    slices through further clicks. Of an image of one slice: the image with contour and start, and the energies.
+    the slice of the fastest late growth if that is known, else that of where to click next, the energies against step,
+    and the surface in 3D; then slices through further clicks. Of an image of one slice: the image with contour and
+    start, and the energies.
 
     Parameters
     ----------
@@ -46,17 +47,18 @@ def preview_png(content: PreviewContent) -> bytes:
     if content.geometry.slice_axis is not None:
         return _png_2d(content, content.geometry.slice_axis)
     ranges = shown_ranges(content)
-    window, late, more = content_window(content, ranges), late_view(content), click_views(content)
+    window, doubtful = content_window(content, ranges), doubt_views(content)
+    more = [*click_views(content), *doubtful[1:]][-3:]
     rows = 3 if more else 2
     canvas = Canvas(WIDTH, TOP + rows * (PANEL + BELOW), content.title)
     for column, view in enumerate(main_views(content)):
         draw_slice(canvas, panel_at(0, column), content, view, ranges, window)
     left, top, right, bottom = panel_at(1, 1)
-    if late is not None:
-        draw_slice(canvas, panel_at(1, 0), content, late, ranges, window)
+    if doubtful:
+        draw_slice(canvas, panel_at(1, 0), content, doubtful[0], ranges, window)
     else:
         left = panel_at(1, 0)[0]
-    draw_energies(canvas, (left, top, right - 24, bottom), content.history)
+    draw_energies(canvas, (left, top, right - 24, bottom), content.history, content.steps_left_out)
     draw_surface(canvas, panel_at(1, 2), content)
     for column, view in enumerate(more):
         draw_slice(canvas, panel_at(2, column), content, view, ranges, window)
@@ -101,7 +103,9 @@ def _png_2d(content: PreviewContent, axis: int) -> bytes:
     draw_slice(canvas, (LEFT, TOP, LEFT + left, TOP + high), content, view, ranges, window)
     first, middle = LEFT + left + GAP + 20, TOP + high / 2
     half = 0.5 * min(0.9 * right, high)
-    draw_energies(canvas, (first, middle - half, first + right, middle + half), content.history)
+    draw_energies(
+        canvas, (first, middle - half, first + right, middle + half), content.history, content.steps_left_out
+    )
     write_window(canvas, window)
     return canvas.png()
 

@@ -107,6 +107,10 @@ class PreviewContent:
         In the order given.
     late_growth : (float, float, float), optional
         Index (z, y, x) of the place where the surface grew fastest in the last part of the run.
+    next_clicks : sequence of (float, float, float)
+        Indices (z, y, x) of the places to click next, the most doubtful object's first.
+    steps_left_out : int
+        Steps of corrections, whose energies compare with no others and are not in ``history``.
     window : GreyWindow, optional
         Which values are black and white; from the object and what is around it unless given.
     unit : str
@@ -127,6 +131,8 @@ class PreviewContent:
     objects: Sequence[ObjectShape] = ()
     clicks: Sequence[ClickMark] = ()
     late_growth: tuple[float, float, float] | None = None
+    next_clicks: Sequence[tuple[float, float, float]] = ()
+    steps_left_out: int = 0
     window: GreyWindow | None = None
     unit: str = "mm"
     labels: LabelTable = field(default_factory=LabelTable)

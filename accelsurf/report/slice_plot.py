@@ -7,7 +7,7 @@ click can be read off the picture, otherwise mm along the grid from its first vo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,8 +48,8 @@ MIN_FOR_INSET, MIN_FOR_BAR = 150, 90
 MIN_FOR_ID = 7
 #: Width of a name at most, pixels.
 MAX_NAME = 110
-#: Length of the arms of a click's mark, pixels.
-ARM = 7
+#: Length of the arms of a click's mark, and of its distance from a name, pixels.
+ARM, AWAY = 7, 24
 REFERENCE_DASHES: Dashes = (3, 3)
 START_DASHES: Dashes = (8, 4)
 
@@ -149,6 +149,8 @@ def draw_slice(
         draw_click(shown, mark, {one.id: content.color(place) for place, one in enumerate(content.objects)})
     if content.late_growth is not None:
         _draw_late_growth(shown, content.late_growth)
+    for place in content.next_clicks:
+        _draw_next_click(shown, place)
     draw_inset(shown, content.image, window)
     if content.anatomical:
         write_letters(shown)
@@ -188,21 +190,32 @@ def _draw_objects(shown: Slice, content: PreviewContent) -> None:
         section = shown.section(whole)
         color = content.color(position)
         draw_contour(shown, section, color)
-        name_section(shown, section < 0, fitting(content.name(position) or str(one.id), 12, MAX_NAME), color)
+        marks = [at for mark in content.clicks if (at := _mark_in(shown, mark)) is not None]
+        name = fitting(content.name(position) or str(one.id), 12, MAX_NAME)
+        name_section(shown, section < 0, name, color, marks)
 
 
-def name_section(shown: Slice, inside: NDArray[np.bool_], name: str, color: str) -> None:
-    """Write a name or an id at the deepest place of an object's section."""
+def name_section(
+    shown: Slice, inside: NDArray[np.bool_], name: str, color: str, marks: Sequence[tuple[float, float]] = ()
+) -> None:
+    """Write a name or an id at the deepest place of a section that is away from marks, which it would cover."""
     if not inside.any():
         return
     depth = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1]
-    row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
     vertical, horizontal = IN_PLANE[shown.view.plane]
-    ((x, y),) = shown.to_canvas(row + shown.ranges[vertical][0], column + shown.ranges[horizontal][0])
     left, _, right, _ = shown.axes.box
-    pixels = (right - left) / (shown.ranges[horizontal][1] - shown.ranges[horizontal][0])
-    if depth[row, column] * pixels > MIN_FOR_ID:
-        shown.axes.canvas.boxed_text((x, y), name, 12, "black", color, 0.85)
+    depth *= (right - left) / (shown.ranges[horizontal][1] - shown.ranges[horizontal][0])  # pixels
+    rows, columns = np.nonzero(depth > MIN_FOR_ID)
+    if not rows.size:
+        return
+    places = shown.to_canvas(rows + shown.ranges[vertical][0], columns + shown.ranges[horizontal][0])
+    free = np.ones(len(places), bool)
+    for mark in marks:
+        free &= np.hypot(*(places - mark).T) > AWAY
+    depths = np.where(free, depth[rows, columns], -1.0) if free.any() else depth[rows, columns]
+    x, y = places[int(np.argmax(depths))]
+    # In a section without such a place it is written beside it.
+    shown.axes.canvas.boxed_text((x if free.any() else x + AWAY, y), name, 12, "black", color, 0.85)
 
 
 def draw_contour(
@@ -232,22 +245,30 @@ def click_color(mark: ClickMark, colors: Mapping[int, str]) -> str:
     return colors.get(mark.id, GREEN)
 
 
-def draw_click(shown: Slice, mark: ClickMark, colors: Mapping[int, str]) -> None:
-    """Draw a click where it cuts the slice: the outline of its voxels, and + for inside, x for outside."""
-    at = displayed(mark.place, shown.geometry)
+def _mark_in(shown: Slice, mark: ClickMark) -> tuple[float, float] | None:
+    """Where the mark of a click is drawn in a slice; None where its voxels do not reach it."""
     low = displayed(tuple(part.start for part in mark.box), shown.geometry)[shown.view.plane]
     high = displayed(tuple(part.stop - 1 for part in mark.box), shown.geometry)[shown.view.plane]
     if not min(low, high) <= shown.view.index <= max(low, high):
+        return None
+    at = displayed(mark.place, shown.geometry)
+    row, column = (at[axis] for axis in IN_PLANE[shown.view.plane])
+    ((x, y),) = shown.to_canvas(row, column)
+    return x, y
+
+
+def draw_click(shown: Slice, mark: ClickMark, colors: Mapping[int, str]) -> None:
+    """Draw a click where it cuts the slice: the outline of its voxels, and + for inside, x for outside."""
+    at = _mark_in(shown, mark)
+    if at is None:
         return
-    color = click_color(mark, colors)
+    (x, y), color = at, click_color(mark, colors)
     whole = np.zeros(shown.geometry.shape, bool)
     whole[mark.box] = mark.mask
     section = shown.section(whole)
     if not section.any():
         return
     draw_contour(shown, np.where(section, -0.5, 0.5), color, width=1.0)
-    row, column = (at[axis] for axis in IN_PLANE[shown.view.plane])
-    ((x, y),) = shown.to_canvas(row, column)
     turn = 0.0 if mark.side == "inside" else np.pi / 4
     for line_color, width in ((DARK, 5.0), (color, 2.5)):
         for angle in (turn, turn + np.pi / 2):
@@ -266,6 +287,22 @@ def _draw_late_growth(shown: Slice, place: tuple[float, float, float]) -> None:
     ring = np.stack([x + 15 * np.cos(turn), y + 15 * np.sin(turn)], axis=1)
     for color, width in ((DARK, 4.0), (YELLOW, 2.0)):
         shown.axes.canvas.line(ring, color, width)
+
+
+def _draw_next_click(shown: Slice, place: tuple[float, float, float]) -> None:
+    """Draw an open diamond with a caption where to click next, where the slice goes through it."""
+    at = displayed(place, shown.geometry)
+    if round(at[shown.view.plane]) != shown.view.index:
+        return
+    row, column = (at[axis] for axis in IN_PLANE[shown.view.plane])
+    ((x, y),) = shown.to_canvas(row, column)
+    diamond = np.array([[x + ARM, y], [x, y + ARM], [x - ARM, y], [x, y - ARM], [x + ARM, y]])
+    for color, width in ((DARK, 4.5), (YELLOW, 2.0)):
+        shown.axes.canvas.line(diamond, color, width)
+    left, _, right, _ = shown.axes.box
+    half = 0.5 * text_width("click next?", 11) + 4
+    middle = min(max(x, left + half), right - half)
+    shown.axes.canvas.boxed_text((middle, y + ARM + 11), "click next?", 11)
 
 
 def draw_inset(shown: Slice, image: NDArray[Any], window: GreyWindow) -> None:

@@ -134,6 +134,17 @@ def late_view(content: PreviewContent) -> SliceView | None:
     return SliceView(plane, round(displayed(content.late_growth, content.geometry)[plane]), "latest growth")
 
 
+def doubt_views(content: PreviewContent) -> list[SliceView]:
+    """The slices of the fastest late growth and of where to click next, of the latter where none else shows it."""
+    late = late_view(content)
+    views = [] if late is None else [late]
+    if content.next_clicks:
+        plane, place = native_plane(content.geometry), displayed(content.next_clicks[0], content.geometry)
+        if all(round(place[one.plane]) != one.index for one in (*main_views(content), *click_views(content), *views)):
+            views.append(SliceView(plane, round(place[plane]), "click next"))
+    return views
+
+
 def click_views(content: PreviewContent) -> list[SliceView]:
     """Slices through the latest clicks that the main views do not show."""
     plane, main = native_plane(content.geometry), main_views(content)

@@ -30,6 +30,15 @@ def combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
     return records
 
 
+def before_corrections(history: list[StepRecord], edits: set[int]) -> list[StepRecord]:
+    """The records of a run without those of corrections after it; ``edits`` are the steps of edits of the run itself.
+
+    A correction counts as an edit before its first step, and replaces the record of the final state.
+    """
+    begun = [n for n, row in enumerate(history) if n and row.edits and row.step not in edits]
+    return history[: begun[0]] if begun else history
+
+
 def common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
     """The terms of all objects; "by object" where a setting differs. Objects that began later may have other terms.
 

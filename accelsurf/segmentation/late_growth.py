@@ -5,17 +5,24 @@ An observer of the run: it reads the speeds of each step, and changes nothing.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.evolution.records import Step
-from accelsurf.grid.boxes import Corner
+from accelsurf.grid.boxes import Corner, widened
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
 
+if TYPE_CHECKING:
+    from accelsurf.segmentation.result import SegmentedObject
+
+#: A place (z, y, x), in voxels.
+Place = tuple[float, float, float]
 #: The last part of the growth: so much of the volume that the object gained.
 LAST_SHARE = 0.25
 #: Growth is summed over cubes of so many voxels, larger than single bumps of noise.
@@ -141,3 +148,46 @@ class LateGrowth:
             )
         )
         return z, y, x
+
+
+def nearest_inside(place: Place | None, inside: NDArray[np.bool_], spacing: Sequence[float]) -> Place | None:
+    """Return the voxel of an object nearest to where it grew: the middle of a cube may lie beside its surface.
+
+    Parameters
+    ----------
+    place : (z, y, x) or None
+        Index in the grid.
+    inside : ndarray (nz, ny, nx) of bool
+    spacing : sequence of float
+        (hz, hy, hx) in mm.
+
+    Examples
+    --------
+    >>> nearest_inside((0.0, 2.5, 7.5), np.arange(40).reshape(1, 5, 8) == 22, (1.0, 1.0, 1.0))
+    (0.0, 2.0, 6.0)
+    """
+    if place is None or not inside.any():
+        return None
+    voxel = tuple(min(max(round(at), 0), n - 1) for at, n in zip(place, inside.shape, strict=True))
+    at, reach = (slice(voxel[0], voxel[0] + 1), slice(voxel[1], voxel[1] + 1), slice(voxel[2], voxel[2] + 1)), 0.0
+    while True:
+        reach = 2.0 * reach or BLOCK * max(spacing)
+        box = widened(at, inside.shape, [math.ceil(reach / h) for h in spacing])
+        found = np.argwhere(inside[box]) + [part.start for part in box]
+        away = (((found - place) * np.asarray(spacing)) ** 2).sum(axis=1)
+        # Beyond the box lies nothing nearer than its reach, but for a voxel.
+        if away.size and (away.min() <= (reach - max(spacing)) ** 2 or box == widened(at, inside.shape, inside.shape)):
+            z, y, x = (float(i) for i in found[int(np.argmin(away))])
+            return z, y, x
+
+
+def still_inside(place: Place | None, objects: Iterable[SegmentedObject]) -> Place | None:
+    """Return a place where an object is there, after corrections; else None."""
+    if place is None:
+        return None
+    voxel = [round(at) for at in place]
+    for one in objects:
+        own = tuple(at - part.start for at, part in zip(voxel, one.box, strict=True))
+        if all(0 <= at < n for at, n in zip(own, one.psi.shape, strict=True)) and one.psi[own] < 0:
+            return place
+    return None

@@ -31,6 +31,7 @@ from accelsurf.segmentation.corrected_surface import (
     stop_of_whole,
     wrong_part,
 )
+from accelsurf.segmentation.late_growth import still_inside
 from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near
 from accelsurf.segmentation.local_model import basin_of
 from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
@@ -338,5 +339,6 @@ class Refiner:
         seconds = {**base.seconds, "refine": base.seconds.get("refine", 0.0) + self._seconds}
         clicks = on_image(models.clicks, self._state.prepared.first, base.geometry.shape)
         return dataclasses.replace(
-            base, objects=objects, has_ids=self.has_ids, config=self.config, state=state, seconds=seconds, clicks=clicks
+            base, objects=objects, has_ids=self.has_ids, config=self.config, state=state, seconds=seconds,
+            clicks=clicks, late_growth=still_inside(base.late_growth, objects),
         )

@@ -25,7 +25,7 @@ from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import Window
-from accelsurf.segmentation.combined_objects import combined_history, common_terms
+from accelsurf.segmentation.combined_objects import before_corrections, combined_history, common_terms
 from accelsurf.segmentation.ensemble import overall_stop
 from accelsurf.segmentation.rest_points import RestPoint
 from accelsurf.segmentation.run_state import RunState
@@ -196,7 +196,8 @@ class Result:
     resolved_settings : dict
         Values used for settings that depend on image and grid: see `accelsurf.report.document`.
     late_growth : (float, float, float) or None
-        Index (z, y, x) of the place where the surfaces grew most in the last quarter of their growth; None without any.
+        Index (z, y, x) of the voxel near which the surfaces grew most in the last quarter of their growth; None without
+        any, or where no object is any more.
     clicks : Clicks or None
         What a person has clicked, on the image's grid.
     state : RunState or None
@@ -282,6 +283,13 @@ class Result:
         if not self.has_ids:
             return self._one.history
         return combined_history([one.history for one in self.objects if one.history])
+
+    @cached_property
+    def run_history(self) -> list[StepRecord]:
+        """`history` without corrections, whose potentials are those of their boxes and compare with no others."""
+        edits = {edit.step for edit in self.config.edit[: self.edits_done]}
+        own = [before_corrections(one.history, edits) for one in self.objects if one.history]
+        return combined_history(own) if self.has_ids else [*own, []][0]
 
     @cached_property
     def terms(self) -> list[dict[str, Any]]:

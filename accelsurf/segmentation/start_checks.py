@@ -1,4 +1,7 @@
-"""Checks before step 1: what a start, the energy's bounds and the area weight will do to each other; one line each."""
+"""Checks before step 1: what a start, the energy's bounds and the area weight will do to each other; one line each.
+
+Each line names one command to try.
+"""
 
 from __future__ import annotations
 
@@ -10,20 +13,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.energies.constraints.clicks import without_clicks
 from accelsurf.energies.likelihood import NORMAL_MAD
 from accelsurf.evolution.loop import Evolution
-from accelsurf.grid.boxes import Box, bounding_box, box_at, widened
+from accelsurf.grid.boxes import Corner, bounding_box, box_at, corner_of, widened
+from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.preprocessing import PreprocessedInput
+from accelsurf.settings.wording import place_text, volume_text
 
 #: A start will shrink if less than this part of its values lies within the bounds; a window takes in the surroundings
 #: if it has more than this part of the voxels from so many to so many radii of the start around it.
 MIN_WITHIN, MAX_AROUND, SHELL = 0.2, 0.5, (3.0, 8.0)
 #: A start has outliers if its standard deviation is so many times the median-based one; they lie beyond so many of it.
 OUTLYING, FAR = 2.0, 4.0
+#: A click has values of two kinds if more than this part lies beyond so many of its median-based spreads: of a normal
+#: distribution, and of one with tails, hardly any do. What is less is left out by a model that learns robustly.
+OTHER_KIND, BEYOND_KIND = 0.1, 6.0
 #: Fewest voxels of a start that outliers are looked for in; the surroundings are sampled at about so many voxels.
 MIN_VOXELS, SAMPLES = 20, 1 << 18
 #: The area cannot pull in a start whose curvature it weighs less than this part of the squared contrast.
@@ -49,12 +58,15 @@ def start_checks(
     for one, start in zip(objects, starts, strict=True):
         # The seeded model chooses start and weight to go together.
         seeded = any(term["term"] == "seeded" for term in one.made.terms)
-        found = [*_of_values(one, start, prepared), *([] if seeded else _of_area(one, start, prepared))]
+        found = [*_of_values(one, start, prepared, has_ids)]
+        found += [*_of_size(one, prepared), *_of_clicks(one, prepared, has_ids)] if seeded else _of_area(
+            one, start, prepared
+        )
         lines += [f"object {one.id}: {line}" if has_ids else line for line in found]
     return lines
 
 
-def _of_values(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput) -> list[str]:
+def _of_values(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
     """The checks of the start's values, in the file's unit."""
     inside = start.psi < 0
     own = bounding_box(inside)
@@ -63,16 +75,86 @@ def _of_values(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedIn
     low, width = prepared.context.scales[0]
     image = prepared.images[0][box_at(start.corner, start.psi.shape)]
     values = low + width * image[own][inside[own]].astype(np.float64)
-    lines = outlier_line(values, image[own], inside[own], start, own, prepared.geometry) if prepared.learns else []
+    lines = []
+    if prepared.learns:
+        clicked = one.context.clicks is not None and bool(one.context.clicks.ids())
+        lines = outlier_line(values, inside, start.corner, prepared.geometry, _option(one, clicked, has_ids))
     for term in one.made.terms:
         if term["term"] != "threshold" or "LO" not in term:
             continue
         window = (term["LO"], term["HI"])
         if line := bounds_line(values, window):
             lines.append(line)
-        elif line := surroundings_line(low + width * image, inside, prepared.geometry.spacing, window):
+        elif line := surroundings_line(low + width * image, inside, start.corner, prepared.geometry, window):
             lines.append(line)
     return lines
+
+
+def _option(one: EvolvingObject, clicked: bool, has_ids: bool) -> str:
+    """How a ball is given as the start or the click of an object; the ball comes in place of a star."""
+    if has_ids:
+        return f"{one.id},*{',inside' if clicked else ''} as a row of --objects TABLE"
+    return f"--{'inside' if clicked else 'start'} ball:*"
+
+
+def _of_size(one: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
+    """Whether the stated size is more than there is."""
+    size, geometry = one.context.model_inputs.size_mm3, prepared.geometry
+    whole = math.prod(geometry.shape) * geometry.voxel_volume
+    if size is None or size < whole:
+        return []
+    return [
+        f"size: {volume_text(size)} was given, and the image has {volume_text(whole)}: the object will fill it; "
+        "try it without --size"
+    ]
+
+
+def _of_clicks(one: EvolvingObject, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
+    """Whether a click inside has values of two kinds, of which the model learns one."""
+    low, width = prepared.context.scales[0]
+    lines = []
+    for click in () if one.context.clicks is None else one.context.clicks.clicks:
+        if click.side == "inside":
+            values = low + width * prepared.images[0][click.box][click.mask].astype(np.float64)
+            lines += two_kinds_line(values, click, prepared.geometry, _option(one, True, has_ids))
+    return lines
+
+
+def two_kinds_line(values: NDArray[np.float64], click: Click, geometry: Geometry, option: str) -> list[str]:
+    """Whether a good part of a click is unlike the rest, as a note: the model learns the rest.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+        Of the click's voxels.
+    click : Click
+    geometry : Geometry
+    option : str
+        What to try, with a star in place of the ball.
+    """
+    middle = float(np.median(values))
+    robust = NORMAL_MAD * float(np.median(np.abs(values - middle)))
+    unlike = np.abs(values - middle) > BEYOND_KIND * robust
+    if values.size < MIN_VOXELS or not robust > 0 or unlike.mean() <= OTHER_KIND:
+        return []
+    rest = click.mask.copy()
+    rest[click.mask] = ~unlike
+    ball = _deepest_ball(rest, corner_of(click.box), geometry)
+    return [
+        f"note: click: {unlike.mean():.0%} of it is unlike the rest (about {np.median(values[unlike]):.4g} beside "
+        f"{middle:.4g}), and what is learned leaves it out; try {option.replace('*', ball)}"
+    ]
+
+
+def _deepest_ball(mask: NDArray[np.bool_], corner: Sequence[int], geometry: Geometry) -> str:
+    """The largest ball in some voxels, as X,Y,Z,R in mm."""
+    steps = geometry.steps
+    around = [(0, 0) if n == 1 else (1, 1) for n in geometry.shape]
+    depth = ndimage.distance_transform_edt(np.pad(mask, around), sampling=geometry.spacing)
+    deepest = np.array(np.unravel_index(int(np.argmax(depth)), depth.shape))
+    index = deepest - [before for before, _ in around] + np.array(corner)
+    radius = float(depth.max()) - 0.5 * min(steps)
+    return f"{place_text(geometry.index_to_world(index.tolist()), steps)},{radius:.2g}"
 
 
 def bounds_line(values: NDArray[np.float64], window: tuple[float | None, float | None]) -> str:
@@ -101,10 +183,17 @@ def _within(values: NDArray[Any], window: tuple[float | None, float | None]) -> 
 
 
 def surroundings_line(
-    image: NDArray[Any], inside: NDArray[np.bool_], spacing: Sequence[float], window: tuple[float | None, float | None]
+    image: NDArray[Any],
+    inside: NDArray[np.bool_],
+    corner: Corner,
+    geometry: Geometry,
+    window: tuple[float | None, float | None],
 ) -> str:
-    """Whether the energy's window takes in most of the surroundings of a start."""
-    own = bounding_box(inside)
+    """Whether the energy's window takes in most of the surroundings of a start; with a place far from it to click.
+
+    ``corner`` is the first voxel of image and start.
+    """
+    own, spacing = bounding_box(inside), geometry.spacing
     assert own is not None
     radius = 0.5 * max((s.stop - s.start) * h for s, h, n in zip(own, spacing, inside.shape, strict=True) if n > 1)
     margins = [int(np.ceil(SHELL[1] * radius / h)) for h in spacing]
@@ -119,35 +208,51 @@ def surroundings_line(
     shell = (away > (SHELL[0] - 1.0) * radius) & (away < SHELL[1] * radius)
     if not shell.any():
         return ""
-    share = float(_within(values[shell], window).mean())
+    within = shell & _within(values, window)
+    share = np.count_nonzero(within) / np.count_nonzero(shell)
     if share <= MAX_AROUND:
         return ""
+    farthest = np.unravel_index(int(np.argmax(np.where(within, away, -1.0))), away.shape)
+    index = [int(i) * (t.step or 1) + s.start + c for i, t, s, c in zip(farthest, thin, box, corner, strict=True)]
+    place = place_text(geometry.index_to_world(index), geometry.steps)
     return (
-        f"window: it takes in {share:.0%} of the surroundings of the start: it will leak; try --outside in what is not "
-        "the object, in place of --energy"
+        f"window: it takes in {share:.0%} of the surroundings of the start: it will leak; try --outside point:{place}, "
+        "where it is not the object, in place of --energy"
     )
 
 
 def outlier_line(
-    values: NDArray[np.float64],
-    image: NDArray[np.float32],
-    inside: NDArray[np.bool_],
-    start: ObjectStart,
-    own: Box,
-    geometry: Geometry,
+    values: NDArray[np.float64], inside: NDArray[np.bool_], corner: Corner, geometry: Geometry, option: str
 ) -> list[str]:
-    """Whether a few values in the start are far from the others, and where the farthest is."""
+    """Whether a few values in the start are far from the others, and where the farthest is.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+        Of the start's voxels.
+    inside : ndarray of bool
+        These, from voxel ``corner`` on.
+    corner : (int, int, int)
+    geometry : Geometry
+    option : str
+        What to try, with a star in place of a ball.
+    """
     middle = float(np.median(values))
     spread, robust = float(values.std()), NORMAL_MAD * float(np.median(np.abs(values - middle)))
     if values.size < MIN_VOXELS or not spread > OUTLYING * robust > 0:
         return []
-    share = float((np.abs(values - middle) > FAR * robust).mean())
-    farthest = np.argwhere(inside)[int(np.argmax(np.abs(values - middle)))]
-    index = [int(i) + s.start + c for i, s, c in zip(farthest, own, start.corner, strict=True)]
-    place = ",".join(f"{v:.1f}" for v in geometry.index_to_world(index))
+    unlike = np.abs(values - middle) > FAR * robust
+    voxels = np.argwhere(inside)
+    farthest = voxels[int(np.argmax(np.abs(values - middle)))] + np.array(corner)
+    place = place_text(geometry.index_to_world(farthest.tolist()), geometry.steps)
+    own = bounding_box(inside)
+    assert own is not None
+    rest = inside[own].copy()
+    rest[inside[own]] = ~unlike
+    ball = _deepest_ball(rest, np.add(corner_of(own), corner).tolist(), geometry)
     return [
-        f"start: {share:.1%} of it is unlike the rest (standard deviation {spread:.3g}, median-based {robust:.3g}), "
-        f"the farthest near {place}; what is learned leaves it out; try a --start without it"
+        f"start: {unlike.mean():.1%} of it is unlike the rest (standard deviation {spread:.3g}, median-based "
+        f"{robust:.3g}), the farthest near {place}; what is learned leaves it out; try {option.replace('*', ball)}"
     ]
 
 
@@ -179,8 +284,9 @@ def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
     surface = evolution.surface
     if not alpha > 0 or surface.size == 0:
         return []
-    # On a copy: what a surface has measured of itself is counted with its first step.
-    energy, own = evolution.energy, surface
+    # On a copy: what a surface has measured of itself is counted with its first step. Where the surface touches a
+    # click nothing acts into it; what would act there tells whether all but the clicks vanishes.
+    energy, own = without_clicks(evolution.energy), surface
     spacing = (own.grid.hz, own.grid.hy, own.grid.hx)
     surface = LevelSet(np.array(own.psi), spacing, own.requested_half_width, own.workers, overwrite=True)
     energy.start(surface)
@@ -190,14 +296,14 @@ def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
     variation = surface.area_variation(front, surface.curvature(front))
     there = (area > 0) & front
     if not there.any():
-        energy.start(own)
+        evolution.energy.start(own)
         return []
     weights = area[there]
     image, both = (
         float(np.average(energy.force(surface, front, part)[there], weights=weights))
         for part in (np.zeros_like(variation), variation)
     )
-    energy.start(own)
+    evolution.energy.start(own)
     if not image < 0.0 < both:
         return []
     radius = 2.0 * alpha / (both - image)
@@ -205,5 +311,5 @@ def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
     given = f"--smoothness {less - of_terms:.2g}" if less > of_terms else f"--energy chan-vese:area={less:.2g}"
     return [
         f"area: the start's radius is about {radius:.3g} mm; under the area weight {alpha:.3g} mm it shrinks below "
-        f"{2.0 * alpha / -image:.3g} mm; try {given}, or a larger start"
+        f"{2.0 * alpha / -image:.3g} mm; try {given}"
     ]

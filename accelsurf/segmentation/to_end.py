@@ -9,7 +9,7 @@ from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import NO_OBJECT
 from accelsurf.grid.window import Window
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
-from accelsurf.segmentation.late_growth import LateGrowth
+from accelsurf.segmentation.late_growth import LateGrowth, nearest_inside
 from accelsurf.segmentation.refine import with_refinements
 from accelsurf.segmentation.refiner import OnObjectStep
 from accelsurf.segmentation.result import Result
@@ -43,5 +43,6 @@ def finished(
             if asked:
                 run.request_stop()
         result = result_of(run)
-    result = replace(result, late_growth=growth.place(), warnings=[*result.warnings, *notes])
+    late = nearest_inside(growth.place(), result.labels > 0, grid.spacing)
+    result = replace(result, late_growth=late, warnings=[*result.warnings, *notes])
     return with_refinements(result, on_step)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 #: Largest number of characters of a value that a message repeats.
@@ -124,3 +125,37 @@ def volume_text(mm3: float) -> str:
     if mm3 >= 1000:
         return f"{mm3 / 1000:.4g} ml" if mm3 < 1e7 else f"{mm3 / 1e6:.4g} l"
     return f"{mm3:.4g} mm3" if mm3 >= 0.01 or mm3 <= 0 else f"{mm3 * 1e9:.4g} um3"
+
+
+def place_text(place: Iterable[float], steps: Sequence[float]) -> str:
+    """Return a place (x, y, z), mm, as commands take it, to a part of a voxel.
+
+    Parameters
+    ----------
+    place : iterable of float
+    steps : sequence of float
+        Distances of neighbouring voxels, mm.
+
+    Examples
+    --------
+    >>> place_text((1.26, -3, 40.5), (1.0, 1.0)), place_text((0.01234, 0, 1), (0.0005, 0.0002))
+    ('1.3,-3.0,40.5', '0.0123,0.0000,1.0000')
+    """
+    digits = max(1, math.ceil(-math.log10(min(steps))))
+    return ",".join(f"{value:.{digits}f}" for value in place)
+
+
+def size_option(mm3: float) -> str:
+    """Return a volume as ``--size`` takes it, to two digits.
+
+    Examples
+    --------
+    >>> size_option(1.5234e6), size_option(12.3), size_option(4.2e-7), size_option(5.12e-3), size_option(4e-13)
+    ('1500ml', '12mm3', '420um3', '5100000um3', '400000nm3')
+    """
+    units = {"ml": 1e3, "mm3": 1.0, "um3": 1e-9, "nm3": 1e-18}
+    unit = next((name for name, size in units.items() if mm3 >= size), "nm3")
+    if unit == "um3" and mm3 >= 1e-2:
+        unit = "mm3"
+    number = float(f"{mm3 / units[unit]:.2g}")
+    return f"{number:g}{unit}" if number < 1e5 else f"{number:.0f}{unit}"

@@ -9,7 +9,7 @@ from accelsurf import cli, io
 from accelsurf.analysis import good_result
 from accelsurf.analysis.metrics import dice
 from accelsurf.analysis.quality import RestNote, assess, click_features, features
-from accelsurf.energies.seeded import Sureness
+from accelsurf.energies.seeded import Proposal, Sureness
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.smoothing import gaussian_mm
@@ -85,8 +85,31 @@ def test_growth_in_the_last_steps_counts_when_the_run_has_not_converged():
     mask = z**2 + y**2 + x**2 < 12**2
     history = [step_record(step, volume_mm3=100.0 + 2.0 * step) for step in range(60)]
     found = look(mask, mask * 1.0, history, Stop("max-steps", 60, 6.0, "not converged"))
-    assert found.late_growth == pytest.approx(40 / 218) and any("growth: " in words for words in found.warnings)
+    assert found.late_growth == pytest.approx(40 / 218)
+    (line,) = (words for words in found.warnings if words.startswith("growth: "))
+    assert line.endswith("in the last 20 steps; try --max-steps 120")
     assert look(mask, mask * 1.0, history).warnings == ()
+    # What has broken through after a rest only goes on.
+    seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), history
+    rest = RestNote(4, 110.0, 9, (1.0, 2.0, 3.0))
+    found = assess(*seen, Stop("max-steps", 60, 6.0, "not converged"), rests=[rest])
+    assert any(words.startswith("growth: ") and words.endswith("try --stop-at-rest") for words in found.warnings)
+
+
+def test_a_leak_names_a_place_to_click():
+    z, y, x = coordinates()
+    mask = z**2 + y**2 + x**2 < 12**2
+    seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), []
+    leaked, rest = Stop("leaked", 60, 6.0, "the object grew beyond 2500 mm3"), RestNote(4, 110.0, 9, (1.0, 2.25, 3.0))
+    for rests, wanted in (((), "its most doubtful place"), ((rest,), "near which it broke through")):
+        found = assess(*seen, leaked, rests=rests)
+        line = next(words for words in found.warnings if words.startswith("leak: "))
+        place = rest.place if rests else found.next_click
+        assert f"try --outside point:{place[0]:.1f},{place[1]:.1f},{place[2]:.1f}, {wanted}" in line
+        # In an image of cells places have the digits that tell a voxel.
+        small = Geometry(SHAPE, tuple(h * 1e-3 for h in SPACING))
+        found = assess(*seen[:2], small, [], leaked, rests=[r._replace(place=(0.0123, 0.0, 0.0)) for r in rests])
+        assert len(found.warnings[0].partition("point:")[2].split(",")[0].split(".")[1]) >= 3
 
 
 def made_for(case):
@@ -152,7 +175,9 @@ def test_what_is_too_small_to_be_judged_is_in_doubt():
     mask[20, 22, 24] = True
     found = look(mask, mask * 1.0, [step_record(0, volume_mm3=1.2), step_record(9, volume_mm3=1.2)])
     assert found.next_click is None
-    assert [words for words in found.warnings if "cannot be judged, at 1.2 mm3; try a larger --inside" in words]
+    place = ",".join(f"{index * h:.1f}" for index, h in zip((24, 22, 20), SPACING[::-1], strict=True))
+    wanted = f"cannot be judged, at 1.2 mm3; try --inside ball:{place},{2 * max(SPACING):.2g}"
+    assert [words for words in found.warnings if wanted in words]
 
 
 def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
@@ -176,7 +201,7 @@ def test_what_the_model_of_the_clicks_says_counts_for_all():
     seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), [], DONE
 
     def probability(**changes):
-        found = assess(*seen, sureness=Sureness(0.85, 1, 0.3, 0.9)._replace(**changes))
+        found = assess(*seen, sureness=Sureness(0.85, 1, 0.3, 0.9, Proposal(7000.0, 0.6))._replace(**changes))
         assert click_features(found) == features(found, "converged", 7200.0)
         doubted = [words for words in found.warnings if words.startswith("doubt: ")]
         assert bool(doubted) == (found.probability < good_result.threshold("clicks"))

@@ -62,6 +62,22 @@ def test_the_state_is_written_with_clicks_or_when_asked(scan, finished, tmp_path
     assert (tmp_path / "clicked" / "ball_state.npz").is_file()
 
 
+def test_a_table_of_clicks_has_a_state_and_one_of_balls_has_none(scan, tmp_path):
+    clicks, balls = tmp_path / "clicks.csv", tmp_path / "balls.csv"
+    clicks.write_text("id,x_vox,y_vox,z_vox,r_vox,side\n2,14,14,12,3,inside\n0,28,24,4,2,inside\n")
+    balls.write_text("id,x,y,z,r\n2,14,14,18,4\n")
+    words = ("--max-steps", "2", "--threads", "1")
+    assert run("segment", scan, "-o", tmp_path / "clicks", "--objects", clicks, *words) == 0
+    assert {"ball_state.npz", "ball_run.toml"} <= {path.name for path in (tmp_path / "clicks").iterdir()}
+    assert run("refine", tmp_path / "clicks", "--object", "2", "--outside", "point:20,14,12vox") == 0
+    labels = io.read(tmp_path / "clicks" / "ball_seg.nii.gz").array
+    assert labels[12, 14, 14] == 2 and labels[12, 14, 20] == 0
+    assert run("segment", scan, "-o", tmp_path / "balls", "--objects", balls, *words) == 0
+    assert not list((tmp_path / "balls").glob("*state*"))
+    assert run("segment", scan, "-o", tmp_path / "absent", "--objects", tmp_path / "no.csv", *words) == 3
+    assert (tmp_path / "absent" / "ball_report.json").is_file()
+
+
 def test_a_state_has_the_same_surface_bit_for_bit(scan, finished):
     state = read_state(finished / "ball_state.npz")
     config = RunConfig.from_toml(finished / "ball_run.toml")

@@ -42,6 +42,7 @@ def finished(**changes):
         has_ids=False,
         window=None,
         given=(),
+        run_history=[step_record(0), step_record(1), step_record(2, kinetic=0.25)],
         quality=Quality(
             probability=0.75, next_click=(1.0, 2.0, 3.0), next_doubt=0.5, border_fraction=0.25, contrast=0.5,
             no_edge_fraction=0.125, evidence=0.5, clicked=0.0, beyond_clicks=None, inside_like=0.25, drift=0.1,
@@ -67,7 +68,7 @@ def test_every_key_is_there_with_and_without_a_result():
     assert KEYS <= set(full)
     assert full["energy"] == {
         **{"name": "chan-vese", "first": 100.0, "last": 100.0 / 3, "kinetic_last": 0.25, "mass_potential_last": 0.0},
-        **{"friction_work": 0.5, "smoothing_work": 0.25, "noise_work": 0.0},
+        **{"friction_work": 0.5, "smoothing_work": 0.25, "noise_work": 0.0, "steps_of_corrections": 0},
         "terms": [{"term": "chan-vese", "weight": 1.0, "balance": 1.0}],
     }
     assert full["resolved_settings"] == {"presmooth_mm": 0.5}

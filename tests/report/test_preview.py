@@ -18,7 +18,7 @@ from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.report import canvas, preview
 from accelsurf.report.axes import ticks
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
-from accelsurf.report.slice_views import click_views, main_views, shown_ranges, whole_ranges
+from accelsurf.report.slice_views import click_views, doubt_views, main_views, shown_ranges, whole_ranges
 from accelsurf.settings.wording import volume_text
 from tests.support.records import step_record
 from tests.support.shapes import ball_on_grid
@@ -145,6 +145,96 @@ def test_clicks_are_drawn_in_their_colours_and_late_growth_has_its_slice():
     late = pixels(preview.preview_png(content(psi, geometry, history=[], late_growth=(12.0, 24.0, 40.0))))
     assert share_of(late[len(late) // 2 :], canvas.ORANGE) > 1e-4  # a fourth slice, below
     assert share_of(plain[len(plain) // 2 :], canvas.ORANGE) == 0
+
+
+def test_around_the_object_30_percent_are_shown_and_the_whole_slice_is_inset(monkeypatch):
+    psi, geometry = wide((60, 90, 96), 12, (30, 40, 50))  # 12 slices of 2 mm, 24 voxels to the sides
+    ranges = shown_ranges(content(psi, geometry))
+    box = [np.flatnonzero((psi < 0).any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
+    for (low, high), own, least in zip(ranges, box, (3, 6, 6), strict=True):
+        room = max(round(0.3 * (own[-1] + 1 - own[0])), least)
+        assert (low, high) == (own[0] - room, own[-1] + 1 + room)
+    frames, rectangle = [], canvas.Canvas.rectangle
+
+    def drawn(self, box, **options):
+        frames.append((box, options.get("outline")))
+        return rectangle(self, box, **options)
+
+    monkeypatch.setattr(canvas.Canvas, "rectangle", drawn)
+    preview.preview_png(content(psi, geometry))
+    whole, part = ([box for box, color in frames if color == wanted] for wanted in ("white", canvas.YELLOW))
+    assert len(whole) == len(part) == 3  # an inset in each slice, with what is shown in it
+    for (left, top, right, bottom), inner in zip(whole, part, strict=True):
+        assert left <= inner[0] < inner[2] <= right and top <= inner[1] < inner[3] <= bottom
+    # Of an object that fills its image there is none.
+    frames.clear()
+    preview.preview_png(content(*ball_on_grid()))
+    assert not [box for box, color in frames if color == canvas.YELLOW]
+
+
+@pytest.fixture
+def written(monkeypatch):
+    """Texts as they are written, with their places."""
+    said, write = [], canvas.Canvas.text
+
+    def text(self, at, text, *more, **named):
+        said.append((text, at))
+        return write(self, at, text, *more, **named)
+
+    monkeypatch.setattr(canvas.Canvas, "text", text)
+    return said
+
+
+def test_where_to_click_next_is_drawn_with_a_slice_of_its_own_where_no_other_shows_it(written):
+    psi, geometry = wide()
+    captions = {}
+    for place in ((10, 20, 46), (13, 22, 42)):
+        written.clear()
+        made = content(psi, geometry, history=[], next_clicks=[place])
+        views = doubt_views(made)
+        assert [(view.index, view.why) for view in views] == ([] if place[0] == 10 else [(13, "click next")])
+        picture = pixels(preview.preview_png(made))
+        assert share_of(picture, canvas.YELLOW) > 2e-5
+        captions[place] = [text for text, _ in written].count("click next?")
+    assert captions == {(10, 20, 46): 2, (13, 22, 42): 1}  # in the slices that go through it
+    written.clear()
+    late = content(psi, geometry, history=[], next_clicks=[(13, 22, 42)], late_growth=(12.0, 24.0, 40.0))
+    assert [view.why for view in doubt_views(late)] == ["latest growth", "click next"]
+    preview.preview_png(late)
+    assert sum(text.startswith(("latest growth", "click next,")) for text, _ in written) == 2
+    written.clear()
+    preview.preview_png(content(psi, geometry))
+    assert "click next?" not in [text for text, _ in written]
+
+
+def test_an_id_is_written_away_from_the_mark_of_the_click(written, monkeypatch):
+    psi, geometry = wide()
+    whole = (slice(0, 20), slice(0, 60), slice(0, 64))
+    arms, line = [], canvas.Canvas.line
+
+    def drawn(self, points, color, width=1.0, *more):
+        if len(points) == 2 and width == 5.0:
+            arms.append(np.mean(points, axis=0))
+        return line(self, points, color, width, *more)
+
+    monkeypatch.setattr(canvas.Canvas, "line", drawn)
+    for place in ((10, 20, 40), (10, 22, 38)):
+        written.clear(), arms.clear()
+        marks = marks_of([click("inside", place, id=70)], geometry.spacing)
+        preview.preview_png(content(psi, geometry, history=[], objects=[ObjectShape(70, whole, psi)], clicks=marks))
+        ids = [at for text, at in written if text == "70"]
+        assert len(ids) == 3 and len(arms) == 6  # two to each mark
+        for at, mark in zip(ids, arms[::2], strict=True):
+            assert np.hypot(*(np.array(at) - mark)) > 18
+
+
+def test_energies_of_corrections_are_not_drawn_and_it_is_said(written):
+    made = content(*ball_on_grid(), steps_left_out=12)
+    preview.preview_png(made)
+    assert "12 steps of corrections are not drawn:" in [text for text, _ in written]
+    written.clear()
+    preview.preview_png(content(*ball_on_grid()))
+    assert not [text for text, _ in written if "corrections" in text]
 
 
 def test_objects_have_their_own_colours_in_slices_and_in_3d():

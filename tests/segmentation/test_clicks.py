@@ -7,6 +7,7 @@ import pytest
 
 from accelsurf import io
 from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import evolve, result_of, segment, segment_objects
@@ -69,10 +70,17 @@ def clicks_for(rng, volume, distance, allowed):
     return inside, outside
 
 
-#: Every flow with every energy; grids and levels in turn, with as many steps as there is time for.
+#: How many levels the grids are tried with, in turn.
+LEVELS = {"even": (2, 1), "thick": (2, 1), "plane": (2, 1), "deep": (3, 2)}
+
+
+GRIDS_AND_LEVELS = [(grid, tried[turn]) for turn in (0, 1) for grid, tried in LEVELS.items()]
+#: Every energy on every grid and, but for three levels, with each number of levels; every energy with every flow. With
+#: as many steps as there is time for.
 CASES = [
-    (flow, energy, list(GRIDS)[number % 4], 1 + number // 4 % (3 if number % 4 == 3 else 2))
-    for number, (flow, energy) in enumerate(itertools.product(FLOWS, ENERGIES))
+    (list(FLOWS)[(place + number) % len(FLOWS)], energy, grid, levels)
+    for place, energy in enumerate(ENERGIES)
+    for number, (grid, levels) in enumerate(GRIDS_AND_LEVELS)
 ]
 
 
@@ -96,20 +104,27 @@ def test_every_clicked_voxel_is_on_its_side(flow, energy, grid, levels):
     clicks = [*clicks_of("inside", inside, volume), *clicks_of("outside", outside, volume)] if outside else clicks_of(
         "inside", inside, volume
     )
+    seen = set()
     with Run(volume, config, arrays={} if allowed.all() else {"mask": psi_of("mask", allowed, volume.geometry)},
              clicks=clicks) as run:
         for step in run:
-            # In the run itself too, on the image's own grid.
+            # In the run itself too: on the image's own grid, and on coarser ones, whose voxels hold several.
+            seen.add(step.record.level)
+            assert click_bounds(run.clicks.of(1), run.grid).is_met_by(step.surface.psi), step.record.step
             if step.record.level == 0:
                 now = step.surface.labels > 0
                 assert now[one].all() and not now[other].any(), step.record.step
         labels = result_of(run).labels > 0
     assert labels[one].all() and not labels[other].any()
+    assert seen and (levels == 1 or max(seen) > 0), "the test shows nothing of coarse levels"
 
 
-def test_every_energy_and_flow_of_a_click_is_tried():
-    assert {case[0] for case in CASES} == set(FLOWS)
-    assert {case[2:] for case in CASES} >= {("thick", 1), ("thick", 2), ("plane", 1), ("plane", 2), ("deep", 3)}
+def test_every_energy_of_a_click_is_tried_on_every_grid_and_with_every_flow():
+    pairs = {(case[1], case[2], case[3]) for case in CASES}
+    assert pairs == {
+        (energy, grid, levels) for energy in ENERGIES for grid, tried in LEVELS.items() for levels in tried
+    }
+    assert {case[:2] for case in CASES} == set(itertools.product(FLOWS, ENERGIES)) and LEVELS.keys() == GRIDS.keys()
     assert {name.split(":")[0] for name in ENERGIES} >= {name for name, term in TERMS.items() if term.example}
 
 

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from accelsurf.segmentation.api import segment, segment_objects
+from accelsurf.segmentation.late_growth import nearest_inside
+from accelsurf.segmentation.refine import refine
 
 
 def dumbbell():
@@ -24,6 +26,7 @@ def test_it_is_the_far_end_of_what_was_filled_last(mask, levels):
     assert result.labels[14, 14, 54]  # it has got there
     z, y, x = result.late_growth
     assert x > 40 and abs(y - 14) < 7 and abs(z - 14) < 7
+    assert result.labels[int(z), int(y), int(x)]  # a voxel of the object, through which a slice shows it
 
 
 def test_of_several_objects_it_is_where_any_grew_most():
@@ -32,6 +35,28 @@ def test_of_several_objects_it_is_where_any_grew_most():
     starts[11:18, 11:18, 11:18] = 4
     result = segment_objects(image, starts, levels=1, smoothness=0.05)
     assert result.late_growth[2] > 40
+
+
+def test_it_is_on_a_thin_object_too_and_goes_with_what_a_correction_takes_away():
+    """The middle of a cube of six voxels lies beside a disk of three slices."""
+    z, y, x = np.indices((24, 40, 40))
+    disk = ((x - 20) ** 2 + (y - 20) ** 2 < 14**2) & (abs(z - 19) < 2)
+    noise = np.random.default_rng(0).normal(0, 5, disk.shape)
+    image = (100.0 * disk + noise).astype(np.float32)
+    result = segment(image, inside="ball:20,20,19,1.5", start="ball:20,20,19,3", energy="threshold:50,", threads=1)
+    place = tuple(int(v) for v in result.late_growth)
+    assert result.labels[place]
+    at = ",".join(str(v) for v in place[::-1])
+    assert refine(result, inside="point:20,20,19").late_growth == result.late_growth
+    assert refine(result, outside=f"ball:{at},4").late_growth is None
+
+
+def test_the_nearest_voxel_is_found_however_far_it_is():
+    inside = np.zeros((9, 40, 50), bool)
+    inside[8, 2, 3] = inside[0, 39, 49] = True
+    assert nearest_inside((2.5, 20.0, 20.0), inside, (1.0, 1.0, 1.0)) == (8.0, 2.0, 3.0)
+    assert nearest_inside((2.5, 20.0, 20.0), inside, (9.0, 1.0, 1.0)) == (0.0, 39.0, 49.0)
+    assert nearest_inside((2.5, 20.0, 20.0), inside & False, (1.0, 1.0, 1.0)) is None
 
 
 def test_there_is_none_where_nothing_grew():

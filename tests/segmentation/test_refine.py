@@ -27,9 +27,9 @@ from accelsurf.settings.run_config import RunConfig
 SHAPE, SPACING = (26, 30, 64), (1.5, 1.0, 1.0)
 
 
-def world(*index):
+def world(*index, spacing=SPACING):
     """Text of the world coordinates of a voxel (z, y, x)."""
-    return ",".join(f"{i * h:.6g}" for i, h in zip(index[::-1], SPACING[::-1], strict=True))
+    return ",".join(f"{i * h:.6g}" for i, h in zip(index[::-1], spacing[::-1], strict=True))
 
 
 def two_balls(noise=8.0, seed=3):
@@ -63,10 +63,10 @@ def result(image):
     return first_run(image)
 
 
-def far_from(points, near, shape=SHAPE):
+def far_from(points, near, shape=SHAPE, spacing=SPACING):
     """Voxels farther than ``near`` mm from some voxels."""
-    index = np.indices(shape).reshape(3, -1).T * np.array(SPACING)
-    distance = np.min([np.linalg.norm(index - np.array(p) * SPACING, axis=1) for p in points], axis=0)
+    index = np.indices(shape).reshape(3, -1).T * np.array(spacing)
+    distance = np.min([np.linalg.norm(index - np.array(p) * spacing, axis=1) for p in points], axis=0)
     return (distance > near).reshape(shape)
 
 
@@ -104,6 +104,21 @@ def test_what_is_missing_is_added_whole(image, result):
     last = after.history[-1]
     assert (last.volume_mm3, last.area_mm2) == pytest.approx((volume, area), rel=0.005)
     assert after.history[: len(result.history) - 1] == result.history[:-1]
+
+
+@pytest.mark.parametrize("edits", [[], ["step=3 smoothness=0.2"]])
+def test_the_energy_in_the_report_is_that_of_the_run_alone(image, edits):
+    """That of a correction is of its box, which compares with no other."""
+    before = first_run(image, edit=edits)
+    assert before.run_history == before.history and before.report["energy"]["steps_of_corrections"] == 0
+    once = refine(before, inside=f"ball:{world(12, 14, 48)},3")
+    for after in (once, refine(once, outside=f"point:{world(12, 14, 21)}", near=6)):
+        assert after.run_history == before.history[:-1]
+        assert abs(after.history[-1].potential / before.history[-1].potential - 1) > 0.05
+        energy = after.report["energy"]
+        assert energy["first"] == before.report["energy"]["first"]
+        assert energy["last"] == before.history[-2].potential
+        assert energy["steps_of_corrections"] == len(after.history) - len(before.history) + 1
 
 
 def test_a_click_that_changes_nothing_changes_nothing(image):
@@ -320,25 +335,45 @@ def test_a_result_without_state_is_refused(image):
         refine(result, inside=f"point:{world(12, 14, 24)}")
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_random_clicks_after_random_corrections_hold(result, seed):
+def in_thick_slices(energy):
+    """A result of a ball in slices of 5 mm."""
+    shape, spacing = (9, 40, 48), (5.0, 0.8, 0.8)
+    z, y, x = (np.indices(shape) - np.array([4, 20, 18])[:, None, None, None]) * np.array(spacing)[:, None, None, None]
+    image = 100.0 * (z**2 + y**2 + x**2 < 11**2) + np.random.default_rng(2).normal(0, 8, shape)
+    start = f"ball:{world(4, 20, 18, spacing=spacing)},5"
+    given = {"inside" if energy == "seeded" else "start": start, "energy": energy, "keep_state": "yes", "threads": 1}
+    return accelsurf.segment(image.astype(np.float32), spacing=spacing, **given)
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("energy", ["chan-vese", "seeded"])
+@pytest.mark.parametrize("thick", [False, True])
+def test_random_clicks_after_random_corrections_hold(image, result, energy, thick, seed):
     """Every click so far is on its side, bytes beyond each region stay, and undoing all gives the first surface."""
-    rng = np.random.default_rng(seed)
+    if thick:
+        result = in_thick_slices(energy)
+    elif energy == "seeded":
+        result = first_run(image, energy)
+    shape, spacing = result.geometry.shape, result.geometry.spacing
+    rng = np.random.default_rng([seed, thick])
     refiner, said = Refiner(result), {}
+    clicked = result.clicks.mask("inside") if result.clicks is not None else np.zeros(shape, bool)
     for _ in range(4):
-        at = tuple(int(v) for v in rng.integers((3, 4, 4), (23, 26, 60)))
+        at = tuple(int(v) for v in rng.integers((2, 4, 4), np.array(shape) - (2, 4, 4)))
         side = "inside" if rng.random() < 0.5 else "outside"
-        if said.get(at, side) != side:
+        if said.get(at, side) != side or clicked[at]:
             continue
         near = float(rng.uniform(3, 12))
         before = refiner.result().psi
-        refiner.apply(*refinements_of({side: f"point:{world(*at)}", "near": near}))
+        refiner.apply(*refinements_of({side: f"point:{world(*at, spacing=spacing)}", "near": near}))
         said[at] = side
         after = refiner.result()
-        far = far_from([at], near)
+        far = far_from([at], near, shape, spacing)
         assert after.psi[far].tobytes() == before[far].tobytes()
         for place, wanted in said.items():
             assert bool(after.labels[place]) == (wanted == "inside")
+        assert after.labels[clicked].all()
+    assert len(said) > 2
     for _ in said:
         refiner.undo()
     assert refiner.result().psi.tobytes() == result.psi.tobytes()

@@ -38,14 +38,33 @@ def test_a_start_beyond_the_bounds_is_told_to_shrink():
 
 def test_a_window_that_takes_in_the_surroundings_is_told():
     (line,) = lines(energy="threshold:-50,150")
-    assert line.startswith("window: it takes in ") and "it will leak; try --outside" in line
+    assert line.startswith("window: it takes in ") and "it will leak; try --outside point:" in line
+    x, y, z = (float(v) for v in line.split("point:")[1].split(", where")[0].split(","))
+    assert np.linalg.norm(np.array([x, y, z]) - 20) > 15  # what lies far from the start, and within the image
+    assert all(0 <= v < n for v, n in zip((z, y, x), SHAPE, strict=True))
 
 
 def test_an_area_weight_that_is_too_large_for_the_start_is_told():
     (line,) = lines(energy="threshold:50,", smoothness=8.0)
     assert line.startswith("area: the start's radius is about ") and "try --smoothness" in line
-    less = float(line.split("--smoothness ")[1].split(",")[0])
+    less = float(line.split("--smoothness ")[1])
     assert lines(energy="threshold:50,", smoothness=less) == []
+
+
+def test_the_area_weight_is_checked_as_if_the_clicks_were_not_there():
+    """The surface cannot leave the click, so nothing acts into it: what is left in the end is the bare click."""
+    options = {"inside": "ball:20,20,20,2vox", "energy": "threshold:50,", "levels": 1, "threads": 1}
+    result = segment(scan(), smoothness=6.0, **options)
+    (line,) = of_area(result)
+    assert line.startswith("area: the start's radius is about ") and result.labels.sum() < 100
+    less = float(line.split("--smoothness ")[1])
+    better = segment(scan(), smoothness=less, **options)
+    assert not of_area(better) and better.labels.sum() > 5000
+    assert not of_area(segment(scan(), smoothness=2.0, **{**options, "inside": "ball:20,20,20,9vox"}, max_steps=1))
+
+
+def of_area(result):
+    return [line for line in result.warnings if line.startswith("area: ")]
 
 
 def test_outliers_in_the_start_are_told_and_learned_around():
@@ -53,7 +72,40 @@ def test_outliers_in_the_start_are_told_and_learned_around():
     assert line.startswith("start: ") and "unlike the rest" in line and "median-based" in line
     x, y, z = (float(v) for v in line.split("near ")[1].split(";")[0].split(","))
     assert all(abs(v - 20.5) < 3 for v in (x, y, z))
+    x, y, z, radius = (float(v) for v in line.split("try --start ball:")[1].split(","))
+    stone = np.argwhere(scan(outlier=True) > 500)[:, ::-1]
+    assert np.linalg.norm(stone - np.array([x, y, z]), axis=1).min() > radius > 0.5
+    found = lines(scan(outlier=True), f"ball:{x},{y},{z},{radius}", energy="threshold:learned,learned")
+    assert not [line for line in found if "unlike the rest" in line]
     assert lines(scan(outlier=True), energy="threshold:50,") == []  # nothing is learned
+
+
+@pytest.mark.parametrize(("radius", "has_note"), [(3, True), (6, False)])
+def test_a_click_of_two_kinds_has_a_note_and_a_ball_without_the_other(radius, has_note, tmp_path, capsys):
+    """The model learns the larger part, robustly: of the smaller one only a good part is worth saying."""
+    image = scan(outlier=True)  # 12 voxels of stone: of 93 and of 895
+    found = lines(image, "clicks", inside=f"ball:20,20,20,{radius}vox")
+    assert len(found) == has_note
+    if has_note:
+        assert found[0].startswith("note: click: 13% of it is unlike the rest (about 900 beside 101")
+        ball = found[0].split("try --inside ")[1]
+        assert lines(image, "clicks", inside=ball) == []
+        io.write(Volume(image, Geometry(SHAPE, (1.0, 1.0, 1.0))), tmp_path / "scan.nii.gz")
+        words = ["--inside", f"ball:20,20,20,{radius}vox", "--max-steps", "1", "--progress", "none"]
+        cli.execute(["segment", str(tmp_path / "scan.nii.gz"), "-o", str(tmp_path / "out"), *words])
+        said = capsys.readouterr().err
+        assert said.count("note: click: 13% of it") == 1 and "warning: note" not in said
+
+
+def test_no_note_on_clicks_in_noise_with_tails_or_across_an_edge_of_few_voxels():
+    image = scan() + np.random.default_rng(0).laplace(0, 20, SHAPE).astype(np.float32)
+    for click in ("ball:20,20,20,5vox", "ball:20,20,9,4vox", "point:20,20,20"):
+        assert lines(image, "clicks", inside=click) == []
+
+
+def test_a_size_that_the_image_does_not_have_is_told():
+    (line,) = lines(start="clicks", inside="ball:20,20,20,3vox", size="250ml")
+    assert line == "size: 250 ml was given, and the image has 76.8 ml: the object will fill it; try it without --size"
 
 
 def test_a_few_outliers_do_not_change_what_is_learned():

@@ -84,6 +84,21 @@ class ClickConstraint(ConstrainedEnergy):
         psi[cells] = np.minimum(np.maximum(psi[cells], bounds.low[known]), bounds.high[known])
 
 
+def without_clicks(energy: Energy) -> Energy:
+    """The energy that clicks constrain, without what else is around both; without clicks the energy itself.
+
+    Parameters
+    ----------
+    energy : Energy
+    """
+    inner = energy
+    while isinstance(inner, ConstrainedEnergy):
+        inner, clicked = inner.unconstrained, isinstance(inner, ClickConstraint)
+        if clicked:
+            return inner
+    return energy
+
+
 def _held(along: np.ndarray, keeps_in: np.ndarray, keeps_out: np.ndarray) -> np.ndarray:
     """A quantity along the inward normal without its part into the clicks."""
     along = np.where(keeps_in, np.minimum(along, np.float32(0.0)), along)

@@ -28,6 +28,11 @@ class ConstrainedEnergy(Energy):
         self._energy = energy
 
     @property
+    def unconstrained(self) -> Energy:
+        """The energy without the constraint."""
+        return self._energy
+
+    @property
     def alpha(self) -> float:  # type: ignore[override]  # read only: it is the inner energy's
         """The energy's own."""
         return self._energy.alpha

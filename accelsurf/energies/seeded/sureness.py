@@ -35,12 +35,15 @@ class Sureness(NamedTuple):
         How far the last one of these was from its own side, in radii of the object; None where there was none.
     spread : float
         Of the size that the first click proposed: `Proposal.spread`.
+    proposal : Proposal
+        That size, and other likely ones.
     """
 
     overlap: float
     corrections: int
     correction: float | None
     spread: float
+    proposal: Proposal
 
 
 def sureness_of(shown: Shown, clicks: Clicks, proposal: Proposal, corrections: Sequence[float]) -> Sureness:
@@ -73,6 +76,7 @@ def sureness_of(shown: Shown, clicks: Clicks, proposal: Proposal, corrections: S
         corrections=len(corrections),
         correction=corrections[-1] if corrections else None,
         spread=proposal.spread,
+        proposal=proposal,
     )
 
 

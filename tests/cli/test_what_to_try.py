@@ -1,0 +1,93 @@
+"""What the command says to try next, and the files of a rest."""
+
+import json
+
+import numpy as np
+import pytest
+
+from accelsurf import cli, io
+from accelsurf.grid.volume import Volume
+from tests.evolution.test_rests import LEAK, joined_balls
+
+SHAPE = (24, 40, 40)
+
+
+def two_shells(path, step=1.0):
+    """A bright ball in a dimmer one, in noise: an object of either size."""
+    index = np.indices(SHAPE) - np.array([12, 20, 20])[:, None, None, None]
+    distance = np.sqrt((index**2).sum(axis=0))
+    image = 100.0 * (distance < 4) + 60.0 * ((distance >= 4) & (distance < 10))
+    image += np.random.default_rng(0).normal(0, 8, SHAPE)
+    io.write(Volume.from_array(image.astype(np.float32), (step, step, step)), path)
+    return path
+
+
+def run(path, *words):
+    options = ("-o", path.parent / "out", "--progress", "none", "--threads", "1", "--overwrite")
+    return cli.execute([str(word) for word in ("segment", path, *options, *words)])
+
+
+def report(path):
+    return json.loads((path.parent / "out" / f"{path.name.split('.')[0]}_report.json").read_text())
+
+
+@pytest.mark.parametrize(("step", "unit"), [(1.0, "mm3"), (2e-4, "um3")])
+def test_other_likely_sizes_are_named_with_the_option_that_takes_one(step, unit, tmp_path, capsys):
+    path = two_shells(tmp_path / "scan.nii.gz", step)
+    assert run(path, "--inside", "point:20,20,12vox") == 0
+    said = capsys.readouterr().out
+    (line,) = (line for line in said.splitlines() if "size by the first click" in line)
+    first = report(path)["quality"]["first_size"]
+    assert 0 < first["sureness"] < 0.95 and f"({first['sureness']:.0%} sure); else " in line
+    size = line.split("--size ")[1]
+    assert size.endswith(unit) and first["others"][0] == pytest.approx(
+        float(size.removesuffix(unit)) * {"mm3": 1.0, "um3": 1e-9}[unit], rel=0.05
+    )
+    # A place in micrometres has the digits to be typed again.
+    place = said.split("most doubtful near ")[1].split()[0]
+    assert run(path, "--inside", "point:20,20,12vox", "--size", size, "--outside", f"point:{place}") == 0
+    said = capsys.readouterr().out
+    assert "size by the first click" not in said and report(path)["quality"]["first_size"]["others"] == []
+    assert report(path)["volume_mm3"] < 2 * first["others"][0]
+
+
+@pytest.mark.parametrize(
+    ("words", "reason", "hint"),
+    [
+        (("--inside", "point:20,20,12vox", "--size", "250ml"), "filled", "try it without --size"),
+        (("--start", "ball:20,20,12,3vox", "--energy", "threshold:226,"), "vanished",
+         "try --energy threshold:learned,learned"),
+        (("--start", "ball:20,20,12,3vox", "--energy", "threshold:-99,", "--smoothness", "0"), "filled",
+         "try --outside point:"),
+        (("--start", "ball:20,20,12,3vox", "--energy", "threshold:-99,", "--smoothness", "500"), "vanished",
+         "try --smoothness "),
+    ],
+)
+def test_an_empty_result_names_what_was_seen_before_the_first_step(words, reason, hint, tmp_path, capsys):
+    path = two_shells(tmp_path / "scan.nii.gz")
+    assert run(path, *words) == 5
+    (last,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("hint: "))
+    assert last.startswith(f"hint: {hint}") and "start closer" not in last and last.count("--") <= 2
+    assert report(path)["stop"]["reason"] == reason and report(path)["error"]["hint"] == last.removeprefix("hint: ")
+
+
+def test_a_rest_during_the_run_has_its_file_which_is_the_object_then(tmp_path):
+    path, words = tmp_path / "balls.nii.gz", []
+    io.write(Volume.from_array(joined_balls()[0].astype(np.float32)), path)
+    for key in ("start", "energy", "smoothness"):
+        words += [f"--{key}", LEAK[key]]
+    words += ["--levels", "1"]
+    assert run(path, *words) == 0
+    leaked, listed = report(path), report(path)["outputs"]
+    (rest,) = leaked["quality"]["rests"]
+    names = [one["path"].rpartition("/")[2] for one in listed if one["kind"] == "rest1"]
+    assert names == ["balls_rest1_seg.nii.gz"]
+    labels = io.read(path.parent / "out" / "balls_rest1_seg.nii.gz").array
+    assert labels.sum() == pytest.approx(rest["volume_mm3"], rel=0.02) and leaked["volume_mm3"] > 1.8 * labels.sum()
+    # The state of that step: what a run to it has.
+    assert run(path, *words, "--max-steps", rest["step"], "--end", "present") == 0
+    np.testing.assert_array_equal(io.read(path.parent / "out" / "balls_seg.nii.gz").array, labels)
+    # A run that ends there has no rest of its own.
+    assert run(path, *words, "--stop-at-rest") == 0
+    np.testing.assert_array_equal(io.read(path.parent / "out" / "balls_seg.nii.gz").array, labels)
+    assert report(path)["stop"]["reason"] == "rested"
