@@ -17,7 +17,7 @@ from accelsurf.viewer.workplace.checks import number, whole, word
 from accelsurf.viewer.workplace.feature import Feature, Key
 from accelsurf.viewer.workplace.frames import FramesFeature
 from accelsurf.viewer.workplace.slices import SlicesFeature
-from accelsurf.viewer.workplace.tool import Tool, finest
+from accelsurf.viewer.workplace.tool import Tool
 from accelsurf.viewer.workplace.tools import TOOLS
 from accelsurf.viewer.workplace.wheel import ZOOM, SliceTurns, notches_of
 
@@ -77,11 +77,7 @@ class MouseFeature(Feature):
         }
 
     def state(self, status: Status) -> dict[str, Any]:
-        geometry = self.workplace.scene.geometry
-        return {
-            "tool": self.tool.name, "radius": self.workplace.radius,
-            "radius_least": 0.5 * finest(geometry), "radius_most": 0.5 * float(max(geometry.extent_mm)),
-        }
+        return {"tool": self.tool.name, "radius": self.workplace.radius}
 
     @property
     def is_dragging(self) -> bool:
