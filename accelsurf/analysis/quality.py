@@ -166,8 +166,7 @@ def assess(
     own = [row for row in history if row.level == 0]
     first, last = (history[0].volume_mm3, history[-1].volume_mm3) if history else (0.0, 0.0)
     before = own[-LAST_STEPS - 1].volume_mm3 if len(own) > LAST_STEPS else (own[0].volume_mm3 if own else 0.0)
-    found = places.gather(inside, image, spacing, clicked)
-    volume = float(np.count_nonzero(inside)) * geometry.voxel_volume
+    found, volume = places.gather(inside, image, spacing, clicked), np.count_nonzero(inside) * geometry.voxel_volume
     place, doubt = (None, 0.0) if found is None else places.doubtful_place(found, spacing, volume)
     measured = Quality(
         probability=0.0,
@@ -188,10 +187,10 @@ def assess(
         warnings=(),
         notes=(),
     )
-    probability = good_result.probability(kind_of(measured), features(measured, stop.reason, last))
-    measured = measured._replace(probability=probability)
-    said = _warnings(measured, stop, last, inside, geometry), _notes(measured, last, geometry)
-    return measured._replace(warnings=tuple(said[0]), notes=tuple(said[1]))
+    likely = good_result.probability(kind_of(measured), features(measured, stop.reason, last))
+    measured = measured._replace(probability=likely)
+    warnings, notes = _warnings(measured, stop, last, inside, geometry), _notes(measured, last, geometry)
+    return measured._replace(warnings=tuple(warnings), notes=tuple(notes))
 
 
 def _along_surface(found: Evidence | None) -> dict[str, Any]:

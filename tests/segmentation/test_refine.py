@@ -84,6 +84,30 @@ def test_beyond_near_every_byte_stays_and_the_click_is_on_its_side(image, energy
     np.testing.assert_array_equal(before.psi, psi)
 
 
+@pytest.mark.parametrize("energy", ["chan-vese", "threshold:50,", "seeded"])
+@pytest.mark.parametrize("click", [f"point:{world(12, 14, 21)}", f"ball:{world(12, 14, 20)},2"])
+def test_beyond_the_automatic_region_every_byte_stays(image, energy, click):
+    refiner, regions = Refiner(first_run(image, energy)), []
+    region_of = refiner._region
+    refiner._region = lambda *given: regions.append(region_of(*given)) or regions[-1]
+    before = refiner.result()
+    for side in ("outside", "inside"):
+        psi = refiner.result().psi.copy()
+        refiner.apply(*refinements_of({side: click}))
+        after = refiner.result()
+        assert after.config.refine[-1].near == "auto" and len(regions) == 1
+        (region,), beyond = regions, np.ones(SHAPE, bool)
+        beyond[region.box] = ~region.mask
+        assert after.psi[beyond].tobytes() == psi[beyond].tobytes()
+        # It is a part of the image and of the surface, and there the surface has moved.
+        surface = np.abs(psi) < 1.0
+        assert beyond.mean() > 0.3 and (surface & beyond).any() and ((after.psi < 0) != (psi < 0))[~beyond].any()
+        regions.clear()
+    refiner.undo()
+    refiner.undo()
+    assert refiner.result().psi.tobytes() == before.psi.tobytes()
+
+
 def test_vertices_away_from_the_region_are_the_same(result):
     both = refine(result, inside=f"ball:{world(12, 14, 48)},3")
     after = refine(both, outside=f"ball:{world(12, 14, 21)},2", near=6)
@@ -94,8 +118,9 @@ def test_vertices_away_from_the_region_are_the_same(result):
     assert len(before[far[0]]) > 100
 
 
-def test_what_is_missing_is_added_whole(image, result):
-    other = two_balls()[2]
+@pytest.mark.parametrize("energy", ["chan-vese", "seeded"])
+def test_what_is_missing_is_added_whole(image, energy):
+    result, other = first_run(image, energy), two_balls()[2]
     after = refine(result, inside=f"ball:{world(12, 14, 48)},3")
     added = (after.labels > 0) & ~(result.labels > 0)
     assert 2 * (added & other).sum() / (added.sum() + other.sum()) > 0.9
@@ -149,6 +174,22 @@ def test_the_means_count_the_whole_object(image):
     assert abs(outside - found[9].energy.means[1]) > 0.02  # what the box alone would say
 
 
+def test_the_field_of_the_clicks_on_a_box_is_that_on_the_whole_image(image):
+    """Seeded has no means: its field is that of the whole model, and so is the weight of the area with its offset."""
+    before = first_run(image, "seeded")
+    found = {}
+    for near in (9, 200):
+        refiner = Refiner(before)
+        original = refiner._problem
+        refiner._problem = lambda *args, make=original, near=near: found.setdefault(near, make(*args))
+        refiner.apply(*refinements_of({"outside": f"ball:{world(12, 14, 22)},1.5", "near": near}))
+    part = found[9].region.box
+    assert found[200].region.box == box_at((0, 0, 0), SHAPE) != part
+    own, whole = (found[near].energy.sums.image.reshape(found[near].psi.shape) for near in (9, 200))
+    assert own.tobytes() == np.ascontiguousarray(whole[part]).tobytes()
+    assert found[9].energy.alpha == found[200].energy.alpha > 0
+
+
 def test_undo_brings_back_every_byte(image):
     for energy in ("chan-vese", "seeded"):
         before = first_run(image, energy)
@@ -181,9 +222,10 @@ def test_one_configuration_repeats_run_and_corrections(image, energy):
         assert again.surface.vertices.tobytes() == result.surface.vertices.tobytes()
 
 
-def test_no_crease_at_the_seam(image):
+@pytest.mark.parametrize("energy", ["threshold:50,", "seeded"])
+def test_no_crease_at_the_seam(image, energy):
     """The surface leaves its old place at a tangent: its curvature along the seam stays as it is around it."""
-    before = first_run(image, "threshold:50,")
+    before = first_run(image, energy)
     at, near = np.array([12, 14, 21]), 12.0
     after = refine(before, outside=f"ball:{world(*at)},2.5", near=near)
     rim = rim_width(SHAPE, SPACING)

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.energies import RegionField
 from accelsurf.energies.seeded import seeded_model
 from accelsurf.errors import InputError
+from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Clicks
+from accelsurf.segmentation.energy_assembly import make_energy
+from accelsurf.segmentation.image_context import ImageContext, ModelInputs, Scale
+from accelsurf.settings.run_config import RunConfig
 from tests.support import clicked_balls, gradient_check
 from tests.support.gradient_check import assert_derivative
 
@@ -207,10 +210,37 @@ def test_without_an_inside_click_it_says_so():
         seeded_model([np.zeros(SHAPE, np.float32)], SPACING, Clicks((ball("outside", (5, 5, 5), 2.0),), SHAPE))
 
 
-def test_the_force_is_the_derivative_of_the_energy():
-    shape, spacing = gradient_check.GRIDS["thick slices"]
-    middle = [(n - 1) / 2 for n in shape]
-    image = ndimage.gaussian_filter((distance(middle, shape=shape, spacing=spacing) < 13).astype(np.float32), 2.0)
-    model = seeded_model([image], spacing, Clicks((ball("inside", middle, 5.0, shape=shape, spacing=spacing),), shape))
-    field = ndimage.gaussian_filter(model.field, 1.5)
-    assert_derivative(RegionField(field, model.area_weight_mm), "thick slices", 3, 1e-3)
+def term_of(grid):
+    """An energy as a run has it: of two channels, within a mask, with a weight, an area of its own, and three clicks.
+
+    And its context. The surface that is perturbed touches the click outside, one of those inside, and the mask.
+    """
+    shape, spacing = gradient_check.GRIDS[grid]
+    z, y, x = gradient_check.coordinates(grid)
+    r, middle = np.sqrt(z**2 + y**2 + x**2), np.array([(n - 1) / 2 for n in shape])
+    smooth = [1.5 / h if n > 1 else 0.0 for n, h in zip(shape, spacing, strict=True)]
+    noise = 0.05 * np.random.default_rng(0).normal(size=shape)
+    images = [ndimage.gaussian_filter(one, smooth).astype(np.float32) for one in ((r < 13) + noise, (r < 15) | (x > 0))]
+    places = (("inside", (0, 0, 0), 5.0), ("outside", (0, 0, 15), 2.0), ("inside", (0, -12, 0), 1.5))
+    clicks = tuple(
+        ball(side, middle + np.array(at) / spacing, radius, shape=shape, spacing=spacing) for side, at, radius in places
+    )
+    context = ImageContext(images, [Scale(), Scale()], spacing).with_clicks(Clicks(clicks, shape))
+    context = context.with_model_inputs(ModelInputs(mask=x > -12))
+    config = RunConfig(energy="0.7*seeded:area=0.4", smoothness=0.3)
+    return make_energy(config, images[0], spacing, context), context
+
+
+@pytest.mark.parametrize(("grid", "tolerance"), [("3D", 0.02), ("thick slices", 0.05), ("one slice", 0.02)])
+def test_the_force_is_the_derivative_of_the_energy(grid, tolerance):
+    """F has steps at its clicks and bends at edges, which a grid sees the less well the thicker its slices are."""
+    made, context = term_of(grid)
+    for seed in (1, 3):
+        assert_derivative(made.energy, grid, seed, 1e-2, tolerance)
+    # It is F of the model, lowered by the offset, and the weight counts for F and area alike.
+    (term,), model = made.terms, context.seeded_model()
+    (used,) = term["channels"]
+    assert 0 < used["offset"] < 0.2 and made.energy.alpha == pytest.approx(0.7 * 0.4 + 0.3)
+    surface = gradient_check.value(made.energy, np.sqrt((gradient_check.coordinates(grid) ** 2).sum(0)) - 9, grid)[1]
+    force = made.energy.image_force(surface, whole_box(surface.shape))
+    np.testing.assert_allclose(force, 0.7 * (model.field - used["offset"]), atol=1e-5)
