@@ -15,7 +15,7 @@ from accelsurf.energies.seeded import Proposal, SeededModel
 from accelsurf.energies.seeded.answers import Answer, mixed_answer, with_click
 from accelsurf.energies.seeded.appearance import learn
 from accelsurf.energies.seeded.competition import field_of
-from accelsurf.energies.seeded.contest import contest
+from accelsurf.energies.seeded.contest import Balance, contest
 from accelsurf.energies.seeded.curvature import mean_curvature
 from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
@@ -175,10 +175,7 @@ class LocalModel:
         known = [one.clicks.with_more(left[: i + 1]) for i in range(len(left))]
         fought = [contest(self._images, self.spacing, it, self._passes, one.answer.count, pool) for it in known]
         for clicks, answer, parts in zip(known, answering.result(), fought, strict=True):
-            shown = mixed_answer(answer, parts, clicks, self.state.sized, one.shown)
-            both = one.shown, shown
-            corrections = corrections_with(one.corrections, clicks.clicks[-1], both, self.spacing, clicks.shape)
-            one = Stage(clicks, answer, shown, corrections)
+            one = self._stage_of(one, clicks, answer, parts)
             yield one
 
     def _stage_beside(self, answer: Answer, left: Sequence[Click], pool: ThreadPoolExecutor) -> Stage:
@@ -190,10 +187,13 @@ class LocalModel:
         answering = pool.submit(lambda: [answer, *self._answers(answer, left)][-1])
         clicks = in_order(self.state.clicks.with_later(left[-1:]))
         parts = contest(self._images, self.spacing, clicks, self._passes, answer.count, pool)
-        answer = answering.result()
+        return self._stage_of(before, clicks, answering.result(), parts)
+
+    def _stage_of(self, before: Stage, clicks: Clicks, answer: Answer, parts: Sequence[Balance]) -> Stage:
+        """The stage of some clicks, of which the last one is new, by their answer and contests, after another."""
         shown = mixed_answer(answer, parts, clicks, self.state.sized, before.shown)
         both = before.shown, shown
-        corrections = corrections_with(before.corrections, left[-1], both, self.spacing, clicks.shape)
+        corrections = corrections_with(before.corrections, clicks.clicks[-1], both, self.spacing, clicks.shape)
         return Stage(clicks, answer, shown, corrections)
 
     def _answers(self, answer: Answer, left: Sequence[Click]) -> Iterator[Answer]:
