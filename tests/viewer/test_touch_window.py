@@ -2,11 +2,10 @@
 
 import importlib.util
 import json
-import os
-import subprocess
-import sys
 
 import pytest
+
+from tests.support.offscreen import lines_of
 
 pytestmark = pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in ("PySide6", "pyvistaqt")),
@@ -52,12 +51,7 @@ print(json.dumps(asked))
 
 
 def test_fingers_become_requests():
-    env = {**os.environ, "QT_QPA_PLATFORM": "offscreen", "QT_SCALE_FACTOR": "1"}
-    done = subprocess.run([sys.executable, "-c", PROGRAM], env=env, capture_output=True, text=True, timeout=120)
-    if "could not load the Qt platform" in done.stderr.lower() or "cannot open shared object" in done.stderr:
-        pytest.skip("Qt's libraries are missing")
-    assert done.returncode == 0, done.stderr
-    asked, drawn, of_pad, of_mouse = (json.loads(line) for line in done.stdout.splitlines())
+    asked, drawn, of_pad, of_mouse = (json.loads(line) for line in lines_of(PROGRAM))
     first, second = asked[0][3], asked[1][3]  # Qt's own numbers of the fingers
     assert first != second
     assert asked == [
