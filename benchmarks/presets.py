@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -86,7 +87,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*")
     parser.add_argument("--clicks", type=int, default=3)
-    parser.add_argument("--volumes", type=Path)
+    folder = os.environ.get("ACCELSURF_VOLUMES")
+    parser.add_argument("--volumes", type=Path, default=Path(folder) if folder else None)
     parser.add_argument("--objects", nargs="*")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--no-preset", action="store_true")

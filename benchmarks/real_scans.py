@@ -80,8 +80,8 @@ CASES: dict[str, Case] = {
     "liver, three clicks by eye": Case(_CT, f"{_LIVER} --preset ct-organ", (5,)),
     "spleen, a click by eye": Case(_CT, "--inside ball:372,311,9,8vox --preset ct-organ", (1,)),
     "aorta, ball and preset": Case(_CT, "--start ball:263,299,11,7vox --preset ct-vessel", (52,)),
-    "bones": Case(_CT, "--preset ct-bone", _BONES),
-    "head phantom": Case("ct_phantom_oblique", "--preset ct-bone", reference=False),
+    "bones": Case(_CT, "--preset ct-skeleton", _BONES),
+    "head phantom": Case("ct_phantom_oblique", "--preset ct-skeleton", reference=False),
 }
 #: Folder of the pictures that the page shows, and the colours of each.
 PICTURES, COLOURS = ROOT / "docs" / "images", 96

@@ -1,4 +1,4 @@
-"""A large image, presmoothed as a run sees it, read by boxes or by slabs of whole planes, and its coarser levels."""
+"""A large image, filtered as a run sees it, read by boxes or by slabs of whole planes, and its coarser levels."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box, whole_box
+from accelsurf.grid.image_filters import ImageFilters
 from accelsurf.grid.pyramid import Level, planes_of_blocks, restrict
-from accelsurf.grid.smoothing import gaussian_on_box
 from accelsurf.io.lazy_volume import LazyVolume
-from accelsurf.segmentation.preprocessing import check_presmooth
+from accelsurf.segmentation.filters import check_filters
 
 #: Bytes of the float32 voxels of a slab.
 SLAB_BYTES = 1 << 27
@@ -30,40 +30,39 @@ class LevelSlab(NamedTuple):
 
 
 class ImageSlabs:
-    """An image that is read in parts and smoothed with what lies around them: the bytes of the whole, smoothed.
+    """An image that is read in parts and filtered with what lies around them: the bytes of the whole, filtered.
 
     Parameters
     ----------
     source : LazyVolume
-    presmooth_mm : float
-        Standard deviation of the Gaussian, mm; 0 for none.
+    filters : ImageFilters
     slab_bytes : int
         Bytes of a slab as float32; at least a plane is read. About two and a half times as many are held at once,
-        also of the halo, which is four standard deviations on either side.
+        also of the halo, which is four standard deviations and two radii of a closing on
+        either side.
 
     Raises
     ------
     UsageError
-        When the Gaussian is so wide that it takes too long.
+        When a filter is so wide that it takes too long.
     """
 
-    def __init__(self, source: LazyVolume, presmooth_mm: float, slab_bytes: int = SLAB_BYTES) -> None:
-        check_presmooth(presmooth_mm, source.geometry)
-        self.source, self.sigma, self.geometry = source, float(presmooth_mm), source.geometry
+    def __init__(self, source: LazyVolume, filters: ImageFilters, slab_bytes: int = SLAB_BYTES) -> None:
+        check_filters(filters, source.geometry)
+        self.source, self.filters, self.geometry = source, filters, source.geometry
         self.planes = max(1, slab_bytes // (4 * math.prod(self.geometry.shape[1:])))
 
     def window(self, box: Box) -> Planes:
-        """The smoothed image on a box, a new array."""
-        shape, spacing = self.geometry.shape, self.geometry.spacing
-        return gaussian_on_box(self.source.read, shape, spacing, self.sigma, box)
+        """The filtered image on a box, a new array."""
+        return self.filters.on_box(self.source.read, self.geometry.shape, self.geometry.spacing, box)
 
     def raw(self) -> Iterator[NDArray[Any]]:
         """Slabs of the image as it is, of its own dtype."""
         for planes in self._slices(self.geometry.shape[0], self.planes):
             yield self.source.read(self._box(planes))
 
-    def smoothed(self, needed: Callable[[slice], bool] = lambda planes: True) -> Iterator[tuple[slice, Planes]]:
-        """The planes of a slab and its smoothed values, of those slabs that are ``needed``."""
+    def filtered(self, needed: Callable[[slice], bool] = lambda planes: True) -> Iterator[tuple[slice, Planes]]:
+        """The planes of a slab and its filtered values, of those slabs that are ``needed``."""
         for planes in self._slices(self.geometry.shape[0], self.planes):
             if needed(planes):
                 yield planes, self.window(self._box(planes))
@@ -78,7 +77,7 @@ class ImageSlabs:
         grids : sequence of Level
             Finest first; the image is on the first.
         mapped : callable
-            Applied to the smoothed values of level 0; may overwrite them.
+            Applied to the filtered values of level 0; may overwrite them.
         """
         top = grids[-1]
         own = [0] * len(grids)

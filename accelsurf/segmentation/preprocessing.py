@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,23 +9,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
+from accelsurf.errors import AccelsurfError, GeometryError, InputError
 from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.image_check import MIN_RANGE
-from accelsurf.grid.smoothing import gaussian_mm
+from accelsurf.grid.image_filters import ImageFilters
 from accelsurf.grid.volume import Volume, check_image
 from accelsurf.grid.window import Window
 from accelsurf.initialization import starts
 from accelsurf.initialization.clicks import read_clicks
+from accelsurf.segmentation.filters import filtered_volume, filters_of
 from accelsurf.segmentation.image_context import ImageContext, Mask, ModelInputs, Scale
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.run_clicks import placed
 from accelsurf.segmentation.run_mask import distance_of_mask
 from accelsurf.segmentation.run_setup import thread_count
 from accelsurf.segmentation.window_input import WindowInput, region_in, whole_of, window_of
-from accelsurf.settings import budgets, energy_expression
+from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.volumes import volume_mm3
 from accelsurf.settings.wording import shown
@@ -35,7 +35,7 @@ from accelsurf.settings.wording import shown
 SCALE_PERCENTILES = (0.5, 99.5)
 #: Values farther beyond those percentiles than so many times their range are no measurements; their squares overflow.
 MAX_RANGES = 1e15
-#: A volume, what starts look at in it, presmoothed, and what part of the whole grid it is.
+#: A volume, what starts look at in it, filtered, and what part of the whole grid it is.
 Seen = tuple[Volume, NDArray[np.float32], Window]
 
 
@@ -52,17 +52,17 @@ class PreprocessedInput:
     geometry : Geometry
         Of the region of interest.
     images : tuple of ndarray (nz, ny, nx), float32
-        The channels there as energies see them: smoothed, 0 and 1 at their percentiles.
+        The channels there as energies see them: filtered, 0 and 1 at their percentiles.
     context : ImageContext
         Further data of the image for energies.
     mask_distance : ndarray (nz, ny, nx), float32, or None
         Signed distance of the mask, mm, negative within; None without a mask.
     clicks : Clicks or None
         What a person has clicked before the run, on the region of interest; None without clicks.
-    presmooth : float
-        Sigma that the image was smoothed by, mm.
-    smoothed : ndarray or None
-        The first channel, smoothed, on the whole grid; only where that is larger than the region of interest.
+    filters : ImageFilters
+        What the image was filtered by.
+    filtered : ndarray or None
+        The first channel, filtered, on the whole grid; only where that is larger than the region of interest.
     start : ndarray or None
         psi of the start on the whole grid, for an image of one slice; for volumes it would cost memory.
     learns : bool
@@ -76,8 +76,8 @@ class PreprocessedInput:
     context: ImageContext
     mask_distance: NDArray[np.float32] | None
     clicks: Clicks | None
-    presmooth: float
-    smoothed: NDArray[np.float32] | None
+    filters: ImageFilters
+    filtered: NDArray[np.float32] | None
     start: NDArray[np.float32] | None
     learns: bool
 
@@ -109,9 +109,9 @@ class PreprocessedInput:
 
     def picture(self) -> NDArray[np.float32]:
         """The first channel as energies see it on the whole grid, for pictures."""
-        if self.smoothed is None:
+        if self.filtered is None:
             return self.images[0]
-        return apply(self.smoothed.copy(), self.context.scales[0])
+        return apply(self.filtered.copy(), self.context.scales[0])
 
 
 def preprocess(
@@ -151,18 +151,18 @@ def preprocess(
     """
     first, whole, given = volumes[0], volumes[0].geometry, given or {}
     window, box = window_of(whole, part), region_in(config, whole, part)
-    geometry, presmooth = cropped(whole, box), in_mm(config.presmooth, window.geometry)
-    smoothed = _first_channel(volumes, presmooth, part)
+    geometry, filters = cropped(whole, box), filters_of(config, window.geometry)
+    filtered = _first_channel(volumes, filters, part)
     distance = distance_of_mask(config, given, window, box)
-    seen = first, smoothed, window
+    seen = first, filtered, window
     said = placed([*_clicks_of(config, seen, has_ids), *clicks], first, box, distance, None)
     start = given["start"] if "start" in given else _first_surface(config, seen, said, box)
     training = _training_voxels(config, given, seen)
     psi = _start_within(_crop(start, box), distance, config, _name_of_start(config, given))
-    around = None if geometry.shape == whole.shape else smoothed  # the result shows it
-    values = _crop(smoothed, box) if around is None else smoothed[box].copy()
-    del smoothed, start
-    images, scales = _scaled_channels(values, volumes, presmooth, box, part)
+    around = None if geometry.shape == whole.shape else filtered  # the result shows it
+    values = _crop(filtered, box) if around is None else filtered[box].copy()
+    del filtered, start
+    images, scales = _scaled_channels(values, volumes, filters, box, part)
     del values
     context, learns = _context(config, volumes, (images, scales), box, psi, training, distance, part)
     if said.clicks and not has_ids and config.start == (starts.CLICKS,) and uses_model(config):
@@ -170,18 +170,20 @@ def preprocess(
         psi = _start_within(context.model_start(), distance, config, "of the clicks' model")
     shown = psi.copy() if whole.slice_axis is not None else None
     prepared = PreprocessedInput(
-        tuple(volumes), box, geometry, tuple(images), context, distance, said if said.clicks else None, presmooth,
+        tuple(volumes), box, geometry, tuple(images), context, distance, said if said.clicks else None, filters,
         around, shown, learns,
     )
     return prepared, psi
 
 
-def _first_channel(volumes: Sequence[Volume], presmooth: float, part: WindowInput | None) -> NDArray[np.float32]:
-    """The first channel, smoothed; of whole images after all channels were checked."""
+def _first_channel(
+    volumes: Sequence[Volume], filters: ImageFilters, part: WindowInput | None
+) -> NDArray[np.float32]:
+    """The first channel, filtered; of whole images after all channels were checked."""
     if part is not None:
-        return part.smoothed[0]
+        return part.filtered[0]
     check_channels(volumes)
-    return presmoothed(volumes[0], presmooth)
+    return filtered_volume(volumes[0], filters)
 
 
 def uses_model(config: RunConfig) -> bool:
@@ -247,15 +249,15 @@ def _first_surface(config: RunConfig, seen: Seen, clicks: Clicks, box: Box) -> N
 
 
 def _scaled_channels(
-    values: NDArray[np.float32], volumes: Sequence[Volume], presmooth: float, box: Box, part: WindowInput | None
+    values: NDArray[np.float32], volumes: Sequence[Volume], filters: ImageFilters, box: Box, part: WindowInput | None
 ) -> tuple[list[NDArray[np.float32]], list[Scale]]:
-    """The channels on the region, 0 and 1 at their percentiles; overwrites ``values``, the first one, smoothed."""
+    """The channels on the region, 0 and 1 at their percentiles; overwrites ``values``, the first one, filtered."""
     whole = whole_of(part)
     scales: list[Scale] = []
     images: list[NDArray[np.float32]] = []
     for place, one in enumerate(volumes):
         if place > 0:
-            values = _crop(presmoothed(one, presmooth) if part is None else part.smoothed[place], box)
+            values = _crop(filtered_volume(one, filters) if part is None else part.filtered[place], box)
         scales.append(whole[place].scale if whole else scale_of(values))
         images.append(apply(values, scales[-1]))
     return images, scales
@@ -323,34 +325,6 @@ def _training_voxels(
 
 def _crop(array: NDArray[Any], box: Box) -> NDArray[Any]:
     return np.ascontiguousarray(array[box])
-
-
-def in_mm(length: float | str, geometry: Geometry) -> float:
-    """A length of `RunConfig` in mm: as it is, or ``Nvox`` in voxels of the smallest spacing.
-
-    Examples
-    --------
-    >>> in_mm("1.5vox", Geometry((8, 6, 4), (3.0, 2.0, 2.0)))
-    3.0
-    """
-    if not isinstance(length, str):
-        return length
-    return float(length.removesuffix("vox")) * min(geometry.steps)
-
-
-def presmoothed(volume: Volume, sigma: float) -> NDArray[np.float32]:
-    """The image as float32, smoothed by a Gaussian of ``sigma`` mm (0: as it is)."""
-    image = volume.as_float32()
-    check_presmooth(sigma, volume.geometry)
-    if sigma > 0:
-        image = gaussian_mm(image, volume.geometry.spacing, sigma)
-    return image
-
-
-def check_presmooth(sigma: float, geometry: Geometry) -> None:
-    """Refuse a Gaussian, ``sigma`` in mm, that takes too long."""
-    voxels = math.ceil(sigma / min(geometry.steps))
-    budgets.SMOOTHING.check(voxels, f"presmooth: a sigma of {sigma:g} mm", kind=UsageError)
 
 
 def scale_of(image: NDArray[np.float32]) -> Scale:

@@ -127,7 +127,8 @@ def resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
         diffusion = "free" if config.flow in ("constant-density", "flowable-mass") else 0.0
     rule = stop_rule(config, levels)
     return {
-        "presmooth_mm": prepared.presmooth,
+        "presmooth_mm": prepared.filters.sigma,
+        "closing_mm": prepared.filters.closing,
         "scale": [{"at_0": low, "at_1": low + width} for low, width in prepared.context.scales],
         "step_voxels": config.cfl,
         "limiter_percentile": config.percentile,

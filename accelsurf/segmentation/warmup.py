@@ -38,7 +38,7 @@ def small_runs() -> dict[str, Callable[[], Any]]:
         "mass on the whole grid": _run(flow="region-mass"),
         **{f"energy {term}": _run(energy=_AS_GIVEN.get(term, term)) for term in image_terms() if term not in _CLICKED},
         "likelihood by histogram": _run(energy="likelihood:model=histogram"),
-        "area": _run(energy="chan-vese + 0.1*area", smoothness=0.3, presmooth=1.0),
+        "area": _run(energy="chan-vese + 0.1*area", smoothness=0.3, presmooth=1.0, closing="1vox"),
         "noise": _run(noise=0.2, seed=1, diffusion=0.5),
         "fast marching": _run(extension="fast-marching"),
         "levels": _run(levels=2, start="otsu"),

@@ -17,6 +17,7 @@ from accelsurf.energies.region_sums import RegionMoments, Summing, moments_of
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, corner_of
 from accelsurf.grid.image_check import ImageCheck, Places
+from accelsurf.grid.image_filters import NO_FILTERS, ImageFilters
 from accelsurf.grid.order_statistics import FloatCounts, IntegerCounts, OrderStatistics
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.slabs import sum_in_order
@@ -37,16 +38,16 @@ class WholeImage:
     """Numbers of a whole image, read slab by slab in a fixed order: the bytes that they have of the image in memory.
 
     Each is found when it is first asked for, and then known. The scale takes one pass of integers of 8 or 16 bits
-    that are not smoothed, otherwise two; the noise and the sums of all levels one each, Otsu's level two.
+    that are not filtered, otherwise two; the noise and the sums of all levels one each, Otsu's level two.
 
     Parameters
     ----------
     source : LazyVolume
         The whole image.
-    presmooth_mm : float, optional
-        Standard deviation of the Gaussian that it is smoothed by, mm.
+    filters : ImageFilters, optional
+        What it is filtered by.
     statistics_from : LazyVolume, optional
-        The same image on a coarser level, which all numbers are then of. It is smoothed by the same length.
+        The same image on a coarser level, which all numbers are then of. It is filtered by the same lengths.
     slab_bytes : int, optional
         Bytes of a slab as float32.
     numbers : mapping, optional
@@ -61,15 +62,15 @@ class WholeImage:
     def __init__(
         self,
         source: LazyVolume,
-        presmooth_mm: float = 0.0,
+        filters: ImageFilters = NO_FILTERS,
         statistics_from: LazyVolume | None = None,
         slab_bytes: int = SLAB_BYTES,
         numbers: Numbers | None = None,
     ) -> None:
         self.geometry = source.geometry
-        self._whole = ImageSlabs(source, presmooth_mm, slab_bytes)
+        self._whole = ImageSlabs(source, filters, slab_bytes)
         self._coarse = statistics_from
-        self._slabs = self._whole if statistics_from is None else ImageSlabs(statistics_from, presmooth_mm, slab_bytes)
+        self._slabs = self._whole if statistics_from is None else ImageSlabs(statistics_from, filters, slab_bytes)
         self._found: dict[tuple[Any, ...], Any] = dict(numbers or {})
         self._sums: dict[tuple[str, int], NDArray[np.float64]] = {}
 
@@ -82,7 +83,7 @@ class WholeImage:
         return f"a coarser level of {nx} x {ny} x {nz} voxels"
 
     def window(self, box: Box) -> Planes:
-        """The smoothed image on a box, in its own unit: the bytes of that box of the whole, smoothed; a new array.
+        """The filtered image on a box, in its own unit: the bytes of that box of the whole, filtered; a new array.
 
         Raises
         ------
@@ -157,7 +158,7 @@ class WholeImage:
             if self._coarse is None:
                 self._sum_levels(grids, level, kind, summing)
             else:
-                slabs = (self._scaled(values) for _, values in self._slabs.smoothed())
+                slabs = (self._scaled(values) for _, values in self._slabs.filtered())
                 one = sum_in_order(summing(plane.ravel()) for values in slabs for plane in values)
                 part = np.prod(grids[level].shape, dtype=np.float64) / np.prod(self._coarse.shape, dtype=np.float64)
                 self._sums[kind, level] = one * part
@@ -176,20 +177,21 @@ class WholeImage:
 
     @cached_property
     def _order(self) -> OrderStatistics:
-        """Values of the smoothed image by their size, after a look at whether it can be used."""
+        """Values of the filtered image by their size, after a look at whether it can be used."""
         check, dtype = ImageCheck(), self._slabs.source.dtype
-        if self._slabs.sigma == 0 and IntegerCounts.can_count(dtype):
+        if self._slabs.filters.change_nothing and IntegerCounts.can_count(dtype):
             counts: OrderStatistics = IntegerCounts(dtype)
         else:
-            counts = FloatCounts(lambda: (values for _, values in self._slabs.smoothed()))
-        raw_is_counted = isinstance(counts, IntegerCounts) or (self._slabs.sigma == 0 and dtype == np.float32)
+            counts = FloatCounts(lambda: (values for _, values in self._slabs.filtered()))
+        as_it_is = self._slabs.filters.change_nothing and dtype == np.float32
+        raw_is_counted = as_it_is or isinstance(counts, IntegerCounts)
         for raw in self._slabs.raw():
             check.add(raw)
             if raw_is_counted:
                 counts.add(raw)
         check.refuse()
         if not raw_is_counted:
-            for _, values in self._slabs.smoothed():
+            for _, values in self._slabs.filtered():
                 counts.add(values)
         return counts
 
@@ -215,7 +217,7 @@ class WholeImage:
         def needed(planes: slice) -> bool:
             return bool(((looked_at >= planes.start) & (looked_at < planes.stop)).any())
 
-        for planes, values in self._slabs.smoothed(needed):
+        for planes, values in self._slabs.filtered(needed):
             for (z, y, x), out in zip(places, samples, strict=True):
                 here = np.flatnonzero((z >= planes.start) & (z < planes.stop))
                 out[here] = values[np.ix_(z[here] - planes.start, y, x)]
@@ -229,7 +231,7 @@ class WholeImage:
             first = threshold_otsu(hist=(counts, (edges[:-1] + edges[1:]) / 2.0))
         return between_means(
             sum_in_order(
-                sums_beside(plane, first) for _, values in self._slabs.smoothed() for plane in self._scaled(values)
+                sums_beside(plane, first) for _, values in self._slabs.filtered() for plane in self._scaled(values)
             )
         )
 
@@ -244,5 +246,5 @@ class WholeImage:
             np.add.at(counts, np.repeat(np.arange(OTSU_BINS), share), self._order.counts[occurs])
             return counts, edges
         ends: Any = tuple(self._extremes)  # float32, as numpy takes them from an array
-        parts = (np.histogram(self._scaled(values), OTSU_BINS, ends)[0] for _, values in self._slabs.smoothed())
+        parts = (np.histogram(self._scaled(values), OTSU_BINS, ends)[0] for _, values in self._slabs.filtered())
         return np.sum(list(parts), axis=0, dtype=np.int64), edges

@@ -27,8 +27,8 @@ class WindowInput:
     Attributes
     ----------
     window : Window
-    smoothed : tuple of ndarray, shape of the window, float32
-        Each channel, presmoothed with what lies around the window; the run uses their memory.
+    filtered : tuple of ndarray, shape of the window, float32
+        Each channel, filtered with what lies around the window; the run uses their memory.
     whole : tuple of WholeImage
         What is needed of each whole channel; empty with a region of interest, which is scaled by its own values.
     starts : tuple of ObjectStart or None
@@ -36,7 +36,7 @@ class WindowInput:
     """
 
     window: Window
-    smoothed: tuple[NDArray[np.float32], ...]
+    filtered: tuple[NDArray[np.float32], ...]
     whole: tuple[WholeImage, ...] = ()
     starts: tuple[ObjectStart, ...] | None = None
 

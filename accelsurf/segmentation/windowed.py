@@ -20,9 +20,10 @@ from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import GUARD, LeavesWindow, NeedsLevels, Window, aligned, enlarged
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
+from accelsurf.segmentation.filters import filters_of
 from accelsurf.segmentation.first_window import first_box
 from accelsurf.segmentation.memory_need import bytes_text, run_bytes, values_within
-from accelsurf.segmentation.preprocessing import in_mm, uses_model
+from accelsurf.segmentation.preprocessing import uses_model
 from accelsurf.segmentation.refiner import OnObjectStep
 from accelsurf.segmentation.region_of_interest import cropped, region_of_run
 from accelsurf.segmentation.result import Result
@@ -99,10 +100,10 @@ class LargeImage:
 
         ``numbers`` are those of each channel that are known already.
         """
-        sigma = in_mm(config.presmooth, self.geometry)
+        filters = filters_of(config, self.geometry)
         levels, known = self.statistics or (None,) * len(self.channels), numbers or [{}] * len(self.channels)
         return tuple(
-            WholeImage(one, sigma, coarse, numbers=own)
+            WholeImage(one, filters, coarse, numbers=own)
             for one, coarse, own in zip(self.channels, levels, known, strict=True)
         )
 

@@ -125,6 +125,9 @@ OBJECT_VOXELS = Budget(
 SMOOTHING = Budget(
     "the sigma of a smoothing", 256, "voxels", "give a smaller length, in mm or with the suffix vox"
 )
+CLOSING = Budget(
+    "the radius of a closing", 24, "voxels", "give a smaller length, in mm or with the suffix vox"
+)
 STATE_FILE = Budget("the state of a run", 1 << 34, "bytes", "is it the right file?")
 STATE_UNPACKED = Budget(
     "a packed array of the state of a run", 1032, "bytes", "the file is damaged: run again", "packed byte (and 1024)"
@@ -134,5 +137,5 @@ STATE_UNPACKED = Budget(
 BUDGETS = (
     CONFIG, EXPRESSION, PATH, PATH_VOXELS, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW,
     PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, ZARR_CHUNK, MESH_FILE, MESH_UNPACKED, MESH_ROWS,
-    OBJECT_VOXELS, SMOOTHING, STATE_FILE, STATE_UNPACKED, UPLOAD,
+    OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED, UPLOAD,
 )

@@ -13,6 +13,7 @@ from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.known_names import OneOf
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.refinements import Refinement, refinements_of
+from accelsurf.settings.value_bounds import checked_bounds
 from accelsurf.settings.volumes import VOLUME
 from accelsurf.settings.written_values import (
     checked_expression,
@@ -86,6 +87,18 @@ class RunFields(BaseModel):
         "Sigma of a Gaussian applied to the image before the run, in mm, or in voxels of the smallest "
         "spacing with the suffix vox; 0 for none.",
         entry=SettingEntry(RUN, viewer="first", unit="mm", metavar="MM|Nvox", fixed=True),
+    )
+    closing: Annotated[float, Field(ge=0)] | Annotated[str, Field(pattern=VOXELS)] = setting(
+        0.0,
+        "Radius of a ball that the image is closed by before the run, in mm, or in voxels of the smallest spacing with "
+        "the suffix vox: dark places narrower than twice that, as marrow in a bone, are filled up. 0 for none.",
+        entry=SettingEntry(RUN, unit="mm", metavar="MM|Nvox", fixed=True),
+    )
+    clip: Annotated[str | None, BeforeValidator(checked_bounds)] = setting(
+        None,
+        "LOW,HIGH in the image's unit, one of them may be left out: before the run, and before it is closed, values "
+        "beyond become these.",
+        entry=SettingEntry(RUN, metavar="LOW,HIGH", fixed=True),
     )
     size: Annotated[Annotated[str, Field(pattern=VOLUME)] | None, BeforeValidator(checked_volume)] = setting(
         None,

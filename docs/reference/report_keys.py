@@ -15,6 +15,7 @@ REPORT_KEYS = {
     "window": "the part of a large image that the run was made in: its first voxel and size, x first; else null",
     "resolved_settings": "what the run took for settings that image and grid decide",
     "resolved_settings.presmooth_mm": "sigma of the Gaussian that the image was smoothed with, mm",
+    "resolved_settings.closing_mm": "radius of the ball that the image was closed with, mm",
     "resolved_settings.scale": "for each channel, the values that became 0 and 1",
     "resolved_settings.step_voxels": "largest motion in a step, voxels",
     "resolved_settings.limiter_percentile": "percentile of the speeds that the time step follows",

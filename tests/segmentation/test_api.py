@@ -4,10 +4,12 @@ import pytest
 import accelsurf
 from accelsurf.analysis.metrics import dice
 from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.image_filters import ImageFilters
 from accelsurf.grid.volume import Volume
 from accelsurf.phantoms.recipes import distance_at, make, recipe_from
 from accelsurf.segmentation.api import evolve, segment
-from accelsurf.segmentation.preprocessing import apply, presmoothed, scale_of
+from accelsurf.segmentation.filters import filtered_volume
+from accelsurf.segmentation.preprocessing import apply, scale_of
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 
@@ -189,11 +191,11 @@ def test_presmoothing_is_in_mm_and_spares_the_missing_axis():
     image = np.zeros((1, 17, 17))
     image[0, 8, 8] = 1
     volume = Volume.from_array(image, (1.0, 0.5, 1.0))
-    smooth = presmoothed(volume, 1.0)
+    smooth = filtered_volume(volume, ImageFilters(sigma=1.0))
     # Two voxels along y are one along x: the same distance, the same value (but for the kernel's sampling).
     assert smooth[0, 10, 8] == pytest.approx(smooth[0, 8, 9], rel=0.02)
     assert smooth.sum() == pytest.approx(1, rel=1e-3)
-    np.testing.assert_array_equal(presmoothed(volume, 0.0), volume.array)
+    np.testing.assert_array_equal(filtered_volume(volume, ImageFilters(sigma=0.0)), volume.array)
 
 
 def test_scaled_puts_the_percentiles_at_0_and_1():
@@ -220,7 +222,7 @@ def test_the_report_has_what_the_run_took_from_image_and_grid():
     found = segment(image, start="ball:0,0,0,6", presmooth="1.5vox").report["resolved_settings"]
     assert found["presmooth_mm"] == 1.5  # of the smallest spacing
     (scale_,) = found["scale"]
-    smooth = presmoothed(image, 1.5)
+    smooth = filtered_volume(image, ImageFilters(sigma=1.5))
     assert (scale_["at_0"], scale_["at_1"]) == pytest.approx(tuple(np.percentile(smooth, [0.5, 99.5])), rel=1e-5)
     assert found["levels"] == 2 and found["diffusion"] == "free" and found["half_width_voxels"] == 3
     assert found["stop"] == {"voxels": 0.1, "steps": 6} and found["step_voxels"] == 0.5

@@ -5,13 +5,15 @@ import pytest
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import box_at
+from accelsurf.grid.image_filters import ImageFilters
 from accelsurf.grid.pyramid import levels, restrict
 from accelsurf.grid.volume import Volume
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.energy_assembly import make_energy
+from accelsurf.segmentation.filters import filtered_volume
 from accelsurf.segmentation.image_context import ImageContext
-from accelsurf.segmentation.preprocessing import apply, presmoothed, scale_of
+from accelsurf.segmentation.preprocessing import apply, scale_of
 from accelsurf.segmentation.whole_image import WholeImage
 from accelsurf.settings.run_config import RunConfig
 
@@ -72,11 +74,12 @@ def evolved(text, images, psi, scales, level, whole=(), background=None):
 def test_a_window_has_the_bytes_of_the_whole(text, level):
     volumes, psi = scans()
     box = box_at(CORNER, WINDOW)
-    smooth = [presmoothed(one, SIGMA) for one in volumes]
+    smooth = [filtered_volume(one, ImageFilters(sigma=SIGMA)) for one in volumes]
     scales = [scale_of(one) for one in smooth]
     images = [apply(*both) for both in zip(smooth, scales, strict=True)]
     want, terms, surface = evolved(text, images, psi, scales, level)
-    whole = [WholeImage(LazyVolume.of_array(one), SIGMA, slab_bytes=4 * 60 * 64 * 7) for one in volumes]
+    filters, slab = ImageFilters(sigma=SIGMA), 4 * 60 * 64 * 7
+    whole = [WholeImage(LazyVolume.of_array(one), filters, slab_bytes=slab) for one in volumes]
     windows = [apply(one.window(box), one.scale) for one in whole]
     got, own_terms, part = evolved(text, windows, psi[box].copy(), [one.scale for one in whole], level, whole)
     assert got == want and own_terms == terms

@@ -12,12 +12,14 @@ from accelsurf.energies.likelihood import least_variance
 from accelsurf.energies.region_sums import sums_by_plane
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import box_at, whole_box
+from accelsurf.grid.image_filters import ImageFilters
 from accelsurf.grid.pyramid import levels, restrict
 from accelsurf.grid.volume import Volume, check_image
 from accelsurf.initialization.region_growing import otsu_level
 from accelsurf.io.lazy_volume import LazyVolume
+from accelsurf.segmentation.filters import filtered_volume
 from accelsurf.segmentation.image_slabs import ImageSlabs
-from accelsurf.segmentation.preprocessing import apply, presmoothed, scale_of
+from accelsurf.segmentation.preprocessing import apply, scale_of
 from accelsurf.segmentation.whole_image import WholeImage
 
 SPACING = (2.5, 1.0, 0.8)
@@ -38,7 +40,7 @@ def volume(shape, dtype, seed=0):
 
 def in_parts(image, sigma, planes, **more):
     nz, ny, nx = image.geometry.shape
-    return WholeImage(LazyVolume.of_array(image), sigma, slab_bytes=4 * ny * nx * planes, **more)
+    return WholeImage(LazyVolume.of_array(image), ImageFilters(sigma=sigma), slab_bytes=4 * ny * nx * planes, **more)
 
 
 def same(got, want):
@@ -52,7 +54,7 @@ def same(got, want):
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 def test_numbers_have_the_bytes_of_the_image_in_memory(shape, dtype, sigma):
     image = volume(shape, dtype)
-    smoothed = presmoothed(image, sigma)
+    smoothed = filtered_volume(image, ImageFilters(sigma=sigma))
     scale = scale_of(smoothed)
     scaled = apply(smoothed.copy(), scale)
     for planes in SLABS:
@@ -73,7 +75,7 @@ def test_sums_on_levels_have_the_bytes_of_the_image_in_memory(shape, sigma):
     image = volume(shape, np.int16)
     grids = levels(shape, SPACING, min_voxels=2)
     assert len(grids) > 2
-    smooth = presmoothed(image, sigma)
+    smooth = filtered_volume(image, ImageFilters(sigma=sigma))
     arrays = [apply(smooth.copy(), scale_of(smooth))]
     for fine, coarse in zip(grids, grids[1:], strict=False):
         arrays.append(restrict(arrays[-1], fine, coarse))
@@ -84,7 +86,7 @@ def test_sums_on_levels_have_the_bytes_of_the_image_in_memory(shape, sigma):
             assert whole.moments(grids, level) == MomentTracker(arrays[level]).whole_image()
             same(whole.sums(grids, level, "h", parzen.histogram), sums_by_plane(arrays[level], parzen.histogram))
         for level, array in enumerate(arrays):
-            slabs = ImageSlabs(LazyVolume.of_array(image), sigma, 4 * shape[1] * shape[2] * planes)
+            slabs = ImageSlabs(LazyVolume.of_array(image), ImageFilters(sigma=sigma), 4 * shape[1] * shape[2] * planes)
             parts = slabs.on_levels(grids, partial(apply, scale=scale_of(smooth)))
             found = [slab for slab in parts if slab.level == level]
             assert [slab.first for slab in found] == list(np.cumsum([0, *(len(slab.values) for slab in found[:-1])]))
@@ -98,13 +100,13 @@ def test_a_window_is_a_box_of_the_smoothed_whole(corner, shape, sigma):
     box = box_at(corner, shape)
     got = in_parts(image, sigma, 3).window(box)
     assert got.flags.c_contiguous
-    same(got, presmoothed(image, sigma)[box])
+    same(got, filtered_volume(image, ImageFilters(sigma=sigma))[box])
 
 
 def test_what_is_found_changes_no_input_and_is_read_once():
     image = volume((16, 40, 34), np.float32)
     before, source = image.array.copy(), LazyVolume.of_array(image)
-    whole = WholeImage(source, 0.0, slab_bytes=4 * 40 * 34 * 5)
+    whole = WholeImage(source, slab_bytes=4 * 40 * 34 * 5)
     whole.window(whole_box(image.geometry.shape))[:] = 0
     size, grids = image.array.nbytes, levels(image.geometry.shape, SPACING)
     first = whole.scale, whole.found(noise_of), whole.moments(grids, 1), whole.found(np.percentile, 31.0)

@@ -55,7 +55,7 @@ def test_a_preset_replaces_the_values_of_another_but_not_those_that_were_set():
 
 
 def test_a_preset_that_is_none_is_one_clear_line():
-    with pytest.raises(UsageError, match="preset: ct-bones was given, expected ct-bone, ct-vessel"):
+    with pytest.raises(UsageError, match="preset: ct-bones was given, expected ct-bone, ct-skeleton"):
         RunConfig(preset="ct-bones")
     with pytest.raises(UsageError, match="preset"):
         RunConfig(preset=3)
@@ -98,7 +98,7 @@ def test_bone_between_soft_tissue_with_contrast_agent():
     bone = ((x + 6) ** 2 + y**2 < 4**2) & body
     vessel = ((x - 6) ** 2 + y**2 < 4**2) & body
     image = noisy(-1000.0 + 1050 * body + 650 * bone + 100 * vessel, 15)
-    assert dice(found("ct-bone", image), bone) > 0.9
+    assert dice(found("ct-skeleton", image), bone) > 0.9
 
 
 @pytest.mark.parametrize("lumen", [160, 400])
