@@ -79,6 +79,10 @@ def test_each_number_is_used_or_refused_by_name(key, value):
     [
         {"presmooth": 1e12},
         {"presmooth": "999999999vox"},
+        {"closing": 1e12},
+        {"clip": "5,5"},
+        {"clip": ","},
+        {"clip": "nan,"},
         {"energy": "geodesic:scale=1e12 + chan-vese"},
         {"energy": "chan-vese + 1e300*area"},
         {"energy": "threshold:1e300,"},

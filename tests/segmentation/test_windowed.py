@@ -67,6 +67,7 @@ def assert_same(whole, part):
     "options",
     [
         {"start": "ball:66,57,56,5", "presmooth": 1.0},
+        {"start": "ball:66,57,56,5", "presmooth": 0.7, "closing": 2.0, "clip": ",120"},
         {"start": "ball:66,57,47,5vox", "levels": 1},
         {"start": "box:64,54,44,74,64,54vox", "energy": "threshold:50,"},
         {"start": "ball:66,57,56,5", "energy": "threshold:learned,learned", "presmooth": 1.0},
