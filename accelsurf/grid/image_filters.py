@@ -1,4 +1,4 @@
-"""What is done to the values of an image before a run looks at them: clipped, closed, smoothed; whole or on a box of it."""
+"""What is done to the values of an image before a run looks at them: clipped, closed, smoothed; also box by box."""
 
 from __future__ import annotations
 

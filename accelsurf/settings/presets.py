@@ -59,8 +59,8 @@ PRESETS: Registry[Preset] = Registry(
             **_WHY_CLICKS,
             "closing": "6 mm: marrow and spongy bone up to 12 mm wide between two shells become as bright as these, so "
             "that shell and marrow are one tissue to the model of the clicks",
-            "clip": "250 HU: above it bone is bone, however dense. The surface lies half way to soft tissue, at about 150 HU, "
-            "where soft tissue with contrast agent ends",
+            "clip": "250 HU: above it bone is bone, however dense. The surface lies half way to soft tissue, at about "
+            "150 HU, where soft tissue with contrast agent ends",
         },
         {
             _ABDOMEN: "one click at the deepest point: humeri Dice 0.92 and 0.89, nine ribs 0.65 to 0.86; vertebrae, "
