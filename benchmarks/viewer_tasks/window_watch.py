@@ -113,9 +113,9 @@ class WindowWatch:
         return found
 
     def _judge(self, frame: Any) -> dict[str, Any]:
-        """Dice of each object, and the deepest place of what is missing or too much in any of them."""
+        """Dice of each object; in that with the least the deepest place of what is missing or too much."""
         geometry, shape = self._window.scene.geometry, self._window.scene.geometry.shape
-        dice, worst = [], {"depth": 0.0}
+        dice, worst = [], []
         for number, truth in enumerate(self._truth):
             labels = np.zeros(shape, bool)
             if number < len(frame.surfaces):
@@ -124,13 +124,14 @@ class WindowWatch:
                 index = np.rint(surface.to_image(places)).astype(int) if len(places) else places
                 labels[tuple(np.clip(index, 0, np.array(shape) - 1).T)] = True
             dice.append(round(float(2.0 * (labels & truth).sum() / max(labels.sum() + truth.sum(), 1)), 3))
+            worst.append({"depth": 0.0})
             for side, wrong in (("inside", truth & ~labels), ("outside", labels & ~truth)):
                 depth = ndimage.distance_transform_edt(np.pad(wrong, 1), sampling=geometry.spacing)[1:-1, 1:-1, 1:-1]
                 at = np.unravel_index(int(depth.argmax()), depth.shape)
-                if depth[at] > worst["depth"]:
+                if depth[at] > worst[-1]["depth"]:
                     world = geometry.index_to_world(np.array(at, float)).tolist()
-                    worst = {"depth": float(depth[at]), "side": side, "world": world, "object": number}
-        return {"dice": dice, "worst": worst, "mm3": float(frame.volume_mm3)}
+                    worst[-1] = {"depth": float(depth[at]), "side": side, "world": world, "object": number}
+        return {"dice": dice, "worst": worst[int(np.argmin(dice))], "mm3": float(frame.volume_mm3)}
 
 
 def main() -> int:

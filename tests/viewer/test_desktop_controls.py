@@ -13,7 +13,7 @@ __all__ = ["scan", "screen"]
 
 
 @pytest.fixture
-def person(screen, scan, tmp_path):  # noqa: F811
+def person(screen, scan, tmp_path):
     made = Person(screen, scan, tmp_path, start="ball:24,24,20,6")
     yield made
     made.end()
@@ -104,7 +104,7 @@ def test_zoom_pan_layouts_and_copied_places(person):
 
 
 @needs_screen
-def test_objects_are_merged_split_removed_and_undone_without_a_trace(screen, tmp_path):  # noqa: F811
+def test_objects_are_merged_split_removed_and_undone_without_a_trace(screen, tmp_path):
     z, y, x = np.indices((24, 40, 64))
     balls = (z - 12) ** 2 + (y - 20) ** 2 + np.minimum(abs(x - 16), abs(x - 48)) ** 2 < 10**2
     person, _ = at_left_ball(screen, tmp_path, 100.0 * balls + np.random.default_rng(0).normal(0, 6, balls.shape))
@@ -164,19 +164,3 @@ def settled(now):
     """The rows of the objects, once nothing is under way."""
     rows = now["state"]["object_rows"]
     return [] if now["playing"] or any(row["word"] != "converged" for row in rows) else rows
-
-
-@needs_screen
-def test_lines_are_deleted_and_diameters_drawn(person):
-    person.key("space")
-    person.until(lambda now: now["stop"] == "converged" and not now["playing"], 120)
-    x, y = person.now()["tiles"]["axial"]
-    person.key("d")
-    person.drag((x - 50, y), (x, y + 5), (x + 40, y))
-    person.until(lambda now: len(now["state"]["measurements"]) == 1)
-    pressed(person, "measure_title")
-    pressed(person, "measure_diameters")
-    person.until(lambda now: len(now["state"]["measurements"]) == 5)
-    pressed(person, "measure_clear")
-    person.until(lambda now: not now["state"]["measurements"])
-    person.leave()
