@@ -1,16 +1,17 @@
 """How soon the window draws what a hand does, and how soon the surface obeys, on a large volume.
 
-Usage: python -m benchmarks.viewer_strokes [--shape 256,256,256] [--display :N]
+Usage: python -m benchmarks.viewer_strokes [--shape NZ,NY,NX] [--ct] [--display :N]
 [-o benchmarks/results/viewer_strokes.json]
 
-A ball in noise is opened in the window, on the display given or a screen of its own (Xvfb). Events of the mouse are put
-into Qt's queue from another thread, as a hand does, at most 60 a second; each is timed from there until the picture
-that shows it is drawn, inside the window; beside it the time of the processor that the window's own thread took, which
-a busy machine changes little. What is timed: a placed ball; a stroke in a slice while the run plays and after its end;
-a stroke on the surface in 3D; the slider of the radius; slices by the wheel, and how many a second; grey values by a
-drag with the right button; a press in the object that is drawn to its size; from the release of a correcting stroke
-until the surface is drawn that obeys it. Software rendering competes with the solver for the same cores. Run it on a
-quiet machine.
+A ball in noise, 256^3 unless another shape is given, or with --ct in a body in air as 16 bit (the CT of the issue:
+--shape 300,512,512 --ct), is opened in the window, on the display given or a screen of its own (Xvfb). Events of the
+mouse are put into Qt's queue from another thread, as a hand does, at most 60 a second; each is timed from there until
+the picture that shows it is drawn, inside the window; beside it the time of the processor that the window's own thread
+took, which a busy machine changes little. What is timed: a placed ball; a stroke in a slice while the run plays and
+after its end; a stroke on the surface in 3D; the slider of the radius; slices by the wheel, and how many a second; grey
+values by a drag with the right button; a press in the object that is drawn to its size; from the release of a
+correcting stroke until the surface is drawn that obeys it. Software rendering competes with the solver for the same
+cores. Run it on a quiet machine.
 """
 
 from __future__ import annotations
@@ -46,12 +47,13 @@ CORRECTIONS = 4
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--shape", default="256,256,256")
+    options.add_argument("--ct", action="store_true")
     options.add_argument("--display", default="")
     options.add_argument("-o", "--output", type=Path, default=ROOT / "benchmarks/results/viewer_strokes.json")
     given = options.parse_args()
     shape = tuple(int(n) for n in given.shape.split(","))
     with tempfile.TemporaryDirectory() as folder:
-        source, start = phantom(shape, Path(folder))
+        source, start = phantom(shape, Path(folder), given.ct)
         if not (given.display or shutil.which("Xvfb")):
             sys.exit("Xvfb is needed, or --display of a screen")
         with contextlib.nullcontext(given.display) if given.display else own_screen(1600, 900) as display:
@@ -59,14 +61,14 @@ def main() -> None:
     known = json.loads(given.output.read_text()) if given.output.exists() else {}
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     report = {"cores": cores, "machine": platform.machine(), "load": round(os.getloadavg()[0], 2), **found}
-    known["x".join(map(str, shape))] = report
+    known["x".join(map(str, shape[::-1])) + (" ct" if given.ct else "")] = report
     given.output.parent.mkdir(parents=True, exist_ok=True)
     given.output.write_text(json.dumps(known, indent=2) + "\n")
     print(json.dumps(report, indent=2))
 
 
-def phantom(shape: Sequence[int], folder: Path) -> tuple[Path, dict[str, str]]:
-    """A bright ball in noise, and settings that find it by a click."""
+def phantom(shape: Sequence[int], folder: Path, is_ct: bool) -> tuple[Path, dict[str, str]]:
+    """A bright ball in noise, or in a body in air, and settings that find it by a click."""
     from accelsurf import io
     from accelsurf.grid.volume import Volume
 
@@ -77,6 +79,9 @@ def phantom(shape: Sequence[int], folder: Path) -> tuple[Path, dict[str, str]]:
     radius = RADIUS * min(shape)
     image = np.random.default_rng(0).normal(0, 12, shape).astype(np.float32)
     image += 100.0 * (z**2 + y**2 + x**2 < radius**2)
+    if is_ct:
+        body = (y / (0.36 * shape[1])) ** 2 + (x / (0.44 * shape[2])) ** 2 < 1.0
+        image = (image + np.where(body, 40.0, -1000.0)).astype(np.int16)
     path = folder / "scan.nii"
     io.write(Volume.from_array(image), path)
     middle = io.read(path).geometry.index_to_world([0.5 * n for n in shape])

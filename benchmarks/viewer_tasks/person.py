@@ -14,6 +14,10 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
+#: Above and below, pixels: what is clicked in the panels lies between, so that no bar covers it.
+MARGINS = (90, 120)
+#: How far a notch of the wheel moves the panels, pixels.
+NOTCH = 60
 
 
 class GaveUp(Exception):
@@ -30,7 +34,7 @@ class Person:
     folder : Path
         For what the watcher writes.
     words : sequence of str
-        Of the command ``accelsurf``.
+        Of the command ``accelsurf``; with no image in them the start page is what opens.
     truth : Path, optional
         What the person knows of the object; not shown to the window.
     label : str, optional
@@ -51,20 +55,50 @@ class Person:
         size: tuple[int, int] = (1280, 720), scale: float = 1.0,
     ) -> None:
         self.env = {**os.environ, "DISPLAY": display, "QT_QPA_PLATFORM": "xcb", "QT_SCALE_FACTOR": f"{scale:g}"}
+        self.env["XDG_STATE_HOME"] = str(folder.absolute())  # the list of recent images of who runs this stays as it is
         self._scale, self._file, self.actions = scale, folder / "window.json", 0
+        self._height = size[1] / scale
         self.began = time.monotonic()
         self._log = open(folder / "window.log", "w+")
         command = [sys.executable, "-m", "benchmarks.viewer_tasks.window_watch", str(self._file)]
         command += [str(truth or "-"), label, *words]
         self.process = subprocess.Popen(command, env=self.env, cwd=ROOT, stdout=self._log, stderr=self._log, text=True)
-        self.until(lambda now: now["drawn"] is not None, 300)
-        self._do("search", "--sync", "--onlyvisible", "--name", "accelsurf", "windowfocus", "--sync")
-        # What a window manager does, which this screen has not.
+        self.until(lambda now: now["drawn"] is not None or (now["is_start_page"] and now["widgets"]), 300)
+        self._focus("^accelsurf")
         sides = [str(side) for side in size]
         self._do("search", "--onlyvisible", "--name", "accelsurf", "windowsize", *sides, "windowmove", "0", "0")
         self.opened_s = time.monotonic() - self.began
 
     # -- hands --------------------------------------------------------------------------------------------
+
+    def open_file(self, path: Path) -> None:
+        """Open an image by the dialog, and wait until it is drawn."""
+        self.key("ctrl+o")
+        self._answer("^Open an image", path)
+        self.until(lambda now: now["drawn"] is not None, 300)
+        self.opened_s = time.monotonic() - self.began
+
+    def save_in(self, folder: Path) -> None:
+        """Save into a folder that exists: the dialog asks for it."""
+        self.key("ctrl+s")
+        self._answer("^Save labels", folder)
+        self.until(lambda now: "saved in" in now["message"] and not now["state"]["saving"], 120)
+
+    def _answer(self, title: str, path: Path) -> None:
+        """Type a path into the dialog that opens."""
+        self._focus(title)
+        time.sleep(0.5)
+        self.type(str(path))
+        self.key("Return")
+        time.sleep(0.3)
+        self._focus("^accelsurf")
+
+    def fill(self, name: str, text: str) -> None:
+        """Click on a line of the panels, replace what is in it, press Return."""
+        self.click_widget(name)
+        self.key("ctrl+a")
+        self.type(text)
+        self.key("Return")
 
     def key(self, *names: str) -> None:
         """Press keys, one after the other."""
@@ -83,8 +117,36 @@ class Person:
         self._do("mousemove", x, y, "sleep", "0.05", "click", str(button))
 
     def click_widget(self, name: str) -> None:
-        """Click on what is called so."""
-        self.click(self.now()["widgets"][name])
+        """Click on what is called so; the panels are scrolled by the wheel until it is in sight."""
+        place = self._at_rest(name)
+        low, high = MARGINS[0], self._height - MARGINS[1]
+        if place[0] > self.now()["widgets"]["panels"][0] - 150:
+            turns = 0
+            while not low < place[1] < high and turns < 8:
+                panels = self.now()["widgets"]["panels"]
+                # The wheel over the panels scrolls them and changes no list and no number in them.
+                beyond = place[1] - high if place[1] >= high else low - place[1]
+                self.turn_wheel(panels, 5 if place[1] >= high else 4, 1 + int(beyond // NOTCH))
+                place, turns = self._at_rest(name), turns + 1
+        self.click(place)
+
+    def turn_wheel(self, place: Sequence[float], button: int, notches: int) -> None:
+        """Turn the wheel: up is 4, down 5."""
+        self.actions += 1
+        x, y = self._pixel(place)
+        self._do("mousemove", x, y, "sleep", "0.05", "click", "--repeat", str(notches), "--delay", "20", str(button))
+
+    def _at_rest(self, name: str) -> Any:
+        """Where something is, once the panels do not move any more."""
+        before = None
+        while (place := self.until(lambda now: name in now["widgets"], 20)["widgets"][name]) != before:
+            before = place
+            time.sleep(0.2)
+        return place
+
+    def _focus(self, title: str) -> None:
+        # What a window manager does, which this screen has not.
+        self._do("search", "--sync", "--onlyvisible", "--name", title, "windowfocus", "--sync")
 
     def drag(self, places: Sequence[Sequence[float]], button: int = 1, stop: Callable[[], bool] | None = None) -> None:
         """Press at the first place, move over the others until ``stop`` says so, let go."""

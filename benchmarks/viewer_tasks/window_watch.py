@@ -1,4 +1,5 @@
-"""Opens the window by the command ``accelsurf view``, and writes to a file, every 40 ms, what a person would see.
+"""Opens the window by the command ``accelsurf view``, and writes to a file, every 40 ms, what a person would see: the
+start page, or the image that is open.
 
 Usage: python -m benchmarks.viewer_tasks.window_watch STATE_FILE TRUTH|- IDS WORDS OF ACCELSURF ...
 
@@ -18,11 +19,11 @@ from typing import Any
 
 import numpy as np
 from PySide6.QtCore import QPoint, QTimer
-from PySide6.QtWidgets import QWidget
+from PySide6.QtWidgets import QLabel, QWidget
 from scipy import ndimage
 
 from accelsurf import cli, io
-from accelsurf.viewer.frontends import desktop
+from accelsurf.viewer.frontends.main_window import MainWindow
 
 INTERVAL_MS = 40
 
@@ -30,35 +31,47 @@ INTERVAL_MS = 40
 class WindowWatch:
     """Says where the parts of a window are, what it shows, and where its surface is wrong."""
 
-    def __init__(self, window: Any, state_file: Path, truth: list[Any]) -> None:
-        self._window, self._file, self._truth = window, state_file, truth
+    def __init__(self, main: Any, state_file: Path, truth: list[Any]) -> None:
+        self._main, self._file, self._truth = main, state_file, truth
         self._wanted = state_file.with_suffix(".judge")
         self._verdict: dict[str, Any] = {}
         self._frames: list[float] = []
-        self._timer = QTimer(window, interval=INTERVAL_MS)
+        self._timer = QTimer(main, interval=INTERVAL_MS)
         self._timer.timeout.connect(self.write)
         self._timer.start()
 
+    @property
+    def _window(self) -> Any:
+        """What shows the image that is open; None at the start page."""
+        return self._main.inner
+
     def write(self) -> None:
         """Write the state, all or nothing."""
+        said = {"time": time.time(), "title": self._main.windowTitle(), "widgets": self._widgets(), "drawn": None}
+        said["is_start_page"] = self._window is None
+        if self._window is not None:
+            said |= self._of_image()
+        draft = self._file.with_suffix(".draft")
+        draft.write_text(json.dumps(said, default=str))
+        os.replace(draft, self._file)
+
+    def _of_image(self) -> dict[str, Any]:
+        """What is said of the image that is open."""
         window = self._window
         status, frame = window.session.status, window.scene.frame
         if self._wanted.exists() and frame is not None:
             self._verdict = {**self._judge(frame), "number": self._verdict.get("number", 0) + 1}
             self._wanted.unlink()
-        said = {
-            "time": time.time(), "state": window.workplace.state(), "tiles": self._tiles(), "widgets": self._widgets(),
+        return {
+            "state": window.workplace.state(), "tiles": self._tiles(),
             "step": status.step, "playing": status.playing, "message": window.message.text(),
-            "title": window.window().windowTitle(), "stop": status.stop and status.stop.reason,
+            "stop": status.stop and status.stop.reason,
             "drawn": None if frame is None else [frame.step, frame.volume_mm3],
             "undoable": status.undoable, "refinements": len(status.refinements), "edits": len(status.edits),
             "settings": status.settings.model_dump(mode="json"),
             "titles": {name: tile.title.text for name, tile in window.scene.slice_tiles.items()},
             "verdict": self._verdict,
         }
-        draft = self._file.with_suffix(".draft")
-        draft.write_text(json.dumps(said, default=str))
-        os.replace(draft, self._file)
 
     def _tiles(self) -> dict[str, Any]:
         """Of each tile its middle on the screen, and the pixel of a world point as ``origin + matrix @ world``."""
@@ -88,20 +101,21 @@ class WindowWatch:
         return found
 
     def _widgets(self) -> dict[str, Any]:
-        """Middle on the screen of what has a name, a text or a tool tip and is in sight."""
-        found = {}
-        for widget in self._window.findChildren(QWidget):
+        """Middle on the screen of what has a name or a text and is not hidden; a line comes before its label."""
+        found: dict[str, Any] = {}
+        for widget in sorted(self._main.findChildren(QWidget), key=lambda widget: not isinstance(widget, QLabel)):
             text = getattr(widget, "text", None)
-            name = widget.objectName() or (text() if callable(text) else "") or widget.accessibleName()
-            if name and isinstance(name, str) and len(name) < 60 and widget.isVisible():
-                place = widget.mapToGlobal(QPoint(widget.width() // 2, widget.height() // 2))
-                found[name] = [place.x(), place.y()]
+            said = text() if callable(text) else ""
+            place = widget.mapToGlobal(QPoint(widget.width() // 2, widget.height() // 2))
+            for name in (widget.objectName(), said, widget.accessibleName()):
+                if name and isinstance(name, str) and len(name) < 60 and widget.isVisible():
+                    found[name] = [place.x(), place.y()]
         return found
 
     def _judge(self, frame: Any) -> dict[str, Any]:
-        """Dice of each object, and the deepest place of what is missing or too much in any of them."""
+        """Dice of each object; in that with the least the deepest place of what is missing or too much."""
         geometry, shape = self._window.scene.geometry, self._window.scene.geometry.shape
-        dice, worst = [], {"depth": 0.0}
+        dice, worst = [], []
         for number, truth in enumerate(self._truth):
             labels = np.zeros(shape, bool)
             if number < len(frame.surfaces):
@@ -110,13 +124,14 @@ class WindowWatch:
                 index = np.rint(surface.to_image(places)).astype(int) if len(places) else places
                 labels[tuple(np.clip(index, 0, np.array(shape) - 1).T)] = True
             dice.append(round(float(2.0 * (labels & truth).sum() / max(labels.sum() + truth.sum(), 1)), 3))
+            worst.append({"depth": 0.0})
             for side, wrong in (("inside", truth & ~labels), ("outside", labels & ~truth)):
                 depth = ndimage.distance_transform_edt(np.pad(wrong, 1), sampling=geometry.spacing)[1:-1, 1:-1, 1:-1]
                 at = np.unravel_index(int(depth.argmax()), depth.shape)
-                if depth[at] > worst["depth"]:
+                if depth[at] > worst[-1]["depth"]:
                     world = geometry.index_to_world(np.array(at, float)).tolist()
-                    worst = {"depth": float(depth[at]), "side": side, "world": world, "object": number}
-        return {"dice": dice, "worst": worst, "mm3": float(frame.volume_mm3)}
+                    worst[-1] = {"depth": float(depth[at]), "side": side, "world": world, "object": number}
+        return {"dice": dice, "worst": worst[int(np.argmin(dice))], "mm3": float(frame.volume_mm3)}
 
 
 def main() -> int:
@@ -126,13 +141,13 @@ def main() -> int:
     if truth_file != "-":
         known = io.read_labels(Path(truth_file)).array
         truth = [np.isin(known, [int(one) for one in ids.split(",")]) for ids in label.split(";")]
-    original = desktop.Window.__init__
+    original = MainWindow.__init__
 
     def watched(window: Any, *values: Any, **options: Any) -> None:
         original(window, *values, **options)
         window.watch = WindowWatch(window, Path(state_file), truth)
 
-    desktop.Window.__init__ = watched  # type: ignore[method-assign]
+    MainWindow.__init__ = watched  # type: ignore[method-assign]
     return cli.execute(words)
 
 

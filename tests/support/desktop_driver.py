@@ -61,7 +61,7 @@ def places(window: Window) -> dict[str, Any]:
     """Where buttons, sliders and tiles are on the screen, pixels."""
     side, canvas, bar = window.side, window.canvas, window.bar
     tools, settings = side.panels["ToolsPanel"], side.panels["SettingsPanel"]
-    measure = side.panels["MeasurePanel"]
+    measure, objects, slices = side.panels["MeasurePanel"], side.panels["ObjectsPanel"], side.panels["SlicesPanel"]
     corner = canvas.mapToGlobal(QPoint(0, 0))
     tiles = {}
     for name, tile in {"space": window.scene.space, **window.scene.slice_tiles}.items():
@@ -76,10 +76,13 @@ def places(window: Window) -> dict[str, Any]:
         | {"undo": middle(side.changes.undo), "save": middle(side.changes.save), "timeline": ends(bar.timeline)}
         | {name: middle(button) for name, button in tools.tools.items()}
         | {f"measure_{name}": middle(getattr(measure, name)) for name in ("title", "measure", "diameters", "copy")}
+        | {"measure_clear": middle(measure.clear), "opacity": ends(objects.opacity)}
+        | {f"object_{name}": middle(getattr(objects, name)) for name in ("add", "merge", "remove", "nearest")}
+        | {"grey values": middle(slices.window_word), "layout": middle(slices.layout_), "level": middle(slices.level)}
         | {f"change {row}": row_of(side.panels["HistoryPanel"].list, row) for row in range(3)}
         | {"next doubt": middle(side.panels["HistoryPanel"].next)}
-        | {f"object {row}": cell_of(side.panels["ObjectsPanel"].table, row, 2) for row in range(3)}
-        | {f"seen {row}": cell_of(side.panels["ObjectsPanel"].table, row, 0) for row in range(3)}
+        | {f"object {row}": cell_of(objects.table, row, 2) for row in range(3)}
+        | {f"seen {row}": cell_of(objects.table, row, 0) for row in range(3)}
         | {name: ends(row.amount.slider) for name, row in settings.rows.items() if isinstance(row, SliderRow)},
         "tiles": tiles,
         "rows": {key: [row.label.text(), middle(line_of(row))] for key, row in settings.rows.items()},

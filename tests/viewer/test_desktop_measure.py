@@ -57,6 +57,11 @@ def test_a_length_an_angle_the_table_and_the_clipboard(open_window):
     press(person, "measure_copy")
     now = person.until(lambda now: "diameter_across_mm" in now["clipboard"])
     assert now["clipboard"].split("\t")[:2] == ["id", "name"] and "angle\t90" in now["clipboard"]
+    press(person, "measure_diameters")
+    now = person.until(lambda now: len(now["state"]["measurements"]) == 6)
+    assert length(now) > 15
+    press(person, "measure_clear")
+    person.until(lambda now: not now["state"]["measurements"])
     person.leave()
 
 

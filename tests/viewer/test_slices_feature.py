@@ -148,6 +148,26 @@ def test_the_wheel_goes_through_slices_and_zooms_with_ctrl_around_the_mouse(fres
     assert tile.mm_per_pixel() == pytest.approx(fresh.scene.slice_tiles["axial"].mm_per_pixel(), rel=0.5)
 
 
+def test_slices_are_as_large_as_the_window_allows_until_a_layout_is_chosen(fresh):
+    def shown():
+        tiles = fresh.scene.tiles
+        width = tiles.renderer("axial").GetViewport()[2] - tiles.renderer("axial").GetViewport()[0]
+        return tiles.layout, tiles.shows_chart, width
+
+    new = Workplace(fresh.session, fresh.scene)
+    new.request("size", 960, 640)
+    assert shown() == ("four", False, 0.5)
+    new.request("size", 1600, 1200)
+    assert shown() == ("one", True, 0.25)
+    # What counts are pixels of a usual screen: this picture has as many of the device as the one before.
+    new.request("size", 800, 600, 2.0)
+    assert shown()[:2] == ("four", False)
+    new.request("chart", True)
+    new.request("size", 1600, 1200)
+    assert shown()[:2] == ("four", True)
+    new.request("size", 640, 360)
+
+
 def test_a_double_click_shows_a_tile_alone_and_again_all(fresh):
     fresh.request("layout", "four")
     x, y = middle(fresh, "sagittal")

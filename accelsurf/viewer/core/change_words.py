@@ -15,8 +15,14 @@ def in_words(settings: Mapping[str, Any]) -> str:
     --------
     >>> in_words({"smoothness": 0.5, "flow": "gradient"})
     'smoothness 0.5, flow gradient'
+    >>> in_words({"mesh": ("stl", "vtp"), "also": ()})
+    'mesh stl,vtp, also none'
     """
-    return ", ".join(f"{key} {value}" for key, value in settings.items())
+    return ", ".join(f"{key} {_word(value)}" for key, value in settings.items())
+
+
+def _word(value: Any) -> Any:
+    return (",".join(map(str, value)) or "none") if isinstance(value, tuple | list) else value
 
 
 def clicks_in_words(side: Side, where: Sequence[str], object_id: int | None = None) -> str:

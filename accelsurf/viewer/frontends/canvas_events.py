@@ -9,6 +9,7 @@ from PySide6.QtGui import QEventPoint, QInputDevice, QMouseEvent, QNativeGesture
 from pyvistaqt import QtInteractor
 
 from accelsurf.viewer.workplace.mouse import LEFT, MIDDLE, RIGHT, MouseFeature
+from accelsurf.viewer.workplace.slices import SlicesFeature
 from accelsurf.viewer.workplace.wheel import ZOOM
 from accelsurf.viewer.workplace.workplace import Workplace
 
@@ -46,6 +47,7 @@ class CanvasEvents(QObject):
             return True
         if event.type() in _FITS:
             self._workplace.scene.tiles.pixel_ratio = self._canvas.devicePixelRatioF()
+            self._workplace.feature(SlicesFeature).fit_layout(self._canvas.width(), self._canvas.height())
         if isinstance(event, QWheelEvent):
             zoom = bool(event.modifiers() & Qt.KeyboardModifier.ControlModifier)
             turned = event.angleDelta().y()

@@ -17,7 +17,6 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QMainWindow,
-    QSizePolicy,
     QVBoxLayout,
     QWidget,
 )
@@ -30,6 +29,7 @@ from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.appearance import page_of_help, palette, sheet
 from accelsurf.viewer.frontends.canvas_events import CanvasEvents
 from accelsurf.viewer.frontends.frame_bar import FrameBar
+from accelsurf.viewer.frontends.one_line import OneLine
 from accelsurf.viewer.frontends.panels.side import SidePanels
 from accelsurf.viewer.frontends.playback_bar import PlaybackBar
 from accelsurf.viewer.scene.scene import SIZE, Scene
@@ -126,9 +126,9 @@ class Window(QMainWindow):
         rows.addWidget(self.bar)
         last = QHBoxLayout()
         last.setContentsMargins(10, 0, 10, 5)
-        self.message, self.read_out = QLabel(""), QLabel("")
+        last.setSpacing(24)
+        self.message, self.read_out = OneLine(""), QLabel("")
         self.message.setObjectName("message")
-        self.message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self.read_out.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.read_out.setToolTip("Place (x, y, z), voxel (i, j, k), value and label under the mouse")
         last.addWidget(self.message, 1)
@@ -230,7 +230,6 @@ class Window(QMainWindow):
         self.setWindowTitle(f"accelsurf - {self.session.name} - step {state['step']} - {state['state_word']}")
         text = f"Error: {state['message']}" if state["failed"] else state["message"]
         self.message.setText(text)
-        self.message.setToolTip(text if len(text) > 120 else "")
         self.message.setProperty("failed", state["failed"])
         self.message.style().polish(self.message)
 

@@ -20,6 +20,9 @@ STRIP = 0.2
 #: Part of the width that the large tile takes beside others.
 LARGE = 0.6
 
+#: A slice beside the large tile is readable in a tile of this many pixels of a usual screen along its shorter side.
+READABLE = 300
+
 #: Left, bottom, right, top in the picture, each from 0 to 1.
 Viewport = tuple[float, float, float, float]
 
@@ -71,6 +74,22 @@ def viewports(layout: str, tiles: tuple[str, ...], large: str, chart: bool) -> d
                 (0.0, middle, 0.5, 1.0), (0.5, middle, 1.0, 1.0), (0.0, floor, 0.5, middle), (0.5, floor, 1.0, middle)
             ]
             return dict(zip(tiles, places, strict=False)) | strip
+
+
+def fitting(width: float, height: float) -> tuple[str, bool]:
+    """Return the layout that a picture begins with, and whether with the chart: four alike where it is small.
+
+    Parameters
+    ----------
+    width, height : float
+        Pixels of a usual screen.
+
+    Examples
+    --------
+    >>> fitting(1602, 980), fitting(962, 640)
+    (('one', True), ('four', False))
+    """
+    return ("one", True) if min(0.25 * width, 0.5 * height) >= READABLE else ("four", False)
 
 
 def _one(tiles: tuple[str, ...], large: str, chart: bool) -> dict[str, Viewport]:

@@ -11,6 +11,7 @@ from accelsurf.viewer.scene.colors import THEMES
 from accelsurf.viewer.scene.space import VIEWS
 from accelsurf.viewer.workplace.checks import number, word
 from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.workplace.slices import SlicesFeature
 
 #: Smallest and largest size of a picture, pixels.
 MIN_SIZE, MAX_SIZE = (320, 200), (3840, 2400)
@@ -88,6 +89,7 @@ class PictureFeature(Feature):
             return
         self._sides, self._ratio = (wide, high), ratio
         self.draw_fine(True)
+        self.workplace.feature(SlicesFeature).fit_layout(wide, high)
         self.workplace.changed = True
 
     def draw_fine(self, on: bool) -> None:

@@ -14,7 +14,7 @@ from accelsurf.grid.grey_window import AUTO, CT_WINDOWS, GreyWindow, parse_windo
 from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import SurfaceFrame
 from accelsurf.viewer.core.status import Status
-from accelsurf.viewer.scene.layouts import LAYOUTS
+from accelsurf.viewer.scene.layouts import LAYOUTS, fitting
 from accelsurf.viewer.scene.picking import Picked
 from accelsurf.viewer.workplace.checks import number, text, whole, word
 from accelsurf.viewer.workplace.feature import Feature, Key
@@ -40,6 +40,8 @@ class SlicesFeature(Feature):
         super().__init__(workplace)
         self._picked: Picked | None = None
         self._before = "one"
+        #: Whether the person has said how the tiles lie; until then it follows from the room that there is.
+        self._is_chosen = False
         self._word = IMAGE
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
@@ -158,7 +160,18 @@ class SlicesFeature(Feature):
 
     # -- layout -------------------------------------------------------------------------------------------
 
+    def fit_layout(self, width: float, height: float) -> None:
+        """Choose a layout in which slices can be read in so many pixels of a usual screen, if nobody has chosen one."""
+        tiles = self.workplace.scene.tiles
+        layout, chart = fitting(width, height)
+        if self._is_chosen or len(tiles.names) == 1 or (layout, chart) == (tiles.layout, tiles.shows_chart):
+            return
+        tiles.lay_out(layout, chart=chart)
+        self._before = layout
+        self.workplace.changed = True
+
     def _layout(self, name: Any) -> None:
+        self._is_chosen = True
         self.workplace.scene.tiles.lay_out(word(name, LAYOUTS))
         self.workplace.changed = True
 
@@ -167,7 +180,7 @@ class SlicesFeature(Feature):
 
     def enlarge(self, tile: str) -> None:
         """Show a tile alone; asked for again, all as before."""
-        tiles = self.workplace.scene.tiles
+        tiles, self._is_chosen = self.workplace.scene.tiles, True
         if tiles.layout == "single" and tiles.large == tile:
             tiles.lay_out(self._before)
         else:
@@ -182,6 +195,7 @@ class SlicesFeature(Feature):
         self.enlarge(under if under in tiles.names else tiles.large)
 
     def _chart(self, on: Any) -> None:
+        self._is_chosen = True
         self.workplace.scene.tiles.lay_out(chart=bool(on))
         self.workplace.changed = True
 

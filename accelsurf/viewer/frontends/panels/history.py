@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from PySide6.QtCore import QSignalBlocker
+from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtGui import QPalette
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QVBoxLayout
 
@@ -25,6 +25,8 @@ class HistoryPanel(Section):
         self.list.setAccessibleName("changes")
         self.list.setToolTip("A click goes back, or forward again, to what was in force after that change")
         self.list.setFixedHeight(LINES * self.list.fontMetrics().lineSpacing() + 14)
+        # A long line ends in an ellipsis, with all of it in its tip: a bar below would cover one of the few lines.
+        self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.list.itemClicked.connect(lambda item: self.ask("change", self.list.row(item)))
         self.next = button("Where to click next", "Go to the most doubtful place; again: the next one (N)")
         self.next.clicked.connect(lambda: self.ask("next_doubt"))

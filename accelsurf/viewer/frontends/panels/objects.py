@@ -20,10 +20,11 @@ from PySide6.QtWidgets import (
 )
 
 from accelsurf.viewer.frontends.panels.section import Section, button
+from accelsurf.viewer.frontends.panels.wheel import WheelGuard
 from accelsurf.viewer.workplace.objects import NEAREST
 from accelsurf.viewer.workplace.workplace import Workplace
 
-COLUMNS = ("", "Colour", "Name", "ml", "State")
+COLUMNS = ("", "", "Name", "ml", "State")
 _SEEN, _COLOR, _NAME, _ML, _WORD = range(5)
 #: Rows that are in sight at once.
 ROWS = 4
@@ -43,7 +44,7 @@ class ObjectsPanel(Section):
         table.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         table.setFixedHeight((ROWS + 1) * (table.fontMetrics().lineSpacing() + 9))
         header = table.horizontalHeader()
-        for column, width in {_SEEN: 24, _COLOR: 46, _ML: 56, _WORD: 72}.items():
+        for column, width in {_SEEN: 24, _COLOR: 24, _ML: 62, _WORD: 86}.items():
             header.setSectionResizeMode(column, QHeaderView.ResizeMode.Fixed)
             table.setColumnWidth(column, width)
         header.setSectionResizeMode(_NAME, QHeaderView.ResizeMode.Stretch)
@@ -64,6 +65,7 @@ class ObjectsPanel(Section):
         self.opacity = QSlider(Qt.Orientation.Horizontal)
         self.opacity.setAccessibleName("opacity")
         self.opacity.setRange(0, 100)
+        WheelGuard(self.opacity)
         self.opacity.valueChanged.connect(self._set_opacity)
         grid = QGridLayout(self.body)
         grid.setContentsMargins(8, 2, 8, 6)
@@ -91,7 +93,8 @@ class ObjectsPanel(Section):
             self.table.setRowCount(len(rows))
             for place, row in enumerate(rows):
                 self._fill(place, row)
-            self._choose({active} if moved else set(selected))
+            # With Ctrl several are chosen, of which the last one is active.
+            self._choose({active} if moved and active not in selected else set(selected))
         shown = next((row for row in rows if row["id"] == active), rows[0])
         with QSignalBlocker(self.opacity):
             self.opacity.setValue(round(100 * shown["opacity"]))
@@ -112,6 +115,7 @@ class ObjectsPanel(Section):
                 flags |= Qt.ItemFlag.ItemIsUserCheckable
             if column == _COLOR:
                 item.setBackground(QColor(row["color"]))
+                item.setToolTip("Double click: another colour")
             if column == _NAME:
                 flags |= Qt.ItemFlag.ItemIsEditable
                 font = item.font()

@@ -14,6 +14,7 @@ from accelsurf.viewer.workplace.settings_rows import Row
 
 #: What a list shows for the empty word; and behind the name of a setting whose change begins another run.
 NOTHING, RESTARTS = "none", "\N{ANTICLOCKWISE OPEN CIRCLE ARROW}"
+STICKS = "\N{NO-BREAK SPACE}"
 
 
 class SettingRow(QWidget):
@@ -172,7 +173,8 @@ def row_widget(row: Row) -> SettingRow:
 def titled(row: Row) -> str:
     """The name of a row, with its unit and the mark of what begins another run."""
     unit = f" ({row['unit']})" if row["unit"] else ""
-    return f"{row['label']}{unit}{f' {RESTARTS}' if row['restarts'] else ''}"
+    # The mark never stands alone in a second line.
+    return f"{row['label']}{unit}{f'{STICKS}{RESTARTS}' if row['restarts'] else ''}"
 
 
 def show_names(made: QComboBox, names: Sequence[dict[str, str]], value: Any) -> None:

@@ -9,6 +9,7 @@ from PySide6.QtCore import QSignalBlocker
 from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QLabel
 
 from accelsurf.viewer.frontends.panels.section import Section, button, choice, show_choice, show_switch, switch
+from accelsurf.viewer.frontends.panels.wheel import WheelGuard
 from accelsurf.viewer.workplace.slices import MAX_GREY
 from accelsurf.viewer.workplace.workplace import Workplace
 
@@ -70,6 +71,7 @@ class SlicesPanel(Section):
 
 def _number(low: float) -> QDoubleSpinBox:
     box = QDoubleSpinBox()
+    WheelGuard(box)
     box.setRange(low, MAX_GREY)
     box.setKeyboardTracking(False)
     box.setMinimumWidth(70)

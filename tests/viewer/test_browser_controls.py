@@ -1,0 +1,113 @@
+"""Slices and objects in the page, by the mouse and the controls of a real browser."""
+
+import pytest
+
+from tests.support import viewing
+from tests.viewer.test_browser import Served, driven, state, until
+
+pytest.importorskip("trame", reason='trame is missing: pip install "accelsurf[viewer]"')
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module", autouse=True)
+def graphics():
+    viewing.needs_graphics()
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    server = Served(tmp_path_factory.mktemp("served"))
+    yield server
+    assert server.close() == 0, server.log_text()
+
+
+@pytest.fixture
+def browser(served, tmp_path):
+    with driven(tmp_path) as made:
+        made.get(served.address)
+        wide = "return (document.getElementById('picture') || {naturalWidth: 0}).naturalWidth > 400"
+        until(lambda: made.execute_script(wide))
+        until(lambda: made.find_element("id", "state").text == "paused")
+        yield made
+
+
+class Hand:
+    """A mouse over the picture; places are pixels from its middle."""
+
+    def __init__(self, browser):
+        self.browser, self.picture = browser, browser.find_element("id", "picture")
+
+    def drag(self, start, way, button):
+        from selenium.webdriver.common.actions.action_builder import ActionBuilder
+
+        made = ActionBuilder(self.browser)
+        mouse = made.pointer_action
+        mouse.move_to(self.picture, *start).pointer_down(button=button).pause(0.2)
+        mouse.move_to(self.picture, start[0] + way[0] // 2, start[1] + way[1] // 2).pause(0.2)
+        mouse.move_to(self.picture, start[0] + way[0], start[1] + way[1]).pause(0.2).pointer_up(button=button)
+        made.perform()
+
+    def at(self, place):
+        """What is read out at a place: x, y, z in mm."""
+        from selenium.webdriver import ActionChains
+
+        chain = ActionChains(self.browser).move_to_element_with_offset(self.picture, place[0] + 5, place[1])
+        chain.pause(0.3).move_to_element_with_offset(self.picture, *place).pause(0.5).perform()
+        words = self.browser.find_element("css selector", "#read-out span").text
+        return [float(word) for word in words.removesuffix(" mm").split(",")]
+
+
+def test_grey_values_zoom_pan_and_layouts_in_the_page(served, browser):
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
+    from selenium.webdriver.common.keys import Keys
+
+    said, hand = state(served), Hand(browser)
+    assert (said["layout"], said["chart"]) == ("four", False)
+    width, height = hand.picture.size["width"], hand.picture.size["height"]
+    axial = -width // 4, -height // 4
+    hand.drag(axial, (60, -30), 2)
+    until(lambda: (now := state(served))["width"] > 1.05 * said["width"] and now["level"] > said["level"])
+    browser.find_element("css selector", "#window option[value=bone]").click()
+    until(lambda: (state(served)["level"], state(served)["width"]) == (500, 2000))
+    # Zoom with Ctrl and the wheel, around the mouse; the middle button moves what is under it.
+    beside = axial[0] + 40, axial[1]
+    middle, before = hand.at(axial), hand.at(beside)
+    origin = ScrollOrigin.from_element(hand.picture, *axial)
+    ActionChains(browser).key_down(Keys.CONTROL).scroll_from_origin(origin, 0, -240).key_up(Keys.CONTROL).perform()
+    until(lambda: abs(hand.at(beside)[0] - middle[0]) < 0.9 * abs(before[0] - middle[0]))
+    assert hand.at(axial) == pytest.approx(middle, abs=0.2)
+    hand.drag(axial, (40, 0), 1)
+    until(lambda: hand.at(beside) == pytest.approx(middle, abs=0.3))
+    browser.find_element("id", "whole").click()
+    until(lambda: hand.at(beside) == pytest.approx(before, abs=0.2))
+    ActionChains(browser).move_to_element_with_offset(hand.picture, *axial).double_click().perform()
+    until(lambda: (state(served)["layout"], state(served)["large"]) == ("single", "axial"))
+    ActionChains(browser).double_click().perform()
+    until(lambda: state(served)["layout"] == "four")
+    browser.find_element("css selector", "#layout option[value=slices]").click()
+    until(lambda: state(served)["layout"] == "slices")
+    browser.find_element("id", "chart").click()
+    until(lambda: state(served)["chart"])
+
+
+def test_the_list_of_objects_in_the_page(served, browser):
+    from selenium.webdriver.common.keys import Keys
+
+    def first():
+        return state(served)["object_rows"][0]
+
+    browser.find_element("css selector", "#object-1 button.name").click()
+    name = until(lambda: browser.find_elements("css selector", "#panel-objects input.text"))[0]
+    name.send_keys(Keys.CONTROL, "a")
+    name.send_keys("cyst", Keys.TAB)
+    until(lambda: first()["name"] == "cyst")
+    browser.find_element("css selector", "#object-1 input[type=checkbox]").click()
+    until(lambda: not first()["visible"])
+    slider = browser.find_element("css selector", "#panel-objects input[type=range]")
+    slider.send_keys(Keys.ARROW_LEFT, Keys.ARROW_LEFT)
+    until(lambda: first()["opacity"] == pytest.approx(0.9))
+    browser.find_element("id", "object-add").click()
+    until(lambda: len(state(served)["object_rows"]) == 2 and state(served)["tool"] == "size")
+    browser.find_element("id", "object-remove").click()
+    until(lambda: len(state(served)["object_rows"]) == 1)
