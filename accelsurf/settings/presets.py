@@ -99,7 +99,7 @@ PRESETS: Registry[Preset] = Registry(
         },
         {
             _ABDOMEN: "aorta Dice 0.83: the lumen; the reference has wall and plaque. The vena cava, as bright as the "
-            "organs around it, fails (0.03 after any number of clicks); without a preset 0.58, and 0.84 after two clicks. "
+            "organs around it, fails (0.03 after any number of clicks); without a preset 0.58, and 0.84 after two. "
             "Otherwise phantoms",
         },
     ),
@@ -109,8 +109,8 @@ PRESETS: Registry[Preset] = Registry(
         _BY_CLICKS,
         _WHY_CLICKS,
         {
-            _TUNING: "one click: spleen Dice 0.86; the stomach, which is not uniform, fails (0.54); three clicks: 0.90, 0.83. 1 of "
-            "2 failed",
+            _TUNING: "one click: spleen Dice 0.86; the stomach, which is not uniform, fails (0.54); three "
+            "clicks: 0.90, 0.83. 1 of 2 failed",
         },
     ),
     Preset(
@@ -142,8 +142,8 @@ PRESETS: Registry[Preset] = Registry(
             "smoothness": "0.2 mm: keeps tubes down to a radius of a voxel",
         },
         {
-            "branching vessel in noise (phantom, three seeds)": "1 click: Dice 0.83, 0.34, 0.46, 2 of 3 failed: branches "
-            "are missing; 3 clicks: 0.84, 0.78, 0.64. No scan yet",
+            "branching vessel in noise (phantom, three seeds)": "1 click: Dice 0.83, 0.34, 0.46, 2 of 3 failed: "
+            "branches are missing; 3 clicks: 0.84, 0.78, 0.64. No scan yet",
         },
     ),
     Preset(
@@ -172,8 +172,8 @@ PRESETS: Registry[Preset] = Registry(
         _WHY_CLICKS,
         {
             _TUNING: "one click without --size: thalamus 0.74, caudate 0.69, pallidum 0.67, putamen 0.56, 4 of 4 below "
-            "0.8 (grey matter beside them is as bright and connected); three clicks: 0.76, 0.81, 0.79, 0.89. Give --size, "
-            "and --outside",
+            "0.8 (grey matter beside them is as bright and connected); three clicks: 0.76, 0.81, 0.79, 0.89. Give "
+            "--size, and --outside",
         },
     ),
     Preset(
@@ -189,8 +189,8 @@ PRESETS: Registry[Preset] = Registry(
         },
         {
             _BRAIN: "Dice 0.73 for the lateral ventricles: their bodies; it stops before the temporal horns, whose "
-            "voxels are half tissue. Bounds learned from the start: 0.57. One of them from one click 0.71, from two 0.85; "
-            "1 of 1 failed at the first click",
+            "voxels are half tissue. Bounds learned from the start: 0.57. One of them from one click 0.71, from two "
+            "0.85; 1 of 1 failed at the first click",
         },
     ),
     Preset(
