@@ -187,16 +187,20 @@ class Hand:
     # -- what the hand does -------------------------------------------------------------------------------
 
     def _along(self, tile: str) -> Iterator[tuple[float, float]]:
-        """Places across a tile, as parts of the canvas."""
-        left, bottom, right, top = self.window.scene.tiles.renderer(tile).GetViewport()
-        for share in np.linspace(0.42, 0.56, MOTIONS):
-            yield left + share * (right - left), 1.0 - (bottom + 0.5 * (top - bottom))
+        """Places across the ball in a tile, as parts of the canvas."""
+        yield from self._beside_the_middle(tile, -0.6, 0.6)
 
     def _outwards(self, tile: str) -> Iterator[tuple[float, float]]:
         """Places from the middle of a tile to one side, as parts of the canvas."""
+        yield from self._beside_the_middle(tile, 0.0, 0.9)
+
+    def _beside_the_middle(self, tile: str, first: float, last: float) -> Iterator[tuple[float, float]]:
+        """Places so many radii of the ball beside the middle of a tile, whatever the layout and the size of a pixel."""
         left, bottom, right, top = self.window.scene.tiles.renderer(tile).GetViewport()
-        for share in np.linspace(0.5, 0.62, MOTIONS):
-            yield left + share * (right - left), 1.0 - (bottom + 0.5 * (top - bottom))
+        pixel = 1.0 / self.window.scene.plotter.render_window.GetSize()[0]
+        for radii in np.linspace(first, last, MOTIONS):
+            across = radii * self.radius / self.window.scene.tiles.mm_per_pixel(tile) * pixel
+            yield 0.5 * (left + right) + across, 1.0 - (bottom + 0.5 * (top - bottom))
 
     def _over_the_ball(self) -> Iterator[tuple[float, float]]:
         """Places across the ball in 3D, as parts of the canvas."""
@@ -322,8 +326,9 @@ class Hand:
         self._take(side)
         time.sleep(1.2)
         self._event("press", (x, y))
-        for part in (0.003, 0.006, 0.009):
-            self._event("move", (x + part, y))
+        length = 0.3 * self.radius / window.scene.tiles.mm_per_pixel("axial") / window.canvas.width()
+        for part in (0.3, 0.6, 0.9):
+            self._event("move", (x + part * length, y))
         count, began = len(session.status.refinements), time.perf_counter()
         frame, spent = window.scene.frame, time.process_time()
         self._event("release", None)

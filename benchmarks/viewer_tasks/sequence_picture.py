@@ -30,7 +30,7 @@ def main() -> None:
         sequence, out = f"{home}/balls_passing.nii.gz", f"{home}/out"
         accelsurf("track", sequence, "-o", out, "--start", "otsu", "--also", "surfaces", "--quiet")
         person = Person(display, Path(home), ["view", sequence, "--tracks", out], size=SIZE)
-        person.key("e", *["period"] * FRAME)
+        person.key(*["period"] * FRAME)
         time.sleep(3.0)
         person.picture(folder / "viewer-frames.png")
         person.close()

@@ -37,6 +37,7 @@ def handler(scene_and_session, tmp_path):
     scene, session = scene_and_session
     made = Workplace(session, scene, tmp_path / "out")
     scene.tiles.lay_out("one", "space", True)
+    made.request("layout", "one")  # chosen: it does not follow from the size of the picture
     scene.tiles.show_whole()
     session.pause().result(60)
     session.go_to(0).result(60)

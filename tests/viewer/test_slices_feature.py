@@ -159,6 +159,11 @@ def test_slices_are_as_large_as_the_window_allows_until_a_layout_is_chosen(fresh
     assert shown() == ("four", False, 0.5)
     new.request("size", 1600, 1200)
     assert shown() == ("one", True, 0.25)
+    # The picture in 3D is seen whole in each, and no smaller than it must be.
+    space = fresh.scene.space
+    for width, height in ((960, 640), (1600, 1200)):
+        new.request("size", width, height)
+        assert space.renderer.camera.parallel_scale == pytest.approx(space.fitted_scale())
     # What counts are pixels of a usual screen: this picture has as many of the device as the one before.
     new.request("size", 800, 600, 2.0)
     assert shown()[:2] == ("four", False)

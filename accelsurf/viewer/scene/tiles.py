@@ -54,6 +54,8 @@ class Tiles:
         self._window, self.pixel_ratio = plotter.render_window, 1.0
         self.redraw = Redraw(plotter.render_window, plotter.renderers)
         self.layout, self.shows_chart = "one", True
+        #: Half the mm that the tile in 3D had to be high for the whole image, when it was shown last.
+        self._fitted = 0.0
         self.large = "space" if space is not None else next(iter(slices))
         self.lay_out()
 
@@ -86,6 +88,7 @@ class Tiles:
         check_known("tile", large, self.names)
         chart = self.shows_chart if chart is None else chart
         places = viewports(layout, self.names, large, chart)
+        self._note_fitted()
         self.layout, self.large, self.shows_chart = layout, large, chart
         renderers = {"energies": self._chart, **{name: self.renderer(name) for name in self.names}}
         for name, renderer in renderers.items():
@@ -94,6 +97,17 @@ class Tiles:
         self.redraw.show_only(renderers[name] for name in places)
         if self._space is not None:
             self._space.place_cube("space" in places)
+            before = self._fitted
+            if self._note_fitted() and before:
+                # What was seen whole in a narrow tile is seen as large as the other one allows.
+                self._space.zoom(before / self._fitted)
+
+    def _note_fitted(self) -> bool:
+        """Note how high the tile in 3D must be for the whole image; returns whether it is shown."""
+        if self._space is None or 0 in self._space.renderer.GetSize():
+            return False
+        self._fitted = self._space.fitted_scale()
+        return True
 
     def renderer(self, name: str) -> pv.Renderer:
         """The renderer of a tile."""

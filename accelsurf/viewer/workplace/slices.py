@@ -41,7 +41,7 @@ class SlicesFeature(Feature):
         self._picked: Picked | None = None
         self._before = "one"
         #: Whether the person has said how the tiles lie; until then it follows from the room that there is.
-        self._is_chosen = False
+        self._layout_is_set = False
         self._word = IMAGE
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
@@ -164,14 +164,14 @@ class SlicesFeature(Feature):
         """Choose a layout in which slices can be read in so many pixels of a usual screen, if nobody has chosen one."""
         tiles = self.workplace.scene.tiles
         layout, chart = fitting(width, height)
-        if self._is_chosen or len(tiles.names) == 1 or (layout, chart) == (tiles.layout, tiles.shows_chart):
+        if self._layout_is_set or len(tiles.names) == 1 or (layout, chart) == (tiles.layout, tiles.shows_chart):
             return
         tiles.lay_out(layout, chart=chart)
         self._before = layout
         self.workplace.changed = True
 
     def _layout(self, name: Any) -> None:
-        self._is_chosen = True
+        self._layout_is_set = True
         self.workplace.scene.tiles.lay_out(word(name, LAYOUTS))
         self.workplace.changed = True
 
@@ -180,7 +180,7 @@ class SlicesFeature(Feature):
 
     def enlarge(self, tile: str) -> None:
         """Show a tile alone; asked for again, all as before."""
-        tiles, self._is_chosen = self.workplace.scene.tiles, True
+        tiles, self._layout_is_set = self.workplace.scene.tiles, True
         if tiles.layout == "single" and tiles.large == tile:
             tiles.lay_out(self._before)
         else:
@@ -195,7 +195,7 @@ class SlicesFeature(Feature):
         self.enlarge(under if under in tiles.names else tiles.large)
 
     def _chart(self, on: Any) -> None:
-        self._is_chosen = True
+        self._layout_is_set = True
         self.workplace.scene.tiles.lay_out(chart=bool(on))
         self.workplace.changed = True
 
