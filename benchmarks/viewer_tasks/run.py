@@ -5,10 +5,10 @@ Usage: python -m benchmarks.viewer_tasks.run VOLUMES_FOLDER [TASK ...] [-o bench
 
 The command is ``accelsurf view`` and nothing else. A simulated person opens the scan by the dialog, knows the object
 from a reference, as somebody does who knows anatomy, and acts as one could: clicks to bring its thickest place into
-sight, a press there and a drag until the outline has the right size, strokes (five at most) where the surface is wrong
-most. Then *stl* is typed under *More: files*, *Measure* says the volume in ml, Ctrl+S asks for a folder, *CSV* writes
-the volumes. Then run.toml is run by ``accelsurf segment``, which must make the same bytes. Scans are public: see
-benchmarks/README.md; the three nuclei that touch are a phantom.
+sight, a press there and a drag until the outline has the right size, strokes (five for each object at most) where the
+object that fits least is wrong most. Then *stl* is typed under *More: files*, *Measure* says the volume in ml, Ctrl+S
+asks for a folder, *CSV* writes the volumes. Then run.toml is run by ``accelsurf segment``, which must make the same
+bytes. Scans are public: see benchmarks/README.md; the three nuclei that touch are a phantom.
 """
 
 from __future__ import annotations
@@ -90,8 +90,6 @@ def do_task(
     person.open_file(scan)
     for number, wanted in enumerate(objects):
         begin_object(person, number, wanted, truth.geometry, float(wanted.sum() * voxel))
-    if len(objects) > 1:
-        person.click_widget("Nearest")  # strokes are for the object that is nearest
     first_s, judged_s = time.monotonic() - person.began, 0.0
     dice, obeyed = [], []
     while True:
@@ -194,6 +192,8 @@ def drawn_size(person: Person) -> float:
 
 def correct(person: Person, worst: dict[str, Any]) -> float:
     """A stroke where the surface is wrong most; returns the seconds until the surface was drawn that obeys."""
+    if len(person.now()["object_rows"]) > 1 and person.now()["state"]["object_active"] != worst["object"] + 1:
+        person.click(person.now()["object_rows"][worst["object"]])  # strokes are for the row that is chosen
     show(person, np.array(worst["world"]))
     person.key("i" if worst["side"] == "inside" else "o")
     x, y = person.pixel("axial", worst["world"])

@@ -26,6 +26,8 @@ from accelsurf import cli, io
 from accelsurf.viewer.frontends.main_window import MainWindow
 
 INTERVAL_MS = 40
+#: Of the list of objects.
+NAME_COLUMN = 2
 
 
 class WindowWatch:
@@ -70,7 +72,7 @@ class WindowWatch:
             "undoable": status.undoable, "refinements": len(status.refinements), "edits": len(status.edits),
             "settings": status.settings.model_dump(mode="json"),
             "titles": {name: tile.title.text for name, tile in window.scene.slice_tiles.items()},
-            "verdict": self._verdict,
+            "verdict": self._verdict, "object_rows": self._object_rows(),
         }
 
     def _tiles(self) -> dict[str, Any]:
@@ -99,6 +101,13 @@ class WindowWatch:
                 matrix = np.stack([pixel(unit) - origin for unit in np.eye(3)], axis=1)
                 found[name] |= {"origin": origin.tolist(), "matrix": matrix.tolist()}
         return found
+
+    def _object_rows(self) -> list[list[int]]:
+        """Middle on the screen of the name of each object in the list."""
+        table = self._window.side.panels["ObjectsPanel"].table
+        rects = [table.visualRect(table.model().index(row, NAME_COLUMN)) for row in range(table.rowCount())]
+        places = [table.viewport().mapToGlobal(rect.center()) for rect in rects]
+        return [[place.x(), place.y()] for place in places]
 
     def _widgets(self) -> dict[str, Any]:
         """Middle on the screen of what has a name or a text and is not hidden; a line comes before its label."""
