@@ -251,6 +251,12 @@ panel.show_state({"object_rows": [row(3), row(8, name="left kidney", visible=Fal
 table.item(1, 0).setCheckState(Qt.CheckState.Checked)
 panel.opacity.setValue(25)
 table.selectAll()
+panel.show_state({"object_rows": [row(3, color="#0072b2"), row(8)], "object_active": 8})
+print([one.row() for one in table.selectionModel().selectedRows()])
+panel.resize(320, 200)
+panel.show()
+cell = table.visualRect(table.model().index(0, 1)).center()
+print(table.viewport().grab().toImage().pixelColor(cell).name())
 panel.merge.click()
 panel.add.click()
 panel.nearest.click()
@@ -261,6 +267,7 @@ for request in asked:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=environment)
     assert done.stdout.splitlines() == [
         "[['object 3', '1.5', 'paused'], ['cyst', '1.5', 'paused']] [] 50",
+        "[0, 1]", "#0072b2",  # both rows are chosen, and the colour of the first is seen
         "object_active 3", "object_name 8 left kidney", "object_visible 8 True", "object_opacity 8 0.25",
         "object_merge 3 8", "object_add", "object_active nearest",
     ], done.stderr

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from PySide6.QtCore import QPoint, QSignalBlocker, Qt
+from PySide6.QtCore import QModelIndex, QPersistentModelIndex, QPoint, QSignalBlocker, Qt
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import (
     QAbstractItemView,
@@ -15,6 +15,9 @@ from PySide6.QtWidgets import (
     QLabel,
     QMenu,
     QSlider,
+    QStyle,
+    QStyledItemDelegate,
+    QStyleOptionViewItem,
     QTableWidget,
     QTableWidgetItem,
 )
@@ -24,10 +27,20 @@ from accelsurf.viewer.frontends.panels.wheel import WheelGuard
 from accelsurf.viewer.workplace.objects import NEAREST
 from accelsurf.viewer.workplace.workplace import Workplace
 
+Index = QModelIndex | QPersistentModelIndex
 COLUMNS = ("", "", "Name", "ml", "State")
 _SEEN, _COLOR, _NAME, _ML, _WORD = range(5)
 #: Rows that are in sight at once.
 ROWS = 4
+
+
+class _ColorCell(QStyledItemDelegate):
+    """A cell whose colour is seen in a chosen row too."""
+
+    def initStyleOption(self, option: QStyleOptionViewItem, index: Index) -> None:
+        """Draw it as if it were not chosen."""
+        super().initStyleOption(option, index)
+        option.state &= ~QStyle.StateFlag.State_Selected
 
 
 class ObjectsPanel(Section):
@@ -49,6 +62,7 @@ class ObjectsPanel(Section):
             table.setColumnWidth(column, width)
         header.setSectionResizeMode(_NAME, QHeaderView.ResizeMode.Stretch)
         table.verticalHeader().setDefaultSectionSize(table.fontMetrics().lineSpacing() + 7)
+        table.setItemDelegateForColumn(_COLOR, _ColorCell(table))
         table.itemChanged.connect(self._edited)
         table.cellClicked.connect(lambda row, _: self.ask("object_active", self._id(row)))
         table.cellDoubleClicked.connect(self._double_clicked)
