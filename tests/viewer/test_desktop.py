@@ -312,7 +312,8 @@ def test_two_objects_are_built_named_and_saved_by_mouse_and_keys(screen, tmp_pat
         person.until(lambda now: now["state"]["object_active"] == 2 and now["state"]["tool"] == "size")
         right = left - 40 + pixels * (48 - voxels[0])
         person.drag((right, y), (right + 5 * pixels, y), (right + 10 * pixels, y))
-        two = person.until(lambda now: [one["word"] for one in now["state"]["object_rows"]] == ["converged"] * 2, 120)
+        person.until(lambda now: [one["word"] for one in now["state"]["object_rows"]] == ["converged"] * 2, 120)
+        two = person.until(lambda now: all(one["ml"] for one in now["state"]["object_rows"]))  # drawn a moment later
         assert float(two["state"]["object_rows"][1]["ml"]) == pytest.approx(4.19, rel=0.15)
         x, row = person.now()["buttons"]["object 1"]
         person.do("mousemove", str(x), str(row), "click", "--repeat", "2", "--delay", "80", "1")

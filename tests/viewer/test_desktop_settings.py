@@ -41,7 +41,7 @@ def test_a_run_set_up_by_hand_is_the_same_from_the_command_line(person, scan, tm
     person.until(lambda now: now["energy_error"] == "")
     enter()
     person.until(lambda now: now["settings"]["energy"] == "threshold:40,400")
-    person.until(lambda now: now["rows"]["threshold-0-LO"] and len(now["state"]["bounds"]) == 2)
+    person.until(lambda now: "threshold-0-LO" in now["rows"] and len(now["state"]["bounds"]) == 2)
     # A bound on the histogram.
     x, y, width = person.reach(lambda now: now["histogram"])
     said = person.now()["state"]
