@@ -22,9 +22,10 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QWidget
 app = QApplication([])
 from accelsurf.viewer.frontends.canvas_events import CanvasEvents
-asked, drawn = [], []
+asked, drawn, sizes = [], [], []
+feature = SimpleNamespace(is_dragging=True, fit_layout=lambda *size: sizes.append(size))
 workplace = SimpleNamespace(
-    request=lambda *request: asked.append(request), feature=lambda kind: SimpleNamespace(is_dragging=True),
+    request=lambda *request: asked.append(request), feature=lambda kind: feature,
     scene=SimpleNamespace(tiles=SimpleNamespace()),
 )
 canvas = QWidget()
@@ -47,11 +48,12 @@ asked.clear()
 QTest.mousePress(canvas, Qt.MouseButton.RightButton, pos=QPoint(50, 25))
 QTest.mouseRelease(canvas, Qt.MouseButton.RightButton, pos=QPoint(50, 25))
 print(json.dumps(asked))
+print(json.dumps(sizes[-1]))
 """
 
 
 def test_fingers_become_requests():
-    asked, drawn, of_pad, of_mouse = (json.loads(line) for line in lines_of(PROGRAM))
+    asked, drawn, of_pad, of_mouse, size = (json.loads(line) for line in lines_of(PROGRAM))
     first, second = asked[0][3], asked[1][3]  # Qt's own numbers of the fingers
     assert first != second
     assert asked == [
@@ -59,5 +61,6 @@ def test_fingers_become_requests():
         ["finger_move", 0.2, 0.2, first], ["finger_move", 0.6, 0.5, second], ["finger_up", first],
         ["finger_up", second],
     ]
+    assert size == [101, 51]  # from which the layout follows
     assert drawn == 5 and of_pad == []  # once for an event of both; a pad moves the mouse
     assert of_mouse == [["press", 0.5, 0.5, 2, False], ["release", 2]]
