@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -101,6 +101,29 @@ def counted_from(box: Box, corner: Corner) -> Box:
     """Return a box counted from another first voxel."""
     z, y, x = (slice(s.start - c, s.stop - c) for s, c in zip(box, corner, strict=True))
     return z, y, x
+
+
+def with_halo(
+    made: Callable[[Box], NDArray[Any]], box: Box, shape: Sequence[int], halo: Sequence[int]
+) -> NDArray[Any]:
+    """Return what is made of a box, a view of what is made of one that is ``halo`` (z, y, x) voxels wider.
+
+    Parameters
+    ----------
+    made : callable
+        Returns the values of a box of the grid; near faces of the box that are none of the grid they may be wrong.
+    box : tuple of slice
+    shape, halo : sequence of 3 ints
+        Of the grid; how far from such a face they may be wrong.
+
+    Examples
+    --------
+    >>> grid = np.arange(12).reshape(1, 3, 4)
+    >>> with_halo(lambda wide: grid[wide], (slice(0, 1), slice(2, 3), slice(1, 3)), grid.shape, (0, 1, 1)).tolist()
+    [[[9, 10]]]
+    """
+    around = widened(box, shape, halo)
+    return made(around)[counted_from(box, corner_of(around))]
 
 
 def placed_at(box: Box, corner: Corner) -> Box:

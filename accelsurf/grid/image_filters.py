@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, widened
+from accelsurf.grid.boxes import Box, with_halo
 from accelsurf.grid.smoothing import gaussian_mm, gaussian_on_box
 from accelsurf.kernels.closing import dilate
 
@@ -45,9 +45,7 @@ class ImageFilters(NamedTuple):
         spacing : sequence of 3 floats
             (hz, hy, hx), mm.
         """
-        image = self._clipped(image)
-        if self.closing > 0:
-            image = closed_mm(image, spacing, self.closing)
+        image = self._closed(image, spacing)
         return gaussian_mm(image, spacing, self.sigma) if self.sigma > 0 else image
 
     def on_box(
@@ -67,21 +65,23 @@ class ImageFilters(NamedTuple):
         -------
         ndarray of the box's shape, float32
         """
+        # A dilation at the faces of the halo lacks what lies beyond it, and the erosion reads that far again.
+        halo = [2 * int(self.closing / h) if n > 1 else 0 for n, h in zip(shape, spacing, strict=True)]
 
-        def closed(part: Box) -> NDArray[np.float32]:
-            # A dilation at the faces of the halo lacks what lies beyond it, and the erosion reads that far again.
-            halo = [2 * int(self.closing / h) if n > 1 else 0 for n, h in zip(shape, spacing, strict=True)]
-            around = widened(part, shape, halo)
-            values = self._clipped(read(around).astype(np.float32, copy=False))
-            if self.closing > 0:
-                values = closed_mm(values, spacing, self.closing)
-            return values[tuple(slice(b.start - a.start, b.stop - a.start) for a, b in zip(around, part, strict=True))]
+        def closed(around: Box) -> NDArray[np.float32]:
+            return self._closed(read(around).astype(np.float32, copy=False), spacing)
 
-        return gaussian_on_box(closed, shape, spacing, self.sigma, box)
+        def read_closed(part: Box) -> NDArray[np.float32]:
+            return with_halo(closed, part, shape, halo)
 
-    def _clipped(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        low, high = self.bounds
-        return image if (low, high) == NO_FILTERS.bounds else np.clip(image, np.float32(low), np.float32(high))
+        return gaussian_on_box(read_closed, shape, spacing, self.sigma, box)
+
+    def _closed(self, image: NDArray[np.float32], spacing: Sequence[float]) -> NDArray[np.float32]:
+        """The image, clipped and closed."""
+        if self.bounds != NO_FILTERS.bounds:
+            low, high = self.bounds
+            image = np.clip(image, np.float32(low), np.float32(high))
+        return closed_mm(image, spacing, self.closing) if self.closing > 0 else image
 
 
 #: An image as it is.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, widened
+from accelsurf.grid.boxes import Box, with_halo
 from accelsurf.kernels.smoothing import smooth_across_rows, smooth_rows
 
 #: A Gaussian ends so many standard deviations from its middle; one narrower than this (voxels) does nothing.
@@ -80,13 +80,13 @@ def gaussian_on_box(
     ndarray of the box's shape, float32
     """
     halo = [reach_of(sigma / h) if n > 1 and sigma > 0 else 0 for n, h in zip(shape, spacing, strict=True)]
-    around = widened(box, shape, halo)
-    values = read(around).astype(np.float32, copy=False)
-    if sigma > 0:
+
+    def smoothed(around: Box) -> NDArray[np.float32]:
+        values = read(around).astype(np.float32, copy=False)
         # What is wrong at faces of the halo reaches no further than the halo is wide.
-        values = gaussian_mm(values, spacing, sigma)
-    inner = tuple(slice(b.start - a.start, b.stop - a.start) for a, b in zip(around, box, strict=True))
-    return np.ascontiguousarray(values[inner])
+        return gaussian_mm(values, spacing, sigma) if sigma > 0 else values
+
+    return np.ascontiguousarray(with_halo(smoothed, box, shape, halo))
 
 
 def reach_of(width: float) -> int:

@@ -13,6 +13,16 @@ def state_folder(tmp_path_factory):
         yield
 
 
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    """A page of the viewer, served to the tests of a module; one that needs more of it has a fixture of its own."""
+    from tests.viewer.test_browser import Served
+
+    server = Served(tmp_path_factory.mktemp("served"))
+    yield server
+    assert server.close() == 0, server.log_text()
+
+
 @pytest.fixture
 def scene_of():
     """Makes scenes, closed at the end of the test."""

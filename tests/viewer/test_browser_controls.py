@@ -3,7 +3,7 @@
 import pytest
 
 from tests.support import viewing
-from tests.viewer.test_browser import Served, driven, state, until
+from tests.viewer.test_browser import driven, state, until
 
 pytest.importorskip("trame", reason='trame is missing: pip install "accelsurf[viewer]"')
 pytestmark = pytest.mark.slow
@@ -12,13 +12,6 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module", autouse=True)
 def graphics():
     viewing.needs_graphics()
-
-
-@pytest.fixture(scope="module")
-def served(tmp_path_factory):
-    server = Served(tmp_path_factory.mktemp("served"))
-    yield server
-    assert server.close() == 0, server.log_text()
 
 
 @pytest.fixture

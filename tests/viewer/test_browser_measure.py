@@ -7,7 +7,7 @@ import pytest
 import accelsurf
 from accelsurf.io.metadata import DICOM_KEY
 from tests.support import viewing
-from tests.viewer.test_browser import Served, ask, driven, state, until
+from tests.viewer.test_browser import ask, driven, state, until
 
 pytest.importorskip("trame", reason='trame is missing: pip install "accelsurf[viewer]"')
 
@@ -15,13 +15,6 @@ pytest.importorskip("trame", reason='trame is missing: pip install "accelsurf[vi
 @pytest.fixture(scope="module", autouse=True)
 def graphics():
     viewing.needs_graphics()
-
-
-@pytest.fixture(scope="module")
-def served(tmp_path_factory):
-    server = Served(tmp_path_factory.mktemp("served"))
-    yield server
-    assert server.close() == 0, server.log_text()
 
 
 def test_the_table_is_measured_copied_saved_and_a_length_is_drawn(served, tmp_path):
