@@ -65,7 +65,7 @@ PRESETS: Registry[Preset] = Registry(
         {
             _ABDOMEN: "one click at the deepest point: humeri Dice 0.92 and 0.89, nine ribs 0.65 to 0.86; vertebrae, "
             "which touch the next ones and ribs, fail (0.27 and 0.56). 5 of 13 below 0.8, of the eight that length and "
-            "bound were not chosen on 3. Energy seeded alone: humeri 0.53 and 0.70, ribs 0.26 to 0.34",
+            "bound were not chosen on 3. Energy seeded alone: humeri 0.53 and 0.70, three ribs 0.26 to 0.34",
             "a shell around marrow (phantom)": "1 click: Dice 0.81, 0 of 3 failed; 3 clicks: 0.93",
         },
     ),
