@@ -5,10 +5,6 @@ the level of the size. A later inside click is answered by the balance with all 
 outside click by what it changes in that balance, and by the balance itself where it arrives first. Either changes
 labels towards its own side alone, and only in the piece that is connected to it: what was right elsewhere stays.
 
-What is shown is the mean of that learned answer and of the contests of the clicks alone, after the first click with as
-many voxels as the answer has, later between the answer's size and its own. A later click changes labels towards its own
-side alone, and F by a part.
-
 Clicks on a large object are answered in blocks of voxels, see `accelsurf.energies.seeded.blocks`.
 """
 
@@ -24,14 +20,12 @@ from numpy.typing import NDArray
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
 from accelsurf.energies.seeded.blocks import Blocks
 from accelsurf.energies.seeded.competition import Field, Order, Times, balance, from_beyond
-from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.implied import half_width
 from accelsurf.energies.seeded.likelihood import log_ratio
 from accelsurf.grid.boxes import Box, bounding_box, enclosing, on_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to, holes_filled
 from accelsurf.kernels.arrival import Tissue
-from accelsurf.kernels.blocks import hold_side
 
 #: F in the clicks, by side.
 CLICKED = {"inside": -3.0, "outside": 3.0}
@@ -41,34 +35,8 @@ LIKELIHOOD, LEVEL = 0.5, 0.5
 MUCH_WIDER = 2.0
 #: Where an outside click is nearer, a likelihood that speaks for the object counts this part.
 DOUBTED = 0.5
-#: What the learned answer counts after 1, 2, ... clicks beside the paths (1) and the walks (2): the more clicks, the
-#: less has to be learned. After a stated size it is better, and counts more.
-OWN, OWN_SIZED = (3.0, 1.0, 0.75, 0.6, 0.5, 0.4), (3.0, 6.0, 3.0, 1.5, 1.0)
-PATHS, WALKS = 1.0, 2.0
-#: So much of F before stays in F after 2, 3, ... clicks: the more there were, the less is wrong far from the new one.
-INERTIA = (0.0, 0.2, 0.3, 0.4)
-#: |F| of a label that is kept is at least this: it has a side.
-MIN_FORCE = 1e-3
 #: F is moved by so much at most, so that it has the learned answer's size.
 MAX_OFFSET = 0.5
-#: By the first click's field this is done in full, later by this part, where neither size is more than so many times
-#: the other: the contests know the boundary between clicks better, the answer the size where no click is near.
-SIZE_PART, MAX_RATIO = 0.5, 4.0
-
-
-class Shown(NamedTuple):
-    """What a person sees after some clicks: on a ``box`` of the grid F, ``force``, and where it is ``inside``.
-
-    Beyond the box F is 1 and nothing is inside.
-    """
-
-    box: Box
-    force: Image
-    inside: Mask
-
-    def on(self, box: Box) -> tuple[Image, Mask]:
-        """F and where it is inside, on another box."""
-        return on_box(self.force, self.box, box, 1.0), on_box(self.inside, self.box, box, False)
 
 
 class Proposed(NamedTuple):
@@ -229,7 +197,7 @@ def first_answer(
     likely = log_ratio(field.images_on(box), near, ~(near | far))
     total = competition - LIKELIHOOD * likely
     force = (1.0 - LEVEL) * competition + LEVEL * balance(inside, np.full_like(inside, at)) - LIKELIHOOD * likely
-    force -= _offset(force, blocks.count(count)) * ~far
+    force -= offset_to(force, blocks.count(count)) * ~far
     none = np.full_like(inside, np.inf)
     force = np.asarray(force, np.float32)
     answer = Answer(blocks, box, count, at, last, tissue, inside, none, out, total, force, near, (click,), first)
@@ -286,45 +254,7 @@ def with_click(answer: Answer, field: Field, click: Click, marched: Times) -> An
     return replace(answer, inside=object_of(answer.force, answer.box, answer.clicks))
 
 
-def mixed_answer(answer: Answer, parts: Sequence[Balance], clicks: Clicks, sized: bool, before: Shown | None) -> Shown:
-    """F and where it is inside: the learned answer and the contests, with the clicks marked.
-
-    Parameters
-    ----------
-    answer : Answer
-    parts : sequence of Balance
-        The contests of `accelsurf.energies.seeded.contest`, by paths and by walks.
-    clicks : Clicks
-        The last one is new.
-    sized : bool
-        Whether a size was stated.
-    before : Shown or None
-        What was shown before the last click: labels change towards its side alone.
-    """
-    own = answer.blocks.on_voxels(answer.box, np.clip(answer.force, -1.0, 1.0))
-    box = own.box if before is None else enclosing(own.box, before.box)
-    for other in (*(part.box for part in parts), *(click.box for click in clicks.clicks)):
-        box = enclosing(box, other)
-    by_count = OWN_SIZED if sized else OWN
-    weights = (by_count[min(len(clicks), len(by_count)) - 1], PATHS, WALKS)
-    mixed = np.zeros([s.stop - s.start for s in box], np.float32)
-    for weight, part in zip(weights, (own, *parts), strict=True):
-        part.add_to(mixed, box, weight / sum(weights))
-    if before is None:
-        mixed -= _offset(mixed, answer.voxels)
-    else:
-        mixed -= np.float32(SIZE_PART) * _offset(mixed, answer.voxels, MAX_RATIO)
-        held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
-        gains = clicks.clicks[-1].side == "inside"
-        hold_side(mixed, *before.on(box), held, np.float32(MIN_FORCE), gains)
-    inside = object_of(mixed, box, clicks.clicks)
-    for click in clicks.clicks:
-        seen = click.mask_on(box)
-        mixed[seen], inside[seen] = CLICKED[click.side], click.side == "inside"
-    return Shown(box, mixed, inside)
-
-
-def _offset(force: Image, count: int, most: float = np.inf) -> np.float32:
+def offset_to(force: Image, count: int, most: float = np.inf) -> np.float32:
     """What F is to be lowered by so that F < 0 in so many voxels, as far as that is allowed.
 
     0 where one of this number and the present one is more than ``most`` times the other.
@@ -338,13 +268,6 @@ def _offset(force: Image, count: int, most: float = np.inf) -> np.float32:
     if not below <= rank < below + between.size:
         return np.float32(-MAX_OFFSET if rank < below else MAX_OFFSET)
     return np.float32(np.partition(between, rank - below)[rank - below])
-
-
-def on_whole_grid(shown: Shown, shape: tuple[int, int, int]) -> tuple[Image, Mask]:
-    """F and the start on the whole grid."""
-    force, start = np.ones(shape, np.float32), np.zeros(shape, np.bool_)
-    force[shown.box], start[shown.box] = shown.force, shown.inside
-    return force, start
 
 
 def object_of(force: Image, box: Box, clicks: Sequence[Click]) -> Mask:

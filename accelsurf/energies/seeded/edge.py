@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.image_noise import SECOND_DIFFERENCE
-from accelsurf.energies.seeded.answers import Shown, object_of
+from accelsurf.energies.seeded.answers import object_of
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
+from accelsurf.energies.seeded.shown import Shown
 from accelsurf.grid.boxes import Box, bounding_box, corner_of, on_box, shared, widened
 from accelsurf.grid.clicks import Clicks
 
@@ -151,7 +152,7 @@ def at_edges(
     Parameters
     ----------
     shown : Shown
-        See `accelsurf.energies.seeded.answers.mixed_answer`; not modified.
+        See `accelsurf.energies.seeded.shown.mixed_answer`; not modified.
     images, smooth : sequence of ndarray (nz, ny, nx), float32
         The channels on the whole grid as they are, and smoothed.
     spacing : (hz, hy, hx)

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from accelsurf.energies.seeded.answers import Answer, Shown
+from accelsurf.energies.seeded.answers import Answer
+from accelsurf.energies.seeded.shown import Shown
 from accelsurf.grid.clicks import Click, Clicks
 
 #: So many stages are kept: that of the first click, whose march is the longest, and the last ones.

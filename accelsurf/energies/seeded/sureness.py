@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.seeded.answers import Shown
 from accelsurf.energies.seeded.appearance import Spacing, radius_of
 from accelsurf.energies.seeded.proposal import Proposal
+from accelsurf.energies.seeded.shown import Shown
 from accelsurf.grid.boxes import Box, bounding_box, box_at, on_box, whole_box, widened
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.connected import connected_to

@@ -7,9 +7,9 @@ import pytest
 
 from accelsurf import segment
 from accelsurf.energies.seeded import seeded_model
-from accelsurf.energies.seeded.answers import Shown
 from accelsurf.energies.seeded.appearance import count_of, even_radius, learn, radius_of
 from accelsurf.energies.seeded.edge import AREA, NOISY_AREA, area_weight, at_edges, edge_balance
+from accelsurf.energies.seeded.shown import Shown
 from accelsurf.grid.boxes import box_at, whole_box
 from accelsurf.grid.clicks import Clicks
 from tests.support import clicked_balls

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.energies.seeded import answers, seeded_model
-from accelsurf.energies.seeded.answers import Answer, FirstTimes, Shown, mixed_answer
+from accelsurf.energies.seeded import seeded_model
+from accelsurf.energies.seeded.answers import Answer, FirstTimes
 from accelsurf.energies.seeded.blocks import in_blocks
 from accelsurf.energies.seeded.contest import Balance
+from accelsurf.energies.seeded.shown import INERTIA, Shown, mixed_answer
 from accelsurf.grid.clicks import Click, Clicks
 from tests.energies.seeded.test_seeded_model import SHAPE, SPACING, ball, dice, distance, volume_of
 
@@ -74,7 +75,7 @@ def test_a_hole_that_was_filled_keeps_its_side():
 def test_later_clicks_keep_a_part_of_the_field():
     now = line([0.9, -0.9, -0.9, -0.9, -0.9, -0.9, -0.9, 0.9, 0.9, 0.9, 0.9, 0.9])
     clicks = [point("inside", 1), point("inside", 6)]
-    for part in answers.INERTIA + answers.INERTIA[-1:]:
+    for part in INERTIA + INERTIA[-1:]:
         shown = mixed(now, clicks, Shown(WHOLE, BEFORE, BEFORE < 0))
         expected = (1 - part) * now + part * BEFORE
         np.testing.assert_allclose(shown.force.ravel()[2:6], expected.ravel()[2:6], rtol=1e-5)
