@@ -95,6 +95,17 @@ def test_the_program_starts_no_threads_for_linear_algebra(given, expected):
     assert ended.stdout.splitlines()[-1] == expected
 
 
+@pytest.mark.parametrize(("started", "expected"), [("accelsurf.__main__", False), ("accelsurf.cli", True)])
+def test_the_program_alone_looks_for_cycles_less_often(started, expected):
+    code = (
+        "import atexit, gc; before = gc.get_threshold(); "
+        "atexit.register(lambda: print(before == gc.get_threshold(), gc.isenabled(), flush=True)); "
+        f"import sys; sys.argv[1:] = ['--version']; from {started} import main; main()"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.stdout.splitlines()[-1] == f"{expected} True"
+
+
 def test_the_viewer_loads_nothing_of_scipy_that_its_first_picture_does_not_need():
     code = (
         "import sys, accelsurf.viewer.workplace.opening\n"
