@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, IMAGE, Overwrite, ReadWithoutLevel, required, run_config
+from accelsurf.cli.options import FILES, IMAGE, Overwrite, required, run_config, settings_class
 from accelsurf.errors import InputError, OutputError, UsageError
+from accelsurf.settings.entry import SettingGroup
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 #: The finest level of a store with at most so many voxels is shown, unless told.
 MAX_VOXELS = 1 << 27
+#: It chooses the level itself.
+ReadWithoutLevel = settings_class("ReadWithoutLevel", leave_out=("level",), groups=(SettingGroup.IMAGE,))
 
 
 def look(
