@@ -105,9 +105,11 @@ def _read(source: Path, level: int | None, asked: ReadOptions) -> tuple[list[Vol
     from accelsurf.grid.boxes import whole_box
     from accelsurf.grid.volume import Volume
     from accelsurf.io import channels
+    from accelsurf.io.formats.nibabel_import import import_nibabel_for
     from accelsurf.io.headers import is_store
     from accelsurf.io.lazy_volume import open_channels
 
+    import_nibabel_for(source)
     if level is None and not is_store(source):
         volumes = channels.read(source, asked)
         return volumes, volumes[0].geometry

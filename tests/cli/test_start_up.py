@@ -14,6 +14,8 @@ from accelsurf.phantoms import recipes
 OF_A_RUN = {"numba", "scipy", "skimage", "SimpleITK", "nibabel", "PIL"}
 #: What only studies, other formats and the viewer need.
 OF_OTHERS = {"matplotlib", "pandas", "pyvista", "vtkmodules", "trame", "trimesh", "IPython", "pytest"}
+#: What reads DICOM, and what that imports; nibabel would import it for every NIfTI.
+OF_DICOM = {"pydicom", "highdicom", "requests", "urllib3"}
 #: Kernels that a run calls, each loaded from the disk in 3 ms: 42 and 48 when this was written.
 MOST_KERNELS = {"start": 43, "inside": 48}
 
@@ -82,7 +84,19 @@ def test_a_look_at_an_image_does_without_compiled_code_and_numerics(ball):
     assert code == 0
     # nibabel loads scipy's first module to see whether it is there, which takes 5 ms.
     assert not modules & {"numba", "skimage", "scipy.ndimage", "scipy.special", "scipy.spatial", "scipy.linalg"}
-    assert not packages_of(modules) & OF_OTHERS
+    assert not packages_of(modules) & (OF_OTHERS | OF_DICOM)
+
+
+def test_pydicom_is_there_for_all_but_nibabel_s_import(ball):
+    code = (
+        "import sys; from pathlib import Path; from accelsurf.io.formats.nibabel_import import import_nibabel_for\n"
+        f"import_nibabel_for(Path({__file__!r})); print('nibabel' in sys.modules)\n"
+        f"import_nibabel_for(Path({str(ball)!r})); print('nibabel' in sys.modules, 'pydicom' in sys.modules)\n"
+        "from nibabel.nicom import csareader; import pydicom; print(csareader.get_csa_header(pydicom.Dataset()))\n"
+        f"import_nibabel_for(Path({str(ball)!r})); print(sys.modules['pydicom'] is pydicom)"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.stdout.splitlines() == ["False", "True False", "None", "True"], ended.stderr
 
 
 @pytest.mark.parametrize(
@@ -104,7 +118,7 @@ def test_a_run_loads_the_kernels_that_it_calls_and_no_library_of_others(given, b
     loaded(*words)  # compiles what nobody has compiled before
     code, modules, kernels = loaded(*words, "--overwrite")
     assert code == 0
-    assert not packages_of(modules) & OF_OTHERS
+    assert not packages_of(modules) & (OF_OTHERS | OF_DICOM)
     assert 20 < len(kernels) <= MOST_KERNELS[given[0].strip("-")], sorted(kernels)
 
 
