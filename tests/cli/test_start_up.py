@@ -9,6 +9,8 @@ import pytest
 
 from accelsurf import io
 from accelsurf.phantoms import recipes
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_config import TrackConfig
 
 #: What only a run needs: compiled code, numerics, readers of images, drawing.
 OF_A_RUN = {"numba", "scipy", "skimage", "SimpleITK", "nibabel", "PIL"}
@@ -120,6 +122,12 @@ def test_a_run_loads_the_kernels_that_it_calls_and_no_library_of_others(given, b
     assert code == 0
     assert not packages_of(modules) & (OF_OTHERS | OF_DICOM)
     assert 20 < len(kernels) <= MOST_KERNELS[given[0].strip("-")], sorted(kernels)
+
+
+def test_only_whole_settings_get_a_validator():
+    assert RunConfig.__pydantic_complete__ and TrackConfig.__pydantic_complete__
+    parts = [*RunConfig.__mro__[1:-2], *TrackConfig.__mro__[1:-2]]
+    assert len(parts) == 5 and not any(one.__pydantic_complete__ for one in parts)
 
 
 @pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("3", "3")])
