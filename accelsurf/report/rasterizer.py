@@ -190,9 +190,9 @@ def _rims(covered: NDArray[np.intp], depth: Floats, fine: int, scale: float) -> 
     """Factor that darkens pixels lying well behind a neighbour, so that what is in front stands out."""
     if not len(covered):
         return np.ones(0)
-    z = np.full(fine * fine, depth.min() * scale)  # in pixels
-    z[covered] = depth * scale
-    z = z.reshape(fine, fine)
+    flat = np.full(fine * fine, depth.min() * scale)  # in pixels
+    flat[covered] = depth * scale
+    z = flat.reshape(fine, fine)
     front = z.copy()
     for step in (1, 2):
         for near, behind in ((front, z), (front.T, z.T)):
