@@ -7,12 +7,15 @@ from dataclasses import fields
 from typing import Any
 
 from accelsurf.batch.case import Case
-from accelsurf.cli.options import SettingsWithoutLayout, options_class, run_config
+from accelsurf.cli.options import options_class, run_config, settings_class
 from accelsurf.cli.track_options import FrameSettings, TrackSettings, track_config
 from accelsurf.errors import UsageError
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import FRAME_SETTINGS, TABLE, TrackConfig
 from accelsurf.settings.track_fields import TrackFields
+
+#: A folder is read in a layout of its own.
+SettingsWithoutLayout = settings_class("SettingsWithoutLayout", leave_out=("layout",))
 
 
 def _batch_settings() -> type:

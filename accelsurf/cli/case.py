@@ -251,7 +251,9 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
     """
     from accelsurf import io
     from accelsurf.io import channels
+    from accelsurf.io.formats.nibabel_import import import_nibabel_for
 
+    log.timed("load", lambda: import_nibabel_for(place.source))
     volume, *more = log.timed("load", lambda: channels.read(place.source, config.reading))
     if log.checksum is None:
         log.checksum = log.timed("load", lambda: io.sha256(place.source))

@@ -13,13 +13,14 @@ from cyclopts import Parameter
 from accelsurf.cli.options import (
     FILES,
     RUN,
+    WITHOUT_FILES,
     Display,
     InputFile,
     Output,
     Overwrite,
-    SharedSettings,
     required,
     run_config,
+    settings_class,
 )
 from accelsurf.errors import UsageError
 from accelsurf.settings.flow_specs import FLOWS
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
     from accelsurf.grid.volume import Volume
     from accelsurf.io.file_set import FileSet
     from accelsurf.segmentation.result import Result
+
+#: It chooses the flow and the files itself.
+SharedSettings = settings_class("SharedSettings", leave_out=("flow",), groups=WITHOUT_FILES)
 
 
 def compare(

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, ReadSettings, run_config
+from accelsurf.cli.options import FILES, run_config, settings_class
+from accelsurf.settings.entry import SettingGroup
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
     from accelsurf.settings.reading import ReadOptions
+
+ReadSettings = settings_class("ReadSettings", groups=(SettingGroup.IMAGE,))
 
 
 def info(

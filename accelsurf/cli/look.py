@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, IMAGE, Overwrite, ReadWithoutLevel, required, run_config
+from accelsurf.cli.options import FILES, IMAGE, Overwrite, required, run_config, settings_class
 from accelsurf.errors import InputError, OutputError, UsageError
+from accelsurf.settings.entry import SettingGroup
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 #: The finest level of a store with at most so many voxels is shown, unless told.
 MAX_VOXELS = 1 << 27
+#: It chooses the level itself.
+ReadWithoutLevel = settings_class("ReadWithoutLevel", leave_out=("level",), groups=(SettingGroup.IMAGE,))
 
 
 def look(
@@ -102,9 +105,11 @@ def _read(source: Path, level: int | None, asked: ReadOptions) -> tuple[list[Vol
     from accelsurf.grid.boxes import whole_box
     from accelsurf.grid.volume import Volume
     from accelsurf.io import channels
+    from accelsurf.io.formats.nibabel_import import import_nibabel_for
     from accelsurf.io.headers import is_store
     from accelsurf.io.lazy_volume import open_channels
 
+    import_nibabel_for(source)
     if level is None and not is_store(source):
         volumes = channels.read(source, asked)
         return volumes, volumes[0].geometry

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from accelsurf.cli.options import FILES, Display, Output, Overwrite, RunSettings, required, run_config
+from accelsurf.cli.options import FILES, WITHOUT_FILES, Display, Output, Overwrite, required, run_config, settings_class
 from accelsurf.errors import UsageError
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from accelsurf.viewer.scene.scene import Scene
 
 MOVIE = Group("Movie", sort_key=0)
+#: It draws the run; ``color`` is what it colours surfaces by.
+RunSettings = settings_class("RunSettings", groups=WITHOUT_FILES, further=("name", "label_table", "window"))
 
 
 @Parameter(name="*")

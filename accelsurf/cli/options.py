@@ -22,6 +22,8 @@ from accelsurf.settings.run_config import RunConfig
 GROUPS = {group: Group(str(group), sort_key=place) for place, group in enumerate(SettingGroup, 1)}
 RUN, IMAGE, FILES = (GROUPS[group] for group in (SettingGroup.RUN, SettingGroup.IMAGE, SettingGroup.FILES))
 SHOW = Group("Display", sort_key=len(GROUPS) + 1)
+#: For commands that write none of a run's files.
+WITHOUT_FILES = tuple(group for group in SettingGroup if group is not SettingGroup.FILES)
 
 ProgressKind = Literal["bar", "json", "none"]
 InputFile = Annotated[
@@ -40,7 +42,8 @@ def settings_class(
     """Return a dataclass with an option for each field of RunConfig that is in a group, and for further ones.
 
     Each is ``None`` where it was not given. The values stay text as typed. RunConfig checks them, so that an invalid
-    one has the same message in a file, on the command line and in Python.
+    one has the same message in a file, on the command line and in Python. A class takes 5 ms: each command makes the
+    one that it needs.
     """
     members: list[tuple[str, Any, Any]] = []
     for key in RunConfig.model_fields:
@@ -80,20 +83,6 @@ def _completions(key: str, context: object) -> dict[str, str]:
     return names_of(key)
 
 
-_WITHOUT_FILES = tuple(group for group in SettingGroup if group is not SettingGroup.FILES)
-Settings = settings_class("Settings")
-#: For commands that read a folder in a layout of its own.
-SettingsWithoutLayout = settings_class("SettingsWithoutLayout", leave_out=("layout",))
-#: For commands that write none of a run's files, and draw it; ``color`` is what they colour surfaces by.
-RunSettings = settings_class("RunSettings", groups=_WITHOUT_FILES, further=("name", "label_table", "window"))
-#: For commands that choose the flow and the files themselves.
-SharedSettings = settings_class("SharedSettings", leave_out=("flow",), groups=_WITHOUT_FILES)
-#: For commands that only read an image.
-ReadSettings = settings_class("ReadSettings", groups=(SettingGroup.IMAGE,))
-#: As ReadSettings, for those that choose a level themselves.
-ReadWithoutLevel = settings_class("ReadWithoutLevel", leave_out=("level",), groups=(SettingGroup.IMAGE,))
-
-
 def run_config(settings: Any, file: Path | Mapping[str, Any] | None = None, **forced: Any) -> RunConfig:
     """Return the configuration of a run: options override the file, which overrides the defaults.
 
@@ -102,7 +91,7 @@ def run_config(settings: Any, file: Path | Mapping[str, Any] | None = None, **fo
 
     Parameters
     ----------
-    settings : Settings or SharedSettings or None
+    settings : instance of a `settings_class`, or None
         Options of the command line.
     file : Path or mapping, optional
         TOML file of ``--config``, or what is in it.

@@ -9,13 +9,25 @@ from cyclopts import Parameter
 
 from accelsurf.cli.large_image import ImageParts
 from accelsurf.cli.object_options import ObjectOptions
-from accelsurf.cli.options import FILES, SHOW, Display, InputFile, Output, Overwrite, Settings, required, run_config
+from accelsurf.cli.options import (
+    FILES,
+    SHOW,
+    Display,
+    InputFile,
+    Output,
+    Overwrite,
+    required,
+    run_config,
+    settings_class,
+)
 from accelsurf.errors import AccelsurfError, UsageError
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Compute, Finished
     from accelsurf.cli.place import Place
     from accelsurf.settings.run_config import RunConfig
+
+Settings = settings_class("Settings")
 
 
 def segment(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from accelsurf.cli.first_image import FirstImage, loading
-from accelsurf.cli.options import FILES, SHOW, InputFile, Overwrite, Settings, run_config
+from accelsurf.cli.options import FILES, SHOW, InputFile, Overwrite, run_config, settings_class
 from accelsurf.cli.track_options import SequenceSettings, track_config
 from accelsurf.errors import UsageError
 from accelsurf.settings.reading import ReadOptions
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from accelsurf.viewer.core.session import Session
     from accelsurf.viewer.workplace.opening import Opening
 
+Settings = settings_class("Settings")
 #: Settings that say how a sequence is read.
 _OF_READING = tuple(one.name for one in fields(ReadOptions) if one.name not in ("time_index", "channels_from_time"))
 

@@ -112,7 +112,7 @@ def march(times, medium, tissue, grid, seeds, cap, late, max_count):
     return order[:count].copy()
 
 
-@kernel
+@kernel(inlined=True)
 def offer(times, costs, cell, medium, tissue, grid, limits, queue):
     """Enter the neighbours that a voxel with a final time brings an earlier one; returns how many.
 
@@ -179,7 +179,7 @@ def larger(queue):
     return Queue(queue.heads, entries, queue.free)
 
 
-@kernel
+@kernel(inlined=True)
 def enter(queue, bucket, cell):
     """Enter a voxel into a bucket; the queue has space."""
     entry = queue.free[0]
@@ -189,7 +189,7 @@ def enter(queue, bucket, cell):
     queue.heads[place] = entry
 
 
-@kernel
+@kernel(inlined=True)
 def first_filled(queue, bucket):
     """The first bucket from this one on that is not empty, of a queue that is not empty."""
     while queue.heads[bucket & (len(queue.heads) - 1)] < 0:
@@ -197,7 +197,7 @@ def first_filled(queue, bucket):
     return bucket
 
 
-@kernel
+@kernel(inlined=True)
 def leave(queue, bucket):
     """Take the voxel that entered a bucket last, which is not empty."""
     place = bucket & (len(queue.heads) - 1)
@@ -208,7 +208,7 @@ def leave(queue, bucket):
     return queue.entries[entry, 0]
 
 
-@kernel
+@kernel(inlined=True)
 def upwind_time(times, cell, at, cost, grid):
     """Solution T of sum over the axes of (max(T - T_i, 0)/h_i)^2 = c^2, T_i the earlier final time of two neighbours.
 
@@ -234,7 +234,7 @@ def upwind_time(times, cell, at, cost, grid):
     return later_root(cost, wa, wb, 1.0 / (hc * hc), b - a, c - a) + a
 
 
-@kernel
+@kernel(inlined=True)
 def cost_at(cell, at, medium, tissue, grid):
     """Cost per mm: w0 + w1 min(|grad I|/g, w2) + w3 min(max(|I - median|/spread - w4, 0), w5), of the worst channel."""
     w, values = tissue.weights, medium.values
@@ -248,7 +248,7 @@ def cost_at(cell, at, medium, tissue, grid):
     return w[0] + w[1] * min(edge, w[2]) + w[3] * min(max(far - w[4], 0.0), w[5])
 
 
-@kernel
+@kernel(inlined=True)
 def difference(values, channel, cell, index, length, stride):
     """Central difference per voxel along an axis; one-sided at the border."""
     before, after = (stride if index > 0 else 0), (stride if index < length - 1 else 0)
@@ -257,7 +257,7 @@ def difference(values, channel, cell, index, length, stride):
     return np.float64(values[channel, cell + after] - values[channel, cell - before]) * stride / (before + after)
 
 
-@kernel
+@kernel(inlined=True)
 def later_root(cost, wa, wb, wc, b, c):
     """The larger T of wa T^2 + wb (T - b)^2 + wc (T - c)^2 = cost^2."""
     total, first = wa + wb + wc, wb * b + wc * c
@@ -265,7 +265,7 @@ def later_root(cost, wa, wb, wc, b, c):
     return (first + np.sqrt(max(first * first - total * rest, 0.0))) / total
 
 
-@kernel
+@kernel(inlined=True)
 def earlier(times, cell, index, length, stride):
     """The earlier of the final times of the two neighbours along an axis; inf where neither is final."""
     before = np.float64(times[cell - stride]) if index > 0 else np.inf

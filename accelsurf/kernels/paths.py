@@ -1,8 +1,8 @@
 """Shortest paths over a grid from a set of voxels: every step costs its length and the change of the values.
 
-L(x) = min over the neighbours y of L(y) + c(x, y), 0 at the seeds: relaxed row by row, back and forth, until nothing
-becomes shorter. The least solution does not depend on the order, as rounding keeps the order of numbers; so these are
-the lengths of an ordered search (Dijkstra), without a queue.
+L(x) = min over the neighbours y of L(y) + c(x, y), 0 at the seeds: relaxed row by row, back and forth in each plane,
+and plane by plane, until nothing becomes shorter. The least solution does not depend on the order, as rounding keeps
+the order of numbers; so these are the lengths of an ordered search (Dijkstra), without a queue.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ def shortest_paths(seeds, values, lengths, weight):
         improves = False
         for i in range(nz):
             iz = i if sweep % 2 == 0 else nz - 1 - i
-            for j in range(ny):
-                iy = j if sweep // 2 % 2 == 0 else ny - 1 - j
+            for j in range(2 * ny):
+                iy = j if j < ny else 2 * ny - 1 - j
                 before = looked[iz, iy]
                 now += 1
                 looked[iz, iy] = now
@@ -76,7 +76,7 @@ def step_costs(values, lengths, weight):
     return out
 
 
-@kernel
+@kernel(inlined=True)
 def relax_from_beside(far, costs, iz, iy, changed, before):
     """Shorten a row's paths by the four rows beside it that changed later than ``before``; whether one became so."""
     nz, ny, _ = far.shape
@@ -92,7 +92,7 @@ def relax_from_beside(far, costs, iz, iy, changed, before):
     return shorter
 
 
-@kernel
+@kernel(inlined=True)
 def relax(row, other, costs):
     """Shorten the paths of a row by steps from another; whether one became shorter. No branch: it runs in vectors."""
     shorter = 0
@@ -103,10 +103,15 @@ def relax(row, other, costs):
     return shorter > 0
 
 
-@kernel
+@kernel(inlined=True)
 def relax_along(row, costs):
     """Shorten the paths of a row by steps within it, there and back."""
+    # Branches: where nothing becomes shorter, as in most rows that are looked at again, no voxel waits for another.
     for k in range(1, len(row)):
-        row[k] = min(row[k], row[k - 1] + costs[k])
+        through = row[k - 1] + costs[k]
+        if through < row[k]:
+            row[k] = through
     for k in range(len(row) - 2, -1, -1):
-        row[k] = min(row[k], row[k + 1] + costs[k + 1])
+        through = row[k + 1] + costs[k + 1]
+        if through < row[k]:
+            row[k] = through

@@ -86,9 +86,11 @@ def render(
     projected[:, :2] = (projected[:, :2] - (low + high) / 2) * scale + fine / 2
     paint = np.broadcast_to(np.asarray(color, np.float64), points.shape)
     at_vertices = np.concatenate([_vertex_normals(points, triangles) @ frame.T, paint], axis=1)
-    depth, values = _fill(projected, triangles, at_vertices, fine)
-    pixels = _shade(depth, values[:, :3], values[:, 3:].reshape(fine, fine, 3), scale)
-    pixels = _halve(pixels[::-1])
+    covered, depth, values = _fill(projected, triangles, at_vertices, fine)
+    pixels = np.zeros((fine * fine, 4))
+    rims = _rims(covered, depth, fine, scale)
+    pixels[covered, :3], pixels[covered, 3] = _shade(values[:, :3], values[:, 3:], rims), 1.0
+    pixels = _halve(pixels.reshape(fine, fine, 4)[::-1])
     return Picture(pixels.astype(np.float32), 2.0 / scale, frame[:2].T.copy())
 
 
@@ -110,8 +112,10 @@ def _vertex_normals(points: Floats, triangles: NDArray[np.intp]) -> Floats:
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
 
 
-def _fill(projected: Floats, triangles: NDArray[np.intp], values: Floats, fine: int) -> tuple[Floats, Floats]:
-    """Depth buffer (-inf where empty) and the vertices' values (n, k) at each pixel, both flat."""
+def _fill(
+    projected: Floats, triangles: NDArray[np.intp], values: Floats, fine: int
+) -> tuple[NDArray[np.intp], Floats, Floats]:
+    """The pixels that are covered, flat and in order; of each the depth, and the vertices' values (n, k) there."""
     corners = projected[triangles]
     side, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     front = side[:, 0] * other[:, 1] - side[:, 1] * other[:, 0] > 0  # the rest face away, behind these
@@ -132,14 +136,14 @@ def _fill(projected: Floats, triangles: NDArray[np.intp], values: Floats, fine: 
             _rasterize_points(nearest, (weights @ corners[some]).reshape(-1, 3), depths, count, fine)
             batches.append((count, weights, triangles[some]))
             count += len(some) * len(weights)
-    depth, shown = np.full(fine * fine, -np.inf), np.zeros((fine * fine, values.shape[1]))
-    depth[nearest >= 0] = depths.mm(nearest[nearest >= 0] >> 32)
-    point = np.where(nearest >= 0, nearest & 0xFFFFFFFF, -1)
+    covered = np.flatnonzero(nearest >= 0)
+    nearest = nearest[covered]
+    point, shown = nearest & 0xFFFFFFFF, np.zeros((len(covered), values.shape[1]))
     for begin, weights, some in batches:
         at = np.flatnonzero((point >= begin) & (point < begin + len(some) * len(weights)))
         which, sample = np.divmod(point[at] - begin, len(weights))
         shown[at] = np.einsum("pi,pic->pc", weights[sample], values[some[which]])
-    return depth, shown
+    return covered, depths.mm(nearest >> 32), shown
 
 
 class _Depths(NamedTuple):
@@ -171,36 +175,38 @@ def _rasterize_points(nearest: NDArray[np.int64], points: Floats, depths: _Depth
     np.maximum.at(nearest, row[inside] * fine + column[inside], key)
 
 
-def _shade(depth: Floats, normals: Floats, color: Floats, scale: float) -> Floats:
-    """Soft light from above left, a small highlight, darker rims where the depth jumps; (fine, fine, 4)."""
-    fine = int(np.sqrt(len(depth)))
-    covered = np.isfinite(depth).reshape(fine, fine)
+def _shade(normals: Floats, color: Floats, rims: Floats) -> Floats:
+    """Colours (n, 3) of covered pixels: soft light from above left, a small highlight, darker ``rims``, a factor."""
     n = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     n[n[:, 2] < 0] *= -1.0  # interpolated normals may point away at the rim
     key, fill = np.array([-0.45, 0.65, 0.61]), np.array([0.7, -0.1, 0.7])
     light = 0.36 + 0.60 * np.clip(n @ key, 0, None) + 0.16 * np.clip(n @ fill, 0, None)
     half = (key + (0, 0, 1)) / np.linalg.norm(key + (0, 0, 1))
     shine = 0.18 * np.clip(n @ half, 0, None) ** 30
-    light = light.reshape(fine, fine) * _rims(depth.reshape(fine, fine), covered, scale)
-    rgb = np.clip(light[..., None] * color + shine.reshape(fine, fine, 1), 0, 1)
-    return np.concatenate([np.where(covered[..., None], rgb, 0.0), covered[..., None]], axis=2)
+    return np.asarray(np.clip((light * rims)[:, None] * color + shine[:, None], 0, 1))
 
 
-def _rims(depth: Floats, covered: NDArray[np.bool_], scale: float) -> Floats:
+def _rims(covered: NDArray[np.intp], depth: Floats, fine: int, scale: float) -> Floats:
     """Factor that darkens pixels lying well behind a neighbour, so that what is in front stands out."""
-    z = np.where(covered, depth, depth[covered].min() if covered.any() else 0.0) * scale  # in pixels
+    if not len(covered):
+        return np.ones(0)
+    flat = np.full(fine * fine, depth.min() * scale)  # in pixels
+    flat[covered] = depth * scale
+    z = flat.reshape(fine, fine)
     front = z.copy()
-    for axis in (0, 1):
-        for step in (-2, -1, 1, 2):
-            front = np.maximum(front, np.roll(z, step, axis))
-    return np.where(front - z > 14.0, 0.8, 1.0)
+    for step in (1, 2):
+        for near, behind in ((front, z), (front.T, z.T)):
+            np.maximum(near[step:], behind[:-step], out=near[step:])
+            np.maximum(near[:-step], behind[step:], out=near[:-step])
+            # Beyond an end of the picture is its other end.
+            np.maximum(near[:step], behind[-step:], out=near[:step])
+            np.maximum(near[-step:], behind[:step], out=near[-step:])
+    return np.where((front - z).ravel()[covered] > 14.0, 0.8, 1.0)
 
 
 def _halve(pixels: Floats) -> Floats:
-    """Average 2 x 2 pixels; colours are weighted by opacity, so that rims do not darken."""
-    premultiplied = pixels.copy()
-    premultiplied[..., :3] *= pixels[..., 3:]
-    n = len(pixels) // 2
-    mean = premultiplied.reshape(n, 2, n, 2, 4).mean(axis=(1, 3))
+    """Average 2 x 2 pixels that are opaque, or 0; colours are weighted by opacity, so that rims do not darken."""
+    upper, lower = pixels[0::2], pixels[1::2]
+    mean = (upper[:, 0::2] + upper[:, 1::2] + lower[:, 0::2] + lower[:, 1::2]) / 4.0
     mean[..., :3] /= np.maximum(mean[..., 3:], 1e-9)
     return np.asarray(mean)

@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
-from skimage.measure import find_contours
 
 from accelsurf.grid.clicks import NO_OBJECT
 from accelsurf.grid.geometry import Geometry
@@ -201,6 +199,8 @@ def name_section(
     """Write a name or an id at the deepest place of a section that is away from marks, which it would cover."""
     if not inside.any():
         return
+    from scipy import ndimage  # a picture without sections does without SciPy
+
     depth = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1]
     vertical, horizontal = IN_PLANE[shown.view.plane]
     left, _, right, _ = shown.axes.box
@@ -224,6 +224,8 @@ def draw_contour(
     """Draw the zero level of a slice of psi, dark below and coloured above, so that it shows on any grey."""
     if min(psi.shape) < 2 or not (psi < 0).any() or not (psi > 0).any():
         return
+    from skimage.measure import find_contours
+
     vertical, horizontal = IN_PLANE[shown.view.plane]
     lines = [
         shown.to_canvas(line[:, 0] + shown.ranges[vertical][0], line[:, 1] + shown.ranges[horizontal][0])

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import ValidationError, model_validator
+from pydantic import ConfigDict, ValidationError, model_validator
 
 from accelsurf.errors import UsageError
 from accelsurf.settings import energy_expression, messages, toml
@@ -55,6 +55,8 @@ class RunConfig(SettingFields):
     accelsurf.errors.UsageError: cfl: 3 was given, expected a number greater than 0 and at most 1
     hint: ...
     """
+
+    model_config = ConfigDict(defer_build=False)
 
     def __init__(self, **values: Any) -> None:
         # The validation refuses an unknown preset.

@@ -37,7 +37,10 @@ def _flow_names() -> dict[str, str]:
 class RunFields(BaseModel):
     """What is run, and how the surface moves."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+    # Nobody makes a record of a part of the settings: only the class of all of them gets a validator.
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True, defer_build=True
+    )
 
     preset: Annotated[str, OneOf(lambda: PRESETS)] | None = setting(
         None,

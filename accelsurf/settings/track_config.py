@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import ValidationError
+from pydantic import ConfigDict, ValidationError
 
 from accelsurf.errors import UsageError
 from accelsurf.settings import catalogue, energy_expression, messages, toml
@@ -57,6 +57,8 @@ class TrackConfig(TrackFields):
     frame = 0
     ...
     """
+
+    model_config = ConfigDict(defer_build=False)
 
     run: RunConfig = RunConfig()
 

@@ -37,7 +37,10 @@ def _energy_or_auto(value: Any) -> Any:
 class TrackFields(BaseModel):
     """How objects are followed from frame to frame."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+    # Nobody makes a record of a part of the settings: only the class of all of them gets a validator.
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True, defer_build=True
+    )
 
     frame: int = setting(
         0,

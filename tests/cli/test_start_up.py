@@ -14,10 +14,12 @@ from accelsurf.phantoms import recipes
 OF_A_RUN = {"numba", "scipy", "skimage", "SimpleITK", "nibabel", "PIL"}
 #: What only studies, other formats and the viewer need.
 OF_OTHERS = {"matplotlib", "pandas", "pyvista", "vtkmodules", "trame", "trimesh", "IPython", "pytest"}
+#: What reads DICOM, and what that imports; nibabel would import it for every NIfTI.
+OF_DICOM = {"pydicom", "highdicom", "requests", "urllib3"}
 #: Kernels that a run calls, each loaded from the disk in 3 ms: 42 and 48 when this was written.
 MOST_KERNELS = {"start": 43, "inside": 48}
 
-#: Runs a command; prints its exit code, the packages that it loaded, and the kernels that were compiled or loaded.
+#: Runs a command; prints its exit code, the modules that it loaded, and the kernels that were compiled or loaded.
 CODE = """
 import json, sys
 from accelsurf.cli import execute
@@ -30,16 +32,20 @@ if numba is not None:
     for one in gc.get_objects():
         if isinstance(one, numba.core.dispatcher.Dispatcher) and one.__module__.startswith("accelsurf"):
             kernels += [one.__name__] * sum(one.stats.cache_hits.values())
-print(json.dumps([code, sorted({name.partition(".")[0] for name in sys.modules}), kernels]))
+print(json.dumps([code, sorted(sys.modules), kernels]))
 """
 
 
 def loaded(*words):
-    """Exit code of a command in a process of its own, packages that it loaded, and kernels that it called."""
+    """Exit code of a command in a process of its own, modules that it loaded, and kernels that it called."""
     ended = subprocess.run([sys.executable, "-c", CODE, *map(str, words)], capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr
-    code, packages, kernels = json.loads(ended.stdout.splitlines()[-1])
-    return code, set(packages), kernels
+    code, modules, kernels = json.loads(ended.stdout.splitlines()[-1])
+    return code, set(modules), kernels
+
+
+def packages_of(modules):
+    return {name.partition(".")[0] for name in modules}
 
 
 @pytest.fixture
@@ -68,19 +74,64 @@ def ball(tmp_path):
 )
 def test_what_is_refused_or_told_at_once_loads_nothing_of_a_run(words, code, ball):
     words = [word.replace("FOLDER", str(ball.parent)) for word in words]
-    got, packages, _ = loaded(*words)
+    got, modules, _ = loaded(*words)
     assert got == code
-    assert not packages & (OF_A_RUN | OF_OTHERS)
+    assert not packages_of(modules) & (OF_A_RUN | OF_OTHERS)
+
+
+def test_a_look_at_an_image_does_without_compiled_code_and_numerics(ball):
+    code, modules, _ = loaded("look", ball, "-o", ball.parent / "look.png")
+    assert code == 0
+    # nibabel loads scipy's first module to see whether it is there, which takes 5 ms.
+    assert not modules & {"numba", "skimage", "scipy.ndimage", "scipy.special", "scipy.spatial", "scipy.linalg"}
+    assert not packages_of(modules) & (OF_OTHERS | OF_DICOM)
+
+
+def test_pydicom_is_there_for_all_but_nibabel_s_import(ball):
+    code = (
+        "import sys; from pathlib import Path; from accelsurf.io.formats.nibabel_import import import_nibabel_for\n"
+        f"import_nibabel_for(Path({__file__!r})); print('nibabel' in sys.modules)\n"
+        f"import_nibabel_for(Path({str(ball)!r})); print('nibabel' in sys.modules, 'pydicom' in sys.modules)\n"
+        "from nibabel.nicom import csareader; import pydicom; print(csareader.get_csa_header(pydicom.Dataset()))\n"
+        f"import_nibabel_for(Path({str(ball)!r})); print(sys.modules['pydicom'] is pydicom)"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.stdout.splitlines() == ["False", "True False", "None", "True"], ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "own"), [("look", {"ReadWithoutLevel"}), ("segment", {"Settings"}), ("refine", set())]
+)
+def test_a_command_makes_no_options_of_others(command, own):
+    code = (
+        f"import accelsurf.cli.{command}\n"
+        "made = [one.__name__ for one in object.__subclasses__() if one.__module__ == 'accelsurf.cli.options']\n"
+        "print(*made)"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert set(ended.stdout.split()) == own | {"Display"}, ended.stderr
 
 
 @pytest.mark.parametrize("given", [("--start", "ball:0,0,0,4"), ("--inside", "point:0,0,0")])
 def test_a_run_loads_the_kernels_that_it_calls_and_no_library_of_others(given, ball):
     words = ("segment", ball, "-o", ball.parent / "out", "--max-steps", "5", *given)
     loaded(*words)  # compiles what nobody has compiled before
-    code, packages, kernels = loaded(*words, "--overwrite")
+    code, modules, kernels = loaded(*words, "--overwrite")
     assert code == 0
-    assert not packages & (OF_OTHERS)
+    assert not packages_of(modules) & (OF_OTHERS | OF_DICOM)
     assert 20 < len(kernels) <= MOST_KERNELS[given[0].strip("-")], sorted(kernels)
+
+
+def test_only_whole_settings_get_a_validator():
+    code = (
+        "from accelsurf.settings.run_config import RunConfig\n"
+        "from accelsurf.settings.track_config import TrackConfig\n"
+        "RunConfig(cfl=0.5), TrackConfig(model='none')\n"
+        "made = [one.__pydantic_complete__ for kind in (RunConfig, TrackConfig) for one in kind.__mro__[:-2]]\n"
+        "print(*made)"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.stdout.split() == ["True", *["False"] * 4, "True", "False"], ended.stderr
 
 
 @pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("3", "3")])
@@ -93,6 +144,17 @@ def test_the_program_starts_no_threads_for_linear_algebra(given, expected):
     environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
     assert ended.stdout.splitlines()[-1] == expected
+
+
+@pytest.mark.parametrize(("started", "expected"), [("accelsurf.__main__", False), ("accelsurf.cli", True)])
+def test_the_program_alone_looks_for_cycles_less_often(started, expected):
+    code = (
+        "import atexit, gc; before = gc.get_threshold(); "
+        "atexit.register(lambda: print(before == gc.get_threshold(), gc.isenabled(), flush=True)); "
+        f"import sys; sys.argv[1:] = ['--version']; from {started} import main; main()"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.stdout.splitlines()[-1] == f"{expected} True"
 
 
 def test_the_viewer_loads_nothing_of_scipy_that_its_first_picture_does_not_need():

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from accelsurf import io
-from accelsurf.cli.options import Settings, run_config
+from accelsurf.cli.options import run_config
+from accelsurf.cli.segment import Settings
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.serialization import from_bytes
 from accelsurf.grid.volume import Volume
