@@ -37,6 +37,8 @@ class SlicesPanel(Section):
         self.chart.toggled.connect(lambda on: self.ask("chart", on))
         self.interpolate = switch("Smooth", "Slices smooth between voxels, or each voxel as a rectangle")
         self.interpolate.toggled.connect(lambda on: self.ask("interpolate", on))
+        self.straight = switch("Straight", "Slices straight by anatomy, or along the voxels of an oblique scan (2)")
+        self.straight.toggled.connect(lambda on: self.ask("straight", on))
         self.whole = button("Whole", "The whole image in each tile (R)")
         self.whole.clicked.connect(lambda: self.ask("whole"))
         grid.addWidget(QLabel("Grey values"), 0, 0)
@@ -47,7 +49,8 @@ class SlicesPanel(Section):
         grid.addWidget(QLabel("Layout"), 2, 0)
         grid.addWidget(self.layout_, 2, 1, 1, 3)
         grid.addWidget(self.chart, 3, 0)
-        grid.addWidget(self.interpolate, 3, 1, 1, 2)
+        grid.addWidget(self.interpolate, 3, 1)
+        grid.addWidget(self.straight, 3, 2)
         grid.addWidget(self.whole, 3, 3)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
@@ -63,6 +66,8 @@ class SlicesPanel(Section):
         show_choice(self.layout_, state["layouts"], state["layout"])
         show_switch(self.chart, state["chart"])
         show_switch(self.interpolate, state["interpolate"])
+        show_switch(self.straight, state["straight"])
+        self.straight.setEnabled(state["is_oblique"])
 
     def _named(self) -> None:
         if self.window_word.currentText() != BY_HAND:
