@@ -79,6 +79,7 @@ def places(window: Window) -> dict[str, Any]:
         | {"measure_clear": middle(measure.clear), "opacity": ends(objects.opacity)}
         | {f"object_{name}": middle(getattr(objects, name)) for name in ("add", "merge", "remove", "nearest")}
         | {"grey values": middle(slices.window_word), "layout": middle(slices.layout_), "level": middle(slices.level)}
+        | {"straight": middle(slices.straight)}
         | {f"change {row}": row_of(side.panels["HistoryPanel"].list, row) for row in range(3)}
         | {"next doubt": middle(side.panels["HistoryPanel"].next)}
         | {f"object {row}": cell_of(objects.table, row, 2) for row in range(3)}
