@@ -1,4 +1,4 @@
-"""Slices of an oblique scan, straight by anatomy: what is seen, clicked, painted and measured lies where the world says."""
+"""Slices of an oblique scan, straight by anatomy: what is seen, clicked, painted, measured is where the world says."""
 
 import dataclasses
 
@@ -268,7 +268,7 @@ def drag(workplace, name, *worlds):
 
 @pytest.mark.parametrize("name", list(HANGS))
 def test_a_stroke_marks_the_voxels_under_the_brush(workplace, name):
-    """Each pixel within the brush's radius of the line is coloured; what is coloured are the voxels of the click, all."""
+    """Coloured are the pixels in voxels of the click, all of them; and that is a band as wide as the brush."""
     workplace, center = workplace
     scene = workplace.scene
     tile = scene.slice_tiles[name]

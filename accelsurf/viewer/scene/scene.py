@@ -154,7 +154,7 @@ class Scene:
         self._chart = EnergyChart(plotter, self._theme)
         plotter.subplot(0, 0)
         largest = self.space.renderer if self.space is not None else next(iter(self.slice_tiles.values())).renderer
-        self._legend = Legend(largest)
+        self._legend = Legend(largest, self._theme.ink)
         for tile in self.slice_tiles.values():
             tile.styles = self.styles
             tile.show(self._cursor)
@@ -191,7 +191,7 @@ class Scene:
     def _show_flat(self, frame: Frame) -> None:
         for tile in self.slice_tiles.values():
             tile.draw_objects(frame)
-        self._legend.show(legend_lines(frame, self._theme.ink, self.dice, self.styles.of(frame)))
+        self._legend.show(legend_lines(frame, self.dice, self.styles.of(frame)))
 
     def restyle(self, given: Mapping[int, ObjectStyle]) -> None:
         """Draw objects in these styles, by id; those that are not named as by default."""
@@ -366,9 +366,9 @@ class Scene:
         self._redraw.mark_all()
         for renderer in self.plotter.renderers:
             renderer.background_color = self._theme.background
-        for tile in (self.space, *self.slice_tiles.values(), self._chart):
-            if tile is not None:
-                tile.paint(self._theme)
+        for part in (self.space, *self.slice_tiles.values(), self._chart, self._legend):
+            if part is not None:
+                part.paint(self._theme)
 
     # -- pictures -----------------------------------------------------------------------------------------
 
