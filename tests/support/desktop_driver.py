@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import QPoint, QTimer
-from PySide6.QtWidgets import QApplication, QListWidget, QTableWidget, QWidget
+from PySide6.QtWidgets import QApplication, QDialog, QLineEdit, QListWidget, QPushButton, QTableWidget, QWidget
 
 from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
@@ -83,13 +83,24 @@ def places(window: Window) -> dict[str, Any]:
         | {f"change {row}": row_of(side.panels["HistoryPanel"].list, row) for row in range(3)}
         | {"next doubt": middle(side.panels["HistoryPanel"].next)}
         | {f"object {row}": cell_of(objects.table, row, 2) for row in range(3)}
+        | {f"color {row}": cell_of(objects.table, row, 1) for row in range(3)}
         | {f"seen {row}": cell_of(objects.table, row, 0) for row in range(3)}
         | {name: ends(row.amount.slider) for name, row in settings.rows.items() if isinstance(row, SliderRow)},
-        "tiles": tiles,
+        "tiles": tiles, "dialog": dialog(),
         "rows": {key: [row.label.text(), middle(line_of(row))] for key, row in settings.rows.items()},
         "histogram": ends(side.panels["HistogramPanel"].view),
         "energy_error": settings.rows["energy"].error.text() if settings.rows else "",
     }
+
+
+def dialog() -> dict[str, Any]:
+    """Title of the dialog that is open, its field for a colour's code and its buttons; empty where none is."""
+    shown = QApplication.activeModalWidget()
+    if not isinstance(shown, QDialog):
+        return {}
+    buttons = {one.text().replace("&", ""): middle(one) for one in shown.findChildren(QPushButton) if one.isVisible()}
+    codes = [middle(one) for one in shown.findChildren(QLineEdit) if one.isVisible() and one.text().startswith("#")]
+    return {"title": shown.windowTitle(), "code": codes, **buttons}
 
 
 def line_of(row: SettingRow) -> QWidget:

@@ -60,7 +60,7 @@ def test_the_window_shows_an_oblique_scan_straight_and_paints_in_it(person):
 def test_the_page_shows_an_oblique_scan_straight(tmp_path):
     viewing.needs_graphics()
     pytest.importorskip("trame", reason='trame is missing: pip install "accelsurf[viewer]"')
-    served = Served(tmp_path, direction=TURNED)
+    served = Served(tmp_path, scan=viewing.ball_image(direction=TURNED))
     try:
         with driven(tmp_path) as browser:
             browser.get(served.address)
