@@ -91,22 +91,18 @@ class SizeDrag:
         own = index - self.first[axis]
         if not 0 <= own < self.times.shape[axis]:
             return None
-        level = self._cut_level(volume_mm3)
-        times = np.minimum(self.times.take(own, axis=axis), np.float32(2.0 * level))
-        return np.asarray(times - np.float32(level * (1.0 + 1e-6)))
+        return self.signed(np.asarray(self.times.take(own, axis=axis)), volume_mm3)
 
-    def function(self, index: tuple[NDArray[np.float64], ...], volume_mm3: float) -> NDArray[np.float32]:
-        """The same at any places, given by indices z, y, x of the region of interest, between voxels too."""
+    def times_at(self, index: tuple[NDArray[np.float64], ...]) -> NDArray[np.float32]:
+        """Arrival times at any places, given by indices z, y, x of the region of interest, between voxels too."""
         z, y, x = index
-        level = self._cut_level(volume_mm3)
-        return linear(self.times, (z, y, x), 2.0 * level) - np.float32(level * (1.0 + 1e-6))
+        return linear(self.times, (z, y, x), 2.0 * max(float(self.times.ravel()[self.order[-1]]), 1e-6))
 
-    def _cut_level(self, volume_mm3: float) -> float:
-        """The time at the outline; twice as late stands for what was never reached.
-
-        The outline is just above it where the front passes between two voxels; what came never is outside.
-        """
-        return max(self.level_of(volume_mm3), 1e-6)
+    def signed(self, times: NDArray[np.float32], volume_mm3: float) -> NDArray[np.float32]:
+        """Return what is negative inside the object, if it has this volume, of arrival times."""
+        level = max(self.level_of(volume_mm3), 1e-6)
+        # Just above the level where the front passes between two voxels; what came never is outside.
+        return np.asarray(np.minimum(times, np.float32(2.0 * level)) - np.float32(level * (1.0 + 1e-6)))
 
     def size_text(self, drag_mm: float) -> str:
         """The volume of a drag as ``size`` of a run's settings."""

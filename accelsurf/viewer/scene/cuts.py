@@ -37,17 +37,26 @@ def function_lines(function: NDArray[np.float32], stack: SliceStack, number: int
     return _in_plane(lines, patch, stack, number, (-0.5,) * 3, np.array(function.shape) - 0.5)
 
 
-def drag_lines(drag: SizeDrag, volume_mm3: float, stack: SliceStack, number: int) -> Floats:
-    """The outline of what belongs to an object of this volume."""
-    first = np.asarray(drag.first, float)
-    if not stack.is_straight:
-        plane = drag.plane(stack.axis, number, volume_mm3)
-        return NONE if plane is None else stack.to_place(_ends(contour(plane), stack.axis) + first)[..., :2]
-    last = first + drag.times.shape - 1.0
-    patch = stack.patch(number, first, last)
-    z, y, x = (place - corner for place, corner in zip(patch.places, first, strict=True))
-    lines = contour(drag.function((z, y, x), volume_mm3))
-    return _in_plane(lines, patch, stack, number, first - 0.5, last + 0.5)
+class DragLines:
+    """The outline of what belongs to an object of a size, in a tile; in a straight slice its times are read once."""
+
+    def __init__(self) -> None:
+        self._read_for: tuple[SizeDrag, SliceStack, int] | None = None
+        self._times = np.zeros((0, 0), np.float32)
+
+    def lines(self, drag: SizeDrag, volume_mm3: float, stack: SliceStack, number: int) -> Floats:
+        """The outline in a slice, of a volume."""
+        first = np.asarray(drag.first, float)
+        if not stack.is_straight:
+            plane = drag.plane(stack.axis, number, volume_mm3)
+            return NONE if plane is None else stack.to_place(_ends(contour(plane), stack.axis) + first)[..., :2]
+        last = first + drag.times.shape - 1.0
+        patch = stack.patch(number, first, last)
+        if self._read_for != (drag, stack, number):  # drags and stacks are themselves alone
+            z, y, x = (place - corner for place, corner in zip(patch.places, first, strict=True))
+            self._read_for, self._times = (drag, stack, number), drag.times_at((z, y, x))
+        lines = contour(drag.signed(self._times, volume_mm3))
+        return _in_plane(lines, patch, stack, number, first - 0.5, last + 0.5)
 
 
 def ball_lines(center: Floats, radius: float, stack: SliceStack, number: int) -> Floats:

@@ -17,7 +17,7 @@ from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.captions import measure
 from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFERENCE, Theme
-from accelsurf.viewer.scene.cuts import NONE, ball_lines, drag_lines, function_lines, surface_lines
+from accelsurf.viewer.scene.cuts import NONE, DragLines, ball_lines, function_lines, surface_lines
 from accelsurf.viewer.scene.object_styles import ObjectStyles
 from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar
 from accelsurf.viewer.scene.shapes import ColorTexture, GreyTexture, polygon
@@ -85,7 +85,7 @@ class SliceTile:
         #: What draws each line, and its width in pixels of a usual screen.
         self._lines: dict[str, tuple[pv.Actor, float]] = {}
         self._ratio = 1.0
-        self._drawn_objects, self.styles = 0, ObjectStyles()
+        self._drawn_objects, self.styles, self._drag = 0, ObjectStyles(), DragLines()
         self._texture, self._grey = GreyTexture(), np.zeros((2, 2), np.uint8)
         self._values: NDArray[Any] = self._grey
         #: Pictures of the whole slice, and their depth.
@@ -259,7 +259,7 @@ class SliceTile:
         self.title.text = "\n".join(line for line in (self.title.text.partition("\n")[0], text) if line)
         lines = NONE
         if drag is not None and volume_mm3 is not None:
-            lines = drag_lines(drag, volume_mm3, self.stack, self.index)
+            lines = self._drag.lines(drag, volume_mm3, self.stack, self.index)
         self._draw_lines("size", lines, MARK, 2.2)
 
     def mark_places(self, places: NDArray[np.float64]) -> None:
