@@ -12,7 +12,16 @@ from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import QPoint, QTimer
-from PySide6.QtWidgets import QApplication, QDialog, QLineEdit, QListWidget, QPushButton, QTableWidget, QWidget
+from PySide6.QtWidgets import (
+    QApplication,
+    QDialog,
+    QLineEdit,
+    QListWidget,
+    QPushButton,
+    QScrollArea,
+    QTableWidget,
+    QWidget,
+)
 
 from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
@@ -86,11 +95,17 @@ def places(window: Window) -> dict[str, Any]:
         | {f"color {row}": cell_of(objects.table, row, 1) for row in range(3)}
         | {f"seen {row}": cell_of(objects.table, row, 0) for row in range(3)}
         | {name: ends(row.amount.slider) for name, row in settings.rows.items() if isinstance(row, SliderRow)},
-        "tiles": tiles, "dialog": dialog(),
+        "tiles": tiles, "dialog": dialog(), "hidden_width": hidden_width(side),
         "rows": {key: [row.label.text(), middle(line_of(row))] for key, row in settings.rows.items()},
         "histogram": ends(side.panels["HistogramPanel"].view),
         "energy_error": settings.rows["energy"].error.text() if settings.rows else "",
     }
+
+
+def hidden_width(side: QWidget) -> int:
+    """Pixels by which the panels are wider than what is seen of them."""
+    (area,) = side.findChildren(QScrollArea)
+    return area.widget().width() - area.viewport().width()
 
 
 def dialog() -> dict[str, Any]:

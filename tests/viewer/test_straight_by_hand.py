@@ -34,6 +34,7 @@ def person(screen, tmp_path):
 @needs_screen
 def test_the_window_shows_an_oblique_scan_straight_and_paints_in_it(person):
     assert person.now()["state"]["straight"] and person.now()["state"]["is_oblique"]
+    assert person.now()["hidden_width"] == 0, "the panels fit beside the picture"
     x, y = person.now()["tiles"]["axial"]
     middle, right, up = place_at(person, x, y), place_at(person, x + 30, y), place_at(person, x, y - 30)
     assert right[0] > middle[0] + 1 and right[1:] == pytest.approx(middle[1:], abs=0.11)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from PySide6.QtCore import QSignalBlocker
+from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QLabel
 
 from accelsurf.viewer.frontends.panels.section import Section, button, choice, show_choice, show_switch, switch
@@ -49,9 +49,9 @@ class SlicesPanel(Section):
         grid.addWidget(QLabel("Layout"), 2, 0)
         grid.addWidget(self.layout_, 2, 1, 1, 3)
         grid.addWidget(self.chart, 3, 0)
-        grid.addWidget(self.interpolate, 3, 1)
-        grid.addWidget(self.straight, 3, 2)
+        grid.addWidget(self.interpolate, 3, 1, 1, 2)
         grid.addWidget(self.whole, 3, 3)
+        grid.addWidget(self.straight, 4, 0, 1, 2, Qt.AlignmentFlag.AlignLeft)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the grey values and the layout."""
