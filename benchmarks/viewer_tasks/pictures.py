@@ -32,7 +32,9 @@ PAGES = ((700, 900), (1280, 720), (1920, 1080))
 THEMES = ("dark", "light")
 STEPS = 40
 #: Height of a picture in the sheet, and what is left between them, pixels.
-ROW, GAP = 270, 6
+ROW, GAP = 240, 6
+#: Of the sheet: enough for grey images and few colours, in a small file.
+COLORS = 160
 
 
 def main() -> None:
@@ -69,7 +71,7 @@ def write_sheet(folder: Path, path: Path) -> None:
         for one in row:
             sheet.paste(one, (left, GAP + number * (ROW + GAP)))
             left += one.width + GAP
-    sheet.quantize(128).save(path, optimize=True)
+    sheet.quantize(COLORS).save(path, optimize=True)
 
 
 def in_row(picture: Image.Image) -> Image.Image:
