@@ -134,8 +134,14 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
         texts = "return [...document.querySelectorAll('.objects .ml')].map(one => one.textContent)"
         return [words for words in browser.execute_script(texts) if re.fullmatch(r"[\d.]+ ml", words)]
 
-    def count_is(count):
-        found = until(lambda: len(found := rows()) == count and found, 120)
+    def count_is(count, total=None):
+        """The objects, once there are so many, and the picture shows their volumes, ml together."""
+        def is_seen(found):
+            return len(found) == count and (
+                total is None or sum(one["ml"] for one in found) == pytest.approx(total, rel=0.01)
+            )
+
+        found = until(lambda: is_seen(found := rows()) and found, 120)
         until(lambda: [float(words.removesuffix(" ml")) for words in listed()] == [one["ml"] for one in found])
         return found
 
@@ -167,17 +173,16 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
             browser.find_element("css selector", f"#object-{two[1]['id']} button.name").click()
             choice = until(lambda: browser.find_elements("css selector", "select[aria-label^='merge ']"))[0]
             choice.find_element("css selector", f"option[value='{two[0]['id']}']").click()
-            (merged,) = count_is(1)
-            assert merged["ml"] == pytest.approx(sum(one["ml"] for one in two), rel=0.01)
+            (merged,) = count_is(1, sum(one["ml"] for one in two))
             hand.picture.send_keys("q")
             until(lambda: state(served)["tool"] == "split")
             hand.drag(other, (0, 0), 0)
-            split = count_is(2)
+            split = count_is(2, merged["ml"])
             assert [one["ml"] for one in split] == pytest.approx([one["ml"] for one in two], rel=0.01)
             browser.find_element("css selector", f"#object-{split[1]['id']} button.name").click()
             until(lambda: browser.find_element("id", "object-remove").is_enabled())
             browser.find_element("id", "object-remove").click()
-            (alone,) = count_is(1)
+            (alone,) = count_is(1, split[0]["ml"])
             assert alone["ml"] == split[0]["ml"]
             # Each was one change: undone by the key and by the button, and made again.
             for wanted, steps in ((split, "key"), ([merged], "button"), (two, "key")):
@@ -185,8 +190,9 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
                     hand.picture.send_keys(Keys.CONTROL, "z")
                 else:
                     browser.find_element("id", "undo").click()
-                assert [one["ml"] for one in count_is(len(wanted))] == [one["ml"] for one in wanted]
+                again = count_is(len(wanted), sum(one["ml"] for one in wanted))
+                assert [one["ml"] for one in again] == [one["ml"] for one in wanted]
             browser.find_element("id", "redo").click()
-            assert count_is(1)[0]["ml"] == merged["ml"]
+            assert count_is(1, merged["ml"])[0]["ml"] == merged["ml"]
     finally:
         assert served.close() == 0, served.log_text()
