@@ -65,6 +65,11 @@ class DisplayOrientation:
         names = ("z", "y", "x") if parallel else ("z'", "y'", "x'")
         return cls(order, flips, spacing, first, names)  # type: ignore[arg-type]
 
+    @property
+    def is_parallel(self) -> bool:
+        """Whether the grid is parallel to the world axes."""
+        return self.names == ("z", "y", "x")
+
     def reorient(self, array: NDArray[Any]) -> NDArray[Any]:
         """The array with the new axes; a view."""
         permuted = array.transpose(self.order)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,9 +11,14 @@ from accelsurf.grid.boxes import corner_of
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.run import Run
 
+#: Pixels along a side of a block of a slice aslant.
+BLOCK = 32
+#: A slice of the grid, or the voxels of one aslant.
+Plane = tuple[int, int] | NDArray[np.int64]
+
 
 def image_forces(
-    run: Run, planes: list[tuple[int, int]], object_id: int | None = None, is_measured: bool = False
+    run: Run, planes: Sequence[Plane], object_id: int | None = None, is_measured: bool = False
 ) -> list[NDArray[np.float32]] | None:
     """The force of an object's energy in slices of the image, outward: above 0 a surface there would grow.
 
@@ -20,8 +27,9 @@ def image_forces(
     Parameters
     ----------
     run : Run
-    planes : list of (int, int)
-        Array axis (of z, y, x) and index of each slice.
+    planes : sequence of (int, int) or ndarray (rows, columns, 3)
+        Array axis (of z, y, x) and index of each slice; or of a slice aslant the voxel (z, y, x) at each of its pixels,
+        which may lie beyond the image.
     object_id : int, optional
         Of several objects; the first unless given.
     is_measured : bool, optional
@@ -30,7 +38,7 @@ def image_forces(
     Returns
     -------
     list of ndarray, or None
-        (rows, columns) of the image; NaN where it is not known, as beyond the region of interest. None where the energy
+        (rows, columns); NaN where it is not known, as beyond the region of interest. None where the energy
         does not tell, or there is no surface.
     """
     one = next((own for own in run.objects if object_id in (None, own.id)), run.objects[0])
@@ -39,7 +47,10 @@ def image_forces(
     if not is_measured:
         one.evolution.initialize()
         one.evolution.energy.value(one.surface, *one.surface.fraction_and_area())
-    forces = [_in_slice(run, one, axis, index) for axis, index in planes]
+    forces = [
+        _at_voxels(run, one, plane) if isinstance(plane, np.ndarray) else _in_slice(run, one, *plane)
+        for plane in planes
+    ]
     return None if any(force is None for force in forces) else [force for force in forces if force is not None]
 
 
@@ -58,6 +69,30 @@ def _in_slice(run: Run, one: EvolvingObject, axis: int, index: int) -> NDArray[n
     known = np.ix_(rows >= 0, columns >= 0)
     flat: NDArray[np.float32] = -np.squeeze(force, axis=axis)
     out[known] = flat[np.ix_(rows[rows >= 0], columns[columns >= 0])]
+    return out
+
+
+def _at_voxels(run: Run, one: EvolvingObject, voxels: NDArray[np.int64]) -> NDArray[np.float32] | None:
+    """The force at voxels (rows, columns, 3), by blocks: the box of all of a slice aslant may be the whole image."""
+    out: NDArray[np.float32] = np.full((len(voxels), voxels.shape[1]), np.nan, np.float32)
+    inside = np.all((voxels >= 0) & (voxels < np.array(run.volume.geometry.shape)), axis=-1)
+    places = np.full(voxels.shape, -1, np.int64)
+    for axis, place in enumerate(_places(run, one)):
+        places[..., axis][inside] = place[voxels[..., axis][inside]]
+    known = np.all(places >= 0, axis=-1)
+    rows, columns = out.shape
+    for row in range(0, rows, BLOCK):
+        for column in range(0, columns, BLOCK):
+            part = (slice(row, row + BLOCK), slice(column, column + BLOCK))
+            at = places[part][known[part]]
+            if not len(at):
+                continue
+            low, high = at.min(axis=0), at.max(axis=0) + 1
+            z, y, x = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+            force = one.evolution.energy.image_force(one.surface, (z, y, x))
+            if force is None:
+                return None
+            out[part][known[part]] = -force[tuple((at - low).T)]
     return out
 
 

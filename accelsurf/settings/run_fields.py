@@ -111,8 +111,8 @@ class RunFields(BaseModel):
     )
     max_volume: Annotated[float, Field(gt=0)] | None = setting(
         None,
-        "Leak guard: the run ends when the object is larger than this, in mm^3.",
-        entry=SettingEntry(RUN, viewer="first", unit="mm^3", metavar="MM3"),
+        "Leak guard: the run ends when the object is larger than this, in mm3.",
+        entry=SettingEntry(RUN, viewer="first", unit="mm3", metavar="MM3"),
     )
     levels: Annotated[int, Field(ge=1)] | Literal["auto"] = setting(
         "auto",
@@ -224,11 +224,11 @@ class RunFields(BaseModel):
     )
     diffusion: Annotated[float, Field(ge=0)] | Literal["auto", "free"] = setting(
         "auto",
-        "Diffusion of the surface's speed along the surface, in mm^2 per unit of flow time; 0 is none; "
+        "Diffusion of the surface's speed along the surface, in mm2 per unit of flow time; 0 is none; "
         "free is the largest rate that does not shorten the time step, within a mixing length; auto is free with "
         "momentum, else none.",
         entry=SettingEntry(
-            unit="mm^2 per unit of flow time",
+            unit="mm2 per unit of flow time",
             metavar="D|free|auto",
             scope="flow",
             slider=Slider(0.0, 20.0, voxel_power=2, words=("auto", "free")),

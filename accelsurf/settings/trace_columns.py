@@ -34,7 +34,7 @@ class TraceColumn:
     value: Callable[[Any, Any, Any], float] | None = None
 
 
-_ENERGY = "mm^3"
+_ENERGY = "mm3"
 TRACE_COLUMNS: Registry[TraceColumn] = Registry(
     "trace column",
     TraceColumn("step", "", "number of the step; the last row is the final state"),
@@ -47,7 +47,7 @@ TRACE_COLUMNS: Registry[TraceColumn] = Registry(
         "length that the CFL limit alone would allow; where dt is less, waves, diffusion, noise or density limit it",
     ),
     TraceColumn("potential", _ENERGY, "energy U that is minimised; values of different levels do not compare"),
-    TraceColumn("kinetic", "", "kinetic energy T of the paper; T/w is in mm^3, as the potential"),
+    TraceColumn("kinetic", "", "kinetic energy T of the paper; T/w is in mm3, as the potential"),
     TraceColumn("mass_potential", _ENERGY, "mass potential U_mass; 0 without gravity"),
     TraceColumn("weight", "", "factor w of the potentials: U + U_mass + T/w never rises; 1 for descent"),
     TraceColumn("friction_work", _ENERGY, "energy that friction has taken so far"),
@@ -59,15 +59,15 @@ TRACE_COLUMNS: Registry[TraceColumn] = Registry(
     TraceColumn("noise_work", _ENERGY, "energy that noise has added so far"),
     TraceColumn("mass", "relative", "mass of the surface; 0 without momentum"),
     TraceColumn("mass_correction", "relative", "fraction of the mass that was added so far to conserve it"),
-    TraceColumn("volume_mm3", "mm^3", "volume of the object"),
-    TraceColumn("area_mm2", "mm^2", "area of the surface"),
+    TraceColumn("volume_mm3", "mm3", "volume of the object"),
+    TraceColumn("area_mm2", "mm2", "area of the surface"),
     TraceColumn(
         "speed", "mm per unit of flow time", "the speed limiter's percentile of the absolute speed on the surface"
     ),
     TraceColumn("motion_voxels", "voxels", "mean motion of the surface in the step, along the normal"),
     TraceColumn("limited_fraction", "", "share of front cells whose speed was clipped to the CFL limit"),
     TraceColumn("clamped_fraction", "", "share of the surface where a negative tension of gravity was clamped"),
-    TraceColumn("diffusion", "mm^2 per unit of flow time", "velocity diffusion used in the step"),
+    TraceColumn("diffusion", "mm2 per unit of flow time", "velocity diffusion used in the step"),
     TraceColumn("band_cells", "", "cells of the narrow band"),
     TraceColumn(
         "cells_visited", "", "cells that all passes of the step visited: its cost, the same on any machine"

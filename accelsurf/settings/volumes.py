@@ -7,7 +7,7 @@ import re
 from accelsurf.errors import UsageError
 from accelsurf.settings.wording import shown
 
-#: mm^3 of each unit.
+#: mm3 of each unit.
 UNITS = {
     "l": 1e6, "ml": 1e3, "ul": 1.0, "cm3": 1e3, "cc": 1e3, "mm3": 1.0, "um3": 1e-9, "nm3": 1e-18,
 }
@@ -17,7 +17,7 @@ VOLUME_FORM = re.compile(VOLUME)
 
 
 def volume_mm3(text: str) -> float:
-    """Return a volume in mm^3.
+    """Return a volume in mm3.
 
     Parameters
     ----------

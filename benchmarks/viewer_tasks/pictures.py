@@ -1,9 +1,9 @@
 """Pictures of window and page with a real scan, at the sizes of common screens, dark and light, to be looked at.
 
-Usage: python -m benchmarks.viewer_tasks.pictures SCAN FOLDER [--inside WHERE] [--only window|page]
+Usage: python -m benchmarks.viewer_tasks.pictures SCAN FOLDER [--inside WHERE] [--only window|page] [--sheet PICTURE]
 
 The window at 1280 x 720, 1920 x 1080 and 2880 x 1800 (factor 2), the page at widths of 700, 1280 and 1920, after a run
-from one click.
+from one click. With --sheet all of them in one small picture, too: window, then page, dark and light in turn.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
 from benchmarks.viewer_tasks.person import ROOT, Person
 from tests.support.screen import own_screen
 from tests.support.viewing import CHROMIUM_FLAGS
@@ -29,6 +31,10 @@ WINDOWS = ((1280, 720, 1.0), (1920, 1080, 1.0), (2880, 1800, 2.0))
 PAGES = ((700, 900), (1280, 720), (1920, 1080))
 THEMES = ("dark", "light")
 STEPS = 40
+#: Height of a picture in the sheet, and what is left between them, pixels.
+ROW, GAP = 240, 6
+#: Of the sheet: enough for grey images and few colours, in a small file.
+COLORS = 160
 
 
 def main() -> None:
@@ -37,6 +43,7 @@ def main() -> None:
     options.add_argument("folder", type=Path)
     options.add_argument("--inside", default="")
     options.add_argument("--only", choices=("window", "page"))
+    options.add_argument("--sheet", type=Path)
     given = options.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     words = ["view", str(given.scan), *(["--inside", given.inside] if given.inside else [])]
@@ -47,6 +54,29 @@ def main() -> None:
     if given.only != "window":
         for theme in THEMES:
             page_pictures(words, theme, given.folder)
+    if given.sheet is not None:
+        write_sheet(given.folder, given.sheet)
+
+
+def write_sheet(folder: Path, path: Path) -> None:
+    """Put the pictures of a folder beside each other: a row for window and page, dark and light."""
+    windows = [f"window-{width}x{height}@{factor:g}" for width, height, factor in WINDOWS]
+    pages = [f"page-{width}x{height}" for width, height in PAGES]
+    rows = [[folder / f"{name}-{theme}.png" for name in names] for names in (windows, pages) for theme in THEMES]
+    small = [[in_row(Image.open(one).convert("RGB")) for one in row if one.exists()] for row in rows]
+    width = max(sum(one.width + GAP for one in row) for row in small) + GAP
+    sheet = Image.new("RGB", (width, len(small) * (ROW + GAP) + GAP), "#808080")
+    for number, row in enumerate(small):
+        left = GAP
+        for one in row:
+            sheet.paste(one, (left, GAP + number * (ROW + GAP)))
+            left += one.width + GAP
+    sheet.quantize(COLORS).save(path, optimize=True)
+
+
+def in_row(picture: Image.Image) -> Image.Image:
+    """A picture as high as a row of the sheet."""
+    return picture.resize((round(picture.width * ROW / picture.height), ROW), Image.Resampling.LANCZOS)
 
 
 def window_picture(words: list[str], width: int, height: int, factor: float, theme: str, folder: Path) -> None:

@@ -12,7 +12,16 @@ from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import QPoint, QTimer
-from PySide6.QtWidgets import QApplication, QListWidget, QTableWidget, QWidget
+from PySide6.QtWidgets import (
+    QApplication,
+    QDialog,
+    QLineEdit,
+    QListWidget,
+    QPushButton,
+    QScrollArea,
+    QTableWidget,
+    QWidget,
+)
 
 from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
@@ -79,16 +88,34 @@ def places(window: Window) -> dict[str, Any]:
         | {"measure_clear": middle(measure.clear), "opacity": ends(objects.opacity)}
         | {f"object_{name}": middle(getattr(objects, name)) for name in ("add", "merge", "remove", "nearest")}
         | {"grey values": middle(slices.window_word), "layout": middle(slices.layout_), "level": middle(slices.level)}
+        | {"straight": middle(slices.straight)}
         | {f"change {row}": row_of(side.panels["HistoryPanel"].list, row) for row in range(3)}
         | {"next doubt": middle(side.panels["HistoryPanel"].next)}
         | {f"object {row}": cell_of(objects.table, row, 2) for row in range(3)}
+        | {f"color {row}": cell_of(objects.table, row, 1) for row in range(3)}
         | {f"seen {row}": cell_of(objects.table, row, 0) for row in range(3)}
         | {name: ends(row.amount.slider) for name, row in settings.rows.items() if isinstance(row, SliderRow)},
-        "tiles": tiles,
+        "tiles": tiles, "dialog": dialog(), "hidden_width": hidden_width(side),
         "rows": {key: [row.label.text(), middle(line_of(row))] for key, row in settings.rows.items()},
         "histogram": ends(side.panels["HistogramPanel"].view),
         "energy_error": settings.rows["energy"].error.text() if settings.rows else "",
     }
+
+
+def hidden_width(side: QWidget) -> int:
+    """Pixels by which the panels are wider than what is seen of them."""
+    (area,) = side.findChildren(QScrollArea)
+    return area.widget().width() - area.viewport().width()
+
+
+def dialog() -> dict[str, Any]:
+    """Title of the dialog that is open, its field for a colour's code and its buttons; empty where none is."""
+    shown = QApplication.activeModalWidget()
+    if not isinstance(shown, QDialog):
+        return {}
+    buttons = {one.text().replace("&", ""): middle(one) for one in shown.findChildren(QPushButton) if one.isVisible()}
+    codes = [middle(one) for one in shown.findChildren(QLineEdit) if one.isVisible() and one.text().startswith("#")]
+    return {"title": shown.windowTitle(), "code": codes, **buttons}
 
 
 def line_of(row: SettingRow) -> QWidget:

@@ -38,9 +38,9 @@ def graphics():
 class Served:
     """`accelsurf view --browser` in a process of its own."""
 
-    def __init__(self, folder, *options):
+    def __init__(self, folder, *options, scan=None):
         self.image, self.results = folder / "ball.nii.gz", folder / "results"
-        volume, center = viewing.ball_image()
+        volume, center = scan or viewing.ball_image()
         noise = np.random.default_rng(1).normal(0, 20, volume.array.shape)
         io.write(volume.with_array((volume.array + noise).astype(np.float32)), self.image)
         start = "ball:" + ",".join(f"{v:g}" for v in (*center, 5.0))

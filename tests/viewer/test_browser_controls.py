@@ -1,9 +1,13 @@
 """Slices and objects in the page, by the mouse and the controls of a real browser."""
 
+import re
+
+import numpy as np
 import pytest
 
+from accelsurf import Volume
 from tests.support import viewing
-from tests.viewer.test_browser import driven, state, until
+from tests.viewer.test_browser import Served, driven, state, until
 
 pytest.importorskip("trame", reason='trame is missing: pip install "accelsurf[viewer]"')
 pytestmark = pytest.mark.slow
@@ -104,3 +108,91 @@ def test_the_list_of_objects_in_the_page(served, browser):
     until(lambda: len(state(served)["object_rows"]) == 2 and state(served)["tool"] == "size")
     browser.find_element("id", "object-remove").click()
     until(lambda: len(state(served)["object_rows"]) == 1)
+
+
+def two_balls():
+    """Two balls of one brightness, 16 and 48 mm from the left; the middle of the left one."""
+    z, y, x = np.indices((24, 40, 64))
+    balls = (z - 12) ** 2 + (y - 20) ** 2 + np.minimum(abs(x - 16), abs(x - 48)) ** 2 < 10**2
+    return Volume.from_array(np.float32(100) * balls), np.array([16.0, 20.0, 12.0])
+
+
+def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_the_page(tmp_path):
+    from selenium.webdriver.common.keys import Keys
+
+    served = Served(tmp_path, scan=two_balls())
+
+    def rows():
+        """The objects, once nothing is under way; from the page itself."""
+        said = state(served)
+        return [] if said["playing"] or any(one["word"] != "converged" for one in said["object_rows"]) else [
+            {**one, "ml": float(one["ml"])} for one in said["object_rows"]
+        ]  # fmt: skip
+
+    def listed():
+        """What the page's list says of each object."""
+        texts = "return [...document.querySelectorAll('.objects .ml')].map(one => one.textContent)"
+        return [words for words in browser.execute_script(texts) if re.fullmatch(r"[\d.]+ ml", words)]
+
+    def count_is(count, total=None):
+        """The objects, once there are so many, and the picture shows their volumes, ml together."""
+        def is_seen(found):
+            return len(found) == count and (
+                total is None or sum(one["ml"] for one in found) == pytest.approx(total, rel=0.01)
+            )
+
+        found = until(lambda: is_seen(found := rows()) and found, 120)
+        until(lambda: [float(words.removesuffix(" ml")) for words in listed()] == [one["ml"] for one in found])
+        return found
+
+    try:
+        with driven(tmp_path) as browser:
+            browser.get(served.address)
+            wide = "return (document.getElementById('picture') || {naturalWidth: 0}).naturalWidth > 400"
+            until(lambda: browser.execute_script(wide))
+            until(lambda: browser.find_element("id", "state").text == "paused")
+            hand = Hand(browser)
+            axial = -hand.picture.size["width"] // 4, -hand.picture.size["height"] // 4
+            left, right = (hand.at((axial[0] + way, axial[1]))[0] for way in (-40, 40))
+            other = round(axial[0] - 40 + (48 - left) * 80 / (right - left)), axial[1]
+            browser.find_element("id", "play").click()
+            (first,) = count_is(1)
+            # Where the mouse is goes on the clipboard, as settings take it.
+            allowed = {"permissions": ["clipboardReadWrite", "clipboardSanitizedWrite"], "origin": served.origin}
+            browser.execute_cdp_cmd("Browser.grantPermissions", allowed)
+            place = hand.at(other)
+            hand.picture.send_keys(Keys.CONTROL, "c")
+            read = "const done = arguments[0]; navigator.clipboard.readText().then(done, error => done(String(error)))"
+            words = until(lambda: (text := browser.execute_async_script(read)).startswith("point:") and text)
+            assert [float(part) for part in words.removeprefix("point:").split(",")] == pytest.approx(place, abs=0.06)
+            browser.find_element("id", "object-add").click()
+            until(lambda: state(served)["tool"] == "size")
+            hand.drag(other, (round(10 * 80 / (right - left)), 0), 0)
+            two = count_is(2)
+            assert two[0]["ml"] == pytest.approx(first["ml"], rel=1e-3)
+            browser.find_element("css selector", f"#object-{two[1]['id']} button.name").click()
+            choice = until(lambda: browser.find_elements("css selector", "select[aria-label^='merge ']"))[0]
+            choice.find_element("css selector", f"option[value='{two[0]['id']}']").click()
+            (merged,) = count_is(1, sum(one["ml"] for one in two))
+            hand.picture.send_keys("q")
+            until(lambda: state(served)["tool"] == "split")
+            hand.drag(other, (0, 0), 0)
+            split = count_is(2, merged["ml"])
+            assert [one["ml"] for one in split] == pytest.approx([one["ml"] for one in two], rel=0.01)
+            browser.find_element("css selector", f"#object-{split[1]['id']} button.name").click()
+            until(lambda: browser.find_element("id", "object-remove").is_enabled())
+            browser.find_element("id", "object-remove").click()
+            (alone,) = count_is(1, split[0]["ml"])
+            assert alone["ml"] == split[0]["ml"]
+            # Each was one change: undone by the key and by the button, and made again.
+            for wanted, steps in ((split, "key"), ([merged], "button"), (two, "key")):
+                if steps == "key":
+                    hand.picture.send_keys(Keys.CONTROL, "z")
+                else:
+                    browser.find_element("id", "undo").click()
+                again = count_is(len(wanted), sum(one["ml"] for one in wanted))
+                assert [one["ml"] for one in again] == [one["ml"] for one in wanted]
+            browser.find_element("id", "redo").click()
+            assert count_is(1, merged["ml"])[0]["ml"] == merged["ml"]
+    finally:
+        assert served.close() == 0, served.log_text()

@@ -17,6 +17,7 @@ from accelsurf.segmentation.refiner import Refiner
 from accelsurf.settings.refinements import refinements_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.scene.captions import caption
 from tests.support.steering import at, views
 
 SHAPE, SPACING = (12, 16, 34), (1.5, 1.0, 1.0)
@@ -290,6 +291,23 @@ def test_clicks_and_progress_are_shown(image):
         assert view.histories[0][-1].volume_mm3 == view.frame.volume_mm3
         session.undo().result(60)
         assert len(views(session)[-1].frame.clicks) == 1
+
+
+@pytest.mark.parametrize("max_steps", [7, 500])
+def test_the_picture_and_the_slider_say_the_same_step_after_corrections(image, max_steps):
+    """Steps of a correction are none of the run, over which the slider goes."""
+    with Session(image, CONFIGS["seeded"].replace(max_steps=max_steps), name="x") as session:
+        ended(session)
+        (plain,) = views(session)[-1:]
+        assert plain.frame.step == plain.status.step and plain.frame.corrected_at is None
+        session.add_click("inside", OTHER).result(60)
+        (view,) = views(session)[-1:]
+        assert view.histories[0][-1].step > view.status.step == max(view.status.checkpoints)
+        assert view.frame.step == view.frame.corrected_at == view.status.step == plain.status.step
+        assert caption(view.frame, image.geometry)[0] == f"step {view.status.step}, corrected"
+        session.undo().result(60)
+        (view,) = views(session)[-1:]
+        assert caption(view.frame, image.geometry)[0] == f"step {view.status.step}"
 
 
 def test_of_several_objects_the_named_one_or_the_nearest_is_corrected(image, tmp_path):

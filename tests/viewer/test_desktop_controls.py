@@ -155,6 +155,42 @@ def test_objects_are_merged_split_removed_and_undone_without_a_trace(screen, tmp
         person.end()
 
 
+@needs_screen
+def test_the_colour_dialog_is_opened_and_used(person, tmp_path):
+    def asked():
+        """Double click on the colour of the first object; what the dialog has."""
+        x, y = person.reach(lambda now: now["buttons"]["color 0"])
+        person.do("mousemove", str(x), str(y), "click", "--repeat", "2", "--delay", "60", "1")
+        shown = person.until(lambda now: now["dialog"].get("code"))["dialog"]
+        assert shown["title"] == "Colour of the object"
+        person.do("search", "--sync", "--onlyvisible", "--name", shown["title"], "windowfocus", "--sync")
+        return person.until(lambda now: now["dialog"] == shown)["dialog"]
+
+    def pixels(name, code):
+        """How many pixels of slices and surface have a colour."""
+        rgb = np.array([int(code[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+        return int((np.abs(crop(person, tmp_path, name) - rgb).max(axis=2) < 0.06).sum())
+
+    def typed(code):
+        ((x, y),) = asked()["code"]
+        person.do("mousemove", str(x), str(y), "click", "--repeat", "3", "--delay", "60", "1", "type", code)
+
+    before = person.now()["state"]["object_rows"][0]["color"]
+    assert pixels("before", "#cc33aa") == 0 and pixels("own", before) > 40
+    typed("#cc33aa")
+    x, y = person.now()["dialog"]["OK"]
+    person.do("mousemove", str(x), str(y), "click", "1")
+    person.until(lambda now: not now["dialog"] and now["state"]["object_rows"][0]["color"] == "#cc33aa")
+    assert pixels("after", "#cc33aa") > 40 and pixels("own", before) == 0
+    # What the dialog is closed over is not taken.
+    typed("#00ff00")
+    person.key("Escape")
+    person.until(lambda now: not now["dialog"])
+    assert person.now()["state"]["object_rows"][0]["color"] == "#cc33aa"
+    person.do("search", "--sync", "--onlyvisible", "--name", "accelsurf - scan", "windowfocus", "--sync")
+    person.leave()
+
+
 def opacity(now):
     """The smallest of all objects."""
     return min(row["opacity"] for row in now["state"]["object_rows"])

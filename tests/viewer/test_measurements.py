@@ -99,9 +99,8 @@ def in_slice(scene, name, *places):
     """World places at parts of a slice's width and height."""
     tile = scene.slice_tiles[name]
     left, right, bottom, top = tile.extent
-    index = scene.geometry.world_to_index(scene.cursor)
     return [
-        scene.geometry.index_to_world(tile.from_tile(left + a * (right - left), bottom + b * (top - bottom), index))
+        scene.geometry.index_to_world(tile.from_tile(left + a * (right - left), bottom + b * (top - bottom)))
         for a, b in places
     ]
 

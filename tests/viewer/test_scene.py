@@ -375,7 +375,7 @@ def test_the_chart_says_what_will_be_there_and_has_room_for_its_ticks(scene_of):
     scene.screenshot()
     assert "first step" not in written(scene)
     few = ticks(scene)
-    scene.resize(1920, 1080)
+    scene.tiles.resize(1920, 1080)
     scene.screenshot()
     many = ticks(scene)
     assert all(2 <= len(texts) <= 4 for texts in few) and sum(map(len, many)) > sum(map(len, few))

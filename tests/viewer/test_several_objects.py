@@ -7,6 +7,7 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+import pyvista as pv
 from PIL import Image
 from skimage import color
 
@@ -89,6 +90,28 @@ def test_several_objects_have_their_own_colours(scene_of):
     alone = scene.screenshot()
     assert scene.legend == () and len(scene.space.meshes) == 1
     assert count(alone, first) > 10 and count(alone, second) == 0
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_the_legend_can_be_read_in_either_theme(scene_of, theme):
+    """Its text has the colour of all text; the colours that it names stand beside it."""
+    volume, _ = viewing.ball_image()
+    frame, histories = two_objects(volume)
+    scene = scene_of(volume, theme=theme, size=(960, 540), reference=volume.with_array(volume.array > 0))
+    scene.update(frame, histories)
+    names = (*colors.OBJECT_COLORS[:2], colors.REFERENCE)
+    for shown in (theme, "dark", "light"):
+        scene.paint(shown)
+        corner = scene.screenshot()[:60, 300:480]
+        assert all(count(corner, code) > 40 for code in names)
+        ink = pv.Color(colors.theme_named(shown).ink).float_rgb
+        texts = [prop for prop in scene.space.renderer.GetViewProps() if prop.IsA("vtkTextActor")]
+        legend = [prop for prop in texts if prop.GetInput() in scene.legend]
+        assert len(legend) == 3
+        assert all(prop.GetTextProperty().GetColor() == pytest.approx(ink, abs=1e-6) for prop in legend)
+    scene.update(Frame(frame.surfaces[:1]), histories[:1])
+    corner = scene.screenshot()[:60, 300:480]
+    assert count(corner, names[1]) == 0 and count(corner, names[0]) > 40  # one object and the reference
 
 
 def test_dice_of_several_objects_counts_them_all(scene_of):

@@ -176,7 +176,7 @@ def test_while_a_size_is_dragged_the_slices_alone_are_drawn(pressed):
     viewing.needs_graphics()
     drag, _ = pressed
     scene = Scene(scan()[0], size=(640, 360))
-    scene.smooth_edges(False)
+    scene.tiles.smooth_edges(False)
     scene.cursor = (18.0, 18.0, 20.0)
     slices = (slice(None), slice(320, None))  # the right half, with the chart in one of its quarters
     space = (slice(None), slice(None, 320))
@@ -188,10 +188,10 @@ def test_while_a_size_is_dragged_the_slices_alone_are_drawn(pressed):
     scene.mark_size(drag, 9.0)
     second = scene.screenshot()
     assert np.array_equal(second[space], before[space]) and not np.array_equal(second[slices], first[slices])
-    scene.smooth_edges(True)  # while the button is held: a new picture, in which nothing may be missing
+    scene.tiles.smooth_edges(True)  # while the button is held: a new picture, in which nothing may be missing
     scene.tiles.look_from("corner")
     assert (scene.screenshot()[space].std(axis=(0, 1)) > 0).all()
-    scene.smooth_edges(False)
+    scene.tiles.smooth_edges(False)
     scene.mark_size(None)
     assert np.array_equal(scene.screenshot(), before)
     scene.tiles.look_from("front")

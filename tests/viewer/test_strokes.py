@@ -113,7 +113,7 @@ def test_what_is_painted_is_what_is_clicked(workplace):
     for z in range(SHAPE[0]):
         workplace.scene.cursor = (9.0, 8.0, z * SPACING[0])
         layer = next(one for one in strokes._layers if one.tile.axis == 0)
-        drawn[z] = layer._sides > 0
+        drawn[z] = layer._sides[::-1] > 0  # the first row lies lowest, at the back
     workplace.request("release")
     assert workplace.session.wait(60)
     (refinement,) = workplace.session.status.refinements

@@ -42,6 +42,8 @@ class CorrectedRun:
         self._run = run
         result = dataclasses.replace(result_of(run), config=repeating(run), state=state_at_end(run))
         self._refiner = Refiner(result)
+        #: What the slider over the steps says, too.
+        self._step = max(one.history[-1].step for one in self._refiner.surfaces)
         #: Where each object has been inside, on the grid of the region of interest; looked for once.
         self._boxes = {one.id: _box_of_inside(one.psi < 0, one.corner) for one in self._refiner.surfaces}
         self._before: list[dict[int, Box | None]] = []
@@ -144,7 +146,7 @@ class CorrectedRun:
             )
         clicks = on_image(self._refiner.clicks, prepared.first, prepared.volumes[0].geometry.shape)
         marks = () if clicks is None else marks_of(clicks.clicks, self._run.geometry.spacing)
-        return Frame(tuple(surfaces), marks)
+        return Frame(tuple(surfaces), marks, corrected_at=self._step if self.made else None)
 
 
 def _box_of_inside(inside: NDArray[np.bool_], corner: Corner) -> Box | None:

@@ -149,9 +149,8 @@ class SurfaceFrame:
 
     def to_image(self, places: ArrayLike) -> Floats:
         """Where (continuous) indices (z, y, x) of ``psi`` lie in the image, as indices of its voxels, (..., 3)."""
-        factors = np.array(self.level.factors, float)
         on_level = np.asarray(self.offset) + self.stride * np.asarray(places, float)
-        return np.asarray(on_level * factors + np.asarray(self.level.first) + np.asarray(self.first))
+        return np.asarray(on_level * self.level.factors + np.asarray(self.level.first) + np.asarray(self.first))
 
     def from_image(self, indices: ArrayLike) -> Floats:
         """The inverse of `to_image`."""
@@ -170,9 +169,8 @@ class SurfaceFrame:
     def contains(self, index: ArrayLike) -> bool:
         """Whether the voxel of the image at this index (z, y, x) is inside."""
         place = np.rint(self.from_image(index)).astype(int)
-        if (place < 0).any() or (place >= self.psi.shape).any():
-            return False
-        return bool(self.psi[tuple(place)] < 0)
+        is_there = (place >= 0).all() and (place < self.psi.shape).all()
+        return bool(is_there and self.psi[tuple(place)] < 0)
 
     @property
     def _stands_for(self) -> int:
@@ -247,6 +245,8 @@ class Frame:
         World mm, the way that each tracked object has come; by ``surfaces``.
     said : str
         Frame and time of a sequence, in place of the step; empty of a run.
+    corrected_at : int or None
+        The step with which the run ended, after which the surfaces were corrected; None where they were not.
     """
 
     surfaces: tuple[SurfaceFrame, ...]
@@ -254,6 +254,7 @@ class Frame:
     predicted: tuple[SurfaceFrame, ...] = ()
     paths: tuple[Floats, ...] = ()
     said: str = ""
+    corrected_at: int | None = None
 
     @classmethod
     def of(
@@ -323,8 +324,9 @@ class Frame:
 
     @property
     def step(self) -> int:
-        """Number of the step; of several objects, that of those that moved longest."""
-        return max((surface.record.step for surface in self.surfaces), default=0)
+        """Number of the run's step; of several objects, that of those that moved longest. Corrections make none."""
+        made = (surface.record.step for surface in self.surfaces)
+        return max(made, default=0) if self.corrected_at is None else self.corrected_at
 
     @property
     def level(self) -> int:

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.slice_stack import linear
+
 #: Voxels that a press reaches at first, and by which factor it reaches farther when a drag comes near its end: the
 #: first outline shows at once, and the whole of a large organ costs a third more.
 FIRST_VOXELS, FARTHER = 250_000, 4
@@ -89,10 +91,18 @@ class SizeDrag:
         own = index - self.first[axis]
         if not 0 <= own < self.times.shape[axis]:
             return None
+        return self.signed(np.asarray(self.times.take(own, axis=axis)), volume_mm3)
+
+    def times_at(self, index: tuple[NDArray[np.float64], ...]) -> NDArray[np.float32]:
+        """Arrival times at any places, given by indices z, y, x of the region of interest, between voxels too."""
+        z, y, x = index
+        return linear(self.times, (z, y, x), 2.0 * max(float(self.times.ravel()[self.order[-1]]), 1e-6))
+
+    def signed(self, times: NDArray[np.float32], volume_mm3: float) -> NDArray[np.float32]:
+        """Return what is negative inside the object, if it has this volume, of arrival times."""
         level = max(self.level_of(volume_mm3), 1e-6)
         # Just above the level where the front passes between two voxels; what came never is outside.
-        times = np.minimum(self.times.take(own, axis=axis), np.float32(2.0 * level))
-        return np.asarray(times - np.float32(level * (1.0 + 1e-6)))
+        return np.asarray(np.minimum(times, np.float32(2.0 * level)) - np.float32(level * (1.0 + 1e-6)))
 
     def size_text(self, drag_mm: float) -> str:
         """The volume of a drag as ``size`` of a run's settings."""

@@ -70,6 +70,8 @@ class BoxOverlay:
         self._scene = scene
         self.box: VoxelBox | None = None
         self._actors: dict[str, pv.Actor] = {}
+        #: Which slice each rectangle was drawn for.
+        self._sights: dict[str, tuple[bool, int]] = {}
         scene.plotter.render_window.AddObserver("StartEvent", lambda *_: self._fit())
 
     def show(self, box: VoxelBox | None, in_space: bool = True) -> None:
@@ -77,6 +79,7 @@ class BoxOverlay:
         self.box = box
         scene, empty = self._scene, pv.PolyData()
         for name, tile in scene.slice_tiles.items():
+            self._sights[name] = tile.sight
             self._draw(name, tile.renderer, empty if box is None else _rectangle(tile, box))
         if scene.space is not None and in_space:
             edges = empty if box is None else box_edges(scene.geometry, box.low, box.high)
@@ -118,14 +121,16 @@ class BoxOverlay:
             actor.prop.line_width = LINE * self._scene.tiles.pixel_ratio
         for name, tile in self._scene.slice_tiles.items():
             if self.box is not None and name in self._actors:
-                is_in = self.box.low[tile.axis] <= tile.index <= self.box.high[tile.axis]
-                self._actors[name].prop.opacity = 1.0 if is_in else BESIDE
+                if self._sights[name] != tile.sight:  # what a slice cuts aslant differs from slice to slice
+                    self._sights[name] = tile.sight
+                    self._actors[name].mapper.SetInputData(_rectangle(tile, self.box))
+                self._actors[name].prop.opacity = 1.0 if tile.stack.cuts(tile.index, *self.box) else BESIDE
 
 
 def _rectangle(tile: SliceTile, box: VoxelBox) -> pv.PolyData:
-    rows, columns = (axis for axis in range(3) if axis != tile.axis)
-    ends = np.array([np.array(box.low) - 0.5, np.array(box.high) + 0.5])
-    corners = np.zeros((4, 3))
-    corners[:, rows], corners[:, columns] = ends[[0, 0, 1, 1], rows], ends[[0, 1, 1, 0], columns]
-    points = np.column_stack([tile.to_tile(corners), np.full(4, DEPTH)])
-    return pv.PolyData(points, lines=np.array([5, 0, 1, 2, 3, 0]))
+    """What the slice cuts of a box; where it cuts none, what a slice through the middle of the box does."""
+    middle = tile.stack.to_place(0.5 * (np.array(box.low) + np.array(box.high)))[2]
+    across = tile.across if tile.stack.cuts(tile.index, *box) else float(middle)
+    corners = tile.stack.outline(across, *box)
+    points = np.column_stack([corners, np.full(len(corners), DEPTH)])
+    return pv.PolyData(points, lines=np.array([len(points) + 1, *range(len(points)), 0]))

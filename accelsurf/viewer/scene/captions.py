@@ -19,6 +19,7 @@ MIN_ML = 100.0
 def caption(frame: Frame, geometry: Geometry, unit: str = "mm") -> list[str]:
     """Return step and level, or frame and time, and the volume (of one slice the area), in the file's unit."""
     step = frame.said or f"step {frame.step}" + (f", level {frame.level} (coarse grid)" if frame.level else "")
+    step += ", corrected" if frame.corrected_at is not None else ""
     axis = geometry.slice_axis
     if axis is None:
         return [step, f"volume {volume_line(frame.volume_mm3, unit)}"]
@@ -38,15 +39,13 @@ def volume_line(mm3: float, unit: str = "mm") -> str:
 
 
 def legend_lines(
-    frame: Frame, ink: str, dice: float | None, styles: Sequence[ObjectStyle]
-) -> list[tuple[str, str]]:
-    """Return text and colour of each line of the legend; none for one object without a reference.
+    frame: Frame, dice: float | None, styles: Sequence[ObjectStyle]
+) -> list[tuple[str, str | None]]:
+    """Return each line of the legend, and the colour that it names; none for one object without a reference.
 
     Parameters
     ----------
     frame : Frame
-    ink : str
-        Colour of text that is about no surface.
     dice : float, optional
         Of the objects and the reference; None without one.
     styles : sequence of ObjectStyle
@@ -55,14 +54,14 @@ def legend_lines(
     several = len(frame.surfaces) > 1
     if not several and dice is None:
         return []
-    lines = [
+    lines: list[tuple[str, str | None]] = [
         # One object alone is the surface, unless somebody has named it.
         (style.name if several or style.name != unnamed(one.id) else "surface", style.color)
         for one, style in zip(frame.surfaces[:MAX_LEGEND], styles, strict=False)
         if style.visible
     ]
     if len(frame.surfaces) > MAX_LEGEND:
-        lines.append((f"and {len(frame.surfaces) - MAX_LEGEND} more", ink))
+        lines.append((f"and {len(frame.surfaces) - MAX_LEGEND} more", None))
     return lines if dice is None else [*lines, (f"reference, Dice {dice:.3f}", REFERENCE)]
 
 

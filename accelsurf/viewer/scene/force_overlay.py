@@ -23,10 +23,9 @@ DEPTH = 0.5
 
 
 class ForceSlice(NamedTuple):
-    """The outward force (rows, columns) in the slice ``place`` of the image across the array ``axis``; NaN: unknown."""
+    """The outward force in the slice of a `SliceTile.sight`, (rows, columns), its first row lowest; NaN: unknown."""
 
-    axis: int
-    place: int
+    sight: tuple[bool, int]
     values: NDArray[np.float32]
 
 
@@ -71,16 +70,14 @@ class ForceOverlay:
         for name, one in forces.items():
             tile = self._scene.slice_tiles[name]
             layer = self._layers.get(name) or self._make(name, tile)
-            layer.texture.show(force_colors(tile.hung(one.values), self.scale, self._table))
+            layer.texture.show(force_colors(one.values, self.scale, self._table))
             self._scene.tiles.redraw.mark(tile.renderer)
 
     @property
     def shown(self) -> tuple[str, ...]:
         """The tiles over whose present slice there is a force."""
         tiles = self._scene.slice_tiles
-        return tuple(
-            name for name, one in self._slices.items() if (one.axis, one.place) == (tiles[name].axis, tiles[name].index)
-        )
+        return tuple(name for name, one in self._slices.items() if one.sight == tiles[name].sight)
 
     def _follow_slices(self) -> None:
         """Before each picture: hide what belongs to another slice."""

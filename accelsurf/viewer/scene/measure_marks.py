@@ -160,7 +160,7 @@ class MeasureLayer:
     def _in_slice(self, one: Measurement, tile: SliceTile) -> Mark:
         """All of one that lies in a slice; else its ends that do, within half a voxel."""
         index = self._geometry.world_to_index(np.asarray(one.points, float))
-        near = np.abs(index[:, tile.axis] - tile.index) <= 0.5 + 1e-6
+        near = tile.is_near(index)
         places = tile.to_tile(index)
         points = np.column_stack([places, np.full(len(places), 4.0)])
         if near.all():

@@ -120,6 +120,41 @@ class Label:
         self._actor.GetTextProperty().SetColor(pv.Color(color).float_rgb)
 
 
+class FlatLine:
+    """A horizontal line at a place in a renderer, (0, 0) its lower left corner and (1, 1) its upper right.
+
+    Parameters
+    ----------
+    renderer : pyvista.Renderer
+    color : str
+    """
+
+    def __init__(self, renderer: pv.Renderer, color: str) -> None:
+        self._mesh = pv.PolyData(np.zeros((2, 3), np.float32), lines=[2, 0, 1])
+        mapper = vtkPolyDataMapper2D()
+        mapper.SetInputData(self._mesh)
+        coordinate = vtkCoordinate()
+        coordinate.SetCoordinateSystemToNormalizedViewport()
+        mapper.SetTransformCoordinate(coordinate)
+        self._actor = vtkActor2D()
+        self._actor.SetMapper(mapper)
+        renderer.AddViewProp(self._actor)
+        self.paint(color)
+
+    def move(self, left: float, right: float, up: float, thickness: float) -> None:
+        """Change the place, and how many pixels of the device it is thick."""
+        self._mesh.points = np.array([[left, up, 0.0], [right, up, 0.0]], np.float32)
+        self._actor.GetProperty().SetLineWidth(thickness)
+
+    def show(self, on: bool) -> None:
+        """Draw it, or not."""
+        self._actor.SetVisibility(on)
+
+    def paint(self, color: str) -> None:
+        """Change the colour."""
+        self._actor.GetProperty().SetColor(pv.Color(color).float_rgb)
+
+
 class ScaleBar:
     """A bar of a round length at the lower right of a renderer with parallel projection.
 
@@ -134,32 +169,22 @@ class ScaleBar:
     def __init__(self, renderer: pv.Renderer, color: str, unit: str = "mm") -> None:
         self._renderer, self._unit = renderer, unit
         self._label = Label(renderer, color, (0.97, 0.045))
-        self._mesh = pv.PolyData(np.zeros((2, 3), np.float32), lines=[2, 0, 1])
-        mapper = vtkPolyDataMapper2D()
-        mapper.SetInputData(self._mesh)
-        coordinate = vtkCoordinate()
-        coordinate.SetCoordinateSystemToNormalizedViewport()
-        mapper.SetTransformCoordinate(coordinate)
-        self._actor = vtkActor2D()
-        self._actor.SetMapper(mapper)
-        renderer.AddViewProp(self._actor)
-        self.paint(color)
+        self._bar = FlatLine(renderer, color)
 
     def fit(self, pixels: Pixels) -> None:
         """Make the bar as long as the camera's scale asks for."""
         self._label.fit(pixels)
-        self._actor.GetProperty().SetLineWidth(BAR * pixels.ratio)
         width, height = self._renderer.GetSize()
         if not width or not height:
             return
         wide = in_unit(2.0 * self._renderer.camera.parallel_scale * width / height, self._unit)
         length = round_length(0.25 * wide)
-        self._mesh.points = np.array([[0.97 - length / wide, 0.03, 0.0], [0.97, 0.03, 0.0]], np.float32)
+        self._bar.move(0.97 - length / wide, 0.97, 0.03, BAR * pixels.ratio)
         self._label.text = f"{length:g} {self._unit}"
 
     def paint(self, color: str) -> None:
         """Change the colour."""
-        self._actor.GetProperty().SetColor(pv.Color(color).float_rgb)
+        self._bar.paint(color)
         self._label.paint(color)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Iterable
 from typing import Any
@@ -84,10 +85,16 @@ class Redraw:
                 return
         self._choose(due)
         self._is_ours, began = True, time.perf_counter()
+        # What Python would collect meanwhile may be the window of a closed scene: freed within a picture it leaves
+        # VTK without this one's graphics context, and the process ends.
+        collects = gc.isenabled()
+        gc.disable()
         try:
             self._window.Render()
         finally:
             self._is_ours = False
+            if collects:
+                gc.enable()
         if due & tiles:
             self._seconds = time.perf_counter() - began
         self._is_empty = False

@@ -18,6 +18,7 @@ from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.orientation import DisplayOrientation
+from accelsurf.grid.slice_stack import SliceStack
 from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
@@ -39,8 +40,6 @@ from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import SpaceTile
 from accelsurf.viewer.scene.tiles import Tiles
 
-#: Samples of a pixel where edges are drawn smoothly.
-SAMPLES = 8
 #: Size of a window or picture unless another is asked for, pixels.
 SIZE = (1280, 720)
 TILES = ("axial", "coronal", "sagittal")
@@ -73,6 +72,8 @@ class Scene:
         What is drawn now.
     tiles : Tiles
         How the tiles lie, and what part of the image each shows.
+    is_straight : bool
+        Whether slices follow the world's axes, not the voxels; at first where the header names a patient's.
     measures : MeasureLayer
     unit : str
         Of lengths in the file, and in read-outs.
@@ -111,6 +112,7 @@ class Scene:
         self._cursor = 0.5 * (np.array(self.geometry.shape) - 1.0)
         self._cursor_is_set = False
         self.anatomical, self.unit = is_anatomical(volume.metadata), volume.metadata.get(UNIT_KEY, "mm")
+        self.is_straight = self.anatomical and self.is_oblique
         if plotter is None:
             require_graphics()
             plotter = pv.Plotter(off_screen=True, window_size=list(size), **self.layout(self.geometry))
@@ -144,7 +146,7 @@ class Scene:
         self.slice_tiles: dict[str, SliceTile] = {}
         for plane, place in places.items():
             plotter.subplot(*place)
-            tile = SliceTile(plotter.renderer, image, self._window, upright, plane, *style)
+            tile = SliceTile(plotter.renderer, image, self._window, self._stack_of(plane), plane, *style)
             self.slice_tiles[TILES[plane]] = tile
         plotter.subplot(*((1, 3) if flat is None else (0, 2)))
         self._chart_renderer = plotter.renderer
@@ -152,7 +154,7 @@ class Scene:
         self._chart = EnergyChart(plotter, self._theme)
         plotter.subplot(0, 0)
         largest = self.space.renderer if self.space is not None else next(iter(self.slice_tiles.values())).renderer
-        self._legend = Legend(largest)
+        self._legend = Legend(largest, self._theme.ink)
         for tile in self.slice_tiles.values():
             tile.styles = self.styles
             tile.show(self._cursor)
@@ -189,7 +191,7 @@ class Scene:
     def _show_flat(self, frame: Frame) -> None:
         for tile in self.slice_tiles.values():
             tile.draw_objects(frame)
-        self._legend.show(legend_lines(frame, self._theme.ink, self.dice, self.styles.of(frame)))
+        self._legend.show(legend_lines(frame, self.dice, self.styles.of(frame)))
 
     def restyle(self, given: Mapping[int, ObjectStyle]) -> None:
         """Draw objects in these styles, by id; those that are not named as by default."""
@@ -248,7 +250,7 @@ class Scene:
     def show_planes(self, on: bool) -> None:
         """Draw the three slices in 3D, or not."""
         if self.space is not None:
-            self.space.show_planes(on, self._cursor)
+            self.space.show_planes([tile.in_space() for tile in self.slice_tiles.values()] if on else None)
             self._redraw.mark(self.space.renderer)
 
     @property
@@ -268,9 +270,9 @@ class Scene:
             tile.use_window(window)
             self._redraw.mark(tile.renderer)
         if self.space is not None:
-            self.space.use_window(window, self._cursor)
+            self.space.use_window(window)
             if self.shows_planes or self.shows_volume:
-                self._redraw.mark(self.space.renderer)
+                self.show_planes(self.shows_planes)
 
     @property
     def is_interpolated(self) -> bool:
@@ -283,6 +285,20 @@ class Scene:
         for tile in self.slice_tiles.values():
             tile.interpolate(on)
             self._redraw.mark(tile.renderer)
+
+    @property
+    def is_oblique(self) -> bool:
+        """Whether slices along the voxels and straight ones differ."""
+        return self.geometry.slice_axis is None and not DisplayOrientation.of(self.geometry).is_parallel
+
+    def straighten(self, on: bool) -> None:
+        """Show slices straight along the world's axes, or along the voxels, if that makes a difference."""
+        self.is_straight = on and self.is_oblique
+        self._show_slices()
+
+    def _stack_of(self, plane: int) -> SliceStack:
+        kind = SliceStack.straight if self.is_straight else SliceStack.along_voxels
+        return kind(self.geometry, plane)
 
     @property
     def cursor(self) -> NDArray[np.float64]:
@@ -301,17 +317,23 @@ class Scene:
     def step_slice(self, name: str, count: int) -> None:
         """Go ``count`` slices further in a tile, one of ``slice_tiles``, towards larger world coordinates."""
         tile = self.slice_tiles[name]
-        index = self._cursor.copy()
-        sign = -1 if DisplayOrientation.of(self.geometry).flips[tile.plane] else 1
-        index[tile.axis] = round(index[tile.axis]) + sign * count
-        self.cursor = self.geometry.index_to_world(index)
+        self.go_to_slice(name, tile.index + (count if tile.stack.step > 0 else -count))
+
+    def go_to_slice(self, name: str, number: int) -> None:
+        """Go to a slice of a tile by its number, or to the nearest that there is."""
+        self._cursor = self.slice_tiles[name].stack.go_to(self._cursor, number)
+        self._cursor_is_set = True
+        self._show_slices()
 
     def _show_slices(self) -> None:
         """Go to the cursor: contours are drawn anew only in the tiles whose slice has changed."""
         for tile in self.slice_tiles.values():
-            before = tile.index
-            tile.show(self._cursor)
-            if tile.index != before:
+            before = tile.sight
+            if tile.stack.is_straight != self.is_straight:
+                tile.use_stack(self._stack_of(tile.plane), self._cursor)
+            else:
+                tile.show(self._cursor)
+            if tile.sight != before:
                 if self._reference is not None:
                     tile.draw_reference(self._reference.contour_function)
                 if self.frame is not None:
@@ -319,9 +341,8 @@ class Scene:
             self._redraw.mark(tile.renderer)
         self.measures.move()
         self.marks.show_slices()
-        if self.space is not None and self.space.shows_planes:
-            self.space.move_planes(self._cursor)
-            self._redraw.mark(self.space.renderer)
+        if self.shows_planes:
+            self.show_planes(True)
 
     def mark_ball(self, center: ArrayLike | None, radius: float = 0.0) -> None:
         """Draw a ball that is being placed (world mm), in 3D and where it cuts the slices; None removes it."""
@@ -329,7 +350,7 @@ class Scene:
         if self.space is not None and self.space.mark_ball(middle, radius):
             self._redraw.mark(self.space.renderer)
         for tile in self.slice_tiles.values():
-            if tile.mark_ball(middle, radius, self.geometry):
+            if tile.mark_ball(None if middle is None else self.geometry.world_to_index(middle), radius):
                 self._redraw.mark(tile.renderer)
 
     def mark_size(self, drag: SizeDrag | None, drag_mm: float = 0.0) -> None:
@@ -345,9 +366,9 @@ class Scene:
         self._redraw.mark_all()
         for renderer in self.plotter.renderers:
             renderer.background_color = self._theme.background
-        for tile in (self.space, *self.slice_tiles.values(), self._chart):
-            if tile is not None:
-                tile.paint(self._theme)
+        for part in (self.space, *self.slice_tiles.values(), self._chart, self._legend):
+            if part is not None:
+                part.paint(self._theme)
 
     # -- pictures -----------------------------------------------------------------------------------------
 
@@ -356,32 +377,11 @@ class Scene:
         for name, tile in self.slice_tiles.items():
             inside = place_in_renderer(tile.renderer, x, y)
             if inside is not None:
-                right, up = tile.to_plane(*inside)
-                left, far, bottom, top = tile.extent
-                if left <= right <= far and bottom <= up <= top:
-                    index = tile.from_tile(right, up, self._cursor)
-                    return Picked(name, self.geometry.index_to_world(index))
-                return Picked(name, None)
+                index = tile.from_tile(*tile.to_plane(*inside))
+                return Picked(name, None if index is None else self.geometry.index_to_world(index))
         if self.space is not None and place_in_renderer(self.space.renderer, x, y) is not None:
             return Picked("space", self.space.pick(x, y))
         return Picked("energies", None)
-
-    def smooth_edges(self, on: bool) -> bool:
-        """Draw edges smoothly (the default), or not: faster without a graphics card. Returns whether that changes."""
-        window, samples = self.plotter.render_window, SAMPLES if on else 0
-        if window.GetMultiSamples() == samples:
-            return False
-        window.SetMultiSamples(samples)
-        self._redraw.begin_anew()
-        return True
-
-    def resize(self, width: int, height: int) -> None:
-        """Change the size of the picture, pixels."""
-        self._redraw.begin_anew()
-        before = None if self.space is None else self.space.fitted_scale()
-        self.plotter.render_window.SetSize(width, height)
-        if self.space is not None and before is not None:
-            self.space.zoom(before / self.space.fitted_scale())
 
     def render(self) -> None:
         """Draw what has changed."""

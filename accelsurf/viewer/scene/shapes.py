@@ -141,6 +141,19 @@ def box_edges(geometry: Geometry, low: ArrayLike = (0, 0, 0), high: ArrayLike | 
     return pv.PolyData(geometry.index_to_world(corners).astype(np.float32), lines=lines.ravel())
 
 
+def polygon(
+    corners: NDArray[np.float64], extent: tuple[float, float, float, float], depth: float = 0.0
+) -> pv.PolyData:
+    """A convex polygon, corners (n, 2) around, that shows its part of a picture from left to right, bottom to top."""
+    if len(corners) < 3:
+        return pv.PolyData()
+    left, right, bottom, top = extent
+    points = np.column_stack([corners, np.full(len(corners), depth)])
+    mesh = pv.PolyData(points, faces=[len(points), *range(len(points))])
+    mesh.active_texture_coordinates = (corners - [left, bottom]) / [right - left, top - bottom]
+    return mesh
+
+
 class GreyTexture:
     """A picture in grey for a quad; ``texture`` is VTK's."""
 

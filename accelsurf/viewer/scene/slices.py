@@ -9,17 +9,18 @@ import pyvista as pv
 from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
-from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
-from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES, DisplayOrientation
+from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES
+from accelsurf.grid.slice_stack import SliceStack
 from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.captions import measure
 from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFERENCE, Theme
+from accelsurf.viewer.scene.cuts import NONE, DragLines, ball_lines, function_lines, surface_lines
 from accelsurf.viewer.scene.object_styles import ObjectStyles
 from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar
-from accelsurf.viewer.scene.shapes import ColorTexture, GreyTexture, contour, slice_of
+from accelsurf.viewer.scene.shapes import ColorTexture, GreyTexture, polygon
 from accelsurf.viewer.scene.track_marks import dashed
 
 #: Part of a tile's width and height that the image may take; the rest is for text.
@@ -48,7 +49,8 @@ class SliceTile:
     image : ndarray (nz, ny, nx)
     window : GreyWindow
         Which of its values are black and white.
-    upright : DisplayOrientation
+    stack : SliceStack
+        The slices.
     plane : int
         0 is axial, 1 coronal, 2 sagittal.
     anatomical : bool
@@ -56,6 +58,12 @@ class SliceTile:
     theme : Theme
     unit : str, optional
         Of lengths in the file, in which they are written.
+
+    Attributes
+    ----------
+    stack : SliceStack
+    index : int
+        Number of the slice that is shown.
     """
 
     def __init__(
@@ -63,28 +71,29 @@ class SliceTile:
         renderer: pv.Renderer,
         image: NDArray[Any],
         window: GreyWindow,
-        upright: DisplayOrientation,
+        stack: SliceStack,
         plane: int,
         anatomical: bool,
         theme: Theme,
         unit: str = "mm",
     ) -> None:
         self.renderer, self.plane, self._unit = renderer, plane, unit
-        self._up, self._anatomical, self._theme = upright, anatomical, theme
-        self._image, self._window = upright.reorient(image), window
+        self.stack, self._anatomical, self._theme = stack, anatomical, theme
+        self._image, self._window, self._is_smooth = image, window, True
         self._vertical, self._horizontal = IN_PLANE[plane]
-        #: Array axis of the volume that this slice cuts.
-        self.axis = upright.order[plane]
-        self._index = -1
+        self.index = -1
         #: What draws each line, and its width in pixels of a usual screen.
         self._lines: dict[str, tuple[pv.Actor, float]] = {}
         self._ratio = 1.0
-        self._drawn_objects, self.styles = 0, ObjectStyles()
-        self._texture = GreyTexture()
-        left, right, bottom, top = self.extent
-        self._middle, self._zoom = np.array([0.5 * (left + right), 0.5 * (bottom + top)]), 1.0
+        self._drawn_objects, self.styles, self._drag = 0, ObjectStyles(), DragLines()
+        self._texture, self._grey = GreyTexture(), np.zeros((2, 2), np.uint8)
+        self._values: NDArray[Any] = self._grey
+        #: Pictures of the whole slice, and their depth.
+        self._pictures: list[tuple[pv.Actor, float]] = []
+        self._middle, self._zoom = self._center, 1.0
         middle = (*self._middle, 0.0)
-        self.add_picture(self._texture, 0.0)
+        self._picture = self._add(pv.PolyData(), "white")
+        self._picture.SetTexture(self._texture.texture)
         camera = renderer.camera
         camera.parallel_projection = True
         camera.focal_point, camera.position, camera.up = middle, (middle[0], middle[1], 100.0), (0.0, 1.0, 0.0)
@@ -98,40 +107,47 @@ class SliceTile:
     # -- places -------------------------------------------------------------------------------------------
 
     @property
-    def extent(self) -> tuple[float, float, float, float]:
-        """Left, right, bottom, top of the image in the tile's plane, mm; the outer faces of its border voxels."""
-        sides = []
-        for axis in (self._horizontal, self._vertical):
-            ends = [self._up.coordinate(axis, index) for index in (-0.5, self._image.shape[axis] - 0.5)]
-            sides += ends
-        left, right, low, high = sides
-        return (left, right, -high, -low) if self._down else (left, right, low, high)
+    def axis(self) -> int:
+        """Array axis of the image that is nearest to across."""
+        return self.stack.axis
 
     @property
-    def _down(self) -> bool:
-        """Whether the vertical coordinate runs down the picture: front at the top."""
-        return self.plane == 0
+    def count(self) -> int:
+        """How many slices there are."""
+        return self.stack.count
+
+    @property
+    def across(self) -> float:
+        """Coordinate of the slice that is shown, across it, mm."""
+        return self.stack.across(self.index)
+
+    @property
+    def sight(self) -> tuple[bool, int]:
+        """What tells this slice from others of the tile: whether it is straight, and its number."""
+        return self.stack.is_straight, self.index
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Left, right, bottom, top of the image in the tile's plane, mm; the outer faces of its border voxels."""
+        return self.stack.extent
+
+    @property
+    def _center(self) -> NDArray[np.float64]:
+        left, right, bottom, top = self.extent
+        return np.array([0.5 * (left + right), 0.5 * (bottom + top)])
 
     def to_tile(self, indices: NDArray[np.float64]) -> NDArray[np.float64]:
         """Places (..., 2) in the tile, mm, of indices (z, y, x) of the image (..., 3)."""
-        out = np.empty((*indices.shape[:-1], 2))
-        for part, axis in enumerate((self._horizontal, self._vertical)):
-            index = indices[..., self._up.order[axis]]
-            if self._up.flips[axis]:
-                index = self._image.shape[axis] - 1 - index
-            out[..., part] = self._up.first[axis] + index * self._up.spacing[axis]
-        if self._down:
-            out[..., 1] *= -1.0
-        return out
+        return self.stack.to_place(indices)[..., :2]
 
-    def from_tile(self, right: float, up: float, cursor: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Index (z, y, x) of a place in the tile, on the slice of the index ``cursor``, clipped to the image."""
-        out = np.array(cursor, float)
-        for value, axis in ((right, self._horizontal), (-up if self._down else up, self._vertical)):
-            n = self._image.shape[axis]
-            index = np.clip((value - self._up.first[axis]) / self._up.spacing[axis], 0.0, n - 1.0)
-            out[self._up.order[axis]] = n - 1 - index if self._up.flips[axis] else index
-        return out
+    def from_tile(self, right: float, up: float) -> NDArray[np.float64] | None:
+        """Index (z, y, x) of a place in the tile, on the slice that is shown; None beside the image."""
+        index = self.stack.to_index([right, up, self.across])
+        return np.clip(index, 0.0, np.array(self._image.shape) - 1.0) if self.stack.contains(index) else None
+
+    def is_near(self, indices: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which of the indices (z, y, x), (n, 3), lie in this slice, within half of its thickness."""
+        return np.asarray(np.abs(self.stack.place_number(indices) - self.index) <= 0.5 + 1e-6)
 
     def to_plane(self, right: float, up: float) -> tuple[float, float]:
         """Place in the tile's plane, mm, of a place in its renderer, each from 0 to 1."""
@@ -144,37 +160,56 @@ class SliceTile:
 
     def show(self, cursor: NDArray[np.float64]) -> None:
         """Go to the slice nearest to an index (z, y, x) of the image, and draw the cursor's lines."""
-        n = self._image.shape[self.plane]
-        index = int(np.clip(round(float(cursor[self.axis])), 0, n - 1))
-        turned = n - 1 - index if self._up.flips[self.plane] else index
-        if turned != self._index:
-            self._index = turned
-            self._show_grey()
+        index = self.stack.nearest_number(cursor)
+        if index != self.index:
+            self.index = index
+            self._show_values()
         left, right, bottom, top = self.extent
         x, y = self.to_tile(np.asarray(cursor, float))
         cross = np.array([[[left, y], [right, y]], [[x, bottom], [x, top]]])
         self._draw_lines("cursor", cross, CURSOR, 1.0, 0.45)
         name = PLANES[self.plane] if self._anatomical else "Slice"
-        where = in_unit(self._up.coordinate(self.plane, turned), self._unit)
-        self.title.text = f"{name}  {self._up.names[self.plane]} = {measure(where)} {self._unit}"
+        where = in_unit(self.across, self._unit)
+        self.title.text = f"{name}  {self.stack.name} = {measure(where)} {self._unit}"
+
+    def use_stack(self, stack: SliceStack, cursor: NDArray[np.float64]) -> None:
+        """Show other slices of the image, the one nearest to an index (z, y, x), as a whole."""
+        self.stack, self.index = stack, -1
+        for actor, depth in self._pictures:
+            actor.mapper.SetInputData(polygon(self._corners, self.extent, depth))
+        self.show_whole()
+        self.show(cursor)
+
+    def _show_values(self) -> None:
+        """Draw the image in the slice, as far as it reaches."""
+        last = np.array(self._image.shape) - 1
+        corners = self.stack.outline(self.across, (0, 0, 0), last) if self.stack.is_straight else self._corners
+        self._picture.mapper.SetInputData(polygon(corners, self.extent))
+        self._values = self.stack.values(self._image, self.index, self._is_smooth)
+        self._show_grey()
 
     def _show_grey(self) -> None:
-        grey = self._window.grey(self._image.take(self._index, axis=self.plane))
-        self._texture.show(self._upwards(grey))
+        self._grey = self._window.grey(self._values)
+        self._texture.show(self._grey)
 
-    def _upwards(self, picture: NDArray[Any]) -> NDArray[Any]:
-        """A picture with the row at the lower edge of the quad first, as textures have it."""
-        return picture[::-1] if self._down else picture
+    @property
+    def _corners(self) -> NDArray[np.float64]:
+        left, right, bottom, top = self.extent
+        return np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
 
-    def hung(self, plane: NDArray[Any]) -> NDArray[Any]:
-        """A plane of the image across `axis`, (rows, columns) of its array, as the texture of a quad on `extent`."""
-        turned = self._up.reorient(np.expand_dims(plane, self.axis))
-        return self._upwards(turned.take(0, axis=self.plane))
+    def in_space(self) -> tuple[pv.PolyData, NDArray[np.uint8]]:
+        """The slice in world mm, and its picture, as a texture has it."""
+        mesh = self._picture.mapper.GetInput().copy()
+        places = np.asarray(mesh.points, float)
+        places[:, 2] = self.across
+        world = self.stack.geometry.index_to_world(self.stack.to_index(places))
+        mesh.points = world.astype(np.float32)
+        return mesh, self._grey
 
     def use_image(self, image: NDArray[Any]) -> None:
         """Show another image (nz, ny, nx) on the same grid."""
-        self._image = self._up.reorient(image)
-        self._show_grey()
+        self._image = image
+        self._show_values()
 
     def use_window(self, window: GreyWindow) -> None:
         """Draw other values black and white."""
@@ -184,25 +219,14 @@ class SliceTile:
     def interpolate(self, on: bool) -> None:
         """Draw smoothly between voxels, or each voxel as a rectangle."""
         self._texture.interpolate(on)
-
-    @property
-    def count(self) -> int:
-        """How many slices there are."""
-        return int(self._image.shape[self.plane])
-
-    @property
-    def index(self) -> int:
-        """Index of the slice along `axis`."""
-        n = self._image.shape[self.plane]
-        return n - 1 - self._index if self._up.flips[self.plane] else self._index
+        self._is_smooth = on
+        if self.stack.is_straight:
+            self._show_values()
 
     def draw_objects(self, frame: Frame) -> None:
         """Draw the contour of each object of a frame in this slice."""
         for position, (surface, style) in enumerate(zip(frame.surfaces, self.styles.of(frame), strict=True)):
-            part = slice_of(surface, self.axis, self.index)
-            places = self._in_slice(np.zeros((0, 2, 2)) if part is None else contour(part))
-            lines = self.to_tile(surface.to_image(places))
-            lines = lines if style.visible else lines[:0]
+            lines = surface_lines(surface, self.stack, self.index) if style.visible else NONE
             self._draw_lines(f"object {position}", lines, style.color, 2.2, style.opacity)
         for position in range(len(frame.surfaces), self._drawn_objects):
             self._lines[f"object {position}"][0].SetVisibility(False)
@@ -212,39 +236,18 @@ class SliceTile:
 
     def _draw_predicted(self, frame: Frame) -> None:
         """Draw where tracked objects were expected in this slice, dashed."""
-        parts = [(one, slice_of(one, self.axis, self.index)) for one in frame.predicted]
-        lines = [one.to_image(self._in_slice(contour(part))) for one, part in parts if part is not None]
-        dashes = np.concatenate([np.zeros((0, 2, 2)), *(dashed(self.to_tile(line)) for line in lines)])
-        self._draw_lines("predicted", dashes, REFERENCE, 1.6)
+        lines = (dashed(surface_lines(one, self.stack, self.index)) for one in frame.predicted)
+        self._draw_lines("predicted", np.concatenate([NONE, *lines]), REFERENCE, 1.6)
 
     def draw_reference(self, function: NDArray[np.float32]) -> None:
         """Draw where a function of the whole image, negative inside, is 0 in this slice."""
-        places = self._in_slice(contour(np.asarray(function.take(self.index, axis=self.axis))))
-        self._draw_lines("reference", self.to_tile(places), REFERENCE, 1.8)
+        self._draw_lines("reference", function_lines(function, self.stack, self.index), REFERENCE, 1.8)
 
-    def _in_slice(self, lines: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Ends (n, 2, 3) as indices (z, y, x), 0 along the slice's axis, of segments (n, 2, 2) of rows and columns."""
-        places = np.zeros((len(lines), 2, 3))
-        rows, columns = (axis for axis in range(3) if axis != self.axis)
-        places[..., rows], places[..., columns] = lines[..., 0], lines[..., 1]
-        return places
-
-    def mark_ball(self, center: NDArray[np.float64] | None, radius: float, geometry: Geometry) -> bool:
-        """Draw the circle in which a ball (world mm) cuts this slice; nothing for None or beside it.
-
-        Returns
-        -------
-        bool
-            Whether the picture has changed.
+    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> bool:
+        """Draw the circle in which this slice cuts a ball around an index (z, y, x) of the image, radius in mm; nothing
+        for None or beside it. Returns whether the picture has changed.
         """
-        lines = np.zeros((0, 2, 2))
-        if center is not None:
-            index = geometry.world_to_index(center)
-            off = (index[self.axis] - self.index) * geometry.spacing[self.axis]
-            if abs(off) < radius:
-                turn = np.linspace(0.0, 2.0 * np.pi, 65)
-                ring = self.to_tile(index) + np.sqrt(radius**2 - off**2) * np.stack([np.cos(turn), np.sin(turn)], -1)
-                lines = np.stack([ring[:-1], ring[1:]], axis=1)
+        lines = NONE if center is None else ball_lines(center, radius, self.stack, self.index)
         was_there = "ball" in self._lines and bool(self._lines["ball"][0].GetVisibility())
         if not was_there and not len(lines):
             return False
@@ -254,29 +257,25 @@ class SliceTile:
     def mark_size(self, drag: SizeDrag | None, volume_mm3: float | None, text: str = "") -> None:
         """Draw the outline that a drag shows in this slice, and write a text below the title; nothing for None."""
         self.title.text = "\n".join(line for line in (self.title.text.partition("\n")[0], text) if line)
-        lines = np.zeros((0, 2, 2))
+        lines = NONE
         if drag is not None and volume_mm3 is not None:
-            plane = drag.plane(self.axis, self.index, volume_mm3)
-            if plane is not None:
-                lines = self.to_tile(self._in_slice(contour(plane)) + np.asarray(drag.first))
+            lines = self._drag.lines(drag, volume_mm3, self.stack, self.index)
         self._draw_lines("size", lines, MARK, 2.2)
 
     def mark_places(self, places: NDArray[np.float64]) -> None:
         """Draw a diamond in another one at each of these indices (z, y, x), (n, 3), that lies in this slice."""
         left, right, bottom, top = self.extent
-        here = self.to_tile(places[np.rint(places[:, self.axis]) == self.index].reshape(-1, 3))
+        here = self.to_tile(places[np.rint(self.stack.place_number(places)) == self.index].reshape(-1, 3))
         corners = ARM * max(right - left, top - bottom) * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
         sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
         lines = [place + size * sides for place in here for size in (1.4, 2.4)]
-        self._draw_lines("places", np.concatenate(lines) if lines else np.zeros((0, 2, 2)), CURSOR, 2.5)
+        self._draw_lines("places", np.concatenate(lines) if lines else NONE, CURSOR, 2.5)
 
     def add_picture(self, texture: GreyTexture | ColorTexture, depth: float) -> pv.Actor:
         """Draw a picture of the whole slice; what has a larger ``depth`` lies over what has a smaller one."""
-        left, right, bottom, top = self.extent
-        middle = (0.5 * (left + right), 0.5 * (bottom + top), depth)
-        quad = pv.Plane(center=middle, i_size=right - left, j_size=top - bottom, i_resolution=1, j_resolution=1)
-        actor = self._add(quad, "white")
+        actor = self._add(polygon(self._corners, self.extent, depth), "white")
         actor.SetTexture(texture.texture)
+        self._pictures.append((actor, depth))
         return actor
 
     def _draw_clicks(self, frame: Frame) -> None:
@@ -285,12 +284,12 @@ class SliceTile:
         left, right, bottom, top = self.extent
         arm = ARM * max(right - left, top - bottom)
         for mark in frame.clicks:
-            part = mark.box[self.axis]
-            if part.start <= self.index < part.stop:
+            low, high = ([getattr(side, end) for side in mark.box] for end in ("start", "stop"))
+            if self.stack.cuts(self.index, low, np.array(high) - 1):
                 place = self.to_tile(np.asarray(mark.place, float))
                 arms[mark.side] += [np.stack([place - arm * way, place + arm * way]) for way in _WAYS[mark.side]]
         for side, lines in arms.items():
-            segments = np.array(lines) if lines else np.zeros((0, 2, 2))
+            segments = np.array(lines) if lines else NONE
             self._draw_lines(side, segments, INSIDE if side == "inside" else OUTSIDE, 3.0)
 
     def _draw_lines(
@@ -359,8 +358,7 @@ class SliceTile:
 
     def show_whole(self) -> None:
         """Show the whole slice, as at first."""
-        left, right, bottom, top = self.extent
-        self._middle, self._zoom = np.array([0.5 * (left + right), 0.5 * (bottom + top)]), 1.0
+        self._middle, self._zoom = self._center, 1.0
         self._aim()
 
     def mm_per_pixel(self) -> float:
@@ -387,7 +385,7 @@ class SliceTile:
         """The patient's directions at the left, right, upper and lower edge of the image."""
         left, right = LETTERS[2 - self._horizontal]
         low, high = LETTERS[2 - self._vertical]
-        top, bottom = (low, high) if self._down else (high, low)
+        top, bottom = (low, high) if self.plane == 0 else (high, low)  # the front at the top
         return [Label(self.renderer, "white", (0.5, 0.5), text, boxed=True) for text in (left, right, top, bottom)]
 
     def _place_letters(self, wide: float, high: float, room: float) -> None:

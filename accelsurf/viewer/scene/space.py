@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,8 @@ VIEWS = {
     "top": ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
     "bottom": ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
 }
+#: A slice: a polygon in world mm with the coordinates of its texture, and the texture's picture.
+PlanePicture = tuple[pv.PolyData, NDArray[np.uint8]]
 
 
 class SpaceTile:
@@ -68,7 +71,7 @@ class SpaceTile:
         unit: str = "mm",
     ) -> None:
         self.renderer = plotter.renderer
-        self._geometry, self._image, self._window = geometry, image, window
+        self._geometry, self._window = geometry, window
         self._meshes: list[pv.PolyData] = []
         self._frame: Frame | None = None
         self.is_coarse = False  # whether fewer triangles are drawn than the frame has
@@ -87,7 +90,8 @@ class SpaceTile:
         self._tracks: tuple[pv.Actor, pv.Actor] | None = None
         self._volume = VolumePicture(plotter, self.renderer, geometry, image)
         self._planes: list[tuple[pv.Actor, GreyTexture]] = []
-        self._planes_on = False
+        #: Whether the three slices are drawn.
+        self.shows_planes = False
         self._table = pv.LookupTable()
         self._scale = color_scale(self.renderer)
         self._quantity = Label(self.renderer, theme.ink, (0.5, 0.135))
@@ -215,16 +219,13 @@ class SpaceTile:
         """Draw the image translucent, bright parts denser, cut away in front of the surfaces; or not."""
         self._volume.show(on, self._window)
 
-    def use_image(self, image: NDArray[Any], cursor: NDArray[np.float64]) -> None:
+    def use_image(self, image: NDArray[Any]) -> None:
         """Show another image (nz, ny, nx) on the same grid."""
-        self._image = image
-        self.move_planes(cursor)
         self._volume.use_image(image, self._window)
 
-    def use_window(self, window: GreyWindow, cursor: NDArray[np.float64]) -> None:
+    def use_window(self, window: GreyWindow) -> None:
         """Draw other values black and white."""
         self._window = window
-        self.move_planes(cursor)
         self._volume.use_window(window)
 
     @property
@@ -232,41 +233,20 @@ class SpaceTile:
         """Whether the image is drawn."""
         return self._volume.is_shown
 
-    @property
-    def shows_planes(self) -> bool:
-        """Whether the three slices are drawn."""
-        return self._planes_on
-
-    def show_planes(self, on: bool, cursor: NDArray[np.float64]) -> None:
-        """Draw the three slices through an index (z, y, x), or not."""
-        self._planes_on = on
-        if on and not self._planes:
-            for _ in range(3):
+    def show_planes(self, slices: Iterable[PlanePicture] | None) -> None:
+        """Draw slices, each a polygon in world mm and its picture, in place of those before; None: no slices."""
+        self.shows_planes = slices is not None
+        for number, (mesh, grey) in enumerate(slices or ()):
+            if number == len(self._planes):
                 texture = GreyTexture()
-                actor = self._add(pv.Plane(i_resolution=1, j_resolution=1), "white")
+                actor = self._add(mesh, "white")
                 actor.SetTexture(texture.texture)
                 actor.prop.lighting = False
                 self._planes.append((actor, texture))
+            self._planes[number][0].mapper.SetInputData(mesh)
+            self._planes[number][1].show(grey)
         for actor, _ in self._planes:
-            actor.SetVisibility(on)
-        self.move_planes(cursor)
-
-    def move_planes(self, cursor: NDArray[np.float64]) -> None:
-        """Put the slices through an index (z, y, x)."""
-        if not self._planes_on:
-            return
-        for axis, (actor, texture) in enumerate(self._planes):
-            index = int(np.clip(round(float(cursor[axis])), 0, self._image.shape[axis] - 1))
-            texture.show(self._window.grey(self._image.take(index, axis=axis)))
-            down, along = (other for other in range(3) if other != axis)
-            # The quad's corners in the order of pyvista.Plane: along the second axis first.
-            corners = np.zeros((4, 3))
-            corners[:, axis] = index
-            corners[:, along] = np.array([0, 1, 0, 1]) * self._image.shape[along] - 0.5
-            corners[:, down] = np.array([0, 0, 1, 1]) * self._image.shape[down] - 0.5
-            quad = pv.Plane(i_resolution=1, j_resolution=1)
-            quad.points = self._geometry.index_to_world(corners).astype(np.float32)
-            actor.mapper.SetInputData(quad)
+            actor.SetVisibility(self.shows_planes)
 
     # -- camera -------------------------------------------------------------------------------------------
 

@@ -14,6 +14,7 @@ from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer
 
 from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.slice_stack import SliceStack
 from accelsurf.initialization.click_paths import segment_voxels
 from accelsurf.viewer.scene.colors import INSIDE, OUTSIDE
 from accelsurf.viewer.scene.redraw import Redraw
@@ -48,7 +49,7 @@ class StrokeMarks:
         self, geometry: Geometry, tiles: Iterable[SliceTile], space: SpaceTile | None, redraw: Redraw
     ) -> None:
         self._geometry, self._redraw, self._space = geometry, redraw, space
-        self._layers = [_Layer(tile, geometry.shape) for tile in tiles]
+        self._layers = [_Layer(tile) for tile in tiles]
         self._beads = None if space is None else _Beads(space, redraw)
         self._strokes: dict[int, list[Click]] = {}
         self._last = 0
@@ -93,19 +94,38 @@ class StrokeMarks:
                 self._redraw.mark(layer.tile.renderer)
 
 
+def voxels_of(piece: Click, stack: SliceStack, number: int) -> tuple[slice, slice, NDArray[np.bool_]] | None:
+    """Return rows and columns of a part of a slice, with `SliceStack.fine` pixels along its pitch, and which pixels
+    there lie in a voxel of a click; None where the slice does not cut its box.
+    """
+    low, high = ([getattr(side, end) for side in piece.box] for end in ("start", "stop"))
+    if not stack.cuts(number, low, np.array(high) - 1):
+        return None
+    patch = stack.patch(number, low, np.array(high) - 1, stack.fine)
+    inside = np.ones((patch.rows.stop - patch.rows.start, patch.columns.stop - patch.columns.start), np.bool_)
+    at = []
+    for place, first, n in zip(patch.places, low, piece.mask.shape, strict=True):
+        own = np.rint(place).astype(np.intp) - first
+        inside &= (own >= 0) & (own < n)
+        at.append(np.clip(own, 0, n - 1))
+    return patch.rows, patch.columns, inside & piece.mask[at[0], at[1], at[2]]
+
+
 class _Layer:
     """Named voxels over a slice."""
 
-    def __init__(self, tile: SliceTile, shape: tuple[int, int, int]) -> None:
+    def __init__(self, tile: SliceTile) -> None:
         self.tile, self._texture = tile, ColorTexture()
-        rows, columns = (n for axis, n in enumerate(shape) if axis != tile.axis)
-        self._sides, self._is_empty = np.zeros((rows, columns), np.uint8), True
+        #: Which side the voxel at each pixel of the slice is on, its first row lowest.
+        self._sides, self._is_empty = np.zeros((0, 0), np.uint8), True
         self._actor = tile.add_picture(self._texture, DEPTH)
         self._actor.SetVisibility(False)
 
     def show(self, pieces: Sequence[Click]) -> bool:
         """Draw pieces alone; returns whether the picture has changed."""
-        was_empty = self._is_empty
+        was_empty, size = self._is_empty, self.tile.stack.size(self.tile.stack.fine)
+        if self._sides.shape != size:
+            self._sides = np.zeros(size, np.uint8)
         self._sides[:], self._is_empty = 0, True
         for piece in pieces:
             self._put(piece)
@@ -122,20 +142,18 @@ class _Layer:
         return True
 
     def _put(self, piece: Click) -> bool:
-        axis, index = self.tile.axis, self.tile.index
-        if not piece.box[axis].start <= index < piece.box[axis].stop:
+        named = voxels_of(piece, self.tile.stack, self.tile.index)
+        if named is None:
             return False
-        cut = piece.mask.take(index - piece.box[axis].start, axis=axis)
-        rows, columns = (side for other, side in enumerate(piece.box) if other != axis)
-        self._sides[rows, columns][cut] = 1 + SIDES.index(piece.side)
+        rows, columns, mask = named
+        self._sides[rows, columns][mask] = 1 + SIDES.index(piece.side)
         self._is_empty = False
         return True
 
     def _draw(self) -> None:
         self._actor.SetVisibility(not self._is_empty)
         if not self._is_empty:
-            hung = self.tile.hung(self._sides)
-            self._texture.show(_PACKED.take(hung).view(np.uint8).reshape(*hung.shape, 4))
+            self._texture.show(_PACKED.take(self._sides).view(np.uint8).reshape(*self._sides.shape, 4))
 
 
 class _Beads:

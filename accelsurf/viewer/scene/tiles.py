@@ -14,6 +14,9 @@ from accelsurf.viewer.scene.redraw import Redraw
 from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import VIEWS, SpaceTile
 
+#: Samples of a pixel where edges are drawn smoothly.
+SAMPLES = 8
+
 
 class Fitted(Protocol):
     """What is drawn as large as window and screen ask for."""
@@ -180,6 +183,23 @@ class Tiles:
             grown = 1.0 - before / self.mm_per_pixel("space")
             self._space.shift((right - 0.5) * width * grown, (up - 0.5) * height * grown)
             self.redraw.mark(self._space.renderer)
+
+    def smooth_edges(self, on: bool) -> bool:
+        """Draw edges smoothly (the default), or not: faster without a graphics card. Returns whether that changes."""
+        samples = SAMPLES if on else 0
+        if self._window.GetMultiSamples() == samples:
+            return False
+        self._window.SetMultiSamples(samples)
+        self.redraw.begin_anew()
+        return True
+
+    def resize(self, width: int, height: int) -> None:
+        """Change the size of the picture, pixels."""
+        self.redraw.begin_anew()
+        before = None if self._space is None else self._space.fitted_scale()
+        self._window.SetSize(width, height)
+        if self._space is not None and before is not None:
+            self._space.zoom(before / self._space.fitted_scale())
 
     def coarsen(self, on: bool) -> bool:
         """Draw large surfaces in 3D with fewer triangles, or in full; returns whether that changes the picture."""

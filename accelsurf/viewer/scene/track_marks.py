@@ -23,7 +23,8 @@ def show_image(scene: Scene, volume: Volume) -> None:
     for tile in scene.slice_tiles.values():
         tile.use_image(volume.array)
     if scene.space is not None:
-        scene.space.use_image(volume.array, scene.geometry.world_to_index(scene.cursor))
+        scene.space.use_image(volume.array)
+        scene.show_planes(scene.shows_planes)
     scene.tiles.redraw.mark_all()
 
 

@@ -15,7 +15,7 @@ from accelsurf.settings.wording import in_unit
 #: Positions of a slider.
 TICKS = 1000
 #: A unit of a setting that is a length, an area or a volume, whatever it is per.
-_LENGTH = re.compile(r"mm(?:\^([23]))?(?= |$)")
+_LENGTH = re.compile(r"mm([23])?(?= |$)")
 
 
 def amount(
@@ -87,8 +87,8 @@ def read_in(unit: str, of_file: str) -> tuple[str, float]:
 
     Examples
     --------
-    >>> read_in("mm^2 per unit of flow time", "um"), read_in("voxels", "um"), read_in("1/mm", "nm")
-    (('um^2 per unit of flow time', 1000000.0), ('voxels', 1.0), ('1/mm', 1.0))
+    >>> read_in("mm2 per unit of flow time", "um"), read_in("voxels", "um"), read_in("1/mm", "nm")
+    (('um2 per unit of flow time', 1000000.0), ('voxels', 1.0), ('1/mm', 1.0))
     """
     found = _LENGTH.match(unit)
     if found is None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.slice_stack import SliceStack
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.force_overlay import ForceOverlay, ForceSlice
 from accelsurf.viewer.workplace.feature import Feature, Key
@@ -36,7 +37,7 @@ class ForceFeature(Feature):
         self._waiting: Future[Any] | None = None
         #: Of what run and in which slices the forces are that are known.
         self._run: tuple[Any, ...] = ()
-        self._planes: dict[str, tuple[int, int]] = {}
+        self._planes: dict[str, tuple[bool, int]] = {}
         self._asked_at = 0.0
         self._note = ""
 
@@ -65,24 +66,26 @@ class ForceFeature(Feature):
         whose = self.workplace.object_id
         run = (whose, status.step, status.settings, status.undoable, status.redoable, status.playing)
         is_same = run == self._run
-        planes = {name: (tile.axis, tile.index) for name, tile in self.workplace.scene.slice_tiles.items()}
+        tiles = self.workplace.scene.slice_tiles
+        planes = {name: tile.sight for name, tile in tiles.items()}
         wanted = {name: at for name, at in planes.items() if not is_same or self._planes.get(name) != at}
         if not wanted:
             return
         self._run, self._planes, self._asked_at = run, planes, time.monotonic()
         measured = is_same and not status.playing
-        future = self.workplace.session.look(lambda run: _forces(run, list(wanted.values()), whose, measured))
+        cuts = [(tiles[name].stack, number) for name, (_, number) in wanted.items()]
+        future = self.workplace.session.look(lambda run: _forces(run, cuts, whose, measured))
         self._waiting = future
         self.workplace.ask(future, lambda forces: self._show(wanted, forces, is_same), quiet=True)
         future.add_done_callback(lambda _: setattr(self, "_waiting", None))
 
     def _show(
-        self, planes: Mapping[str, tuple[int, int]], forces: list[NDArray[np.float32]] | None, is_same: bool
+        self, planes: Mapping[str, tuple[bool, int]], forces: list[NDArray[np.float32]] | None, is_same: bool
     ) -> None:
         if not self.is_on:
             return
         slices = {} if forces is None else dict(zip(planes, forces, strict=True))
-        shown = {name: ForceSlice(*planes[name], values) for name, values in slices.items()}
+        shown = {name: ForceSlice(planes[name], values) for name, values in slices.items()}
         (self.overlay.add if is_same else self.overlay.show)(shown)
         scale = f"full colour at {self.overlay.scale:.3g}"
         self._note = f"purple grows, orange shrinks, {scale}" if slices else "this energy does not tell its force"
@@ -90,9 +93,24 @@ class ForceFeature(Feature):
 
 
 def _forces(
-    run: Run, planes: list[tuple[int, int]], object_id: int | None, is_measured: bool
+    run: Run, cuts: list[tuple[SliceStack, int]], object_id: int | None, is_measured: bool
 ) -> list[NDArray[np.float32]] | None:
-    """The forces, in the session's thread, which has loaded what computes them; this module is loaded before."""
+    """The forces in slices, as `ForceSlice` has them; in the session's thread, which has loaded what computes them, as
+    this module is loaded before.
+    """
     from accelsurf.segmentation.image_force import image_forces
 
-    return image_forces(run, planes, object_id, is_measured)
+    planes = [
+        voxels_at(stack, number) if stack.is_straight else (stack.axis, number) for stack, number in cuts
+    ]
+    forces = image_forces(run, planes, object_id, is_measured)
+    if forces is None:
+        return None
+    return [
+        force if stack.is_straight else stack.hung(force) for (stack, _), force in zip(cuts, forces, strict=True)
+    ]
+
+
+def voxels_at(stack: SliceStack, number: int) -> NDArray[np.int64]:
+    """Index (z, y, x) of the voxel at each pixel of a straight slice, (rows, columns, 3); may be beyond the image."""
+    return np.stack(np.broadcast_arrays(*(np.rint(at).astype(np.int64) for at in stack.patch(number).places)), axis=-1)

@@ -98,4 +98,4 @@ class PictureFeature(Feature):
         sides = round(self._sides[0] * ratio), round(self._sides[1] * ratio)
         scene.tiles.pixel_ratio = ratio
         if tuple(scene.plotter.render_window.GetSize()) != sides:
-            scene.resize(*sides)
+            scene.tiles.resize(*sides)

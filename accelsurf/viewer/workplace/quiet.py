@@ -42,7 +42,7 @@ class Quiet:
         """Something has changed, and is to be drawn as fast as possible."""
         self._since, self._is_full = time.perf_counter(), False
         if self.is_software:
-            self._workplace.scene.smooth_edges(False)
+            self._workplace.scene.tiles.smooth_edges(False)
 
     def draw_in_full(self) -> bool:
         """Draw all triangles and smooth edges, once nothing has happened for some time; returns whether it is time."""
@@ -51,7 +51,7 @@ class Quiet:
         scene, self._is_full = self._workplace.scene, True
         changed = scene.tiles.coarsen(False)
         if not self.is_software or self._workplace.feature(MouseFeature).tool.name == "look":
-            changed |= scene.smooth_edges(True)
+            changed |= scene.tiles.smooth_edges(True)
         if changed:
             scene.render()
         return True

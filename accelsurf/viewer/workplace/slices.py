@@ -56,6 +56,8 @@ class SlicesFeature(Feature):
             "next_chart": lambda: self._chart(not self.workplace.scene.tiles.shows_chart),
             "interpolate": self._interpolate,
             "next_interpolate": lambda: self._interpolate(not self.workplace.scene.is_interpolated),
+            "straight": self._straighten,
+            "next_straight": lambda: self._straighten(not self.workplace.scene.is_straight),
             "whole": self._whole,
             "slice": self._slice,
             "through": self._through,
@@ -73,6 +75,7 @@ class SlicesFeature(Feature):
             "1": Key("next_large", (), "tile under the mouse alone, and back"),
             "E": Key("next_chart", (), "chart of the energies"),
             "M": Key("next_interpolate", (), "smooth slices, or voxels"),
+            "2": Key("next_straight", (), "slices straight by anatomy, or along the voxels"),
             "Ctrl+C": Key("copy_point", (), "copy the place under the mouse as point:X,Y,Z"),
             "Ctrl+Shift+C": Key("copy_ball", (), "copy it as ball:X,Y,Z,R"),
             "R": Key("whole", (), "whole image, camera as at first"),
@@ -84,7 +87,8 @@ class SlicesFeature(Feature):
         return {
             "level": window.level, "width": window.width, "window_word": self._word, "windows": list(WINDOWS),
             "layout": tiles.layout, "layouts": list(LAYOUTS), "large": tiles.large, "chart": tiles.shows_chart,
-            "interpolate": scene.is_interpolated, "slices": self._slices(), "cursor": self._text(scene.cursor),
+            "interpolate": scene.is_interpolated, "straight": scene.is_straight, "is_oblique": scene.is_oblique,
+            "slices": self._slices(), "cursor": self._text(scene.cursor),
             **self._read_out(),
         }
 
@@ -203,6 +207,12 @@ class SlicesFeature(Feature):
         self.workplace.scene.interpolate(bool(on))
         self.workplace.changed = True
 
+    def _straighten(self, on: Any) -> None:
+        if not self.workplace.scene.is_oblique:
+            raise UsageError("straight: the voxels of this image lie along the world's axes, or in one slice")
+        self.workplace.scene.straighten(bool(on))
+        self.workplace.changed = True
+
     def _whole(self) -> None:
         self.workplace.scene.tiles.show_whole()
         self.workplace.changed = True
@@ -217,9 +227,7 @@ class SlicesFeature(Feature):
     def _slice(self, tile: Any, number_from_1: Any) -> None:
         scene = self.workplace.scene
         shown = scene.slice_tiles[word(tile, tuple(scene.slice_tiles))]
-        index = scene.geometry.world_to_index(scene.cursor)
-        index[shown.axis] = whole(number_from_1, 1, shown.count) - 1
-        scene.cursor = scene.geometry.index_to_world(index)
+        scene.go_to_slice(tile, whole(number_from_1, 1, shown.count) - 1)
         self.workplace.changed = True
 
     def _through(self, count: Any) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from PySide6.QtCore import QSignalBlocker
+from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QLabel
 
 from accelsurf.viewer.frontends.panels.section import Section, button, choice, show_choice, show_switch, switch
@@ -37,6 +37,8 @@ class SlicesPanel(Section):
         self.chart.toggled.connect(lambda on: self.ask("chart", on))
         self.interpolate = switch("Smooth", "Slices smooth between voxels, or each voxel as a rectangle")
         self.interpolate.toggled.connect(lambda on: self.ask("interpolate", on))
+        self.straight = switch("Straight", "Slices straight by anatomy, or along the voxels of an oblique scan (2)")
+        self.straight.toggled.connect(lambda on: self.ask("straight", on))
         self.whole = button("Whole", "The whole image in each tile (R)")
         self.whole.clicked.connect(lambda: self.ask("whole"))
         grid.addWidget(QLabel("Grey values"), 0, 0)
@@ -49,6 +51,7 @@ class SlicesPanel(Section):
         grid.addWidget(self.chart, 3, 0)
         grid.addWidget(self.interpolate, 3, 1, 1, 2)
         grid.addWidget(self.whole, 3, 3)
+        grid.addWidget(self.straight, 4, 0, 1, 2, Qt.AlignmentFlag.AlignLeft)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the grey values and the layout."""
@@ -63,6 +66,8 @@ class SlicesPanel(Section):
         show_choice(self.layout_, state["layouts"], state["layout"])
         show_switch(self.chart, state["chart"])
         show_switch(self.interpolate, state["interpolate"])
+        show_switch(self.straight, state["straight"])
+        self.straight.setEnabled(state["is_oblique"])
 
     def _named(self) -> None:
         if self.window_word.currentText() != BY_HAND:

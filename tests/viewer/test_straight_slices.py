@@ -1,0 +1,412 @@
+"""Slices of an oblique scan, straight by anatomy: what is seen, clicked, painted, measured is where the world says."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from accelsurf.grid.grey_window import GreyWindow
+from accelsurf.grid.volume import Volume
+from accelsurf.initialization.clicks import read_clicks
+from accelsurf.io.metadata import DICOM_KEY
+from accelsurf.segmentation.image_force import image_forces
+from accelsurf.segmentation.region_of_interest import region_of_interest
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.measurements import Measurement
+from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.core.size_drag import SizeDrag
+from accelsurf.viewer.scene.cuts import DragLines, function_lines, surface_lines
+from accelsurf.viewer.scene.scene import Scene
+from accelsurf.viewer.workplace.box import BoxFeature
+from accelsurf.viewer.workplace.force import ForceFeature
+from accelsurf.viewer.workplace.workplace import Workplace
+from tests.support import viewing
+
+TURNED = Rotation.from_euler("xyz", [9, -14, 20], degrees=True).as_matrix() @ np.diag([-1.0, -1.0, 1.0])
+SHAPE, SPACING = (26, 44, 40), (1.8, 1.0, 1.1)
+RADIUS = 11.0
+SIZE = (900, 600)
+#: World axes to the right and up, with their signs, and across.
+HANGS = {"axial": ((0, 1), (1, -1), 2), "coronal": ((0, 1), (2, 1), 1), "sagittal": ((1, 1), (2, 1), 0)}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def graphics():
+    viewing.needs_graphics()
+
+
+def scan(direction=TURNED, anatomical=True):
+    """A ball of 100 in a patient's oblique grid; its centre (x, y, z)."""
+    volume, center = viewing.ball_image(SHAPE, SPACING, direction, RADIUS)
+    if anatomical:
+        volume.metadata[DICOM_KEY] = "1.2.3"
+    return volume, center
+
+
+@pytest.fixture
+def placed(scene_of):
+    volume, center = scan()
+    scene = scene_of(volume, size=SIZE)
+    scene.tiles.lay_out("slices", chart=False)
+    scene.screenshot()
+    return scene, center
+
+
+def pixel_of(scene, name, world):
+    """Pixel from the lower left corner at which a world point is seen, by the table of how slices hang."""
+    tile = scene.slice_tiles[name]
+    (right, sign), (up, turn), _ = HANGS[name]
+    place = np.array([sign * world[right], turn * world[up]])
+    low, high = np.array(tile.to_plane(0.0, 0.0)), np.array(tile.to_plane(1.0, 1.0))
+    part = (place - low) / (high - low)
+    left, bottom, far, top = tile.renderer.GetViewport()
+    return SIZE[0] * (left + part[0] * (far - left)), SIZE[1] * (bottom + part[1] * (top - bottom))
+
+
+# ------------------------------------------------------------------------------------------------------- which slices
+
+
+def test_only_oblique_scans_of_patients_begin_straight(scene_of):
+    for direction, anatomical, straight, oblique in (
+        (TURNED, True, True, True), (TURNED, False, False, True), (np.diag([-1.0, -1.0, 1.0]), True, False, False),
+    ):  # fmt: skip
+        scene = scene_of(scan(direction, anatomical)[0])
+        assert (scene.is_straight, scene.is_oblique) == (straight, oblique)
+        assert all(tile.stack.is_straight == straight for tile in scene.slice_tiles.values())
+    flat = Volume.from_array(np.ones((1, 20, 30), np.float32), direction=TURNED)
+    flat.metadata[DICOM_KEY] = "1.2.3"
+    scene = scene_of(flat)
+    assert not scene.is_straight and not scene.is_oblique
+
+
+def test_titles_say_the_world_coordinate(placed):
+    scene, center = placed
+    scene.cursor = center
+    for name, tile in scene.slice_tiles.items():
+        across = HANGS[name][2]
+        letter = "xyz"[across]
+        assert tile.title.text == f"{name.capitalize()}  {letter} = {tile.across:.4g} mm"
+        assert abs(tile.across - center[across]) <= 0.5 * abs(tile.stack.step)
+    scene.straighten(False)
+    assert all("'" in tile.title.text for tile in scene.slice_tiles.values())
+
+
+@pytest.mark.parametrize("name", list(HANGS))
+def test_a_pixel_is_picked_where_the_world_has_it(placed, name):
+    scene, center = placed
+    scene.cursor = center
+    across = HANGS[name][2]
+    for offset in ((0.0, 0.0, 0.0), (5.0, -3.0, 2.0), (-7.0, 6.0, -4.0)):
+        world = center + offset
+        world[across] = scene.slice_tiles[name].across
+        picked = scene.pick(*pixel_of(scene, name, world))
+        assert picked.tile == name
+        np.testing.assert_allclose(picked.world, world, atol=1e-6)
+    left, bottom, right, top = scene.slice_tiles[name].renderer.GetViewport()
+    at_corner = scene.pick(SIZE[0] * left + 3, SIZE[1] * bottom + 3)
+    assert at_corner.tile == name and at_corner.world is None
+
+
+def test_the_picture_ends_where_the_image_ends(placed):
+    """Beside the image is the background; the same pixels pick nothing."""
+    scene, center = placed
+    scene.cursor = center
+    scene.window = GreyWindow.of(-50.0, 10.0)  # all of the image is white
+    picture = scene.screenshot()
+    white = (picture > 200).all(axis=2)
+    agree = []
+    for tile in scene.slice_tiles.values():
+        left, bottom, right, top = tile.renderer.GetViewport()
+        for part in np.random.default_rng(2).uniform(0.12, 0.85, (150, 2)):
+            x, y = SIZE[0] * (left + part[0] * (right - left)), SIZE[1] * (bottom + part[1] * (top - bottom))
+            agree.append((scene.pick(x, y).world is not None) == white[SIZE[1] - 1 - int(y), int(x)])
+    assert np.mean(agree) > 0.97 and len(agree) == 450  # the rest: letters, the cursor's lines, the rim
+
+
+# ------------------------------------------------------------------------------------------------------- what is drawn
+
+
+def exact_surface(volume, center):
+    """The ball's own signed distance as the frame of a run."""
+    frames, _ = viewing.run_frames(volume, center, levels=1, max_steps=2)
+    index = np.moveaxis(np.indices(SHAPE), 0, -1)
+    psi = np.linalg.norm(volume.geometry.index_to_world(index) - center, axis=-1) - RADIUS
+    (surface,) = frames[-1].surfaces
+    exact = dataclasses.replace(
+        surface, psi=psi.astype(np.float32), offset=(0, 0, 0), stride=1, corner=(0, 0, 0), shape=SHAPE
+    )
+    return dataclasses.replace(frames[-1], surfaces=(exact,))
+
+
+@pytest.mark.parametrize("name", list(HANGS))
+def test_the_contour_of_a_ball_is_its_circle(placed, name):
+    scene, center = placed
+    frame = exact_surface(scene.volume, center)
+    scene.cursor = center
+    (right, sign), (up, turn), across = HANGS[name]
+    stack, tile = scene.slice_tiles[name].stack, scene.slice_tiles[name]
+    for count in (0, 2, -4):
+        number = tile.index + count
+        lines = surface_lines(frame.surfaces[0], stack, number)
+        circle = np.sqrt(RADIUS**2 - (stack.across(number) - center[across]) ** 2)
+        away = np.linalg.norm(lines - [sign * center[right], turn * center[up]], axis=-1)
+        assert np.abs(away - circle).max() < 0.12 and len(lines) > 40  # linear between voxels of 1 to 1.8 mm
+        # closed: at each end there are two segments, or four where it is at a pixel
+        _, counts = np.unique(np.round(lines.reshape(-1, 2), 3), axis=0, return_counts=True)
+        assert (counts % 2 == 0).all()
+    far = stack.nearest_number(scene.geometry.world_to_index(center + 1.5 * RADIUS * np.eye(3)[across]))
+    assert len(surface_lines(frame.surfaces[0], stack, far)) == 0
+
+
+def test_a_contour_ends_at_the_border_of_the_image(placed):
+    """A half space in the world: its contour is a straight line, and lies in the image alone."""
+    scene, center = placed
+    scene.cursor = center
+    world = scene.geometry.index_to_world(np.moveaxis(np.indices(SHAPE), 0, -1))
+    function = (world[..., 0] - center[0]).astype(np.float32)
+    tile = scene.slice_tiles["coronal"]
+    lines = function_lines(function, tile.stack, tile.index)
+    ends = lines.reshape(-1, 2)
+    index = tile.stack.to_index(np.column_stack([ends, np.full(len(ends), tile.across)]))
+    known = ((index >= 0) & (index <= np.array(SHAPE) - 1)).all(axis=1)
+    assert known.mean() > 0.9
+    np.testing.assert_allclose(ends[known, 0], center[0], atol=1e-3)
+    middles = tile.stack.to_index(np.column_stack([lines.mean(axis=1), np.full(len(lines), tile.across)]))
+    assert ((middles >= -0.5) & (middles <= np.array(SHAPE) - 0.5)).all()
+    outline = tile.stack.outline(tile.across, (0, 0, 0), np.array(SHAPE) - 1)
+    assert np.ptp(lines[..., 1]) > 0.7 * np.ptp(outline[:, 1])
+
+
+def test_the_outline_of_a_size_is_that_of_the_times(placed):
+    """Times that grow with the distance from a point: the outline of a volume is a circle."""
+    scene, center = placed
+    scene.cursor = center
+    index = np.moveaxis(np.indices(SHAPE), 0, -1)
+    times = np.linalg.norm(scene.geometry.index_to_world(index) - center, axis=-1).astype(np.float32)
+    times[times > 14.0] = np.inf
+    order = np.argsort(times, axis=None)[: np.isfinite(times).sum()]
+    drag = SizeDrag("ball:0,0,0,1", times, order, (0, 0, 0), scene.geometry.voxel_volume)
+    for name, ((right, sign), (up, turn), across) in HANGS.items():
+        tile = scene.slice_tiles[name]
+        outline = DragLines()
+        for radius, number in ((8.0, tile.index), (6.0, tile.index), (6.0, tile.index + 1)):
+            lines = outline.lines(drag, 4.0 / 3.0 * np.pi * radius**3, tile.stack, number)
+            circle = np.sqrt(radius**2 - (tile.stack.across(number) - center[across]) ** 2)
+            away = np.linalg.norm(lines - [sign * center[right], turn * center[up]], axis=-1)
+            assert np.abs(away - circle).max() < 0.35 and len(lines) > 20
+
+
+def test_a_measured_line_is_seen_in_the_straight_slice_that_has_it(placed):
+    scene, center = placed
+    scene.cursor = center
+    tile = scene.slice_tiles["axial"]
+    ends = np.array([center, center + [8.0, -5.0, 0.0]])
+    ends[:, 2] = tile.across
+    scene.measures.show([Measurement(1, "distance", tuple(map(tuple, ends)))])
+    assert scene.measures.marks["axial"].texts == ("9.434 mm",)
+    assert scene.measures.marks["coronal"].texts == ()
+    scene.step_slice("axial", 1)
+    assert scene.measures.marks["axial"].texts == ()
+    scene.straighten(False)
+    assert scene.measures.marks["axial"].texts == ()  # it lies aslant to the voxels
+
+
+def test_slices_in_3d_are_those_of_the_tiles(placed):
+    scene, center = placed
+    scene.tiles.lay_out("four", chart=False)
+    scene.cursor = center
+    scene.show_planes(True)
+    for name, tile in scene.slice_tiles.items():
+        mesh, grey = tile.in_space()
+        np.testing.assert_allclose(np.asarray(mesh.points)[:, HANGS[name][2]], tile.across, atol=1e-4)
+        assert grey.shape == tile.stack.size() and grey.max() > 200
+    straight = scene.screenshot()
+    scene.straighten(False)
+    assert (scene.screenshot() != straight).any()
+    scene.straighten(True)
+    assert (scene.screenshot() == straight).all()
+
+
+# ------------------------------------------------------------------------------------------------------ what is done
+
+
+@pytest.fixture
+def workplace():
+    volume, center = scan()
+    rough = volume.with_array(volume.array + np.random.default_rng(3).normal(0, 4, SHAPE).astype(np.float32))
+    scene = Scene(rough, size=SIZE)
+    start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
+    with Session(rough, RunConfig(start=start, threads=1, max_steps=60), name="ball") as session:
+        session.ready.result(60)
+        made = Workplace(session, scene)
+        made.request("layout", "slices")
+        made.request("chart", False)
+        made.request("cursor", *center)
+        settle(made)
+        scene.screenshot()
+        yield made, center
+    scene.close()
+
+
+def settle(workplace):
+    for _ in range(4):
+        assert workplace.session.wait(60)
+        workplace.collect_results()
+        view = workplace.session.next_view()
+        if view is not None:
+            workplace.update(view)
+        workplace.state()
+    assert workplace.session.wait(60)
+    workplace.collect_results()
+
+
+def drag(workplace, name, *worlds):
+    parts = [(x / SIZE[0], 1.0 - y / SIZE[1]) for x, y in (pixel_of(workplace.scene, name, world) for world in worlds)]
+    workplace.request("press", *parts[0])
+    for part in parts[1:]:
+        workplace.request("move", *part)
+
+
+@pytest.mark.parametrize("name", list(HANGS))
+def test_a_stroke_marks_the_voxels_under_the_brush(workplace, name):
+    """Coloured are the pixels in voxels of the click, all of them; and that is a band as wide as the brush."""
+    workplace, center = workplace
+    scene = workplace.scene
+    tile = scene.slice_tiles[name]
+    (right, sign), (up, turn), across = HANGS[name]
+    start, end = center.copy(), center.copy()
+    end[right] += 7.0
+    end[up] += 4.0
+    start[across] = end[across] = tile.across
+    workplace.request("radius", 2.5)
+    workplace.request("tool", "inside")
+    drag(workplace, name, start, 0.5 * (start + end), end)
+    strokes = scene.marks.strokes
+    drawn = {key: layer._sides > 0 for key, layer in zip(scene.slice_tiles, strokes._layers, strict=True)}
+    workplace.request("release")
+    settle(workplace)
+    given = [text for edit in (*workplace.session.status.edits, *workplace.session.status.refinements)
+             for text in edit.inside or ()]  # fmt: skip
+    assert len(given) == 1 and given[0].startswith("path:"), workplace.message
+    (click,) = read_clicks(tuple(given), "inside", scene.volume)
+    named = np.zeros(SHAPE, bool)
+    named[click.box] = click.mask
+    for key, rows in drawn.items():
+        stack = scene.slice_tiles[key].stack
+        patch = stack.patch(scene.slice_tiles[key].index, fine=stack.fine)
+        index = np.stack(np.broadcast_arrays(*patch.places), axis=-1)
+        at = np.rint(index).astype(int)
+        inside = ((at >= 0) & (at < SHAPE)).all(axis=-1)
+        want = np.zeros(rows.shape, bool)
+        want[inside] = named[tuple(at[inside].T)]
+        np.testing.assert_array_equal(rows, want)
+    # By the world alone: the pixel's distance from the line, give or take half the diagonal of a voxel.
+    stack = tile.stack
+    left, _, bottom, _ = stack.extent
+    rows, columns = np.nonzero(drawn[name])
+    places = np.array([left, bottom]) + (np.stack([columns, rows], axis=-1) + 0.5) * np.array(stack.pitch) / stack.fine
+    line = [np.array([sign * one[right], turn * one[up]]) for one in (start, end)]
+    way = line[1] - line[0]
+    share = np.clip((places - line[0]) @ way / (way @ way), 0.0, 1.0)
+    away = np.linalg.norm(places - line[0] - share[:, None] * way, axis=-1)
+    half = 0.5 * np.linalg.norm(SPACING)
+    assert away.max() < 2.5 + half and len(away) > 100
+    area = len(away) * np.prod(stack.pitch) / stack.fine**2
+    assert area == pytest.approx(np.pi * 2.5**2 + 5.0 * np.linalg.norm(way), rel=0.15)
+
+
+def test_the_read_out_is_of_the_voxel_under_the_mouse_and_can_be_copied(workplace):
+    workplace, center = workplace
+    world = center + [6.0, -2.0, 0.0]
+    world[2] = workplace.scene.slice_tiles["axial"].across
+    x, y = pixel_of(workplace.scene, "axial", world)
+    workplace.request("hover", x / SIZE[0], 1.0 - y / SIZE[1])
+    said = workplace.state()
+    voxel = np.rint(workplace.scene.geometry.world_to_index(world)).astype(int)
+    assert said["voxel"] == ", ".join(str(v) for v in voxel[::-1])
+    assert float(said["value"]) == pytest.approx(workplace.scene.volume.array[tuple(voxel)], rel=1e-5)
+    assert [float(v) for v in said["as_point"].removeprefix("point:").split(",")] == pytest.approx(world, abs=0.06)
+
+
+def test_sliders_wheel_and_switch(workplace):
+    workplace, center = workplace
+    scene, said = workplace.scene, workplace.state()
+    assert said["straight"] and said["is_oblique"]
+    assert said["slices"] == {name: [tile.index + 1, tile.count] for name, tile in scene.slice_tiles.items()}
+    for name, tile in scene.slice_tiles.items():
+        for number in (1, tile.count, tile.count // 2):
+            workplace.request("slice", name, number)
+            assert workplace.state()["slices"][name][0] == number and not workplace.message
+        x, y = pixel_of(scene, name, scene.cursor)
+        before = scene.cursor
+        workplace.request("wheel", x / SIZE[0], 1.0 - y / SIZE[1], 1)
+        moved = scene.cursor - before
+        across = HANGS[name][2]
+        assert moved[across] > 0 and np.abs(np.delete(moved, across)).max() < 1e-6
+    workplace.request("key", "2")
+    assert not workplace.state()["straight"] and not workplace.message
+    assert all(tile.count == SHAPE[tile.axis] for tile in scene.slice_tiles.values())
+    workplace.request("straight", True)
+    assert workplace.state()["straight"]
+
+
+def test_the_switch_is_refused_where_it_does_nothing(scene_of):
+    volume, center = scan(np.eye(3))
+    scene = scene_of(volume)
+    start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
+    with Session(volume, RunConfig(start=start, threads=1), name="ball") as session:
+        session.ready.result(60)
+        made = Workplace(session, scene)
+        made.request("straight", True)
+        assert made.message.startswith("straight: ") and not made.state()["straight"]
+        assert not made.state()["is_oblique"]
+
+
+def test_a_box_is_cut_aslant_and_its_sides_are_dragged(workplace):
+    workplace, center = workplace
+    scene = workplace.scene
+    workplace.request("set", "roi", "4,5,3,35,38,22vox")
+    settle(workplace)
+    overlay = workplace.feature(BoxFeature).overlay
+    tile = scene.slice_tiles["sagittal"]
+    corners = np.asarray(overlay._actors["sagittal"].mapper.GetInput().points)[:, :2]
+    index = tile.stack.to_index(np.column_stack([corners, np.full(len(corners), tile.across)]))
+    low, high = np.array([3, 5, 4]) - 0.5, np.array([22, 38, 35]) + 0.5
+    on_side = np.minimum(np.abs(index - low), np.abs(index - high)) < 1e-3
+    assert (on_side.sum(axis=1) >= 2).all() and len(index) >= 4  # each corner is on two faces
+    scene.step_slice("sagittal", 3)
+    scene.screenshot()
+    assert not np.allclose(np.asarray(overlay._actors["sagittal"].mapper.GetInput().points)[0, :2], corners[0])
+    # The lower face along z, dragged by two voxels.
+    middle = scene.geometry.world_to_index(scene.cursor)
+    middle[0] = 2.5
+    place = [*tile.stack.to_place(middle)[:2], tile.across]
+    start = scene.geometry.index_to_world(tile.stack.to_index(place))
+    workplace.request("tool", "box")
+    step = scene.geometry.index_to_world((2.0, 0.0, 0.0)) - scene.geometry.index_to_world((0.0, 0.0, 0.0))
+    drag(workplace, "sagittal", start, start + 0.5 * step, start + step)
+    workplace.request("release")
+    settle(workplace)
+    z, y, x = region_of_interest(workplace.session.status.settings.roi, scene.geometry)
+    assert (z.start, z.stop, y.start, y.stop, x.start, x.stop) == (5, 23, 5, 39, 4, 36), workplace.message
+
+
+def test_the_force_in_a_straight_slice_is_that_of_the_voxels(workplace):
+    workplace, _ = workplace
+    overlay = workplace.feature(ForceFeature).overlay
+    workplace.request("force", True)
+    settle(workplace)
+    assert set(overlay.shown) == set(HANGS)
+    planes = [(0, index) for index in range(SHAPE[0])]
+    whole = np.stack(workplace.session.look(lambda run: image_forces(run, planes)).result(60))
+    for name, tile in workplace.scene.slice_tiles.items():
+        at = np.rint(np.stack(np.broadcast_arrays(*tile.stack.patch(tile.index).places), axis=-1)).astype(int)
+        inside = ((at >= 0) & (at < SHAPE)).all(axis=-1)
+        want = np.full(inside.shape, np.nan, np.float32)
+        want[inside] = whole[tuple(at[inside].T)]
+        np.testing.assert_allclose(overlay._slices[name].values, want, rtol=1e-5, atol=1e-6)
+    workplace.request("straight", False)
+    assert overlay.shown == (), "that of a slice aslant is not shown over one along the voxels"
+    settle(workplace)
+    assert set(overlay.shown) == set(HANGS)
