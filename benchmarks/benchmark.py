@@ -20,7 +20,7 @@ from typing import Any
 from benchmarks.figures.common import plain
 from benchmarks.peers import check as compare
 from benchmarks.peers import render
-from benchmarks.peers.measure import MissingError, Options, machine, set_threads
+from benchmarks.peers.measure import MissingError, Options, machine, scans_folder, set_threads
 
 HERE = Path(__file__).resolve().parent
 #: Name -> module and function; imported when run, so that the number of threads is set before their libraries load.
@@ -79,9 +79,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="tiny sizes, to see that it works; figures mean nothing")
     parser.add_argument("--repeats", type=int, default=5, help="timed runs, of which the median counts (5)")
     parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1), help="of whole segmentations")
-    folder = os.environ.get("ACCELSURF_VOLUMES")
     parser.add_argument(
-        "--volumes", type=Path, default=Path(folder) if folder else None,
+        "--volumes", type=Path, default=scans_folder(),
         help="folder of the scans (default: ACCELSURF_VOLUMES; sources: docs/explanation/real-scans.md)",
     )
     parser.add_argument("--results", type=Path, help="folder for JSON and pictures (benchmarks/results)")

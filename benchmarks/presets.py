@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import time
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from accelsurf.phantoms import recipes, tissues
 from accelsurf.segmentation.api import segment
 from benchmarks.clicks.objects import ClickObject, chosen, load
 from benchmarks.clicks.person import next_click
+from benchmarks.peers.measure import scans_folder
 
 #: Bones of 2,000 voxels and more in the abdominal CT, by TotalSegmentator's classes; closing and bound of ct-bone were
 #: chosen on five of them (record 0102).
@@ -96,8 +96,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*")
     parser.add_argument("--clicks", type=int, default=3)
-    folder = os.environ.get("ACCELSURF_VOLUMES")
-    parser.add_argument("--volumes", type=Path, default=Path(folder) if folder else None)
+    parser.add_argument("--volumes", type=Path, default=scans_folder())
     parser.add_argument("--objects", nargs="*")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--no-preset", action="store_true")

@@ -35,6 +35,7 @@ from accelsurf.settings.run_config import RunConfig
 from benchmarks.clicks.objects import chosen, load
 from benchmarks.clicks.own import text_of
 from benchmarks.clicks.person import PersonClick, next_click
+from benchmarks.peers.measure import scans_folder
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS, PAGE, NAME = ROOT / "benchmarks/results", ROOT / "docs/explanation/latency.md", "refine.json"
@@ -338,12 +339,11 @@ def main(arguments: list[str] | None = None) -> int:
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(prog="scripts/benchmark refine", description=(__doc__ or "").splitlines()[0])
-    folder = os.environ.get("ACCELSURF_VOLUMES")
     parser.add_argument("--objects", type=lambda text: text.split(","), default=[], help="only these")
     parser.add_argument("--clicks", type=int, default=6, help="clicks on each object (6)")
     parser.add_argument("--size", type=int, default=256, help="voxels of a phantom along each axis (256)")
     parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1))
-    parser.add_argument("--volumes", type=Path, default=Path(folder) if folder else None, help="folder of the scans")
+    parser.add_argument("--volumes", type=Path, default=scans_folder(), help="folder of the scans")
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the JSON (benchmarks/results)")
     parser.add_argument("--render", action="store_true", help="measure nothing")
     return parser.parse_args(arguments)

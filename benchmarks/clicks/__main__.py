@@ -19,7 +19,7 @@ from benchmarks.clicks.methods import TUNED_CLICKS, Method, named, volume_shape
 from benchmarks.clicks.objects import HALVES, ClickObject, chosen, load, size_factor
 from benchmarks.clicks.pictures import Album
 from benchmarks.clicks.store import Store, brief, key_of
-from benchmarks.peers.measure import MissingError, set_threads
+from benchmarks.peers.measure import MissingError, scans_folder, set_threads
 
 RESULTS = Path(__file__).resolve().parent.parent / "results"
 KINDS = ("plain", "size", "jitter")
@@ -50,14 +50,13 @@ def main(arguments: list[str] | None = None) -> int:
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(prog="scripts/benchmark clicks", description=(__doc__ or "").splitlines()[0])
-    folder = os.environ.get("ACCELSURF_VOLUMES")
     parser.add_argument("--half", choices=HALVES, default="tune", help="which objects (tune)")
     parser.add_argument("--objects", type=_names, default=[], help="of that half, only these")
     parser.add_argument("--methods", type=_names, default=[], help="only these; peers: all but ours")
     parser.add_argument("--variants", type=_names, default=["plain"], help=f"of {', '.join(KINDS)} (plain)")
     parser.add_argument("--clicks", type=int, default=20, help="clicks on each object (20)")
     parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1))
-    parser.add_argument("--volumes", type=Path, default=Path(folder) if folder else None,
+    parser.add_argument("--volumes", type=Path, default=scans_folder(),
                         help="folder of the scans (default: ACCELSURF_VOLUMES)")
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of JSON and picture (benchmarks/results)")
     parser.add_argument("--tune", action="store_true", help=f"all settings of the grids, {TUNED_CLICKS} clicks")

@@ -61,6 +61,12 @@ class MissingError(Exception):
     """Something that a benchmark needs is not there; the text says what, in one line."""
 
 
+def scans_folder() -> Path | None:
+    """The folder of scans that ACCELSURF_VOLUMES names; None where it names none."""
+    folder = os.environ.get("ACCELSURF_VOLUMES")
+    return Path(folder) if folder else None
+
+
 def goal(what: str, wanted: float, measured: float | None, sense: str = ">=", unit: str = "x") -> dict[str, Any]:
     """One thing to reach, for the table: ``measured`` should be >= or <= ``wanted``."""
     return {"what": what, "wanted": wanted, "measured": measured, "sense": sense, "unit": unit}
