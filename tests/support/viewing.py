@@ -55,3 +55,16 @@ def needs_chromium():
         if found := shutil.which(name):
             return found
     pytest.skip("no Chromium: apt install chromium chromium-driver")
+
+
+def settle(workplace):
+    """Wait for all that was asked, and draw it."""
+    for _ in range(4):
+        assert workplace.session.wait(60)
+        workplace.collect_results()
+        view = workplace.session.next_view()
+        if view is not None:
+            workplace.update(view)
+        workplace.state()
+    assert workplace.session.wait(60)
+    workplace.collect_results()

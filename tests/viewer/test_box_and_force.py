@@ -15,6 +15,7 @@ from accelsurf.viewer.workplace.box import BoxFeature
 from accelsurf.viewer.workplace.force import ForceFeature
 from accelsurf.viewer.workplace.workplace import Workplace
 from tests.support import viewing
+from tests.support.viewing import settle
 
 SIZE = (1000, 600)
 
@@ -40,19 +41,6 @@ def workplace(placed):
         settle(made)
         scene.screenshot()
         yield made
-
-
-def settle(workplace):
-    """Wait for all that was asked, and draw it."""
-    for _ in range(4):
-        assert workplace.session.wait(60)
-        workplace.collect_results()
-        view = workplace.session.next_view()
-        if view is not None:
-            workplace.update(view)
-        workplace.state()
-    assert workplace.session.wait(60)
-    workplace.collect_results()
 
 
 def pixel(workplace, tile_name, index):

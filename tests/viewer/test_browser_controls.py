@@ -1,6 +1,7 @@
 """Slices and objects in the page, by the mouse and the controls of a real browser."""
 
 import re
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -18,13 +19,20 @@ def graphics():
     viewing.needs_graphics()
 
 
-@pytest.fixture
-def browser(served, tmp_path):
-    with driven(tmp_path) as made:
+@contextmanager
+def opened(served, folder):
+    """A browser with the page, once its picture is drawn and the run waits."""
+    with driven(folder) as made:
         made.get(served.address)
         wide = "return (document.getElementById('picture') || {naturalWidth: 0}).naturalWidth > 400"
         until(lambda: made.execute_script(wide))
         until(lambda: made.find_element("id", "state").text == "paused")
+        yield made
+
+
+@pytest.fixture
+def browser(served, tmp_path):
+    with opened(served, tmp_path) as made:
         yield made
 
 
@@ -146,11 +154,7 @@ def test_objects_are_merged_split_removed_and_undone_and_a_place_is_copied_in_th
         return found
 
     try:
-        with driven(tmp_path) as browser:
-            browser.get(served.address)
-            wide = "return (document.getElementById('picture') || {naturalWidth: 0}).naturalWidth > 400"
-            until(lambda: browser.execute_script(wide))
-            until(lambda: browser.find_element("id", "state").text == "paused")
+        with opened(served, tmp_path) as browser:
             hand = Hand(browser)
             axial = -hand.picture.size["width"] // 4, -hand.picture.size["height"] // 4
             left, right = (hand.at((axial[0] + way, axial[1]))[0] for way in (-40, 40))

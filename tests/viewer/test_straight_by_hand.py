@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from accelsurf import Volume, io
 from tests.support import viewing
-from tests.viewer.test_browser import Served, driven, state, until
-from tests.viewer.test_browser_controls import Hand
+from tests.viewer.test_browser import Served, state, until
+from tests.viewer.test_browser_controls import Hand, opened
 from tests.viewer.test_desktop import Person, needs_screen, screen
 from tests.viewer.test_desktop_controls import place_at, pressed
 
@@ -63,11 +63,7 @@ def test_the_page_shows_an_oblique_scan_straight(tmp_path):
     pytest.importorskip("trame", reason='trame is missing: pip install "accelsurf[viewer]"')
     served = Served(tmp_path, scan=viewing.ball_image(direction=TURNED))
     try:
-        with driven(tmp_path) as browser:
-            browser.get(served.address)
-            wide = "return (document.getElementById('picture') || {naturalWidth: 0}).naturalWidth > 400"
-            until(lambda: browser.execute_script(wide))
-            until(lambda: browser.find_element("id", "state").text == "paused")
+        with opened(served, tmp_path) as browser:
             assert state(served)["straight"]
             hand = Hand(browser)
             axial = -hand.picture.size["width"] // 4, -hand.picture.size["height"] // 4

@@ -22,6 +22,7 @@ from accelsurf.viewer.workplace.box import BoxFeature
 from accelsurf.viewer.workplace.force import ForceFeature
 from accelsurf.viewer.workplace.workplace import Workplace
 from tests.support import viewing
+from tests.support.viewing import settle
 
 TURNED = Rotation.from_euler("xyz", [9, -14, 20], degrees=True).as_matrix() @ np.diag([-1.0, -1.0, 1.0])
 SHAPE, SPACING = (26, 44, 40), (1.8, 1.0, 1.1)
@@ -247,18 +248,6 @@ def workplace():
         scene.screenshot()
         yield made, center
     scene.close()
-
-
-def settle(workplace):
-    for _ in range(4):
-        assert workplace.session.wait(60)
-        workplace.collect_results()
-        view = workplace.session.next_view()
-        if view is not None:
-            workplace.update(view)
-        workplace.state()
-    assert workplace.session.wait(60)
-    workplace.collect_results()
 
 
 def drag(workplace, name, *worlds):
