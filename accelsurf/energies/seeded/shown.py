@@ -28,6 +28,7 @@ INERTIA = (0.0, 0.3, 0.4, 0.5)
 MIN_FORCE = 1e-3
 #: By the first click's field this is done in full, later by this part, where neither size is more than so many times
 #: the other: the contests know the boundary between clicks better, the answer the size where no click is near.
+#: What an outside click takes beyond that is taken far from it, so that F < 0 in too few voxels is mended in full.
 SIZE_PART, MAX_RATIO = 0.5, 4.0
 
 
@@ -89,11 +90,11 @@ def mixed_answer(
     if before is None:
         mixed -= offset_to(mixed, answer.voxels)
     else:
-        mixed -= np.float32(SIZE_PART) * offset_to(mixed, answer.voxels, MAX_RATIO)
+        gains, lower = clicks.clicks[-1].side == "inside", offset_to(mixed, answer.voxels, MAX_RATIO)
+        mixed -= lower if lower > 0.0 and not gains else np.float32(SIZE_PART) * lower
         if shift is not None:
             mixed[counted_from(shift.box, corner_of(box))] += shift.by
         held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
-        gains = clicks.clicks[-1].side == "inside"
         hold_side(mixed, *before.on(box), held, np.float32(MIN_FORCE), gains)
     inside = object_of(mixed, box, clicks.clicks)
     for click in clicks.clicks:

@@ -107,6 +107,17 @@ def test_a_later_field_goes_half_way_to_the_size_of_the_learned_answer():
     np.testing.assert_allclose(shown.force.ravel()[4:8], force.ravel()[4:8] - 0.25, atol=1e-6)
 
 
+def test_an_outside_click_takes_nothing_far_from_it():
+    """One inside click alone tells the contests little: a click at the end of a rib took a quarter of it elsewhere."""
+    force = line([0.5, -0.4, -0.3, -0.2, 0.09, 0.2, 0.25, 0.3, 0.8, 0.8, 0.8, 0.8])
+    before = Shown(WHOLE, line([0.5, -0.4, -0.3, -0.2, -0.3, -0.2, 0.4, 0.4, 0.8, 0.8, 0.8, 0.8]), BEFORE < 0)
+    learned = line([0, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0]) > 0
+    # Five voxels are inside below 0.25: F is moved by as much.
+    shown = mixed(force, [point("inside", 1), point("outside", 11)], before, learned)
+    np.testing.assert_allclose(shown.force.ravel()[4:6], [-0.16, -0.05], atol=1e-6)
+    np.testing.assert_array_equal(shown.inside, before.inside)
+
+
 def test_a_size_far_from_that_of_the_contests_says_nothing():
     force = line([0.5, -0.4, -0.3, -0.2, -0.1, -0.05, -0.04, 0.3, 0.8, 0.8, 0.8, 0.8])
     inside = line([0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]) > 0
