@@ -56,30 +56,27 @@ class Watcher:
         max_steps : int
             Its largest number of steps.
         """
+        from accelsurf.kernels.ahead import compiling_by_two
+
         if self._bar is not None:
             self._bar.start(label, max_steps)
         self._label = label
         try:
-            with self._interrupts.patience("finishing this step and writing the result"), self._compilation_notice():
+            with (
+                self._interrupts.patience("finishing this step and writing the result"),
+                compiling_by_two(self._on_compilation),
+            ):
                 yield self
         finally:
             if self._bar is not None:
                 self._bar.stop()
 
-    @contextmanager
-    def _compilation_notice(self) -> Iterator[None]:
-        """Say before the first kernel is compiled what is waited for; once, also off a terminal."""
-        if self._is_quiet or self._has_noticed:
-            yield
-            return
-        from accelsurf.kernels.compilation import first_compilation
-
-        with first_compilation(self._on_compilation):
-            yield
-
     def _on_compilation(self) -> None:
+        """Say once what is waited for, also off a terminal."""
         from accelsurf.kernels.storage import STORAGE
 
+        if self._is_quiet or self._has_noticed:
+            return
         self._has_noticed = True
         text = COMPILING_ANEW if STORAGE is None else COMPILING
         if self._show_json:
@@ -142,7 +139,6 @@ class Watcher:
             print_json(line)
         self._interrupts.check()
         return self.interrupted
-
 
     def on_frame(self, done: int, count: int, frame: int, objects: int, seconds: float) -> bool:
         """Show a frame of a tracking that is done.

@@ -25,6 +25,7 @@ def warmup(
     import time
 
     from accelsurf.kernels import storage
+    from accelsurf.kernels.ahead import compiling_by_two
     from accelsurf.tracking import warmup as runs
 
     began = time.perf_counter()
@@ -34,10 +35,11 @@ def warmup(
             "set NUMBA_CACHE_DIR to a folder that may be written to",
         )
     before = storage.stored()
-    for name, run in runs.small_runs().items():
-        if not quiet:
-            print(f"  {time.perf_counter() - began:5.1f} s  {name}", flush=True)
-        run()
+    with compiling_by_two():
+        for name, run in runs.small_runs().items():
+            if not quiet:
+                print(f"  {time.perf_counter() - began:5.1f} s  {name}", flush=True)
+            run()
     if not quiet:
         new = len(storage.stored() - before)
         print(f"{new} kernels compiled and stored, {len(before)} were there, {time.perf_counter() - began:.1f} s")

@@ -189,8 +189,12 @@ class Session(SessionCommands):
             timeline.corrections.progress = self._show_progress
             self._status = Status.of(timeline, "", False)
             self.ready.set_result(None)
+            from accelsurf.kernels.ahead import compiling_ahead
+
             try:
-                self._carry_out_commands(timeline)
+                # What the first strokes need is compiled while the person looks at the image.
+                with compiling_ahead():
+                    self._carry_out_commands(timeline)
             finally:
                 timeline.close()
                 self._status = Status.of(timeline, self._status.message, self._status.failed)
