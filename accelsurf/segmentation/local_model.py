@@ -23,7 +23,7 @@ from accelsurf.energies.seeded.model import later_times
 from accelsurf.energies.seeded.shown import mixed_answer
 from accelsurf.energies.seeded.stages import Stage, first_and_last, in_order, mostly_left, unchanged
 from accelsurf.energies.seeded.sureness import Sureness, corrections_with, sureness_of
-from accelsurf.energies.seeded.surprise import shift_around
+from accelsurf.energies.seeded.surprise import neighbourhood
 from accelsurf.grid.boxes import (
     Box,
     bounding_box,
@@ -193,8 +193,8 @@ class LocalModel:
 
     def _stage_of(self, before: Stage, clicks: Clicks, answer: Answer, parts: Sequence[Balance]) -> Stage:
         """The stage of some clicks, of which the last one is new, by their answer and contests, after another."""
-        shift = shift_around(clicks.clicks[-1], before.shown, self.spacing, clicks.shape)
-        shown = mixed_answer(answer, parts, clicks, self.state.sized, before.shown, shift)
+        around = neighbourhood(clicks.clicks[-1], len(clicks), before.shown, self.spacing, clicks.shape)
+        shown = mixed_answer(answer, parts, clicks, self.state.sized, before.shown, around)
         both = before.shown, shown
         corrections = corrections_with(before.corrections, clicks.clicks[-1], both, self.spacing, clicks.shape)
         return Stage(clicks, answer, shown, corrections)

@@ -1,7 +1,8 @@
 """What is shown after some clicks: the learned answer and the contests of the clicks alone, mixed.
 
 It is their mean, after the first click with as many voxels as the answer has, later between the answer's size and its
-own. A later click changes labels towards its own side alone, F by a part, and F around it by more.
+own. A later click changes labels towards its own side alone, F by a part, F around it by more, and from the third on F
+near it alone.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ import numpy as np
 from accelsurf.energies.seeded.answers import CLICKED, Answer, object_of, offset_to
 from accelsurf.energies.seeded.appearance import Image, Mask
 from accelsurf.energies.seeded.contest import Balance
-from accelsurf.grid.boxes import Box, corner_of, counted_from, enclosing, on_box
+from accelsurf.energies.seeded.nearness import Nearness
+from accelsurf.grid.boxes import Box, Corner, corner_of, counted_from, enclosing, on_box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.kernels.blocks import hold_side
 
@@ -54,13 +56,26 @@ class Shift(NamedTuple):
     by: Image
 
 
+class Neighbourhood(NamedTuple):
+    """What a click says of what is around it: a ``shift`` of F, None for none; F changes where it is ``near``, None for
+    everywhere.
+    """
+
+    shift: Shift | None = None
+    near: Nearness | None = None
+
+
+#: F changes everywhere alike.
+EVERYWHERE = Neighbourhood()
+
+
 def mixed_answer(
     answer: Answer,
     parts: Sequence[Balance],
     clicks: Clicks,
     sized: bool,
     before: Shown | None,
-    shift: Shift | None = None,
+    neighbourhood: Neighbourhood = EVERYWHERE,
 ) -> Shown:
     """F and where it is inside: the learned answer and the contests, with the clicks marked.
 
@@ -75,8 +90,8 @@ def mixed_answer(
         Whether a size was stated.
     before : Shown or None
         What was shown before the last click: labels change towards its side alone.
-    shift : Shift, optional
-        What the last click moves F by around it, see `accelsurf.energies.seeded.surprise.shift_around`.
+    neighbourhood : Neighbourhood, optional
+        Of the last click, see `accelsurf.energies.seeded.surprise.neighbourhood`.
     """
     own = answer.blocks.on_voxels(answer.box, np.clip(answer.force, -1.0, 1.0))
     box = own.box if before is None else enclosing(own.box, before.box)
@@ -92,15 +107,26 @@ def mixed_answer(
     else:
         gains, lower = clicks.clicks[-1].side == "inside", offset_to(mixed, answer.voxels, MAX_RATIO)
         mixed -= lower if lower > 0.0 and not gains else np.float32(SIZE_PART) * lower
-        if shift is not None:
-            mixed[counted_from(shift.box, corner_of(box))] += shift.by
+        was, own_before = before.on(box)
+        mixed = _changed_around(mixed, was, corner_of(box), neighbourhood)
         held = np.float32(INERTIA[min(len(clicks) - 2, len(INERTIA) - 1)])
-        hold_side(mixed, *before.on(box), held, np.float32(MIN_FORCE), gains)
+        hold_side(mixed, was, own_before, held, np.float32(MIN_FORCE), gains)
     inside = object_of(mixed, box, clicks.clicks)
     for click in clicks.clicks:
         seen = click.mask_on(box)
         mixed[seen], inside[seen] = CLICKED[click.side], click.side == "inside"
     return Shown(box, mixed, inside)
+
+
+def _changed_around(mixed: Image, was: Image, corner: Corner, click: Neighbourhood) -> Image:
+    """F with the shift around a click, changed where it is near alone; F and F before begin at a corner of the grid."""
+    if click.shift is not None:
+        mixed[counted_from(click.shift.box, corner)] += click.shift.by
+    if click.near is None:
+        return mixed
+    changed, part = np.clip(was, -1.0, 1.0), counted_from(click.near.box, corner)
+    changed[part] += click.near.values * (mixed[part] - changed[part])
+    return changed
 
 
 def on_whole_grid(shown: Shown, shape: tuple[int, int, int]) -> tuple[Image, Mask]:

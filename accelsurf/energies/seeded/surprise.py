@@ -1,30 +1,53 @@
-"""What a click that contradicts the result says of its neighbourhood: F there is wrong by about as much.
+"""What a click says of its neighbourhood, and of nothing else.
 
 A click inside where F > 0, or outside where F < 0, is a surprise of so much as F lies on the wrong side. What made F
 wrong there (a value that both sides have, a size that is too small) made it wrong around it as well, so F is moved
 towards the click's side by a part of the surprise, less with the distance, within some of the click's own half widths.
+
+From the third click on F changes only where it is near, whatever the contests say elsewhere: most is right by then, and
+people click about half as wide as what is wrong.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
 
 from accelsurf.energies.seeded.appearance import Spacing
-from accelsurf.energies.seeded.coarse import block_means, coarsening
-from accelsurf.energies.seeded.contest import Balance
-from accelsurf.energies.seeded.implied import half_width
-from accelsurf.energies.seeded.shown import Shift, Shown
-from accelsurf.grid.boxes import common, enclosing, on_box, widened
+from accelsurf.energies.seeded.nearness import nearness
+from accelsurf.energies.seeded.shown import Neighbourhood, Shift, Shown
+from accelsurf.grid.boxes import enclosing, on_box
 from accelsurf.grid.clicks import Click
 
 #: F is moved by this part of the surprise, by so much at most.
 PART, LARGEST = 0.5, 0.2
-#: Standard deviation of the Gaussian of the distance from the click's voxels, of the click's half width; and the
-#: distance, of it, beyond which F is not moved.
-REACH, ENDS = 3.5, 3.0
-#: Larger boxes are coarsened to so many voxels.
-MOST = 60_000
+#: Within so many half widths, see `accelsurf.energies.seeded.nearness.nearness`.
+REACH = 3.5
+#: Within so many half widths F changes after 2, 3, ... clicks.
+CHANGES_WITHIN = (np.inf, 24.0, 12.0, 8.0, 6.0)
+
+
+def neighbourhood(
+    click: Click, number: int, before: Shown, spacing: Spacing, shape: tuple[int, int, int]
+) -> Neighbourhood:
+    """What the last one of some clicks says of its neighbourhood.
+
+    Parameters
+    ----------
+    click : Click
+    number : int
+        Of the clicks, with this one; 2 at least.
+    before : Shown
+        What was shown before it.
+    spacing : (hz, hy, hx)
+        mm.
+    shape : (nz, ny, nx)
+        Of the whole grid.
+    """
+    half_widths = CHANGES_WITHIN[min(number - 2, len(CHANGES_WITHIN) - 1)]
+    near = None
+    if np.isfinite(half_widths):
+        near = nearness(click, enclosing(before.box, click.box), half_widths, spacing, shape)
+    return Neighbourhood(shift_around(click, before, spacing, shape), near)
 
 
 def surprise(click: Click, before: Shown) -> float:
@@ -64,12 +87,5 @@ def shift_around(click: Click, before: Shown, spacing: Spacing, shape: tuple[int
     amount = min(PART * surprise(click, before), LARGEST)
     if amount == 0.0:
         return None
-    width = REACH * half_width(click.mask, spacing, shape)
-    margin = [int(np.ceil(ENDS * width / h)) if n > 1 else 0 for h, n in zip(spacing, shape, strict=True)]
-    box = common(widened(click.box, shape, margin), enclosing(before.box, click.box))
-    steps = coarsening(box, spacing, MOST)
-    empty = block_means(click.mask_on(box).astype(np.float32), steps) == 0.0
-    mm = np.asarray(ndimage.distance_transform_edt(empty, sampling=np.multiply(spacing, steps)), np.float32)
-    sign = -1.0 if click.side == "inside" else 1.0
-    values = np.float32(sign * amount) * np.exp(-0.5 * (mm / np.float32(max(width, 1e-20))) ** 2)
-    return Shift(box, Balance(box, values, steps).on_box(box))
+    near = nearness(click, enclosing(before.box, click.box), REACH, spacing, shape)
+    return Shift(near.box, np.float32(-amount if click.side == "inside" else amount) * near.values)

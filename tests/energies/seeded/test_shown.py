@@ -8,7 +8,8 @@ from accelsurf.energies.seeded import seeded_model
 from accelsurf.energies.seeded.answers import Answer, FirstTimes
 from accelsurf.energies.seeded.blocks import in_blocks
 from accelsurf.energies.seeded.contest import Balance
-from accelsurf.energies.seeded.shown import INERTIA, Shown, mixed_answer
+from accelsurf.energies.seeded.nearness import Nearness
+from accelsurf.energies.seeded.shown import EVERYWHERE, INERTIA, Neighbourhood, Shift, Shown, mixed_answer
 from accelsurf.grid.clicks import Click, Clicks
 from tests.energies.seeded.test_seeded_model import SHAPE, SPACING, ball, dice, distance, volume_of
 
@@ -24,14 +25,14 @@ def point(side, x):
     return Click(side, (slice(0, 1), slice(0, 1), slice(x, x + 1)), np.ones((1, 1, 1), bool))
 
 
-def mixed(force, clicks, before, inside=None):
+def mixed(force, clicks, before, inside=None, around=EVERYWHERE):
     """What is shown where the learned answer and both contests agree on F."""
     none = np.zeros(LINE, np.float32)
     inside = force < 0 if inside is None else inside
     blocks, first = in_blocks([none], (1.0, 1.0, 1.0), None, None, 5), FirstTimes(WHOLE, none, 0.0)
     numbers = 5, 1.0, 3.0
     answer = Answer(blocks, WHOLE, *numbers, None, none, none, none, none, force, inside, tuple(clicks), first)
-    return mixed_answer(answer, [Balance(WHOLE, force)] * 2, Clicks(tuple(clicks), LINE), False, before)
+    return mixed_answer(answer, [Balance(WHOLE, force)] * 2, Clicks(tuple(clicks), LINE), False, before, around)
 
 
 BEFORE = line([0.8, -0.5, -0.5, -0.5, -0.2, -0.2, 0.3, 0.3, 0.8, 0.8, 0.8, 0.8])
@@ -123,6 +124,25 @@ def test_a_size_far_from_that_of_the_contests_says_nothing():
     inside = line([0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]) > 0
     shown = mixed(force, [point("inside", 1), point("outside", 11)], Shown(WHOLE, force, force < 0), inside)
     np.testing.assert_allclose(shown.force.ravel()[2:11], force.ravel()[2:11], rtol=1e-6)
+
+
+def test_f_changes_near_a_click_alone():
+    now = line([-0.9, -0.9, -0.9, -0.9, -0.9, -0.9, -0.9, -0.4, -0.4, -0.4, -0.4, -0.4])
+    before = Shown(WHOLE, BEFORE, BEFORE < 0)
+    box = slice(0, 1), slice(0, 1), slice(5, 9)
+    weights = np.array([0.5, 1.0, 1.0, 0.25], np.float32).reshape(1, 1, 4)
+    around = Neighbourhood(None, Nearness(box, weights))
+    shown = mixed(now, [point("inside", 1), point("inside", 6)], before, around=around)
+    expected = BEFORE.copy()
+    expected[box] += weights * (now[box] - BEFORE[box])
+    expected[0, 0, [1, 6]] = -3.0
+    np.testing.assert_allclose(shown.force, expected, rtol=1e-5)
+    assert shown.inside.ravel().tolist() == [x in range(1, 8) for x in range(12)]
+    shift = Shift((slice(0, 1), slice(0, 1), slice(7, 8)), np.full((1, 1, 1), 0.2, np.float32))
+    shown = mixed(now, [point("inside", 1), point("inside", 6)], before, around=around._replace(shift=shift))
+    expected[0, 0, 7] += 0.2
+    np.testing.assert_allclose(shown.force, expected, rtol=1e-5)
+    np.testing.assert_array_equal(before.force, BEFORE)
 
 
 def on_grid(model):

@@ -5,9 +5,18 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.energies.seeded import seeded_model
-from accelsurf.energies.seeded import surprise as tested
+from accelsurf.energies.seeded import surprise as surprises
+from accelsurf.energies.seeded.nearness import ENDS
 from accelsurf.energies.seeded.shown import Shown
-from accelsurf.energies.seeded.surprise import LARGEST, PART, REACH, shift_around, surprise
+from accelsurf.energies.seeded.surprise import (
+    CHANGES_WITHIN,
+    LARGEST,
+    PART,
+    REACH,
+    neighbourhood,
+    shift_around,
+    surprise,
+)
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Click, Clicks
 from tests.support import clicked_balls
@@ -45,7 +54,7 @@ def test_f_moves_by_a_part_of_what_was_wrong(side, shape, spacing):
         assert np.array_equal(force, before)
         left = expected.copy()
         left[found.box] = 0.0
-        assert np.abs(left).max() <= LARGEST * np.exp(-0.5 * tested.ENDS**2) + 1e-6
+        assert np.abs(left).max() <= LARGEST * np.exp(-0.5 * ENDS**2) + 1e-6
 
 
 def test_a_click_on_its_side_moves_nothing():
@@ -64,6 +73,20 @@ def test_a_click_beyond_what_was_shown_is_a_surprise_of_one():
     found = shift_around(click, before, (1.0, 1.0, 1.0), (9, 9, 9))
     assert found.box == (slice(0, 7),) * 3
     assert found.by[6, 6, 6] == pytest.approx(-LARGEST)
+
+
+def test_the_more_clicks_the_nearer_is_what_changes():
+    shape, one = (9, 60, 60), (1.0, 1.0, 1.0)
+    force = np.full(shape, 0.2, np.float32)
+    click = clicked_balls.ball("inside", (4, 8, 8), 1.1, shape, one)
+    mm = ndimage.distance_transform_edt(~click.mask_on(whole_box(shape)))
+    assert neighbourhood(click, 2, shown(force), one, shape).near is None
+    for number, within in enumerate(CHANGES_WITHIN[1:] + CHANGES_WITHIN[-1:], start=3):
+        near = neighbourhood(click, number, shown(force), one, shape).near
+        found = np.zeros(shape, np.float32)
+        found[near.box] = near.values
+        # The half width of a ball of seven voxels is the diagonal to what is beside two of them.
+        np.testing.assert_allclose(found, np.exp(-0.5 * (mm / (within * np.sqrt(2.0))) ** 2), atol=0.012)
 
 
 def test_large_boxes_are_coarsened_and_say_about_the_same():
@@ -96,7 +119,7 @@ def test_what_is_wrong_around_an_outside_click_goes_with_it(monkeypatch):
     clicks = Clicks((clicked_balls.ball("inside", (10, 14, 15), 4.0, shape, spacing),), shape)
     more = clicks.with_more([clicked_balls.ball("outside", (10, 14, 32), 2.0, shape, spacing)])
     with_it = seeded_model([image], spacing, more, size_mm3=2.0 * float(one.sum()))
-    monkeypatch.setattr(tested, "PART", 0.0)
+    monkeypatch.setattr(surprises, "PART", 0.0)
     without = seeded_model([image], spacing, more, size_mm3=2.0 * float(one.sum()))
     assert (without.start & other).sum() > (with_it.start & other).sum()
     assert (with_it.start & one).sum() > 0.97 * (without.start & one).sum()
