@@ -112,7 +112,9 @@ def _begun(path: Path) -> subprocess.Popen[bytes] | None:
 
 def _end_with_parent() -> None:
     """End this process when the one that began it does, however that ends: then its pipe is closed."""
-    sys.stdin.buffer.read()
+    # Not through sys.stdin, whose lock Python wants when it ends.
+    while os.read(0, 1):
+        pass
     os._exit(0)
 
 
