@@ -8,6 +8,7 @@ so that little is compiled twice: what both need, and what both are at when they
 from __future__ import annotations
 
 import importlib
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -82,15 +83,15 @@ def compiling_by_two(tell: Callable[[], None] = lambda: None) -> Iterator[None]:
 def compiling_ahead(path: Path = CALLED) -> Iterator[None]:
     """Compile in another process during this block, where that helps.
 
-    It does where there is a second core, where kernels are stored, and where two and more of the list are not.
+    It does where there is a second core, where kernels are stored, and where two and more of the list are not. Not in a
+    process that another one began with its like, as workers of a batch are: they have all cores.
 
     Parameters
     ----------
     path : Path, optional
         The list.
     """
-    can = STORAGE is not None and numba.config.NUMBA_NUM_THREADS > 1 and not numba.config.DISABLE_JIT
-    process = _begun(path) if can and len(missing(path)) > 1 else None
+    process = _begun(path) if _has_room() and len(missing(path)) > 1 else None
     try:
         yield
     finally:
@@ -99,11 +100,20 @@ def compiling_ahead(path: Path = CALLED) -> Iterator[None]:
             process.communicate()
 
 
+def _has_room() -> bool:
+    """Whether another process can compile, on a core of its own."""
+    is_python = bool(sys.executable) and not getattr(sys, "frozen", False)
+    compiles = STORAGE is not None and numba.config.NUMBA_NUM_THREADS > 1 and not numba.config.DISABLE_JIT
+    return is_python and compiles and multiprocessing.parent_process() is None
+
+
 def _begun(path: Path) -> subprocess.Popen[bytes] | None:
     """The other process; None where there is no room for one, since it only saves time."""
+    # As here, and nothing from the current folder (-P): somebody's data lies there.
+    found = {**os.environ, "PYTHONPATH": os.pathsep.join(folder for folder in sys.path if folder)}
     try:
         return subprocess.Popen(
-            [sys.executable, "-m", __name__, str(path)],
+            [sys.executable, "-P", "-m", __name__, str(path)], env=found,
             stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
     except OSError:

@@ -1,10 +1,12 @@
 """Kernels of a first run compiled by another process, from the last to the first."""
 
 import importlib
+import multiprocessing
 import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numba
 import pytest
@@ -21,7 +23,7 @@ from pathlib import Path
 from accelsurf.kernels import ahead
 path = Path(sys.argv[1])
 with ahead.compiling_ahead(path):
-    end = time.monotonic() + float(sys.argv[2])
+    end = time.monotonic() + 60
     while time.monotonic() < end and ahead.missing(path):
         time.sleep(0.05)
 print(*(one.name for one in ahead.called_kernels(path) if one not in ahead.missing(path)))
@@ -34,10 +36,11 @@ def two(tmp_path):
     return tmp_path / "called.txt"
 
 
-def stored_by_it(two, seconds="60", **environment):
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(two.parent), "NUMBA_NUM_THREADS": "2", **environment}
-    words = [sys.executable, "-c", CODE, two, seconds]
-    ended = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+def stored_by_it(two):
+    root = str(Path(ahead.__file__).parents[2])
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(two.parent), "NUMBA_NUM_THREADS": "2", "PYTHONPATH": root}
+    words = [sys.executable, "-P", "-c", CODE, two]
+    ended = subprocess.run(words, env=environment, cwd=two.parent, capture_output=True, text=True, check=True)
     assert not ended.stderr
     return ended.stdout.split()
 
@@ -46,10 +49,43 @@ def test_the_other_process_stores_what_the_list_says(two):
     assert stored_by_it(two) == ["count_high_bits", "merged_order"]
 
 
-def test_one_core_and_one_kernel_need_no_other_process(two):
-    assert stored_by_it(two, NUMBA_NUM_THREADS="1", seconds="3") == []
-    two.write_text(LIST.splitlines()[0])
-    assert stored_by_it(two, seconds="3") == []
+@pytest.fixture
+def no_process(two, monkeypatch):
+    """Where two kernels are not stored and there are two cores: no process may begin then."""
+
+    def refuse(*arguments, **options):
+        raise AssertionError("a process began")
+
+    monkeypatch.setattr(ahead, "STORAGE", two.parent)
+    monkeypatch.setattr(ahead, "stored", set)
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
+    monkeypatch.setattr(multiprocessing, "parent_process", lambda: None)
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    with pytest.raises(AssertionError, match="a process began"), ahead.compiling_ahead(two):
+        pass
+    return two
+
+
+@pytest.mark.parametrize(
+    ("where", "name", "value"),
+    [
+        (numba.config, "NUMBA_NUM_THREADS", 1),
+        (numba.config, "DISABLE_JIT", 1),
+        (ahead, "STORAGE", None),
+        (sys, "executable", None),
+        (multiprocessing, "parent_process", lambda: "a batch"),
+    ],
+)
+def test_where_another_process_does_not_help_none_begins(where, name, value, no_process, monkeypatch):
+    monkeypatch.setattr(where, name, value)
+    with ahead.compiling_ahead(no_process):
+        assert len(ahead.missing(no_process)) == 2
+
+
+def test_one_kernel_needs_no_other_process(no_process):
+    no_process.write_text(LIST.splitlines()[0])
+    with ahead.compiling_ahead(no_process):
+        assert len(ahead.missing(no_process)) == 1
 
 
 def test_it_ends_with_the_block_and_with_the_process_that_began_it(two, monkeypatch):
@@ -63,15 +99,29 @@ def test_it_ends_with_the_block_and_with_the_process_that_began_it(two, monkeypa
     monkeypatch.setattr(ahead, "STORAGE", two.parent)
     monkeypatch.setattr(ahead, "stored", set)
     monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
+    monkeypatch.setattr(multiprocessing, "parent_process", lambda: None)
     monkeypatch.setattr(subprocess, "Popen", popen)
     with pytest.raises(KeyboardInterrupt), ahead.compiling_ahead(two):
         assert started[0].poll() is None
         raise KeyboardInterrupt
     assert started[0].poll() is not None
-    alone = usual([sys.executable, "-m", "accelsurf.kernels.ahead", ahead.CALLED], stdin=subprocess.PIPE)
-    time.sleep(0.5)
-    alone.communicate(timeout=60)  # closes its pipe, as the end of this process would
+
+
+def test_it_ends_with_the_process_that_began_it(tmp_path):
+    """However that ends: its pipe is closed then. All of the list takes more than the time that is given here."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    words = [sys.executable, "-m", "accelsurf.kernels.ahead", ahead.CALLED]
+    alone = subprocess.Popen(words, stdin=subprocess.PIPE, env=environment)
+    time.sleep(3)
+    assert alone.poll() is None
+    alone.communicate(timeout=15)
     assert alone.returncode == 0
+    assert not list(tmp_path.rglob("march.find_feet*"))
+
+
+def test_it_reads_nothing_from_the_current_folder(two):
+    (two.parent / "ast.py").write_text("raise SystemExit('read from the current folder')")
+    assert stored_by_it(two) == ["count_high_bits", "merged_order"]
 
 
 def test_without_room_for_a_process_nothing_is_lost(two, monkeypatch):

@@ -77,7 +77,9 @@ def half_width(mask: Mask, spacing: Spacing, shape: Sequence[int]) -> float:
         return 0.0
     steps = coarsening(whole_box(around.shape), spacing, MOST)
     coarse = block_means(around.astype(np.float32), steps) == 1.0
-    return float(ndimage.distance_transform_edt(coarse, sampling=np.multiply(spacing, steps)).max())
+    found = float(ndimage.distance_transform_edt(coarse, sampling=np.multiply(spacing, steps)).max())
+    # A thin stroke fills no block of a coarsened box.
+    return max(found, min(h for h, n in zip(spacing, shape, strict=True) if n > 1))
 
 
 def _implied_by(

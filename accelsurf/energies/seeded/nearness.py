@@ -21,7 +21,7 @@ MOST = 60_000
 
 
 class Nearness(NamedTuple):
-    """1 in a click and less with the distance on a ``box`` of the grid, ``values``; 0 beyond it."""
+    """About 1 in a click and less with the distance on a ``box`` of the grid, ``values``; 0 beyond it."""
 
     box: Box
     values: Image

@@ -7,7 +7,7 @@ near it alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from accelsurf.energies.seeded.answers import CLICKED, Answer, object_of, offset
 from accelsurf.energies.seeded.appearance import Image, Mask
 from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.nearness import Nearness
-from accelsurf.grid.boxes import Box, Corner, corner_of, counted_from, enclosing, on_box
+from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, counted_from, enclosing, on_box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.kernels.blocks import hold_side
 
@@ -30,7 +30,8 @@ INERTIA = (0.0, 0.3, 0.4, 0.5)
 MIN_FORCE = 1e-3
 #: By the first click's field this is done in full, later by this part, where neither size is more than so many times
 #: the other: the contests know the boundary between clicks better, the answer the size where no click is near.
-#: What an outside click takes beyond that is taken far from it, so that F < 0 in too few voxels is mended in full.
+#: What an outside click takes beyond that is taken far from it, so that F < 0 in too few voxels is mended in full,
+#: near the click from the third on.
 SIZE_PART, MAX_RATIO = 0.5, 4.0
 
 
@@ -57,12 +58,12 @@ class Shift(NamedTuple):
 
 
 class Neighbourhood(NamedTuple):
-    """What a click says of what is around it: a ``shift`` of F, None for none; F changes where it is ``near``, None for
-    everywhere.
+    """What a click says of what is around it: a ``shift`` of F, None for none; ``near`` tells of a box where in it F
+    changes, None for everywhere.
     """
 
     shift: Shift | None = None
-    near: Nearness | None = None
+    near: Callable[[Box], Nearness] | None = None
 
 
 #: F changes everywhere alike.
@@ -124,8 +125,9 @@ def _changed_around(mixed: Image, was: Image, corner: Corner, click: Neighbourho
         mixed[counted_from(click.shift.box, corner)] += click.shift.by
     if click.near is None:
         return mixed
-    changed, part = np.clip(was, -1.0, 1.0), counted_from(click.near.box, corner)
-    changed[part] += click.near.values * (mixed[part] - changed[part])
+    near = click.near(box_at(corner, mixed.shape))
+    changed, part = np.clip(was, -1.0, 1.0), counted_from(near.box, corner)
+    changed[part] += near.values * (mixed[part] - changed[part])
     return changed
 
 

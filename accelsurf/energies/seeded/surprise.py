@@ -13,17 +13,17 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.energies.seeded.appearance import Spacing
-from accelsurf.energies.seeded.nearness import nearness
+from accelsurf.energies.seeded.nearness import Nearness, nearness
 from accelsurf.energies.seeded.shown import Neighbourhood, Shift, Shown
-from accelsurf.grid.boxes import enclosing, on_box
+from accelsurf.grid.boxes import Box, enclosing, on_box
 from accelsurf.grid.clicks import Click
 
 #: F is moved by this part of the surprise, by so much at most.
 PART, LARGEST = 0.5, 0.2
-#: Within so many half widths, see `accelsurf.energies.seeded.nearness.nearness`.
+#: Standard deviation, in half widths of the click, see `accelsurf.energies.seeded.nearness.nearness`.
 REACH = 3.5
-#: Within so many half widths F changes after 2, 3, ... clicks.
-CHANGES_WITHIN = (np.inf, 24.0, 12.0, 8.0, 6.0)
+#: The same for where F changes after 2, 3, ... clicks.
+CHANGES_REACH = (np.inf, 24.0, 12.0, 8.0, 6.0)
 
 
 def neighbourhood(
@@ -43,11 +43,13 @@ def neighbourhood(
     shape : (nz, ny, nx)
         Of the whole grid.
     """
-    half_widths = CHANGES_WITHIN[min(number - 2, len(CHANGES_WITHIN) - 1)]
-    near = None
-    if np.isfinite(half_widths):
-        near = nearness(click, enclosing(before.box, click.box), half_widths, spacing, shape)
-    return Neighbourhood(shift_around(click, before, spacing, shape), near)
+    half_widths = CHANGES_REACH[min(number - 2, len(CHANGES_REACH) - 1)]
+
+    def near(box: Box) -> Nearness:
+        return nearness(click, box, half_widths, spacing, shape)
+
+    shift = shift_around(click, before, spacing, shape)
+    return Neighbourhood(shift, near if np.isfinite(half_widths) else None)
 
 
 def surprise(click: Click, before: Shown) -> float:

@@ -189,9 +189,9 @@ class Session(SessionCommands):
             timeline.corrections.progress = self._show_progress
             self._status = Status.of(timeline, "", False)
             self.ready.set_result(None)
-            from accelsurf.kernels.ahead import compiling_ahead
-
             try:
+                from accelsurf.kernels.ahead import compiling_ahead
+
                 # What the first strokes need is compiled while the person looks at the image.
                 with compiling_ahead():
                     self._carry_out_commands(timeline)

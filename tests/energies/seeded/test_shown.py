@@ -131,7 +131,7 @@ def test_f_changes_near_a_click_alone():
     before = Shown(WHOLE, BEFORE, BEFORE < 0)
     box = slice(0, 1), slice(0, 1), slice(5, 9)
     weights = np.array([0.5, 1.0, 1.0, 0.25], np.float32).reshape(1, 1, 4)
-    around = Neighbourhood(None, Nearness(box, weights))
+    around = Neighbourhood(None, lambda _: Nearness(box, weights))
     shown = mixed(now, [point("inside", 1), point("inside", 6)], before, around=around)
     expected = BEFORE.copy()
     expected[box] += weights * (now[box] - BEFORE[box])

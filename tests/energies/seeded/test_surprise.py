@@ -6,10 +6,11 @@ from scipy import ndimage
 
 from accelsurf.energies.seeded import seeded_model
 from accelsurf.energies.seeded import surprise as surprises
+from accelsurf.energies.seeded.implied import half_width
 from accelsurf.energies.seeded.nearness import ENDS
 from accelsurf.energies.seeded.shown import Shown
 from accelsurf.energies.seeded.surprise import (
-    CHANGES_WITHIN,
+    CHANGES_REACH,
     LARGEST,
     PART,
     REACH,
@@ -81,12 +82,36 @@ def test_the_more_clicks_the_nearer_is_what_changes():
     click = clicked_balls.ball("inside", (4, 8, 8), 1.1, shape, one)
     mm = ndimage.distance_transform_edt(~click.mask_on(whole_box(shape)))
     assert neighbourhood(click, 2, shown(force), one, shape).near is None
-    for number, within in enumerate(CHANGES_WITHIN[1:] + CHANGES_WITHIN[-1:], start=3):
-        near = neighbourhood(click, number, shown(force), one, shape).near
+    for number, within in enumerate(CHANGES_REACH[1:] + CHANGES_REACH[-1:], start=3):
+        near = neighbourhood(click, number, shown(force), one, shape).near(whole_box(shape))
         found = np.zeros(shape, np.float32)
         found[near.box] = near.values
         # The half width of a ball of seven voxels is the diagonal to what is beside two of them.
         np.testing.assert_allclose(found, np.exp(-0.5 * (mm / (within * np.sqrt(2.0))) ** 2), atol=0.012)
+
+
+def test_near_is_what_lies_beyond_what_was_shown_too():
+    shape, one = (1, 1, 60), (1.0, 1.0, 1.0)
+    force = np.full((1, 1, 20), 0.2, np.float32)
+    before = Shown((slice(0, 1), slice(0, 1), slice(0, 20)), force, force < 0)
+    click = Click("inside", (slice(0, 1), slice(0, 1), slice(19, 21)), np.ones((1, 1, 2), bool))
+    around = neighbourhood(click, 3, before, one, shape)
+    box = slice(0, 1), slice(0, 1), slice(0, 50)
+    assert around.shift.box[2].stop == 21
+    near = around.near(box)
+    assert near.box == box
+    np.testing.assert_allclose(near.values[0, 0, 20:], np.exp(-0.5 * (np.arange(30) / 24.0) ** 2), rtol=1e-5)
+
+
+def test_a_thin_stroke_through_a_large_box_has_a_width():
+    shape = (80, 80, 80)
+    diagonal = np.zeros(shape, bool)
+    diagonal[(np.arange(80),) * 3] = True
+    click = Click("inside", whole_box(shape), diagonal)
+    assert half_width(diagonal, (1.0, 1.0, 1.0), shape) == 1.0
+    around = neighbourhood(click, 6, shown(np.full(shape, 0.2, np.float32)), (1.0, 1.0, 1.0), shape)
+    near = around.near(whole_box(shape))
+    assert near.values[40, 40, 46] > 0.6 and near.values[40, 40, 79] < 0.01
 
 
 def test_large_boxes_are_coarsened_and_say_about_the_same():
