@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -180,26 +181,32 @@ class Session(SessionCommands):
     def _loop(self) -> None:
         """All that the session's thread does."""
         try:
+            with ExitStack() as meanwhile:
+                self._prepare_and_run(meanwhile)
+        finally:
+            self._commands.abandon()
+
+    def _prepare_and_run(self, meanwhile: ExitStack) -> None:
+        """Make the run, and carry out commands until the session is closed; what goes on meanwhile ends after that."""
+        try:
+            from accelsurf.kernels import ahead
+
             timeline = _solver()(self.volume, self._config, self._checkpoint_mb, self._channels)
+            # What the first strokes need is compiled while the person looks at the image.
+            meanwhile.enter_context(ahead.compiling_ahead())
         except Exception as error:
             self._status = Status.preparing(self._config, error_line(error), True)
             self.ready.set_exception(error)
             self._reject_commands()
-        else:
-            timeline.corrections.progress = self._show_progress
-            self._status = Status.of(timeline, "", False)
-            self.ready.set_result(None)
-            try:
-                from accelsurf.kernels.ahead import compiling_ahead
-
-                # What the first strokes need is compiled while the person looks at the image.
-                with compiling_ahead():
-                    self._carry_out_commands(timeline)
-            finally:
-                timeline.close()
-                self._status = Status.of(timeline, self._status.message, self._status.failed)
+            return
+        timeline.corrections.progress = self._show_progress
+        self._status = Status.of(timeline, "", False)
+        self.ready.set_result(None)
+        try:
+            self._carry_out_commands(timeline)
         finally:
-            self._commands.abandon()
+            timeline.close()
+            self._status = Status.of(timeline, self._status.message, self._status.failed)
 
     def _reject_commands(self) -> None:
         """Answer each command with the error of the preparation, until the session is closed."""
