@@ -207,7 +207,7 @@ def _waited(refiner: Refiner, refinement: Refinement) -> tuple[float, float]:
 def _row(
     case: Case, number: int, click: PersonClick, waited: float, processor: float, parts: dict[str, float], steps: int
 ) -> dict[str, Any]:
-    parts = {name: round(parts.get(name, 0.0), 4) for name in ORDER}
+    parts = {name: round(parts.get(name, 0.0), 6) for name in ORDER}
     return {
         "object": case.name,
         "kind": case.kind,
