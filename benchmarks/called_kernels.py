@@ -20,7 +20,7 @@ from accelsurf.phantoms import recipes
 COMMANDS = (
     ("segment", "ball.nii.gz", "-o", "start", "--start", "ball:0,0,0,4", "--presmooth", "1"),
     ("segment", "ball.nii.gz", "-o", "inside", "--inside", "point:0,0,0"),
-    ("refine", "inside", "--outside", "point:0,0,12"),
+    ("refine", "inside", "--outside", "point:0,0,12", "-o", "refined"),
 )
 #: Runs commands; prints the kernels that they compile, called by no other, command by command.
 CODE = """

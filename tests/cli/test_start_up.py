@@ -10,6 +10,7 @@ import pytest
 from accelsurf import io
 from accelsurf.kernels.ahead import called_kernels
 from accelsurf.phantoms import recipes
+from benchmarks.called_kernels import COMMANDS
 
 #: What only a run needs: compiled code, numerics, readers of images, drawing.
 OF_A_RUN = {"numba", "scipy", "skimage", "SimpleITK", "nibabel", "PIL"}
@@ -125,16 +126,11 @@ def test_a_run_loads_the_kernels_that_it_calls_and_no_library_of_others(given, b
     assert 20 < len(kernels) <= MOST_KERNELS[given[0].strip("-")], sorted(kernels)
 
 
-def test_what_runs_and_a_correction_call_is_known_before(ball):
+def test_what_runs_and_a_correction_call_is_known_before(ball, monkeypatch):
     """Another process compiles it ahead; ``python -m benchmarks.called_kernels`` writes the list anew."""
-    out = ball.parent / "out"
-    commands = [
-        ("segment", ball, "-o", ball.parent / "start", "--start", "ball:0,0,0,4", "--presmooth", "1"),
-        ("segment", ball, "-o", out, "--inside", "point:0,0,0"),
-        ("refine", out, "--outside", "point:0,0,12", "-o", ball.parent / "refined"),
-    ]
+    monkeypatch.chdir(ball.parent)
     called = set()
-    for words in commands:
+    for words in COMMANDS:
         loaded(*words)  # compiles what nobody has compiled before
         called.update(loaded(*words, "--overwrite")[2])
     assert called == {str(one) for one in called_kernels()}

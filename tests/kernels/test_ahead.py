@@ -14,6 +14,7 @@ import pytest
 from accelsurf.kernels import ahead
 from accelsurf.kernels.signatures import from_text, to_text
 
+POPEN = subprocess.Popen
 #: Two that are compiled within a second.
 LIST = "value_counts.count_high_bits: uint32[1], int64[1]\nband.merged_order: int64[1], int64, bool[1], int64[1]\n"
 #: Waits within the block until all of a list is stored, without compiling anything; prints what is.
@@ -88,20 +89,15 @@ def test_one_kernel_needs_no_other_process(no_process):
         assert len(ahead.missing(no_process)) == 1
 
 
-def test_it_ends_with_the_block_and_with_the_process_that_began_it(two, monkeypatch):
+def test_it_ends_with_the_block(no_process, monkeypatch):
     started = []
-    usual = subprocess.Popen
 
     def popen(*arguments, **options):
-        started.append(usual(*arguments, **options))
+        started.append(POPEN(*arguments, **options))
         return started[-1]
 
-    monkeypatch.setattr(ahead, "STORAGE", two.parent)
-    monkeypatch.setattr(ahead, "stored", set)
-    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
-    monkeypatch.setattr(multiprocessing, "parent_process", lambda: None)
     monkeypatch.setattr(subprocess, "Popen", popen)
-    with pytest.raises(KeyboardInterrupt), ahead.compiling_ahead(two):
+    with pytest.raises(KeyboardInterrupt), ahead.compiling_ahead(no_process):
         assert started[0].poll() is None
         raise KeyboardInterrupt
     assert started[0].poll() is not None
@@ -124,16 +120,13 @@ def test_it_reads_nothing_from_the_current_folder(two):
     assert stored_by_it(two) == ["count_high_bits", "merged_order"]
 
 
-def test_without_room_for_a_process_nothing_is_lost(two, monkeypatch):
+def test_without_room_for_a_process_nothing_is_lost(no_process, monkeypatch):
     def refuse(*arguments, **options):
         raise BlockingIOError
 
-    monkeypatch.setattr(ahead, "STORAGE", two.parent)
-    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
-    monkeypatch.setattr(ahead, "stored", set)
     monkeypatch.setattr(subprocess, "Popen", refuse)
-    with ahead.compiling_ahead(two):
-        assert len(ahead.missing(two)) == 2
+    with ahead.compiling_ahead(no_process):
+        assert len(ahead.missing(no_process)) == 2
 
 
 def test_each_line_of_the_list_is_a_kernel_and_its_types():
