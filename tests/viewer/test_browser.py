@@ -23,6 +23,7 @@ from PIL import Image
 from accelsurf import cli, io
 from accelsurf.viewer.frontends import page_connections
 from accelsurf.viewer.frontends.page_connections import MAX_CONNECTIONS, MAX_IDLE, ConnectionLimit
+from accelsurf.viewer.frontends.page_guard import LOCAL, PageGuard
 from tests.support import viewing
 
 aiohttp = pytest.importorskip("aiohttp", reason='trame is missing: pip install "accelsurf[viewer]"')
@@ -297,6 +298,35 @@ def test_idle_and_half_open_connections_are_few(served):
     assert held <= MAX_CONNECTIONS
     assert answer == aiohttp.WSMsgType.BINARY
     assert get(served, "/index.html")[0] == 200
+
+
+def test_a_page_that_leaves_while_something_is_sent_fails_nothing():
+    """The page after it gets the message all the same; what is no page's leaving is still said."""
+    from aiohttp.web import Application
+    from wslink.protocol import ServerProtocol, WslinkHandler
+
+    class Connection:
+        def __init__(self, error=None):
+            self.error, self.got = error, []
+
+        async def send_bytes(self, data):
+            if self.error is not None:
+                raise self.error
+            self.got.append(data)
+
+    async def send(*connections):
+        handler = WslinkHandler(ServerProtocol())
+        handler.connections = dict(enumerate(connections))
+        handler.authentified_client_ids = set(handler.connections)
+        server = SimpleNamespace(app=Application(), _ws_handlers=[handler])
+        PageGuard(LOCAL, "token", dict).install(server)
+        await handler.sendWrappedMessage("publish:state:0", {"step": 3})
+
+    left, stays = Connection(aiohttp.ClientConnectionResetError("Cannot write to closing transport")), Connection()
+    asyncio.run(send(left, stays))
+    assert msgpack.unpackb(stays.got[0][12:])["result"] == {"step": 3} and not left.got
+    with pytest.raises(ZeroDivisionError):
+        asyncio.run(send(Connection(ZeroDivisionError()), Connection()))
 
 
 def test_a_connection_without_the_token_may_not_stay(monkeypatch):

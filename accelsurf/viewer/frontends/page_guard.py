@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hmac
 import struct
 from collections.abc import Callable, Mapping
@@ -71,6 +72,7 @@ class PageGuard:
         server.app.router.add_get("/files/{name}", self._download)
         for handler in server._ws_handlers:
             handler.onMessage = self._checked(handler)
+            handler.getAuthenticatedWebsockets = _leaving(handler.getAuthenticatedWebsockets)
 
     def watch(self) -> None:
         """Limit the connections of the installed server, once it listens."""
@@ -123,6 +125,30 @@ class PageGuard:
                     await connection.close(code=1008, message=b"not understood")
 
         return on_message
+
+
+class _Leaving:
+    """A page's connection, to send over: what no longer arrives as the page has left is dropped."""
+
+    def __init__(self, connection: Any) -> None:
+        self._connection = connection
+
+    async def send_bytes(self, data: bytes) -> None:
+        with contextlib.suppress(ConnectionResetError):
+            await self._connection.send_bytes(data)
+
+
+def _leaving(connections_of: Callable[..., list[Any]]) -> Callable[..., list[_Leaving]]:
+    """Let a page leave at any moment.
+
+    wslink lists a page until its end is noticed. A message in between would fail, with a traceback in the terminal,
+    and the pages after it in the list would not get theirs.
+    """
+
+    def connections(*args: Any, **options: Any) -> list[_Leaving]:
+        return [_Leaving(one) for one in connections_of(*args, **options) if one is not None]
+
+    return connections
 
 
 def _checked_bytes(data: bytes) -> bytes:
