@@ -168,7 +168,8 @@ class LocalModel:
                 after = list(self._stages_after(stages[-1], left, pool))
             stages = first_and_last((*stages, *after))
             seen = self._images, self.state.images, self.spacing, clicks, self._passes
-            box, field, start = at_edges(stages[-1].shown, *seen, pool)
+            stated = self.state.proposal.volume_mm3 if self.state.sized and self.state.proposal is not None else None
+            box, field, start = at_edges(stages[-1].shown, *seen, pool, stated_mm3=stated)
         return self.state._replace(clicks=clicks, box=box, field=field, start=start, stages=stages)
 
     def _stages_after(self, one: Stage, left: Sequence[Click], pool: ThreadPoolExecutor) -> Iterator[Stage]:

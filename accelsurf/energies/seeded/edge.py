@@ -5,10 +5,14 @@ two voxels. In a window around each voxel near the boundary the mean values insi
 the voxels next to the boundary, which blur mixes; the edge is where the value is halfway. How much that counts depends
 on how far apart the means are, in spreads: between equals it counts nothing, and the field decides alone. So it does
 more than two voxels from the boundary, where nothing can leak.
+
+Edges make an object larger or smaller than the model has it. Where a size was stated F is lowered or raised by a
+constant, so that it keeps that of the model: where no edge is the surface goes the other way.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
 
@@ -17,7 +21,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.energies.image_noise import SECOND_DIFFERENCE
-from accelsurf.energies.seeded.answers import object_of
+from accelsurf.energies.seeded.answers import CLICKED, object_of, offset_to
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
 from accelsurf.energies.seeded.shown import Shown
 from accelsurf.grid.boxes import Box, bounding_box, corner_of, on_box, shared, widened
@@ -33,6 +37,8 @@ MIN_RANGE = 1e-3
 MIXED = 0.02
 #: Rounds; each looks at the boundary of the round before.
 ROUNDS = 2
+#: What is left of 1 - w is at least this.
+LEAST_LEFT = 1e-6
 #: Noise and contrast are read off where a window of so many voxels sees both sides.
 REACH = 9
 #: Noise of this part of the contrast asks for an image that is smoothed in full.
@@ -146,6 +152,8 @@ def at_edges(
     clicks: Clicks,
     open: Mask | None,
     pool: Executor | None = None,
+    *,
+    stated_mm3: float | None = None,
 ) -> Shown:
     """What is shown, with its boundary at the edges of the image: F near it is w f + (1 - w) F.
 
@@ -162,6 +170,8 @@ def at_edges(
         The object lies in it.
     pool : Executor, optional
         Some of it is made in its threads.
+    stated_mm3 : float, optional
+        A volume that was stated: edges may bring the object's from what is shown to it, not farther.
     """
     box, force, inside = shown
     for _ in range(ROUNDS):
@@ -178,9 +188,24 @@ def at_edges(
         for click in clicks.clicks:
             weight[click.mask_on(here)] = 0.0
         force = shown.force.copy()
+        if stated_mm3 is not None:
+            stated = round(stated_mm3 / math.prod(spacing))
+            lower = _size_kept(force, mine, balance[theirs], weight[theirs], stated)
+            force[np.abs(force) < CLICKED["outside"]] -= lower
         force[mine] += weight[theirs] * (balance[theirs] - force[mine])
         inside = object_of(force, box, clicks.clicks)
     return Shown(box, force, inside)
+
+
+def _size_kept(force: Image, part: Box, balance: Image, weight: Image, stated: int) -> np.float32:
+    """What F is to be lowered by so that with the edges of a part it is below 0 in about as many voxels as without.
+
+    w f + (1 - w) (F - c) < 0 where F + w/(1 - w) f < c; c = 0 where the edges bring it towards the stated number.
+    """
+    moved = force.copy()
+    moved[part] += weight / np.maximum(1.0 - weight, np.float32(LEAST_LEFT)) * balance
+    now, then = int(np.count_nonzero(force < 0)), int(np.count_nonzero(moved < 0))
+    return offset_to(moved, min(max(then, min(now, stated)), max(now, stated)))
 
 
 def _around(inside: Mask, box: Box, spacing: Spacing, shape: Sequence[int]) -> Box | None:

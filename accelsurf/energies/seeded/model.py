@@ -133,7 +133,9 @@ def seeded_model(
             off = corrections_with(one.corrections, click, (one.shown, shown), spacing, clicks.shape)
             one = Stage(known, answer, shown, off)
             stages = (*stages[:1], one)
-        arrays = on_whole_grid(at_edges(one.shown, images, smooth, spacing, clicks, where[0], pool), clicks.shape)
+        stated = proposal.volume_mm3 if sized else None
+        shown = at_edges(one.shown, images, smooth, spacing, clicks, where[0], pool, stated_mm3=stated)
+        arrays = on_whole_grid(shown, clicks.shape)
     area = area_weight(images, spacing, arrays[1], where[0])
     return SeededModel(*arrays, proposal, area, clicks, smooth, sized, stages)
 

@@ -82,6 +82,24 @@ def test_a_field_that_is_a_voxel_off_is_put_right():
         np.testing.assert_array_equal(found[far], given[far])
 
 
+def test_a_stated_size_is_kept_where_edges_move_the_surface():
+    """A plate, its one side a voxel from an edge, its other in the middle of what is as bright: the other gives way."""
+    x = np.indices(SHAPE)[2]
+    image, inside = np.clip(x - 4.3, 0.0, 1.0).astype(np.float32), (x >= 6) & (x < 20)
+    force = np.clip(0.1 * np.maximum(5.5 - x, x - 19.5), -1, 1).astype(np.float32)
+    clicks = Clicks((click("inside", (12, 13, 12), 3.0),), SHAPE)
+    force[clicks.mask("inside")] = -3.0
+    given = force.copy()
+    size = float(inside.sum())
+    for stated, ends in ((None, 20), (size, 19), (0.5 * size, 19), (15.0 / 14.0 * size, 20)):
+        shown = Shown(whole_box(SHAPE), force, inside)
+        _, found, moved = at_edges(shown, [image], [image], SPACING, clicks, None, stated_mm3=stated)
+        assert np.all(moved[:, :, 5]) and not np.any(moved[:, :, 4])
+        assert moved.sum() == pytest.approx((ends - 5) / 14 * size, rel=0.002)
+        assert np.all(found[clicks.mask("inside")] == -3.0)
+        np.testing.assert_array_equal(force, given)
+
+
 def test_an_outside_click_on_the_boundary_stays_outside():
     image = np.clip(0.5 + (8.3 - distance((12, 13, 14))), 0, 1).astype(np.float32)
     clicks = Clicks((click("inside", (12, 13, 14), 3.0), click("outside", (12, 13, 21), 1.0)), SHAPE)
