@@ -23,6 +23,7 @@ from scipy import ndimage
 from accelsurf.energies.image_noise import SECOND_DIFFERENCE
 from accelsurf.energies.seeded.answers import CLICKED, object_of, offset_to
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
+from accelsurf.energies.seeded.around import any_around, voxels_within
 from accelsurf.energies.seeded.shown import Shown
 from accelsurf.grid.boxes import Box, bounding_box, corner_of, on_box, shared, widened
 from accelsurf.grid.clicks import Clicks
@@ -80,7 +81,7 @@ def edge_balance(
     seen = np.ones(inside.shape, np.bool_) if open is None else open
     near, next_to_it = _seen_both(inside, 5) & seen, _seen_both(inside, 3) & seen
     counts = np.where(next_to_it, np.float32(MIXED), np.float32(1.0)) * seen
-    sizes = [2 * half + 1 if n > 1 else 1 for half, n in zip(_half_window(spacing), inside.shape, strict=True)]
+    sizes = [2 * half + 1 if n > 1 else 1 for half, n in zip(voxels_within(WINDOW, spacing), inside.shape, strict=True)]
 
     def window(values: NDArray) -> NDArray[np.float32]:
         return np.asarray(ndimage.uniform_filter(values, sizes, np.float32, mode="constant"))[near]
@@ -120,28 +121,8 @@ def _on_grid(values: NDArray[np.floating], where: Mask) -> NDArray[np.float32]:
 
 def _seen_both(inside: Mask, size: int) -> Mask:
     """Voxels in whose window of so many voxels, cut off at the border, both sides lie."""
-    return _any_around(inside, size // 2) & _any_around(~inside, size // 2)
-
-
-def _any_around(mask: Mask, half: int) -> Mask:
-    """Where a voxel of a mask lies in the window that reaches so many voxels to each side."""
-    for axis in (i for i, n in enumerate(mask.shape) if n > 1):
-        # To one side and to the other; the window doubles, the last time it grows by what is missing.
-        for step in (1, -1):
-            reach = 0
-            while reach < min(half, mask.shape[axis] - 1):
-                more = min(reach or 1, half - reach, mask.shape[axis] - 1 - reach)
-                mask, reach = _with_shifted(mask, axis, step * more), reach + more
-    return mask
-
-
-def _with_shifted(mask: Mask, axis: int, by: int) -> Mask:
-    """A mask and the same moved along an axis; nothing comes in from beyond the border."""
-    out = mask.copy()
-    to, of = (slice(by, None), slice(None, -by)) if by > 0 else (slice(None, by), slice(-by, None))
-    before = (slice(None),) * axis
-    out[(*before, to)] |= mask[(*before, of)]
-    return out
+    reach = [size // 2] * inside.ndim
+    return any_around(inside, reach) & any_around(~inside, reach)
 
 
 def at_edges(
@@ -214,13 +195,8 @@ def _around(inside: Mask, box: Box, spacing: Spacing, shape: Sequence[int]) -> B
     if tight is None:
         return None
     on_grid = [slice(s.start + b.start, s.stop + b.start) for s, b in zip(tight, box, strict=True)]
-    margins = [half + 2 for half in _half_window(spacing)]
+    margins = [half + 2 for half in voxels_within(WINDOW, spacing)]
     return widened((on_grid[0], on_grid[1], on_grid[2]), shape, margins)
-
-
-def _half_window(spacing: Spacing) -> list[int]:
-    """How many voxels the window reaches to each side, along each axis."""
-    return [max(round(WINDOW * min(spacing) / h), 1) for h in spacing]
 
 
 def _near(inside: Mask, open: Mask | None) -> Mask:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from accelsurf.energies.seeded.after_click import shown_after
 from accelsurf.energies.seeded.answers import Answer, with_click
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
 from accelsurf.energies.seeded.blocks import field_in
@@ -17,10 +18,9 @@ from accelsurf.energies.seeded.curvature import mean_curvature
 from accelsurf.energies.seeded.edge import area_weight, at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER, answer_to_first, first_inside, seeds_of
 from accelsurf.energies.seeded.proposal import Proposal
-from accelsurf.energies.seeded.shown import EVERYWHERE, Shown, mixed_answer, on_whole_grid
+from accelsurf.energies.seeded.shown import Shown, on_whole_grid
 from accelsurf.energies.seeded.stages import Stage, contradicting, in_order, unchanged
 from accelsurf.energies.seeded.sureness import corrections_with
-from accelsurf.energies.seeded.surprise import neighbourhood
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.smoothing import gaussian_mm
@@ -154,11 +154,7 @@ def _shown(
     if window is not None:  # a part of what is looked at is shown
         window.check_box(box_around(clicks, spacing, WALKS_REACH, answer.count)[0])
     parts = contest(images, spacing, clicks, allowed, answer.count, pool)
-    before = earlier[1]
-    around = EVERYWHERE
-    if before is not None:
-        around = neighbourhood(clicks.clicks[-1], len(clicks), before, spacing, clicks.shape)
-    shown = mixed_answer(answer, parts, clicks, *earlier, around)
+    shown = shown_after(images, spacing, answer, parts, clicks, *earlier, allowed)
     if window is not None:
         window.check_box(shown.box)
     return shown

@@ -38,7 +38,7 @@ def nearness(
     within : tuple of slice
         A box that holds the click's; none beyond it is near.
     half_widths : float
-        Standard deviation, in half widths of the click.
+        Standard deviation, in half widths of the click; inf: all is near.
     spacing : (hz, hy, hx)
         mm.
     shape : (nz, ny, nx)
@@ -49,6 +49,8 @@ def nearness(
     Nearness
         exp(-d^2/(2 w^2)), d the distance from the click's voxels and w the standard deviation, mm; 0 from `ENDS` w on.
     """
+    if np.isinf(half_widths):
+        return Nearness(within, np.ones([s.stop - s.start for s in within], np.float32))
     width = half_widths * half_width(click.mask, spacing, shape)
     margin = [int(np.ceil(ENDS * width / h)) if n > 1 else 0 for h, n in zip(spacing, shape, strict=True)]
     box = common(widened(click.box, shape, margin), within)

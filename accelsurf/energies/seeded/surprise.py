@@ -15,7 +15,7 @@ import numpy as np
 from accelsurf.energies.seeded.appearance import Spacing
 from accelsurf.energies.seeded.nearness import Nearness, nearness
 from accelsurf.energies.seeded.shown import Neighbourhood, Shift, Shown
-from accelsurf.grid.boxes import Box, enclosing, on_box
+from accelsurf.grid.boxes import Box, corner_of, counted_from, enclosing, on_box
 from accelsurf.grid.clicks import Click
 
 #: F is moved by this part of the surprise, by so much at most.
@@ -27,7 +27,7 @@ CHANGES_REACH = (np.inf, 24.0, 12.0, 8.0, 6.0)
 
 
 def neighbourhood(
-    click: Click, number: int, before: Shown, spacing: Spacing, shape: tuple[int, int, int]
+    click: Click, number: int, before: Shown, spacing: Spacing, shape: tuple[int, int, int], held: float = 0.0
 ) -> Neighbourhood:
     """What the last one of some clicks says of its neighbourhood.
 
@@ -42,14 +42,23 @@ def neighbourhood(
         mm.
     shape : (nz, ny, nx)
         Of the whole grid.
+    held : float, optional
+        By how much less F changes beyond what the click says of its own neighbourhood, from 0 to 1.
     """
     half_widths = CHANGES_REACH[min(number - 2, len(CHANGES_REACH) - 1)]
 
     def near(box: Box) -> Nearness:
-        return nearness(click, box, half_widths, spacing, shape)
+        far = nearness(click, box, half_widths, spacing, shape)
+        if held == 0.0:
+            return far
+        own = nearness(click, far.box, REACH, spacing, shape)
+        changes = np.full(far.values.shape, 1.0 - held, np.float32)
+        part = counted_from(own.box, corner_of(far.box))
+        changes[part] = np.maximum(changes[part], own.values)
+        return Nearness(far.box, far.values * changes)
 
     shift = shift_around(click, before, spacing, shape)
-    return Neighbourhood(shift, near if np.isfinite(half_widths) else None)
+    return Neighbourhood(shift, near if held or np.isfinite(half_widths) else None)
 
 
 def surprise(click: Click, before: Shown) -> float:

@@ -1,0 +1,130 @@
+"""What is shown after one click more: what the click says of its neighbourhood, and what of it holds farther away.
+
+As long as few clicks say what is outside the contests of the clicks fill more than the object: a click into a missing
+corner of a cube in noise took a layer all around the cube as well. Single voxels in noise do not tell; the mean of all
+that a click inside adds far from it does. Where that looks like the surroundings and not like what was inside already,
+F changes in the click's own neighbourhood alone.
+
+An outside click takes what often looks like the object: nothing follows from its looks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from accelsurf.energies.seeded.answers import Answer
+from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
+from accelsurf.energies.seeded.around import any_around, voxels_within
+from accelsurf.energies.seeded.contest import Balance
+from accelsurf.energies.seeded.nearness import nearness
+from accelsurf.energies.seeded.shown import Shown, mixed_answer
+from accelsurf.energies.seeded.surprise import REACH, neighbourhood
+from accelsurf.grid.boxes import Box, bounding_box, corner_of, counted_from, enclosing, widened
+from accelsurf.grid.clicks import Click, Clicks
+
+#: What is added is compared with what lies within so many of the smallest spacings of it.
+SHELL = 4.0
+#: 0 is the mean of the surroundings and 1 that of the object: what is added is held up to the first, passes from the
+#: second on; below 0 alike, as what is far beyond the surroundings does not look like them either.
+LIKE_OUTSIDE, UNLIKE_OUTSIDE = 0.25, 0.4
+#: Means that differ by so many spreads of single voxels count half.
+CLEAR_CONTRAST = 0.3
+#: Fewer voxels than these are not looked at.
+FEW = 5
+
+
+def shown_after(
+    images: Sequence[Image],
+    spacing: Spacing,
+    answer: Answer,
+    parts: Sequence[Balance],
+    clicks: Clicks,
+    sized: bool,
+    before: Shown | None,
+    open: Mask | None = None,
+) -> Shown:
+    """What is shown after some clicks.
+
+    Parameters
+    ----------
+    images : sequence of ndarray (nz, ny, nx), float32
+        The channels, as they are evolved.
+    spacing : (hz, hy, hx)
+        mm.
+    answer, parts, clicks, sized, before
+        See `accelsurf.energies.seeded.shown.mixed_answer`; ``before`` is None after the first click.
+    open : ndarray (nz, ny, nx) of bool, optional
+        The object lies in it; nothing is compared with what does not.
+    """
+    if before is None:
+        return mixed_answer(answer, parts, clicks, sized, None)
+    click, count, shape = clicks.clicks[-1], len(clicks), clicks.shape
+    around = neighbourhood(click, count, before, spacing, shape)
+    shown = mixed_answer(answer, parts, clicks, sized, before, around)
+    held = unlike_object(images, spacing, click, before, shown, open) if click.side == "inside" else 0.0
+    if held == 0.0:
+        return shown
+    return mixed_answer(answer, parts, clicks, sized, before, neighbourhood(click, count, before, spacing, shape, held))
+
+
+def unlike_object(
+    images: Sequence[Image], spacing: Spacing, click: Click, before: Shown, after: Shown, open: Mask | None = None
+) -> float:
+    """How surely what an inside click added far from it looks like the surroundings: from 0 to 1.
+
+    Parameters
+    ----------
+    images, spacing, open
+        As of `shown_after`.
+    click : Click
+    before, after : Shown
+        The click.
+
+    Notes
+    -----
+    t = (u_D - u_out)/(u_in - u_out), u_D the mean of what is added, u_in of what was inside near it, u_out of what
+    stays outside near it; of the channel where u_in and u_out differ most, by c spreads. It is 1 where t is at most
+    `LIKE_OUTSIDE`, either way, and c is large.
+    """
+    box = enclosing(enclosing(before.box, after.box), click.box)
+    was, now = before.on(box)[1], after.on(box)[1]
+    near = nearness(click, box, REACH, spacing, images[0].shape)
+    added = now & ~was
+    added[counted_from(near.box, corner_of(box))] &= near.values < np.exp(-0.5)
+    tight = bounding_box(added, 0)
+    if np.count_nonzero(added) < FEW or tight is None:
+        return 0.0
+    reach = voxels_within(SHELL, spacing)
+    tight = widened(tight, added.shape, reach)
+    was, now, added = was[tight], now[tight], added[tight]
+    seen = any_around(added, reach)
+    here = _part(box, tight)
+    if open is not None:
+        seen &= open[here]
+    # What lies next to the boundary is mixed of both.
+    inside, outside = seen & was, seen & ~any_around(now | was, [1] * 3)
+    if np.count_nonzero(inside) < FEW or np.count_nonzero(outside) < FEW:
+        return 0.0
+    contrast, likeness = max(
+        (_likeness(image[here], added, inside, outside) for image in images), key=lambda found: found[0]
+    )
+    part = (UNLIKE_OUTSIDE - abs(likeness)) / (UNLIKE_OUTSIDE - LIKE_OUTSIDE)
+    return float(np.clip(part, 0.0, 1.0)) * contrast**2 / (contrast**2 + CLEAR_CONTRAST**2)
+
+
+def _likeness(image: Image, added: Mask, inside: Mask, outside: Mask) -> tuple[float, float]:
+    """By how many spreads inside and outside differ, and what is added: 0 like outside, 1 like inside."""
+    within, beyond = image[inside].astype(np.float64), image[outside].astype(np.float64)
+    step = float(within.mean() - beyond.mean())
+    if step == 0.0:
+        return 0.0, 1.0
+    spread = np.sqrt(0.5 * (within.var() + beyond.var()))
+    return abs(step) / max(spread, 1e-6 * abs(step)), float(image[added].mean(dtype=np.float64) - beyond.mean()) / step
+
+
+def _part(box: Box, part: Box) -> Box:
+    """Where in the grid the part of a box lies."""
+    z, y, x = (slice(s.start + p.start, s.start + p.stop) for s, p in zip(box, part, strict=True))
+    return z, y, x

@@ -1,0 +1,45 @@
+"""What lies around voxels: windows of voxels to each side, alike in mm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from accelsurf.energies.seeded.appearance import Mask, Spacing
+
+
+def voxels_within(reach: float, spacing: Spacing) -> list[int]:
+    """How many voxels so many of the smallest spacings are along each axis, one at least.
+
+    Examples
+    --------
+    >>> voxels_within(4.0, (3.0, 1.0, 1.0))
+    [1, 4, 4]
+    """
+    return [max(round(reach * min(spacing) / h), 1) for h in spacing]
+
+
+def any_around(mask: Mask, reach: Sequence[int]) -> Mask:
+    """Where a voxel of a mask lies in the window that reaches so many voxels to each side along each axis.
+
+    Examples
+    --------
+    >>> any_around(np.array([[[True, False, False, False]]]), (1, 1, 2)).astype(int).tolist()
+    [[[1, 1, 1, 0]]]
+    """
+    for axis, half in enumerate(reach):
+        # To one side and to the other; the window doubles, the last time it grows by what is missing.
+        for step in (1, -1):
+            reached, most = 0, min(half, mask.shape[axis] - 1)
+            while reached < most:
+                more = min(reached or 1, most - reached)
+                mask, reached = _with_shifted(mask, axis, step * more), reached + more
+    return mask
+
+
+def _with_shifted(mask: Mask, axis: int, by: int) -> Mask:
+    """A mask and the same moved along an axis; nothing comes in from beyond the border."""
+    out = mask.copy()
+    to, of = (slice(by, None), slice(None, -by)) if by > 0 else (slice(None, by), slice(-by, None))
+    before = (slice(None),) * axis
+    out[(*before, to)] |= mask[(*before, of)]
+    return out
