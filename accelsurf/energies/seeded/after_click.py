@@ -21,7 +21,7 @@ from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.nearness import nearness
 from accelsurf.energies.seeded.shown import Shown, mixed_answer
 from accelsurf.energies.seeded.surprise import REACH, neighbourhood
-from accelsurf.grid.boxes import Box, bounding_box, corner_of, counted_from, enclosing, widened
+from accelsurf.grid.boxes import bounding_box, corner_of, counted_from, on_box, placed_at, widened
 from accelsurf.grid.clicks import Click, Clicks
 
 #: What is added is compared with what lies within so many of the smallest spacings of it.
@@ -88,21 +88,18 @@ def unlike_object(
     stays outside near it; of the channel where u_in and u_out differ most, by c spreads. It is 1 where t is at most
     `LIKE_OUTSIDE`, either way, and c is large.
     """
-    box = enclosing(enclosing(before.box, after.box), click.box)
-    was, now = before.on(box)[1], after.on(box)[1]
-    near = nearness(click, box, REACH, spacing, images[0].shape)
-    added = now & ~was
+    box, shape = after.box, images[0].shape
+    was, now = on_box(before.inside, before.box, box, False), after.inside
+    near = nearness(click, box, REACH, spacing, shape)
+    added = now & ~was if open is None else now & ~was & open[box]
     added[counted_from(near.box, corner_of(box))] &= near.values < np.exp(-0.5)
     tight = bounding_box(added, 0)
     if np.count_nonzero(added) < FEW or tight is None:
         return 0.0
-    reach = voxels_within(SHELL, spacing)
+    reach = voxels_within(SHELL, spacing, shape)
     tight = widened(tight, added.shape, reach)
-    was, now, added = was[tight], now[tight], added[tight]
-    seen = any_around(added, reach)
-    here = _part(box, tight)
-    if open is not None:
-        seen &= open[here]
+    was, now, added, here = was[tight], now[tight], added[tight], placed_at(tight, corner_of(box))
+    seen = any_around(added, reach) if open is None else any_around(added, reach) & open[here]
     # What lies next to the boundary is mixed of both.
     inside, outside = seen & was, seen & ~any_around(now | was, [1] * 3)
     if np.count_nonzero(inside) < FEW or np.count_nonzero(outside) < FEW:
@@ -123,8 +120,3 @@ def _likeness(image: Image, added: Mask, inside: Mask, outside: Mask) -> tuple[f
     spread = np.sqrt(0.5 * (within.var() + beyond.var()))
     return abs(step) / max(spread, 1e-6 * abs(step)), float(image[added].mean(dtype=np.float64) - beyond.mean()) / step
 
-
-def _part(box: Box, part: Box) -> Box:
-    """Where in the grid the part of a box lies."""
-    z, y, x = (slice(s.start + p.start, s.start + p.stop) for s, p in zip(box, part, strict=True))
-    return z, y, x

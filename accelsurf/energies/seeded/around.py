@@ -7,15 +7,18 @@ from collections.abc import Sequence
 from accelsurf.energies.seeded.appearance import Mask, Spacing
 
 
-def voxels_within(reach: float, spacing: Spacing) -> list[int]:
-    """How many voxels so many of the smallest spacings are along each axis, one at least.
+def voxels_within(reach: float, spacing: Spacing, shape: Sequence[int]) -> list[int]:
+    """How many voxels so many of the smallest spacings are along each axis, one at least; 0 along one of one voxel.
 
     Examples
     --------
-    >>> voxels_within(4.0, (3.0, 1.0, 1.0))
+    >>> voxels_within(4.0, (3.0, 1.0, 1.0), (9, 9, 9))
     [1, 4, 4]
+    >>> voxels_within(4.0, (0.5, 1.0, 1.0), (1, 9, 9))
+    [0, 4, 4]
     """
-    return [max(round(reach * min(spacing) / h), 1) for h in spacing]
+    finest = min((h for h, n in zip(spacing, shape, strict=True) if n > 1), default=1.0)
+    return [max(round(reach * finest / h), 1) if n > 1 else 0 for h, n in zip(spacing, shape, strict=True)]
 
 
 def any_around(mask: Mask, reach: Sequence[int]) -> Mask:

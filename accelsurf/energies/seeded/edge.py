@@ -7,7 +7,8 @@ on how far apart the means are, in spreads: between equals it counts nothing, an
 more than two voxels from the boundary, where nothing can leak.
 
 Edges make an object larger or smaller than the model has it. Where a size was stated F is lowered or raised by a
-constant, so that it keeps that of the model: where no edge is the surface goes the other way.
+constant, so that it keeps that of the model: where no edge is the surface goes the other way. Where edges are all
+around nothing can, and they decide.
 """
 
 from __future__ import annotations
@@ -38,8 +39,10 @@ MIN_RANGE = 1e-3
 MIXED = 0.02
 #: Rounds; each looks at the boundary of the round before.
 ROUNDS = 2
-#: What is left of 1 - w is at least this.
-LEAST_LEFT = 1e-6
+#: 1 - w counts as this at least.
+MIN_FIELD_PART = 1e-6
+#: What F is lowered by for a stated size, or these parts of it: whatever comes nearest to the size.
+PARTS_OF_OFFSET = (1.0, 0.5, 0.25)
 #: Noise and contrast are read off where a window of so many voxels sees both sides.
 REACH = 9
 #: Noise of this part of the contrast asks for an image that is smoothed in full.
@@ -81,7 +84,8 @@ def edge_balance(
     seen = np.ones(inside.shape, np.bool_) if open is None else open
     near, next_to_it = _seen_both(inside, 5) & seen, _seen_both(inside, 3) & seen
     counts = np.where(next_to_it, np.float32(MIXED), np.float32(1.0)) * seen
-    sizes = [2 * half + 1 if n > 1 else 1 for half, n in zip(voxels_within(WINDOW, spacing), inside.shape, strict=True)]
+    reach = voxels_within(WINDOW, spacing, inside.shape)
+    sizes = [2 * half + 1 if n > 1 else 1 for half, n in zip(reach, inside.shape, strict=True)]
 
     def window(values: NDArray) -> NDArray[np.float32]:
         return np.asarray(ndimage.uniform_filter(values, sizes, np.float32, mode="constant"))[near]
@@ -155,6 +159,7 @@ def at_edges(
         A volume that was stated: edges may bring the object's from what is shown to it, not farther.
     """
     box, force, inside = shown
+    stated = None if stated_mm3 is None else round(stated_mm3 / math.prod(spacing))
     for _ in range(ROUNDS):
         here = _around(inside, box, spacing, clicks.shape)
         if here is None:
@@ -168,25 +173,39 @@ def at_edges(
         balance, weight = edge_balance(parts, spacing, seen, passes, pool)
         for click in clicks.clicks:
             weight[click.mask_on(here)] = 0.0
-        force = shown.force.copy()
-        if stated_mm3 is not None:
-            stated = round(stated_mm3 / math.prod(spacing))
-            lower = _size_kept(force, mine, balance[theirs], weight[theirs], stated)
-            force[np.abs(force) < CLICKED["outside"]] -= lower
-        force[mine] += weight[theirs] * (balance[theirs] - force[mine])
-        inside = object_of(force, box, clicks.clicks)
+        force, inside = _with_edges(shown, mine, balance[theirs], weight[theirs], clicks, stated)
     return Shown(box, force, inside)
 
 
-def _size_kept(force: Image, part: Box, balance: Image, weight: Image, stated: int) -> np.float32:
-    """What F is to be lowered by so that with the edges of a part it is below 0 in about as many voxels as without.
+def _with_edges(
+    shown: Shown, part: Box, balance: Image, weight: Image, clicks: Clicks, stated: int | None
+) -> tuple[Image, Mask]:
+    """F = w f + (1 - w) (F - c) in a part of what is shown, F - c elsewhere, and the object; c = 0 without a size.
 
-    w f + (1 - w) (F - c) < 0 where F + w/(1 - w) f < c; c = 0 where the edges bring it towards the stated number.
+    With one, F < 0 where F + w/(1 - w) f < c: a rank of these is c, so that the object has as many voxels as without
+    edges, or as many as were stated where edges bring it towards that. Voxels at a clear edge do not move for any c;
+    if others would have to make up for all of them the object is cut off from its rim, and c = 0 comes nearer.
     """
-    moved = force.copy()
-    moved[part] += weight / np.maximum(1.0 - weight, np.float32(LEAST_LEFT)) * balance
-    now, then = int(np.count_nonzero(force < 0)), int(np.count_nonzero(moved < 0))
-    return offset_to(moved, min(max(then, min(now, stated)), max(now, stated)))
+
+    def with_offset(c: np.float32) -> tuple[Image, Mask]:
+        force = shown.force.copy()
+        force[np.abs(force) < CLICKED["outside"]] -= c
+        force[part] += weight * (balance - force[part])
+        return force, object_of(force, shown.box, clicks.clicks)
+
+    best = with_offset(np.float32(0.0))
+    if stated is None:
+        return best
+    now, then = (int(np.count_nonzero(one)) for one in (shown.inside, best[1]))
+    aim = min(max(then, min(now, stated)), max(now, stated))
+    ranked = shown.force.copy()
+    ranked[part] += weight / np.maximum(1.0 - weight, np.float32(MIN_FIELD_PART)) * balance
+    c = offset_to(ranked, max(int(np.count_nonzero(ranked < 0)) + aim - then, 0))
+    for tried in PARTS_OF_OFFSET if c else ():
+        found = with_offset(np.float32(tried) * c)
+        if abs(np.count_nonzero(found[1]) - aim) < abs(np.count_nonzero(best[1]) - aim):
+            best = found
+    return best
 
 
 def _around(inside: Mask, box: Box, spacing: Spacing, shape: Sequence[int]) -> Box | None:
@@ -195,7 +214,7 @@ def _around(inside: Mask, box: Box, spacing: Spacing, shape: Sequence[int]) -> B
     if tight is None:
         return None
     on_grid = [slice(s.start + b.start, s.stop + b.start) for s, b in zip(tight, box, strict=True)]
-    margins = [half + 2 for half in voxels_within(WINDOW, spacing)]
+    margins = [half + 2 for half in voxels_within(WINDOW, spacing, shape)]
     return widened((on_grid[0], on_grid[1], on_grid[2]), shape, margins)
 
 

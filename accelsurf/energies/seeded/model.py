@@ -128,16 +128,30 @@ def seeded_model(
         for click, answer in zip(left, _answers(one.answer, left, smooth, spacing, pool), strict=True):
             # The size that a click contradicts is known from that click on: no model without it goes on from before.
             stages = () if any(click is other for other in contradicts) else stages
-            known = one.clicks.with_more([click])
-            shown = _shown(images, spacing, where, answer, known, (sized, one.shown), pool)
-            off = corrections_with(one.corrections, click, (one.shown, shown), spacing, clicks.shape)
-            one = Stage(known, answer, shown, off)
+            one = _stage_after(one, click, images, spacing, where, answer, sized, pool)
             stages = (*stages[:1], one)
         stated = proposal.volume_mm3 if sized else None
-        shown = at_edges(one.shown, images, smooth, spacing, clicks, where[0], pool, stated_mm3=stated)
-        arrays = on_whole_grid(shown, clicks.shape)
+        edged = at_edges(one.shown, images, smooth, spacing, clicks, where[0], pool, stated_mm3=stated)
+        arrays = on_whole_grid(edged, clicks.shape)
     area = area_weight(images, spacing, arrays[1], where[0])
     return SeededModel(*arrays, proposal, area, clicks, smooth, sized, stages)
+
+
+def _stage_after(
+    one: Stage,
+    click: Click,
+    images: Sequence[Image],
+    spacing: Spacing,
+    where: tuple[Mask | None, Window | None],
+    answer: Answer,
+    sized: bool,
+    pool: ThreadPoolExecutor,
+) -> Stage:
+    """The stage after another and one click more, by the answer to it."""
+    known = one.clicks.with_more([click])
+    shown = _shown(images, spacing, where, answer, known, (sized, one.shown), pool)
+    off = corrections_with(one.corrections, click, (one.shown, shown), spacing, known.shape)
+    return Stage(known, answer, shown, off)
 
 
 def _shown(

@@ -134,7 +134,7 @@ class _Leaving:
         self._connection = connection
 
     async def send_bytes(self, data: bytes) -> None:
-        with contextlib.suppress(ConnectionResetError):
+        with contextlib.suppress(ConnectionError):
             await self._connection.send_bytes(data)
 
 

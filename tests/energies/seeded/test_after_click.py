@@ -52,6 +52,21 @@ def test_the_channel_that_tells_them_apart_counts():
     assert unlike_object([np.zeros_like(alike)], ONE, click, shown(was), shown(was | added)) == 0.0
 
 
+@pytest.mark.parametrize("spacing", [(3.0, 1.0, 1.0), (0.3, 1.0, 1.0)])
+def test_a_slice_of_any_thickness_is_looked_at(spacing):
+    _, was, added, click = plate((1, 10, 60))
+    assert unlike_object([was.astype(np.float32)], spacing, click, shown(was), shown(was | added)) > 0.99
+
+
+def test_what_is_added_where_the_object_cannot_be_is_not_looked_at():
+    """A hole of the mask, filled: its values say nothing."""
+    _, was, added, click = plate()
+    hole = added & (np.indices(was.shape)[1] == 3)
+    image = np.where(hole, np.float32(1e15), was.astype(np.float32))
+    found = unlike_object([image], ONE, click, shown(was), shown(was | added), open=~hole)
+    assert found > 0.99 and unlike_object([image], ONE, click, shown(was), shown(was | added)) == 0.0
+
+
 def test_what_is_near_the_click_or_not_open_or_little_says_nothing():
     x, was, added, click = plate()
     image = was.astype(np.float32)

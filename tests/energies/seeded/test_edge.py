@@ -150,3 +150,25 @@ def test_the_even_tissue_of_a_click_in_a_slice_is_a_disk():
     assert count_of(radius, spacing, True) == pytest.approx(image.sum(), rel=0.15)
     for flat in (True, False):
         assert radius_of(count_of(7.5, (3.0, 1.5, 1.2), flat), (3.0, 1.5, 1.2), flat) == pytest.approx(7.5)
+
+
+@pytest.mark.parametrize("shape", [(26, 26, 28), (1, 60, 60)])
+@pytest.mark.parametrize("slope", [0.05, 0.1, 0.14, 0.2])
+@pytest.mark.parametrize("part", [0.75, 0.89, 1.1, 1.3])
+def test_an_object_with_edges_all_around_keeps_them_whatever_size_was_stated(shape, slope, part):
+    """Nothing is free to give way: what would be taken for the size lies deep inside, and cuts off the rim."""
+    flat = shape[0] == 1
+    centre, true = [n // 2 for n in shape], 20.3 if flat else 8.3
+    near = clicked_balls.distance(centre, shape, SPACING)
+    image = np.clip(0.5 + true - near, 0, 1).astype(np.float32)
+    clicks = Clicks((clicked_balls.ball("inside", centre, 3.0, shape, SPACING),), shape)
+    radius = true * part ** (1 / 2 if flat else 1 / 3)
+    force = np.clip(slope * (near - radius), -1, 1).astype(np.float32)
+    force[clicks.mask("inside")] = -3.0
+    shown = Shown(whole_box(shape), force, force < 0)
+    free = at_edges(shown, [image], [image], SPACING, clicks, None)
+    _, found, moved = at_edges(shown, [image], [image], SPACING, clicks, None, stated_mm3=float(shown.inside.sum()))
+    # Edges are found within two voxels, and again within two.
+    assert abs(moved.sum() - shown.inside.sum()) <= abs(free.inside.sum() - shown.inside.sum())
+    assert np.count_nonzero(moved & (image > 0.5)) >= 0.9 * min(np.count_nonzero(image > 0.5), shown.inside.sum())
+    np.testing.assert_array_equal(moved, found < 0)
