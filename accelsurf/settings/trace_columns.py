@@ -54,7 +54,7 @@ TRACE_COLUMNS: Registry[TraceColumn] = Registry(
     TraceColumn(
         "smoothing_work",
         _ENERGY,
-        "energy that diffusion, the speed limiter, restarts, changes of level and edits have taken so far",
+        "energy that diffusion, the speed limiter, restarts, changes of level, clicks and edits have taken so far",
     ),
     TraceColumn("noise_work", _ENERGY, "energy that noise has added so far"),
     TraceColumn("mass", "relative", "mass of the surface; 0 without momentum"),

@@ -32,7 +32,10 @@ def memory(options: Options) -> dict[str, Any]:
         "work": f"peak memory of segment() of a ball in n^3 float32, {STEPS} steps, n = {', '.join(map(str, sides))}",
         "threads": 1, "lines": lines,
         "fit": {"bytes_per_voxel": per_voxel, "bytes_per_band_cell": per_cell, "bytes": constant},
-        "pairs": [],
+        "pairs": [{
+            "pair": f"segmenting / holding the image, {largest['side']}^3",
+            "ratio": largest["run_bytes"] / largest["hold_bytes"], "sense": "<=",
+        }],
         "goals": [
             goal("bytes a voxel beyond the image, band term apart", 12.0, per_voxel, "<=", "B"),
             goal(f"peak at {largest['side']}^3", 3.0, largest["run_bytes"] / 1e9, "<=", "GB"),

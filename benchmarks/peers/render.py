@@ -69,7 +69,8 @@ def verdict(entry: dict[str, Any]) -> str:
         return "not measured"
     if done:
         return "yes"
-    if wanted <= 0 or got <= 0:
+    # A factor that is read as 1 says nothing.
+    if wanted <= 0 or got <= 0 or abs(got / wanted - 1.0) < 0.01:
         return f"no, short by {number(abs(wanted - got))}"
     factor = wanted / got if entry["sense"] == ">=" else got / wanted
     return f"no, {number(factor)} times {'too little' if entry['sense'] == '>=' else 'too much'}"

@@ -21,13 +21,15 @@ def segment_hard(options: Options) -> dict[str, Any]:
     set_threads(options.threads)
     warnings.filterwarnings("ignore", "The probability range is outside")
     side, seeds = (40, SEEDS[:2]) if options.quick else (96, SEEDS)
-    cases, goals, tables, bars = {}, [], [], []
+    cases, goals, pairs, tables, bars = {}, [], [], [], []
     for name in WORKS:
         works = [WORKS[name](seed, side) for seed in seeds]
         programs = [program for program in PROGRAMS[name] if _there(program, options)]
         case = {program.name: _played(program, works, options) for program in programs}
         cases[name] = case
-        goals += _goals(name, case)
+        more, ratio = _goals(name, case)
+        goals += more
+        pairs.append(ratio)
         rows = sorted(
             ((n, f["dice"], f["median_s"], str(f["settings"])) for n, f in case.items()), key=lambda row: -row[1]
         )
@@ -36,7 +38,7 @@ def segment_hard(options: Options) -> dict[str, Any]:
         bars += [[f"{n}, {name}", f["median_s"]] for n, f in case.items()]
     return {
         "work": f"works without a global threshold, {side} voxels a side, library calls, {options.threads} threads",
-        "threads": options.threads, "cases": cases, "goals": goals, "pairs": [], "tables": tables, "bars": bars,
+        "threads": options.threads, "cases": cases, "goals": goals, "pairs": pairs, "tables": tables, "bars": bars,
     }
 
 
@@ -65,12 +67,13 @@ def _played(program: Program, works: list[Work], options: Options) -> dict[str, 
     }
 
 
-def _goals(name: str, case: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
-    """accelsurf's best row beside the best of the others: Dice, and seconds."""
+def _goals(name: str, case: dict[str, dict[str, Any]]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """accelsurf's best row beside the best of the others: goals of Dice and seconds, and the ratio of these."""
     rows = {n: Trial({"name": n}, f["dice"], f["median_s"]) for n, f in case.items()}
     own = best(row for n, row in rows.items() if n.startswith(OWN))
     other = best(row for n, row in rows.items() if not n.startswith(OWN))
+    ratio = other.seconds / own.seconds
     return [
         goal(f"{name}: Dice less the best other's ({other.settings['name']})", 0.0, own.dice - other.dice, unit=""),
-        goal(f"{name}: times faster than it", 10.0, other.seconds / own.seconds),
-    ]
+        goal(f"{name}: times faster than it", 10.0, ratio),
+    ], {"pair": f"{name}: {other.settings['name']} / {own.settings['name']}", "ratio": ratio}

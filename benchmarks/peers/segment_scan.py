@@ -32,6 +32,7 @@ from benchmarks.peers.measure import (
     Trial,
     best,
     combinations,
+    goal,
     ranked,
     run_process,
     search,
@@ -115,7 +116,8 @@ def _segment_real(options: Options, image_path: Path, reference_path: Path, fold
         write_search(trials, options)
     report(OWN, best(trials[OWN]))
     programs = time_best(trials, calls, options)
-    goals, pairs = judge(programs, "brain")
+    goals, pairs = judge(programs, "brain", 25.0)
+    goals.append(goal("brain: whole command", 6.0, programs[OWN]["median_s"], "<=", "s"))
     return {
         "work": f"brain MRI {'x'.join(map(str, image.shape))} ({BRAIN}), a whole command each, from file to files, "
         f"warm compile cache, {options.threads} threads",

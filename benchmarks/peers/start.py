@@ -41,7 +41,11 @@ def start(options: Options) -> dict[str, Any]:
     return {
         "work": f"whole commands, the cube in noise in {side}^3, {options.threads} threads, files written",
         "threads": options.threads,
-        "times": {titles[which]: time.to_dict() for which, time in times.items()}, "pairs": [],
+        "times": {titles[which]: time.to_dict() for which, time in times.items()},
+        "pairs": [
+            {"pair": f"{titles[one]} / {titles[by]}", "ratio": times[one].median / times[by].median, "sense": "<="}
+            for one, by in (("start", "look"), ("click", "start"), ("refine", "start"), ("cold", "start"))
+        ],
         "goals": [goal(titles[which], WANTED[which], time.median, "<=", "s") for which, time in times.items()],
         "tables": [
             table(

@@ -167,7 +167,9 @@ def _term(spec: TermSpec) -> list[str]:
     if uses := (*spec.uses, *spec.uses_to_learn):
         lines.append(f"* Uses the settings {_code(uses)} of the run.")
     seen = {"first": "the first", "mean": "the mean over all", "sum": "the sum over all"}[spec.channels]
-    if spec.sees_image:
+    if spec.uses_model:
+        lines.append("* Of an image of several channels it is made of all.")
+    elif spec.sees_image:
         lines.append(f"* Of an image of several channels it takes {seen}.")
     else:
         lines.append("* It does not see the image: it needs a term beside it that does.")

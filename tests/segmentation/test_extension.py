@@ -30,7 +30,10 @@ def image(noise: float = 0.3, balls: int = 2) -> Volume:
     return Volume.from_array(sharp.astype(np.float32), SPACING)
 
 
-@pytest.mark.parametrize("flow", ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"])
+FLOWS = ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum", "region-mass"]
+
+
+@pytest.mark.parametrize("flow", FLOWS)
 def test_every_flow_finds_the_object_by_a_fast_march(flow: str) -> None:
     """As by closest points, to a hundredth in Dice, by another way."""
     given = {"start": "ball:12,13.5,14,5", "flow": flow, "levels": 1, "max_steps": 60, "threads": 1}
