@@ -31,7 +31,9 @@ from accelsurf.segmentation.preprocessing import PreprocessedInput
 #: Objects can touch in a step where the boxes around them, larger by so many voxels on each side, overlap: contact sets
 #: in over one voxel, and none moves by more than one.
 NEAR = 2
-#: A converged object moves again when a neighbour is this deep inside it, in voxels of the smallest spacing.
+#: A converged object moves again when a neighbour is this deep inside it, in voxels of the smallest spacing, and each
+#: further time when it is so much deeper than the last time: two that converge where they overlap would set each other
+#: going for ever.
 REACTIVATION_DEPTH = 0.5
 #: Reasons that hold for the whole run if they hold for any object, the worst first.
 WORST: tuple[StopReason, ...] = ("interrupted", "diverged", "leaked", "stalled", "max-steps", "filled")
@@ -147,14 +149,13 @@ class Ensemble:
 
     def _reactivate(self, meets: list[list[int]]) -> None:
         """Continue converged objects that a neighbour has moved into."""
-        deepest = REACTIVATION_DEPTH * self._smallest
         for i, one in enumerate(self._objects):
             stop = one.evolution.stop
             if stop is None or stop.reason != "converged" or stop.steps >= one.evolution.max_steps:
                 continue
             moving = [self._objects[j] for j in meets[i] if self._objects[j].moves]
             one.contact.neighbours = [other.as_neighbour for other in moving]
-            if one.contact.overlap(one.surface) > deepest:
+            if one.contact.overlap(one.surface) > REACTIVATION_DEPTH * (one.reactivations + 1) * self._smallest:
                 one.reactivate()
 
     def summary(self, grid: Level) -> LevelSummary:

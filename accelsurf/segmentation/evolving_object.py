@@ -63,7 +63,7 @@ class EvolvingObject:
         among_others: bool,
     ) -> None:
         self.id, self.workers, self.context = start.id, workers, context
-        self.leaked = False
+        self.leaked, self.reactivations = False, 0
         self._inputs, self._setup, self._make_energy = inputs, setup, make_energy
         self._among_others = among_others
         self._max_steps, self._stop_requested = max_steps, False
@@ -164,7 +164,7 @@ class EvolvingObject:
 
     def next_level(self) -> None:
         """Continue on the next finer level, from the surface here, or from the start if this level failed."""
-        before, coarse = self.evolution, self.grid
+        before, coarse, self.reactivations = self.evolution, self.grid, 0
         if before.stop is None:
             raise ValueError(f"object {self.id} has not ended on level {self.level}")
         self._starts.to_finer()
@@ -286,7 +286,7 @@ class EvolvingObject:
 
     def reactivate(self) -> None:
         """Continue after convergence, because a neighbour moved into the object."""
-        before = self.evolution
+        before, self.reactivations = self.evolution, self.reactivations + 1
         if self.level == 0:
             # The record of the final state: it is not final any more.
             before.history.pop()
@@ -307,7 +307,7 @@ class EvolvingObject:
 
     def set_up(self, setup: SolverSetup, make_energy: EnergyMaker, context: ImageContext) -> bool:
         """Have another set-up, energy and context on the following levels; returns whether the context is another."""
-        self._setup, self._make_energy = setup, make_energy
+        self._setup, self._make_energy, self.reactivations = setup, make_energy, 0
         if context is self.context:
             return False
         self.context, self._clicks = context, LevelClicks(context, self._inputs.grids)
@@ -362,7 +362,8 @@ class EvolvingObject:
 
     def checkpoint(self) -> ObjectCheckpoint:
         """The state between two steps, as a value."""
-        return ObjectCheckpoint(self.corner, self.surface.shape, self.leaked, self.evolution.checkpoint())
+        made = self.evolution.checkpoint()
+        return ObjectCheckpoint(self.corner, self.surface.shape, self.leaked, made, self.reactivations)
 
     def restore(
         self, checkpoint: ObjectCheckpoint, setup: SolverSetup, make_energy: EnergyMaker, new_energy: bool,
@@ -370,7 +371,7 @@ class EvolvingObject:
     ) -> None:
         """Go back to a state of this level, with the settings that were in force then."""
         new_energy |= self.set_up(setup, make_energy, context)
-        self.leaked, self._stop_requested = checkpoint.leaked, False
+        self.leaked, self.reactivations, self._stop_requested = checkpoint.leaked, checkpoint.reactivations, False
         now = self.evolution
         if (self.corner, now.surface.shape) != (checkpoint.corner, checkpoint.shape):
             self.corner = checkpoint.corner

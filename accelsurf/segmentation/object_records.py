@@ -27,12 +27,15 @@ EnergyMaker = Callable[[NDArray[np.float32], tuple[float, float, float], ImageCo
 
 
 class ObjectCheckpoint(NamedTuple):
-    """An object between two steps: first voxel and shape of its grid, and its evolution there."""
+    """An object between two steps: first voxel and shape of its grid, and its evolution there; how often it has moved
+    again on its level.
+    """
 
     corner: Corner
     shape: tuple[int, int, int]
     leaked: bool
     evolution: Checkpoint
+    reactivations: int = 0
 
     @property
     def nbytes(self) -> int:
