@@ -26,6 +26,7 @@ def any_around(mask: Mask, reach: Sequence[int]) -> Mask:
 
     Examples
     --------
+    >>> import numpy as np
     >>> any_around(np.array([[[True, False, False, False]]]), (1, 1, 2)).astype(int).tolist()
     [[[1, 1, 1, 0]]]
     """
