@@ -1,5 +1,7 @@
 """Fixtures of several tests of the viewer."""
 
+import gc
+
 import pytest
 
 from accelsurf.viewer.scene.scene import Scene
@@ -11,6 +13,12 @@ def state_folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_former_windows():
+    """Windows of closed scenes, which hold themselves, are freed here and not while another one is drawn."""
+    gc.collect()
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Movies: the frames decode, differ, and show the surface grow; repeated from a result folder; no incomplete file."""
 
+import gc
 import importlib.util
 import json
 import os
@@ -22,6 +23,12 @@ START = "ball:{},{},{},5"
 needs_ffmpeg = pytest.mark.skipif(
     importlib.util.find_spec("imageio_ffmpeg") is None, reason='no mp4 encoder: pip install "accelsurf[viewer]"'
 )
+
+
+@pytest.fixture(autouse=True)
+def no_former_window():
+    """That of the test before, whose command has ended."""
+    gc.collect()
 
 
 @pytest.fixture(scope="module", autouse=True)
