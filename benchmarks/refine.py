@@ -59,6 +59,7 @@ PARTS = (
     ("accelsurf.segmentation.local_model", "with_click", "learned answer"),
     ("accelsurf.energies.seeded.model", "with_click", "learned answer"),
     ("accelsurf.energies.seeded.after_click", "mixed_answer", "mean of the answers"),
+    ("accelsurf.energies.seeded.model", "mixed_answer", "mean of the answers"),
     ("accelsurf.energies.seeded.after_click", "unlike_object", "what is added far away"),
     ("accelsurf.segmentation.local_model", "at_edges", "edges of the image"),
     ("accelsurf.energies.seeded.model", "at_edges", "edges of the image"),

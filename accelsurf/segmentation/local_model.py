@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies.seeded import Proposal, SeededModel
-from accelsurf.energies.seeded.after_click import shown_after
+from accelsurf.energies.seeded.after_click import stage_after
 from accelsurf.energies.seeded.answers import Answer, with_click
 from accelsurf.energies.seeded.appearance import learn
 from accelsurf.energies.seeded.competition import field_of
@@ -22,7 +22,7 @@ from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
 from accelsurf.energies.seeded.model import later_times
 from accelsurf.energies.seeded.stages import Stage, first_and_last, in_order, mostly_left, unchanged
-from accelsurf.energies.seeded.sureness import Sureness, corrections_with, sureness_of
+from accelsurf.energies.seeded.sureness import Sureness, sureness_of
 from accelsurf.grid.boxes import (
     Box,
     bounding_box,
@@ -193,11 +193,8 @@ class LocalModel:
 
     def _stage_of(self, before: Stage, clicks: Clicks, answer: Answer, parts: Sequence[Balance]) -> Stage:
         """The stage of some clicks, of which the last one is new, by their answer and contests, after another."""
-        given = answer, parts, clicks, self.state.sized, before.shown, self._passes
-        shown = shown_after(self._images, self.spacing, *given)
-        both = before.shown, shown
-        corrections = corrections_with(before.corrections, clicks.clicks[-1], both, self.spacing, clicks.shape)
-        return Stage(clicks, answer, shown, corrections)
+        given = answer, parts, self.state.sized, self._images, self.spacing, self._passes
+        return stage_after(before, clicks, *given)
 
     def _answers(self, answer: Answer, left: Sequence[Click]) -> Iterator[Answer]:
         """The answer after each of some more clicks."""

@@ -1,4 +1,4 @@
-"""What is shown after one click more: what the click says of its neighbourhood, and what of it holds farther away.
+"""The stage after one click more: what the click says of its neighbourhood, and what of it holds farther away.
 
 As long as few clicks say what is outside the contests of the clicks fill more than the object: a click into a missing
 corner of a cube in noise took a layer all around the cube as well. Single voxels in noise do not tell; the mean of all
@@ -20,6 +20,8 @@ from accelsurf.energies.seeded.around import any_around, voxels_within
 from accelsurf.energies.seeded.contest import Balance
 from accelsurf.energies.seeded.nearness import nearness
 from accelsurf.energies.seeded.shown import Shown, mixed_answer
+from accelsurf.energies.seeded.stages import Stage
+from accelsurf.energies.seeded.sureness import corrections_with
 from accelsurf.energies.seeded.surprise import REACH, neighbourhood
 from accelsurf.grid.boxes import bounding_box, corner_of, counted_from, on_box, placed_at, widened
 from accelsurf.grid.clicks import Click, Clicks
@@ -35,38 +37,39 @@ CLEAR_CONTRAST = 0.3
 FEW = 5
 
 
-def shown_after(
-    images: Sequence[Image],
-    spacing: Spacing,
+def stage_after(
+    before: Stage,
+    clicks: Clicks,
     answer: Answer,
     parts: Sequence[Balance],
-    clicks: Clicks,
     sized: bool,
-    before: Shown | None,
-    open: Mask | None = None,
-) -> Shown:
-    """What is shown after some clicks.
+    images: Sequence[Image],
+    spacing: Spacing,
+    open: Mask | None,
+) -> Stage:
+    """The stage after another and one click more.
 
     Parameters
     ----------
+    before : Stage
+    clicks, answer, parts, sized
+        See `accelsurf.energies.seeded.shown.mixed_answer`.
     images : sequence of ndarray (nz, ny, nx), float32
         The channels, as they are evolved.
     spacing : (hz, hy, hx)
         mm.
-    answer, parts, clicks, sized, before
-        See `accelsurf.energies.seeded.shown.mixed_answer`; ``before`` is None after the first click.
-    open : ndarray (nz, ny, nx) of bool, optional
+    open : ndarray (nz, ny, nx) of bool or None
         The object lies in it; nothing is compared with what does not.
     """
-    if before is None:
-        return mixed_answer(answer, parts, clicks, sized, None)
     click, count, shape = clicks.clicks[-1], len(clicks), clicks.shape
-    around = neighbourhood(click, count, before, spacing, shape)
-    shown = mixed_answer(answer, parts, clicks, sized, before, around)
-    held = unlike_object(images, spacing, click, before, shown, open) if click.side == "inside" else 0.0
-    if held == 0.0:
-        return shown
-    return mixed_answer(answer, parts, clicks, sized, before, neighbourhood(click, count, before, spacing, shape, held))
+    around = neighbourhood(click, count, before.shown, spacing, shape)
+    shown = mixed_answer(answer, parts, clicks, sized, before.shown, around)
+    held = unlike_object(images, spacing, click, before.shown, shown, open) if click.side == "inside" else 0.0
+    if held > 0.0:
+        around = neighbourhood(click, count, before.shown, spacing, shape, held)
+        shown = mixed_answer(answer, parts, clicks, sized, before.shown, around)
+    off = corrections_with(before.corrections, click, (before.shown, shown), spacing, shape)
+    return Stage(clicks, answer, shown, off)
 
 
 def unlike_object(
@@ -77,10 +80,10 @@ def unlike_object(
     Parameters
     ----------
     images, spacing, open
-        As of `shown_after`.
+        As of `stage_after`.
     click : Click
     before, after : Shown
-        The click.
+        What is shown before it and after it.
 
     Notes
     -----
@@ -119,4 +122,3 @@ def _likeness(image: Image, added: Mask, inside: Mask, outside: Mask) -> tuple[f
         return 0.0, 1.0
     spread = np.sqrt(0.5 * (within.var() + beyond.var()))
     return abs(step) / max(spread, 1e-6 * abs(step)), float(image[added].mean(dtype=np.float64) - beyond.mean()) / step
-

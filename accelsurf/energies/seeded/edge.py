@@ -84,8 +84,7 @@ def edge_balance(
     seen = np.ones(inside.shape, np.bool_) if open is None else open
     near, next_to_it = _seen_both(inside, 5) & seen, _seen_both(inside, 3) & seen
     counts = np.where(next_to_it, np.float32(MIXED), np.float32(1.0)) * seen
-    reach = voxels_within(WINDOW, spacing, inside.shape)
-    sizes = [2 * half + 1 if n > 1 else 1 for half, n in zip(reach, inside.shape, strict=True)]
+    sizes = [2 * half + 1 for half in voxels_within(WINDOW, spacing, inside.shape)]
 
     def window(values: NDArray) -> NDArray[np.float32]:
         return np.asarray(ndimage.uniform_filter(values, sizes, np.float32, mode="constant"))[near]

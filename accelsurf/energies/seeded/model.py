@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from accelsurf.energies.seeded.after_click import shown_after
+from accelsurf.energies.seeded.after_click import stage_after
 from accelsurf.energies.seeded.answers import Answer, with_click
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
 from accelsurf.energies.seeded.blocks import field_in
@@ -18,9 +18,8 @@ from accelsurf.energies.seeded.curvature import mean_curvature
 from accelsurf.energies.seeded.edge import area_weight, at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER, answer_to_first, first_inside, seeds_of
 from accelsurf.energies.seeded.proposal import Proposal
-from accelsurf.energies.seeded.shown import Shown, on_whole_grid
+from accelsurf.energies.seeded.shown import mixed_answer, on_whole_grid
 from accelsurf.energies.seeded.stages import Stage, contradicting, in_order, unchanged
-from accelsurf.energies.seeded.sureness import corrections_with
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.smoothing import gaussian_mm
@@ -123,12 +122,13 @@ def seeded_model(
             first, left = Clicks((first_inside(clicks),), clicks.shape), left[1:]
             smooth = learned_images(images, spacing)
             answer, proposal = answer_to_first(smooth, spacing, where, clicks, size_mm3, box is not None)
-            stages = (Stage(first, answer, _shown(images, spacing, where, answer, first, (sized, None), pool)),)
+            stages = (_stage_of(None, first, answer, sized, images, spacing, where, pool),)
         one, contradicts = stages[-1], contradicting(stages[-1].answer, in_order(clicks), left)
         for click, answer in zip(left, _answers(one.answer, left, smooth, spacing, pool), strict=True):
             # The size that a click contradicts is known from that click on: no model without it goes on from before.
             stages = () if any(click is other for other in contradicts) else stages
-            one = _stage_after(one, click, images, spacing, where, answer, sized, pool)
+            known = one.clicks.with_more([click])
+            one = _stage_of(one, known, answer, sized, images, spacing, where, pool)
             stages = (*stages[:1], one)
         stated = proposal.volume_mm3 if sized else None
         edged = at_edges(one.shown, images, smooth, spacing, clicks, where[0], pool, stated_mm3=stated)
@@ -137,41 +137,28 @@ def seeded_model(
     return SeededModel(*arrays, proposal, area, clicks, smooth, sized, stages)
 
 
-def _stage_after(
-    one: Stage,
-    click: Click,
-    images: Sequence[Image],
-    spacing: Spacing,
-    where: tuple[Mask | None, Window | None],
+def _stage_of(
+    before: Stage | None,
+    clicks: Clicks,
     answer: Answer,
     sized: bool,
-    pool: ThreadPoolExecutor,
-) -> Stage:
-    """The stage after another and one click more, by the answer to it."""
-    known = one.clicks.with_more([click])
-    shown = _shown(images, spacing, where, answer, known, (sized, one.shown), pool)
-    off = corrections_with(one.corrections, click, (one.shown, shown), spacing, known.shape)
-    return Stage(known, answer, shown, off)
-
-
-def _shown(
     images: Sequence[Image],
     spacing: Spacing,
     where: tuple[Mask | None, Window | None],
-    answer: Answer,
-    clicks: Clicks,
-    earlier: tuple[bool, Shown | None],
     pool: ThreadPoolExecutor,
-) -> Shown:
-    """What is shown after some clicks, by their answer and whether a size was stated, and what was shown before."""
+) -> Stage:
+    """The stage of some clicks, of which the last one is new, by their answer; ``before`` is None of the first."""
     allowed, window = where
     if window is not None:  # a part of what is looked at is shown
         window.check_box(box_around(clicks, spacing, WALKS_REACH, answer.count)[0])
     parts = contest(images, spacing, clicks, allowed, answer.count, pool)
-    shown = shown_after(images, spacing, answer, parts, clicks, *earlier, allowed)
+    if before is None:
+        one = Stage(clicks, answer, mixed_answer(answer, parts, clicks, sized, None))
+    else:
+        one = stage_after(before, clicks, answer, parts, sized, images, spacing, allowed)
     if window is not None:
-        window.check_box(shown.box)
-    return shown
+        window.check_box(one.shown.box)
+    return one
 
 
 def learned_images(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:

@@ -72,7 +72,7 @@ class PageGuard:
         server.app.router.add_get("/files/{name}", self._download)
         for handler in server._ws_handlers:
             handler.onMessage = self._checked(handler)
-            handler.getAuthenticatedWebsockets = _leaving(handler.getAuthenticatedWebsockets)
+            handler.getAuthenticatedWebsockets = _may_leave(handler.getAuthenticatedWebsockets)
 
     def watch(self) -> None:
         """Limit the connections of the installed server, once it listens."""
@@ -127,7 +127,7 @@ class PageGuard:
         return on_message
 
 
-class _Leaving:
+class _PageThatMayLeave:
     """A page's connection, to send over: what no longer arrives as the page has left is dropped."""
 
     def __init__(self, connection: Any) -> None:
@@ -138,15 +138,15 @@ class _Leaving:
             await self._connection.send_bytes(data)
 
 
-def _leaving(connections_of: Callable[..., list[Any]]) -> Callable[..., list[_Leaving]]:
+def _may_leave(connections_of: Callable[..., list[Any]]) -> Callable[..., list[_PageThatMayLeave]]:
     """Let a page leave at any moment.
 
     wslink lists a page until its end is noticed. A message in between would fail, with a traceback in the terminal,
     and the pages after it in the list would not get theirs.
     """
 
-    def connections(*args: Any, **options: Any) -> list[_Leaving]:
-        return [_Leaving(one) for one in connections_of(*args, **options) if one is not None]
+    def connections(*args: Any, **options: Any) -> list[_PageThatMayLeave]:
+        return [_PageThatMayLeave(one) for one in connections_of(*args, **options) if one is not None]
 
     return connections
 
