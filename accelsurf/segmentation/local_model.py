@@ -21,6 +21,7 @@ from accelsurf.energies.seeded.curvature import mean_curvature
 from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
 from accelsurf.energies.seeded.model import later_times
+from accelsurf.energies.seeded.others import heard
 from accelsurf.energies.seeded.stages import Stage, first_and_last, in_order, mostly_left, unchanged
 from accelsurf.energies.seeded.sureness import Sureness, sureness_of
 from accelsurf.grid.boxes import (
@@ -157,16 +158,20 @@ class LocalModel:
 
     def _going_on(self, clicks: Clicks) -> LocalState | None:
         """The state after some clicks, from the last stage that none of them changes; None where none is known."""
-        stages, left = unchanged(self.state.stages, clicks)
+        if not self.state.stages:
+            return None
+        heard_clicks = heard(clicks, self.state.stages[-1].answer, self.spacing)
+        stages, left = unchanged(self.state.stages, heard_clicks)
         if not stages:
             return None
         with ThreadPoolExecutor(max(self._threads, 1)) as pool:
-            if len(left) > 1 and mostly_left(self.state.clicks, clicks):
+            is_taken = not clicks.starts_with(self.state.clicks)
+            if is_taken and len(left) > 1 and mostly_left(self.state.clicks, clicks):
                 after = [self._stage_beside(stages[-1].answer, left, pool)]
             else:
                 after = list(self._stages_after(stages[-1], left, pool))
             stages = first_and_last((*stages, *after))
-            seen = self._images, self.state.images, self.spacing, clicks, self._passes
+            seen = self._images, self.state.images, self.spacing, heard_clicks, self._passes
             stated = self.state.proposal.volume_mm3 if self.state.sized and self.state.proposal is not None else None
             box, field, start = at_edges(stages[-1].shown, *seen, pool, stated_mm3=stated)
         return self.state._replace(clicks=clicks, box=box, field=field, start=start, stages=stages)
@@ -187,7 +192,7 @@ class LocalModel:
         """
         before = self.state.stages[-1]
         answering = pool.submit(lambda: [answer, *self._answers(answer, left)][-1])
-        clicks = in_order(self.state.clicks.with_later(left[-1:]))
+        clicks = in_order(heard(self.state.clicks.with_later(left[-1:]), answer, self.spacing))
         parts = contest(self._images, self.spacing, clicks, self._passes, answer.count, pool)
         return self._stage_of(before, clicks, answering.result(), parts)
 

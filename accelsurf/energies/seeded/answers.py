@@ -122,6 +122,8 @@ class Answer:
     ----------
     blocks : Blocks
     box : tuple of slice
+    around : tuple of slice
+        Of the voxels, around all that the march from the first click came to before its surroundings begin.
     count : int
         Voxels of the first click's proposal.
     level, last : float
@@ -145,6 +147,7 @@ class Answer:
 
     blocks: Blocks
     box: Box
+    around: Box
     count: int
     level: float
     last: float
@@ -200,7 +203,8 @@ def first_answer(
     force -= offset_to(force, blocks.count(count)) * ~far
     none = np.full_like(inside, np.inf)
     force = np.asarray(force, np.float32)
-    answer = Answer(blocks, box, count, at, last, tissue, inside, none, out, total, force, near, (click,), first)
+    state = inside, none, out, total, force, near
+    answer = Answer(blocks, box, blocks.box_of(box), count, at, last, tissue, *state, (click,), first)
     return replace(answer, inside=object_of(answer.force, answer.box, answer.clicks))
 
 

@@ -70,16 +70,22 @@ class Blocks(NamedTuple):
         """How many blocks so many voxels fill, at least one."""
         return max(round(voxels / self.size), 1)
 
+    def box_of(self, box: Box) -> Box:
+        """The voxels of a box of blocks."""
+        z, y, x = (
+            slice(max(side.start * step - lacks, 0), min(side.stop * step - lacks, n))
+            for side, step, lacks, n in zip(box, self.steps, self.missing, self.voxels, strict=True)
+        )
+        return z, y, x
+
     def on_voxels(self, box: Box, values: Image) -> Balance:
         """Values of the blocks of a box on their voxels, linearly between the middles of the blocks."""
-        low, high, first = [], [], []
-        for side, step, lacks, n in zip(box, self.steps, self.missing, self.voxels, strict=True):
-            begin = side.start * step - lacks
-            low.append(max(begin, 0))
-            high.append(min(side.stop * step - lacks, n))
-            first.append(low[-1] - begin)
-        z, y, x = (slice(a, b) for a, b in zip(low, high, strict=True))
-        return Balance((z, y, x), values, self.steps, (first[0], first[1], first[2]))
+        voxels = self.box_of(box)
+        z, y, x = (
+            own.start - (side.start * step - lacks)
+            for own, side, step, lacks in zip(voxels, box, self.steps, self.missing, strict=True)
+        )
+        return Balance(voxels, values, self.steps, (z, y, x))
 
     def click(self, click: Click, answered: Sequence[Click]) -> Click | None:
         """The blocks in which a click has voxels, but for those of earlier clicks on the other side; None for none.

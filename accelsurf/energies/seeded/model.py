@@ -16,7 +16,8 @@ from accelsurf.energies.seeded.competition import Field, Times, reached
 from accelsurf.energies.seeded.contest import WALKS_REACH, box_around, contest
 from accelsurf.energies.seeded.curvature import mean_curvature
 from accelsurf.energies.seeded.edge import area_weight, at_edges
-from accelsurf.energies.seeded.first_click import BEYOND, FARTHER, answer_to_first, first_inside, seeds_of
+from accelsurf.energies.seeded.first_click import BEYOND, FARTHER, answer_to_first, seeds_of
+from accelsurf.energies.seeded.others import heard
 from accelsurf.energies.seeded.proposal import Proposal
 from accelsurf.energies.seeded.shown import mixed_answer, on_whole_grid
 from accelsurf.energies.seeded.stages import Stage, contradicting, in_order, unchanged
@@ -115,23 +116,26 @@ def seeded_model(
     """
     sized, where = size_mm3 is not None, (_allowed(images[0].shape, box, mask), window)
     with ThreadPoolExecutor(max(threads, 1)) as pool:
-        stages, left = unchanged(() if previous is None else previous.stages, clicks)
+        seen, stages, left = clicks, tuple[Stage, ...](), tuple[Click, ...]()
+        if previous is not None and previous.stages:
+            seen = heard(clicks, previous.stages[-1].answer, spacing)
+            stages, left = unchanged(previous.stages, seen)
         if previous is not None and stages:
             smooth, proposal = previous.images, previous.proposal
         else:
-            first, left = Clicks((first_inside(clicks),), clicks.shape), left[1:]
             smooth = learned_images(images, spacing)
             answer, proposal = answer_to_first(smooth, spacing, where, clicks, size_mm3, box is not None)
+            seen = heard(clicks, answer, spacing)
+            first, left = Clicks(in_order(seen).clicks[:1], seen.shape), in_order(seen).clicks[1:]
             stages = (_stage_of(None, first, answer, sized, images, spacing, where, pool),)
-        one, contradicts = stages[-1], contradicting(stages[-1].answer, in_order(clicks), left)
+        one, contradicts = stages[-1], contradicting(stages[-1].answer, in_order(seen), left)
         for click, answer in zip(left, _answers(one.answer, left, smooth, spacing, pool), strict=True):
             # The size that a click contradicts is known from that click on: no model without it goes on from before.
             stages = () if any(click is other for other in contradicts) else stages
-            known = one.clicks.with_more([click])
-            one = _stage_of(one, known, answer, sized, images, spacing, where, pool)
+            one = _stage_of(one, one.clicks.with_more([click]), answer, sized, images, spacing, where, pool)
             stages = (*stages[:1], one)
         stated = proposal.volume_mm3 if sized else None
-        edged = at_edges(one.shown, images, smooth, spacing, clicks, where[0], pool, stated_mm3=stated)
+        edged = at_edges(one.shown, images, smooth, spacing, seen, where[0], pool, stated_mm3=stated)
         arrays = on_whole_grid(edged, clicks.shape)
     area = area_weight(images, spacing, arrays[1], where[0])
     return SeededModel(*arrays, proposal, area, clicks, smooth, sized, stages)

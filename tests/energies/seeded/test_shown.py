@@ -31,7 +31,7 @@ def mixed(force, clicks, before, inside=None, around=EVERYWHERE):
     inside = force < 0 if inside is None else inside
     blocks, first = in_blocks([none], (1.0, 1.0, 1.0), None, None, 5), FirstTimes(WHOLE, none, 0.0)
     numbers = 5, 1.0, 3.0
-    answer = Answer(blocks, WHOLE, *numbers, None, none, none, none, none, force, inside, tuple(clicks), first)
+    answer = Answer(blocks, WHOLE, WHOLE, *numbers, None, none, none, none, none, force, inside, tuple(clicks), first)
     return mixed_answer(answer, [Balance(WHOLE, force)] * 2, Clicks(tuple(clicks), LINE), False, before, around)
 
 
