@@ -242,10 +242,20 @@ class ImageContext:
                 goes_on = before is not None and before.clicks is not None and before.clicks.ids()
                 previous = before.seeded_model() if before is not None and goes_on else None
                 made = seeded_model(
-                    *seen, size_mm3=size, box=box, mask=mask, threads=threads, previous=previous, window=window
+                    *seen, size_mm3=size, box=box, mask=mask, threads=threads, previous=previous, window=window,
+                    learned=self.images_to_learn,
                 )
             self._model.append(made)
         return self._model[0]
+
+    def images_to_learn(self) -> tuple[Image, ...]:
+        """The channels as models of clicks learn from them, computed once for all objects."""
+        from accelsurf.energies.seeded.model import learned_images
+
+        key = (learned_images,)
+        if key not in self._found:
+            self._found[key] = learned_images(self.images, self.spacing)
+        return cast("tuple[Image, ...]", self._found[key])
 
     def model_start(self) -> Image:
         """Psi, mm, of the first surface that the model gives."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -106,7 +107,7 @@ def start_of_run(
         starts = [within(one, prepared) for one in several]
         contexts = [_context_of(one, prepared, bool(surfaces)) for one in starts]
         if table is not None and uses_model(config):
-            starts = _of_models(starts, contexts, str(labels), prepared.geometry)
+            starts = _of_models(starts, contexts, prepared.geometry)
     return RunStart(config, has_ids, tuple(by_array), digest_of(by_array), prepared, starts, contexts)
 
 
@@ -164,10 +165,20 @@ def _with_clicks(context: ImageContext, clicks: Clicks | None, id: int) -> Image
     return context if clicks is None else context.with_clicks(clicks.of(id))
 
 
-def _of_models(
-    starts: list[ObjectStart], contexts: list[ImageContext], name: str, geometry: Geometry
-) -> list[ObjectStart]:
+def _make_models(contexts: Sequence[ImageContext]) -> None:
+    """Make the models of several objects, as many at a time as there are threads; a partition's share too much."""
+    inputs = contexts[0].model_inputs
+    if inputs.partition is not None or inputs.threads < 2:
+        return
+    contexts[0].images_to_learn()  # once: they would each begin with it
+    with ThreadPoolExecutor(inputs.threads) as pool:
+        for _ in pool.map(ImageContext.seeded_model, contexts):
+            pass
+
+
+def _of_models(starts: list[ObjectStart], contexts: list[ImageContext], geometry: Geometry) -> list[ObjectStart]:
     """First surfaces of several objects by the model of each; where two overlap, the lower id has the voxels."""
+    _make_models(contexts)
     out = []
     taken = np.zeros(geometry.shape, np.bool_)
     for one, context in zip(starts, contexts, strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -87,6 +87,7 @@ def seeded_model(
     threads: int = 1,
     previous: SeededModel | None = None,
     window: Window | None = None,
+    learned: Callable[[], tuple[Image, ...]] | None = None,
 ) -> SeededModel:
     """Make the model of one object from its clicks.
 
@@ -108,6 +109,8 @@ def seeded_model(
         The model of the first of these clicks, all else being the same: the result is the same, sooner.
     window : Window, optional
         The images are this part of larger ones; the result is the part of theirs.
+    learned : callable, optional
+        Returns their `learned_images`, which several objects share.
 
     Raises
     ------
@@ -116,29 +119,54 @@ def seeded_model(
     """
     sized, where = size_mm3 is not None, (_allowed(images[0].shape, box, mask), window)
     with ThreadPoolExecutor(max(threads, 1)) as pool:
-        seen, stages, left = clicks, tuple[Stage, ...](), tuple[Click, ...]()
-        if previous is not None and previous.stages:
-            seen = heard(clicks, previous.stages[-1].answer, spacing)
-            stages, left = unchanged(previous.stages, seen)
+        seen, stages, left = _known(previous, clicks, spacing)
         if previous is not None and stages:
             smooth, proposal = previous.images, previous.proposal
         else:
-            smooth = learned_images(images, spacing)
+            smooth = learned_images(images, spacing) if learned is None else learned()
             answer, proposal = answer_to_first(smooth, spacing, where, clicks, size_mm3, box is not None)
             seen = heard(clicks, answer, spacing)
             first, left = Clicks(in_order(seen).clicks[:1], seen.shape), in_order(seen).clicks[1:]
             stages = (_stage_of(None, first, answer, sized, images, spacing, where, pool),)
-        one, contradicts = stages[-1], contradicting(stages[-1].answer, in_order(seen), left)
-        for click, answer in zip(left, _answers(one.answer, left, smooth, spacing, pool), strict=True):
-            # The size that a click contradicts is known from that click on: no model without it goes on from before.
-            stages = () if any(click is other for other in contradicts) else stages
-            one = _stage_of(one, one.clicks.with_more([click]), answer, sized, images, spacing, where, pool)
-            stages = (*stages[:1], one)
+        asked = contradicting(stages[-1].answer, in_order(seen), left)
+        answers = zip(left, _answers(stages[-1].answer, left, smooth, spacing, pool), strict=True)
+        stages = _stages_after(stages, answers, asked, sized, images, spacing, where, pool)
         stated = proposal.volume_mm3 if sized else None
-        edged = at_edges(one.shown, images, smooth, spacing, seen, where[0], pool, stated_mm3=stated)
+        edged = at_edges(stages[-1].shown, images, smooth, spacing, seen, where[0], pool, stated_mm3=stated)
         arrays = on_whole_grid(edged, clicks.shape)
     area = area_weight(images, spacing, arrays[1], where[0])
     return SeededModel(*arrays, proposal, area, clicks, smooth, sized, stages)
+
+
+def _known(
+    previous: SeededModel | None, clicks: Clicks, spacing: Spacing
+) -> tuple[Clicks, tuple[Stage, ...], tuple[Click, ...]]:
+    """The clicks that are heard, the stages of a model that none of them changes, and the clicks that come after."""
+    if previous is None or not previous.stages:
+        return clicks, (), ()
+    seen = heard(clicks, previous.stages[-1].answer, spacing)
+    return seen, *unchanged(previous.stages, seen)
+
+
+def _stages_after(
+    stages: tuple[Stage, ...],
+    answers: Iterable[tuple[Click, Answer]],
+    contradicts: Sequence[Click],
+    sized: bool,
+    images: Sequence[Image],
+    spacing: Spacing,
+    where: tuple[Mask | None, Window | None],
+    pool: ThreadPoolExecutor,
+) -> tuple[Stage, ...]:
+    """The first stage and that of all clicks; ``answers`` are more clicks and the answer after each.
+
+    The size that a click contradicts is known from that click on: no model without it goes on from a stage before.
+    """
+    for click, answer in answers:
+        known = stages[-1].clicks.with_more([click])
+        one = _stage_of(stages[-1], known, answer, sized, images, spacing, where, pool)
+        stages = (one,) if any(click is other for other in contradicts) else (*stages[:1], one)
+    return stages
 
 
 def _stage_of(
