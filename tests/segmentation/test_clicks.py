@@ -242,6 +242,18 @@ def test_several_objects_by_clicks(energy, tmp_path):
     assert 1500 < (labels == 1).sum() < 2600 and 1000 < (labels == 7).sum() < 2600
 
 
+def test_models_of_several_objects_are_the_same_on_any_number_of_threads(tmp_path):
+    """They are made side by side, and share the images that they learn from."""
+    volume, file = two_balls(tmp_path, ROWS)
+    made = []
+    for threads in (1, 2, 3):
+        run = Run(volume, RunConfig(objects=file, max_steps=30, threads=threads))
+        models = [one.context.seeded_model() for one in run.objects]
+        assert len(models) == 2 and models[0].images[0] is models[1].images[0]
+        made.append([array.tobytes() for one in models for array in (one.field, one.start)])
+    assert made[0] == made[1] == made[2]
+
+
 def test_no_object_is_left_out_of_the_steps_and_competes(tmp_path):
     volume, file = two_balls(tmp_path, ["1,11,11,11,2,inside", "0,31,11,11,2,inside"])
     ids = {step.object_id for step in evolve(volume, objects=file, energy="threshold:50,", threads=1, max_steps=20)}
