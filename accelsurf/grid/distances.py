@@ -52,3 +52,17 @@ def ball_distance(
         distance -= distance.dtype.type(radius)
         out[planes] = distance
     return out
+
+
+def farthest(psi: NDArray[np.float32]) -> float:
+    """Largest finite |psi|; plane by plane, as the whole volume would be copied twice.
+
+    Examples
+    --------
+    >>> farthest(np.array([[[1.0]], [[-3.0]], [[np.inf]]], np.float32))
+    3.0
+    """
+    most = 0.0
+    for plane in map(np.abs, psi):
+        most = max(most, float(np.max(plane, where=np.isfinite(plane), initial=0.0)))
+    return most

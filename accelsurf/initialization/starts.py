@@ -191,13 +191,15 @@ def build(
     (27, -2.0)
     """
     values = volume.array if image is None else image
-    psi = np.full(volume.geometry.shape, np.inf, np.float32)
+    psi: NDArray[np.float32] | None = None
     window = window or Window(volume.geometry, whole_box(volume.geometry.shape))
     for text in starts:
         one = _build_one(parse(text), text, window, values)
         if not (one < 0).any():
             raise InputError(*_nothing_inside(text, window.geometry))
-        np.minimum(psi, one, out=psi)
+        psi = one if psi is None else np.minimum(psi, one, out=psi)
+    if psi is None:
+        raise UsageError("start: none was given, expected one at least", f"as in {KINDS['ball']}")
     if (psi < 0).all():
         raise InputError(
             f"start {shown(' + '.join(starts))}: every voxel of the volume is inside", "leave some background outside"

@@ -21,8 +21,8 @@ from accelsurf.energies.seeded.curvature import mean_curvature
 from accelsurf.energies.seeded.edge import at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
 from accelsurf.energies.seeded.model import later_times
-from accelsurf.energies.seeded.others import heard
-from accelsurf.energies.seeded.stages import Stage, first_and_last, in_order, mostly_left, unchanged
+from accelsurf.energies.seeded.others import going_on
+from accelsurf.energies.seeded.stages import Stage, first_and_last, in_order, mostly_left
 from accelsurf.energies.seeded.sureness import Sureness, sureness_of
 from accelsurf.grid.boxes import (
     Box,
@@ -62,7 +62,7 @@ class LocalState(NamedTuple):
 
     ``clicks`` that it was made from, on the whole grid's indices; ``images``, the channels as the model sees them, on
     the whole grid; ``field`` F and ``start`` on the box; ``sized``, whether a size was stated; ``proposal`` of the
-    first click; ``stages`` from which it goes on, the last with all clicks; none of a partition.
+    first click; ``stages`` from which it goes on, the last with all clicks that are heard; none of a partition.
     """
 
     clicks: Clicks
@@ -158,20 +158,17 @@ class LocalModel:
 
     def _going_on(self, clicks: Clicks) -> LocalState | None:
         """The state after some clicks, from the last stage that none of them changes; None where none is known."""
-        if not self.state.stages:
-            return None
-        heard_clicks = heard(clicks, self.state.stages[-1].answer, self.spacing)
-        stages, left = unchanged(self.state.stages, heard_clicks)
+        known, stages, left = going_on(self.state.stages, clicks, self.spacing)
         if not stages:
             return None
         with ThreadPoolExecutor(max(self._threads, 1)) as pool:
-            is_taken = not clicks.starts_with(self.state.clicks)
-            if is_taken and len(left) > 1 and mostly_left(self.state.clicks, clicks):
-                after = [self._stage_beside(stages[-1].answer, left, pool)]
+            is_taken = not clicks.starts_with(self.state.clicks) and len(left) > 1
+            if is_taken and left[-1] is clicks.clicks[-1] and mostly_left(self.state.clicks, clicks):
+                after = [self._stage_beside(known, stages[-1].answer, left, pool)]
             else:
                 after = list(self._stages_after(stages[-1], left, pool))
             stages = first_and_last((*stages, *after))
-            seen = self._images, self.state.images, self.spacing, heard_clicks, self._passes
+            seen = self._images, self.state.images, self.spacing, known, self._passes
             stated = self.state.proposal.volume_mm3 if self.state.sized and self.state.proposal is not None else None
             box, field, start = at_edges(stages[-1].shown, *seen, pool, stated_mm3=stated)
         return self.state._replace(clicks=clicks, box=box, field=field, start=start, stages=stages)
@@ -185,14 +182,16 @@ class LocalModel:
             one = self._stage_of(one, clicks, answer, parts)
             yield one
 
-    def _stage_beside(self, answer: Answer, left: Sequence[Click], pool: ThreadPoolExecutor) -> Stage:
-        """The stage after the last of some clicks, of which the others are left of what was clicked before.
+    def _stage_beside(
+        self, known: Clicks, answer: Answer, left: Sequence[Click], pool: ThreadPoolExecutor
+    ) -> Stage:
+        """The stage of the clicks ``known``, the last of which is new; those before it in ``left`` have lost voxels.
 
-        It goes on from what was shown before that click, and from the ``answer`` to the clicks before all of them.
+        It goes on from what was shown before the last one, and from the ``answer`` to the clicks before all of them.
         """
         before = self.state.stages[-1]
         answering = pool.submit(lambda: [answer, *self._answers(answer, left)][-1])
-        clicks = in_order(heard(self.state.clicks.with_later(left[-1:]), answer, self.spacing))
+        clicks = in_order(known)
         parts = contest(self._images, self.spacing, clicks, self._passes, answer.count, pool)
         return self._stage_of(before, clicks, answering.result(), parts)
 

@@ -12,6 +12,7 @@ from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.grid.boxes import Box, Corner, corner_of, shared, widened
 from accelsurf.grid.click_bounds import ClickBounds
+from accelsurf.grid.distances import farthest
 from accelsurf.grid.pyramid import Level
 
 #: Margin of an object's box around the object: at least `ROOM` voxels and the fraction `ROOM_PART` of its extent; the
@@ -55,7 +56,7 @@ def larger_box(low: NDArray[np.int64], high: NDArray[np.int64], box: Box, reach:
 
 def psi_on_box(known: NDArray[np.float32], at: Corner, box: Box) -> NDArray[np.float32]:
     """Return psi on a box, known from voxel ``at`` on; beyond the known values everything is outside."""
-    psi = np.full(tuple(s.stop - s.start for s in box), np.abs(known[np.isfinite(known)]).max(), np.float32)
+    psi = np.full(tuple(s.stop - s.start for s in box), farthest(known), np.float32)
     mine, theirs = shared(corner_of(box), psi.shape, at, known.shape)
     psi[mine] = np.minimum(known[theirs], psi[mine])
     return psi

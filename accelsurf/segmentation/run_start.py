@@ -28,6 +28,8 @@ from accelsurf.settings.run_config import RunConfig
 
 #: Voxels around an object's own grid that belong to its part of a result.
 AROUND = 2
+#: So many models are made at once: each marches on arrays of the whole grid, and has threads of its own for its parts.
+MODELS_AT_ONCE = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,12 +168,13 @@ def _with_clicks(context: ImageContext, clicks: Clicks | None, id: int) -> Image
 
 
 def _make_models(contexts: Sequence[ImageContext]) -> None:
-    """Make the models of several objects, as many at a time as there are threads; a partition's share too much."""
+    """Make the models of several objects, some at a time; those of a partition share too much for that."""
     inputs = contexts[0].model_inputs
-    if inputs.partition is not None or inputs.threads < 2:
+    at_once = min(inputs.threads, MODELS_AT_ONCE)
+    if inputs.partition is not None or at_once < 2:
         return
     contexts[0].images_to_learn()  # once: they would each begin with it
-    with ThreadPoolExecutor(inputs.threads) as pool:
+    with ThreadPoolExecutor(at_once) as pool:
         for _ in pool.map(ImageContext.seeded_model, contexts):
             pass
 

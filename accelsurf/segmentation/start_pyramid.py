@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box, Corner, corner_of
+from accelsurf.grid.distances import farthest
 from accelsurf.grid.pyramid import Level, prolong, restrict
 from accelsurf.initialization.object_starts import ObjectStart
 
@@ -25,7 +26,7 @@ class StartPyramid:
 
     def __init__(self, start: ObjectStart, grids: Sequence[Level]) -> None:
         self._starts = [(start.corner, start.psi)]
-        far = float(np.abs(start.psi[np.isfinite(start.psi)]).max())
+        far = farthest(start.psi)
         for fine, coarse in zip(grids, grids[1:], strict=False):
             corner, psi = self._starts[-1]
             at, shape = coarser_box(corner, psi.shape, coarse, fine)

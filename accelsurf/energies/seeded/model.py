@@ -17,10 +17,10 @@ from accelsurf.energies.seeded.contest import WALKS_REACH, box_around, contest
 from accelsurf.energies.seeded.curvature import mean_curvature
 from accelsurf.energies.seeded.edge import area_weight, at_edges
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER, answer_to_first, seeds_of
-from accelsurf.energies.seeded.others import heard
+from accelsurf.energies.seeded.others import going_on, heard
 from accelsurf.energies.seeded.proposal import Proposal
 from accelsurf.energies.seeded.shown import mixed_answer, on_whole_grid
-from accelsurf.energies.seeded.stages import Stage, contradicting, in_order, unchanged
+from accelsurf.energies.seeded.stages import Stage, contradicting, in_order
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.smoothing import gaussian_mm
@@ -54,7 +54,7 @@ class SeededModel:
     sized : bool
         Whether a size was stated.
     stages : tuple of Stage
-        From which it goes on when clicks are added or changed, the last with all of them; none of a partition.
+        From which it goes on when clicks are added or changed, the last with all that are `heard`; none of a partition.
     """
 
     field: Image
@@ -119,7 +119,7 @@ def seeded_model(
     """
     sized, where = size_mm3 is not None, (_allowed(images[0].shape, box, mask), window)
     with ThreadPoolExecutor(max(threads, 1)) as pool:
-        seen, stages, left = _known(previous, clicks, spacing)
+        seen, stages, left = going_on(() if previous is None else previous.stages, clicks, spacing)
         if previous is not None and stages:
             smooth, proposal = previous.images, previous.proposal
         else:
@@ -136,16 +136,6 @@ def seeded_model(
         arrays = on_whole_grid(edged, clicks.shape)
     area = area_weight(images, spacing, arrays[1], where[0])
     return SeededModel(*arrays, proposal, area, clicks, smooth, sized, stages)
-
-
-def _known(
-    previous: SeededModel | None, clicks: Clicks, spacing: Spacing
-) -> tuple[Clicks, tuple[Stage, ...], tuple[Click, ...]]:
-    """The clicks that are heard, the stages of a model that none of them changes, and the clicks that come after."""
-    if previous is None or not previous.stages:
-        return clicks, (), ()
-    seen = heard(clicks, previous.stages[-1].answer, spacing)
-    return seen, *unchanged(previous.stages, seen)
 
 
 def _stages_after(

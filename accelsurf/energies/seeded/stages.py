@@ -88,6 +88,6 @@ def mostly_left(before: Clicks, after: Clicks) -> bool:
 
 
 def contradicting(answer: Answer, clicks: Clicks, asked: Sequence[Click]) -> tuple[Click, ...]:
-    """Those of the clicks ``asked`` that contradict the first proposal; ``clicks`` are all, in a model's order."""
+    """Those of the clicks ``asked`` that contradict the first proposal; ``clicks`` are all heard, in order."""
     found = answer.first.contradict(clicks)
     return tuple(click for click in asked if any(click is one for one in found))

@@ -1,14 +1,15 @@
 """Clicks inside other objects: near ones say where an object ends, far ones nothing, click by click as at once."""
 
+import dataclasses
 from functools import partial
 
 import numpy as np
 import pytest
 
 from accelsurf.energies.seeded import seeded_model
-from accelsurf.energies.seeded.contest import PATHS_REACH, box_around
+from accelsurf.energies.seeded.contest import PATHS_REACH, WALKS_REACH, box_around
 from accelsurf.energies.seeded.others import heard
-from accelsurf.grid.boxes import whole_box
+from accelsurf.grid.boxes import box_at, whole_box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.segmentation.local_model import LocalModel, LocalState
 from tests.support import clicked_balls
@@ -50,18 +51,45 @@ def test_far_objects_say_nothing_and_near_ones_where_this_one_ends(image):
     assert not near.start[distance(PLACES[2]) < 3].any()
 
 
-def test_clicks_on_the_object_and_on_none_are_heard_from_afar(image):
+def test_clicks_given_for_the_object_are_heard_from_afar_and_who_is_clicked_on_the_way(image):
     answer = answer_of(seeded_model([image], SPACING, clicked(1)))
-    outside = ball("outside", (11, 15, 100), 2.0)
+    own, outside = ball("inside", PLACES[1], 3.0), ball("outside", (11, 15, 100), 2.0)
     on_none = ball("inside", (11, 15, 90), 2.0)._replace(id=0)
     of_another = on_none._replace(id=7)
-    given = Clicks((ball("inside", PLACES[1], 3.0), outside, on_none, of_another), SHAPE).of(1)
-    # What lies between the object and its own far click is looked at, and who is clicked there is heard.
+    given = Clicks((own, outside, on_none, of_another), SHAPE).of(1)
     assert heard(given, answer, SPACING).clicks == given.clicks
-    without = Clicks((given.clicks[0], given.clicks[3]), SHAPE)
-    assert heard(without, answer, SPACING).clicks == given.clicks[:1]
-    none = Clicks(given.clicks[1:], SHAPE)
-    assert heard(none, answer, SPACING) is none
+    for far in (on_none, of_another):
+        without = Clicks((own, far), SHAPE).of(1)
+        assert heard(without, answer, SPACING).clicks == without.clicks[:1]
+    assert heard(Clicks(given.clicks[1:], SHAPE), answer, SPACING).clicks == given.clicks[1:]
+
+
+def test_clicks_on_no_object_are_heard_as_far_as_the_walks_look(image):
+    answer = answer_of(seeded_model([image], SPACING, clicked(1)))
+    own = Clicks((ball("inside", PLACES[1], 3.0),), SHAPE)
+    near, far = (box_around(own, SPACING, reach, answer.count)[0][2].stop for reach in (PATHS_REACH, WALKS_REACH))
+    between = ball("inside", (11, 15, (near + far) // 2), 0.5)
+    for id, count in ((0, 2), (7, 1)):
+        given = Clicks((*own.clicks, between._replace(id=id)), SHAPE).of(1)
+        assert len(heard(given, answer, SPACING)) == count
+
+
+def test_a_click_that_calls_the_proposal_far_too_large_is_heard_wherever_it_lies():
+    """A dim ball in tissue nearly as dim, and a click in another object beside it, which makes the proposal smaller."""
+    z, y, x = np.indices(SHAPE)
+    dim = ((z - 11) * 1.5) ** 2 + (y - 15) ** 2 + ((x - 30) * 0.8) ** 2 < 4**2
+    image = (100.0 + 4.0 * dim + np.random.default_rng(0).normal(0, 2.0, SHAPE)).astype(np.float32)
+    own, beside = ball("inside", (11, 15, 30), 0.4), ball("inside", (11, 15, 36), 0.4)._replace(id=2)
+    alone, both = Clicks((own,), SHAPE), Clicks((own, beside), SHAPE).of(1)
+    first, whole = seeded_model([image], SPACING, alone), seeded_model([image], SPACING, both)
+    assert whole.proposal.volume_mm3 < 0.5 * first.proposal.volume_mm3
+    assert seeded_model([image], SPACING, both, previous=first).field.tobytes() == whole.field.tobytes()
+    # Without that click the size is that of before again.
+    assert seeded_model([image], SPACING, alone, previous=whole).field.tobytes() == first.field.tobytes()
+    # Were the smaller object far from it, it would have to be heard all the same.
+    tiny = dataclasses.replace(answer_of(whole), count=1, around=box_at((0, 0, 0), (1, 1, 1)))
+    far = dataclasses.replace(tiny, first=tiny.first._replace(early=-np.inf, proposed=None))
+    assert [len(heard(both, one, SPACING)) for one in (tiny, far)] == [2, 1]
 
 
 def test_another_object_at_the_end_of_a_leak_is_heard():
