@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from accelsurf.report.axes import LABEL_SIZE, TITLE_SIZE, round_step
 from accelsurf.report.canvas import INK, Box, Canvas
-from accelsurf.report.rasterizer import Picture, render
 from accelsurf.settings.wording import in_unit
 
 if TYPE_CHECKING:
     from accelsurf.report.preview_content import PreviewContent
+    from accelsurf.report.rasterizer import Picture
 
 #: Below the surface, for the scale bar and the arrows, pixels.
 _BELOW = 70
@@ -30,6 +30,9 @@ def draw_surface(
     if content.surface is None or not len(content.surface.faces):
         canvas.text(((left + right) / 2, (top + bottom) / 2), "no surface", LABEL_SIZE, anchor="mm")
         return
+    # Not with the module: a picture of slices alone needs no compiled code.
+    from accelsurf.report.rasterizer import render
+
     size = int(min(right - left, bottom - top - _BELOW))
     paint: NDArray[np.float64] = _light(color or content.color())
     counts = [one.vertices for one in content.objects]
