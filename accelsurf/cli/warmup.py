@@ -26,7 +26,7 @@ def warmup(
 
     from accelsurf.kernels import storage
     from accelsurf.kernels.ahead import compiling_by_two
-    from accelsurf.tracking import warmup as runs
+    from accelsurf.report import warmup as runs
 
     began = time.perf_counter()
     if storage.STORAGE is None:

@@ -18,7 +18,7 @@ SIDE, RADIUS = 24, 6.0
 
 
 def small_runs() -> dict[str, Callable[[], Any]]:
-    """Runs by name, that together call every kernel."""
+    """Runs by name, that together call every kernel of surfaces."""
     return {
         **warmup.small_runs(),
         "tracking": lambda: _tracked("flowable-mass"),
