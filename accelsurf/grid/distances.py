@@ -55,7 +55,7 @@ def ball_distance(
 
 
 def farthest(psi: NDArray[np.float32]) -> float:
-    """Largest finite |psi|; plane by plane, as the whole volume would be copied twice.
+    """Largest finite |psi|, mm, of psi (nz, ny, nx); 0 where none is. Plane by plane: all at once takes two copies.
 
     Examples
     --------

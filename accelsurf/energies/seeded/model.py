@@ -128,9 +128,9 @@ def seeded_model(
             seen = heard(clicks, answer, spacing)
             first, left = Clicks(in_order(seen).clicks[:1], seen.shape), in_order(seen).clicks[1:]
             stages = (_stage_of(None, first, answer, sized, images, spacing, where, pool),)
-        asked = contradicting(stages[-1].answer, in_order(seen), left)
+        contradicts = contradicting(stages[-1].answer, in_order(seen), left)
         answers = zip(left, _answers(stages[-1].answer, left, smooth, spacing, pool), strict=True)
-        stages = _stages_after(stages, answers, asked, sized, images, spacing, where, pool)
+        stages = _stages_after(stages, answers, contradicts, sized, images, spacing, where, pool)
         stated = proposal.volume_mm3 if sized else None
         edged = at_edges(stages[-1].shown, images, smooth, spacing, seen, where[0], pool, stated_mm3=stated)
         arrays = on_whole_grid(edged, clicks.shape)

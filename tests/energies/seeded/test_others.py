@@ -12,6 +12,7 @@ from accelsurf.energies.seeded.others import heard
 from accelsurf.grid.boxes import box_at, whole_box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.segmentation.local_model import LocalModel, LocalState
+from tests.energies.seeded.test_seeded_model import dice
 from tests.support import clicked_balls
 
 SPACING = (1.5, 1.0, 0.8)
@@ -36,10 +37,6 @@ def clicked(*ids):
 
 def answer_of(model):
     return model.stages[-1].answer
-
-
-def dice(one, other):
-    return 2.0 * np.logical_and(one, other).sum() / (one.sum() + other.sum())
 
 
 def test_far_objects_say_nothing_and_near_ones_where_this_one_ends(image):
