@@ -272,13 +272,3 @@ def inside_sums(first_plane, last_plane, dense, image, grid, sums):
         sums[plane, 0] = count
         sums[plane, 1] = total
         sums[plane, 2] = squares
-
-
-@kernel(stage=Stage.BAND)
-def inside_count(first_block, last_block, psi, sums):
-    """Per block of voxels of the whole volume: how many are inside."""
-    for block in range(first_block, last_block):
-        count = 0
-        for cell in range(block * BLOCK, min((block + 1) * BLOCK, psi.shape[0])):
-            count += psi[cell] < 0.0
-        sums[block, 0] = count

@@ -1,4 +1,4 @@
-"""Statistics of many values without copies: order statistics by their bits, sums of products by blocks."""
+"""Statistics of many values without copies: order statistics by their bits, sums by blocks of slots and by cubes."""
 
 from __future__ import annotations
 
@@ -59,3 +59,22 @@ def products(first_block, last_block, weight, one, other, sums):
             if weight[s] != 0.0:
                 total += weight[s] * np.float64(one[s]) * np.float64(other[s])
         sums[block, 0] = total
+
+
+@kernel
+def sums_by_cube(cells, values, scale, row_cubes, column_cubes, reached, sums):
+    """Add ``values`` x ``scale`` (float32) of ``cells`` (n,), in raster order, to ``sums`` (m,) float64 by their cubes.
+
+    ``row_cubes`` (nz ny,) has the number of the cube in which a row along x begins, ``column_cubes`` (nx,) what is to
+    be added to it along the row, both int64. ``reached`` (m,) bool is set at the cubes that have a cell. Serial: the
+    sums depend on the order.
+    """
+    nx = column_cubes.shape[0]
+    row, first = 0, 0
+    for s in range(cells.shape[0]):
+        if cells[s] >= first + nx:
+            row = cells[s] // nx
+            first = row * nx
+        cube = row_cubes[row] + column_cubes[cells[s] - first]
+        reached[cube] = True
+        sums[cube] += np.float64(values[s] * scale)

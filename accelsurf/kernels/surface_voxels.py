@@ -10,57 +10,70 @@ from accelsurf.kernels.stages import Stage
 
 
 @kernel(stage=Stage.BAND)
-def front_cells(dense, grid, out):
-    """Raveled cells of the whole volume with a 6-neighbour on the other side of the surface, in raster order.
+def count_inside(start, stop, psi, grid, inside):
+    """Voxels inside, of each of the range's rows along x of the volume: ``inside`` (nz ny,) int32."""
+    for row in range(start, stop):
+        first = row * grid.nx
+        count = 0
+        for cell in range(first, first + grid.nx):
+            count += psi[cell] < 0.0
+        inside[row] = count
 
-    With ``out`` too short, only the count is right: call again with room. Returns the count.
-    """
-    psi = dense.psi
-    count = 0
+
+@kernel(stage=Stage.BAND)
+def count_front(start, stop, psi, grid, inside, counts):
+    """Front cells of each of the range's rows: ``counts`` (nz ny,) int64. ``inside`` is that of `count_inside`."""
     near = np.empty(6, np.int64)
-    sides = sides_of_rows(psi, grid)
-    for iz in range(grid.nz):
-        for iy in range(grid.ny):
-            if is_even(sides, iz, iy):
-                continue
-            for ix in range(grid.nx):
-                cell = (iz * grid.ny + iy) * grid.nx + ix
-                neighbours(cell, iz, iy, ix, grid, near)
-                inside = psi[cell] < 0.0
-                for side in range(6):
-                    if near[side] >= 0 and (psi[near[side]] < 0.0) != inside:
-                        if count < out.shape[0]:
-                            out[count] = cell
-                        count += 1
-                        break
-    return count
+    for row in range(start, stop):
+        counts[row] = 0
+        if is_even(inside, row, grid):
+            continue
+        for ix in range(grid.nx):
+            counts[row] += is_front(psi, grid, row, ix, near)
+
+
+@kernel(stage=Stage.BAND)
+def front_cells(start, stop, psi, grid, inside, ends, cells):
+    """Raveled front cells of the range's rows into ``cells``, those of row r before ``ends[r]``, in raster order.
+
+    A front cell has a 6-neighbour on the other side of the surface. ``ends`` (nz ny,) is the running sum of
+    `count_front`.
+    """
+    near = np.empty(6, np.int64)
+    for row in range(start, stop):
+        if is_even(inside, row, grid):
+            continue
+        at = ends[row - 1] if row > 0 else 0
+        for ix in range(grid.nx):
+            if is_front(psi, grid, row, ix, near):
+                cells[at] = row * grid.nx + ix
+                at += 1
 
 
 @kernel
-def sides_of_rows(psi, grid):
-    """Of each row along x (nz, ny) int8: 0 where all of it is outside, 1 where all is inside, 2 where it is mixed."""
-    sides = np.empty((grid.nz, grid.ny), np.int8)
-    for iz in range(grid.nz):
-        for iy in range(grid.ny):
-            first = (iz * grid.ny + iy) * grid.nx
-            inside = 0
-            for cell in range(first, first + grid.nx):
-                inside += psi[cell] < 0.0
-            sides[iz, iy] = 0 if inside == 0 else 1 if inside == grid.nx else 2
-    return sides
+def is_front(psi, grid, row, ix, near):
+    """Whether a voxel of a row has a 6-neighbour on the other side; ``near`` (6,) int64 is memory for them."""
+    cell = row * grid.nx + ix
+    neighbours(cell, row // grid.ny, row % grid.ny, ix, grid, near)
+    inside = psi[cell] < 0.0
+    for side in range(6):
+        if near[side] >= 0 and (psi[near[side]] < 0.0) != inside:
+            return True
+    return False
 
 
 @kernel
-def is_even(sides, iz, iy):
+def is_even(inside, row, grid):
     """Whether a row and those beside it are all on one side."""
-    own = sides[iz, iy]
-    even = own < 2
+    own = inside[row]
+    even = own == 0 or own == grid.nx
+    iz, iy = row // grid.ny, row % grid.ny
     if iz > 0:
-        even = even and sides[iz - 1, iy] == own
-    if iz < sides.shape[0] - 1:
-        even = even and sides[iz + 1, iy] == own
+        even = even and inside[row - grid.ny] == own
+    if iz < grid.nz - 1:
+        even = even and inside[row + grid.ny] == own
     if iy > 0:
-        even = even and sides[iz, iy - 1] == own
-    if iy < sides.shape[1] - 1:
-        even = even and sides[iz, iy + 1] == own
+        even = even and inside[row - 1] == own
+    if iy < grid.ny - 1:
+        even = even and inside[row + 1] == own
     return even

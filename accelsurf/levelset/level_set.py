@@ -106,18 +106,22 @@ class LevelSet:
         self.gamma = np.float32(self.half_width * max(self.spacings, default=1.0))
 
     def _build_band(self) -> None:
-        count = self.workers.serial(surface_voxels.front_cells, self.dense, self.grid, np.empty(0, np.int64))
-        cells = np.empty(count, np.int64)
-        self.workers.serial(surface_voxels.front_cells, self.dense, self.grid, cells)
-        self.dense.slot[cells] = np.arange(count, dtype=np.int32)
-        self.band = Band(cells, self.dense.psi[cells], np.zeros((count, 3), np.float32))
-        voxels = self.dense.psi.size
-        inside = int(self.workers.block_sums(region.inside_count, voxels, 1, self.dense.psi)[0])
+        workers, psi, voxels = self.workers, self.dense.psi, self.dense.psi.size
+        rows = self.shape[0] * self.shape[1]
+        row_inside, counts = np.empty(rows, np.int32), np.empty(rows, np.int64)
+        workers.parallel(surface_voxels.count_inside, rows, psi, self.grid, row_inside)
+        workers.parallel(surface_voxels.count_front, rows, psi, self.grid, row_inside, counts)
+        ends = np.cumsum(counts)
+        cells = np.empty(int(counts.sum()), np.int64)
+        workers.parallel(surface_voxels.front_cells, rows, psi, self.grid, row_inside, ends, cells)
+        self.dense.slot[cells] = np.arange(cells.size, dtype=np.int32)
+        self.band = Band(cells, psi[cells], np.zeros((cells.size, 3), np.float32))
+        inside = int(row_inside.sum(dtype=np.int64))
         self.inside_beyond_band = inside - int(np.count_nonzero(self.band.psi < 0))
         self._residues: np.ndarray | None = None
         self._was_distance = False
         self.redistance()
-        self.workers.parallel(band_kernels.flatten_beyond, voxels, self.dense, self.gamma)
+        workers.parallel(band_kernels.flatten_beyond, voxels, self.dense, self.gamma)
 
     # -- properties ----------------------------------------------------------------------------------------
 

@@ -17,6 +17,7 @@ from accelsurf.evolution.records import Step
 from accelsurf.grid.boxes import Corner, widened
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
+from accelsurf.kernels.statistics import sums_by_cube
 
 if TYPE_CHECKING:
     from accelsurf.segmentation.result import SegmentedObject
@@ -86,7 +87,6 @@ class LateGrowth:
             return
         # The speed is along the inward normal: below 0 the surface grows. What swings back and forth cancels.
         area = float(np.prod(level.factors)) ** (2 / 3)
-        motion = -fields.speed * np.float32(step.record.dt * area)
         # The cube of each index along an axis, by a table.
         along = [
             np.clip(((np.arange(size) + a) * factor + b + c + d).astype(np.int64) // BLOCK, 0, n - 1)
@@ -95,13 +95,17 @@ class LateGrowth:
             )
         ]
         _, ny, nx = self._cubes
-        z, y, x = np.unravel_index(fields.cells, step.surface.shape)
-        cube = (along[0] * (ny * nx))[z] + (along[1] * nx)[y] + along[2][x]
-        lowest = int(cube.min())
-        cube -= lowest
-        names = np.flatnonzero(np.bincount(cube))
-        sums = np.bincount(cube, motion)[names].astype(np.float32)
-        self._growth[step.object_id].append(_Growth(step.record.volume_mm3, names + lowest, sums))
+        planes, rows = along[0] * (ny * nx), along[1] * nx
+        # Cells are in raster order, so that the first and the last tell which planes of cubes they lie in.
+        row_size = step.surface.shape[1] * step.surface.shape[2]
+        lowest, last = planes[fields.cells[[0, -1]] // row_size]
+        reached = np.zeros(last + ny * nx - lowest, np.bool_)
+        sums = np.zeros(reached.size)
+        row_cubes = np.add.outer(planes - lowest, rows).ravel()
+        sums_by_cube(fields.cells, fields.speed, np.float32(-step.record.dt * area), row_cubes, along[2], reached, sums)
+        names = np.flatnonzero(reached)
+        grown = _Growth(step.record.volume_mm3, names + lowest, sums[names].astype(np.float32))
+        self._growth[step.object_id].append(grown)
 
     def state(self) -> GrowthState:
         """What was read so far."""
@@ -129,18 +133,20 @@ class LateGrowth:
 
         None when no object grew.
         """
-        total: defaultdict[int, float] = defaultdict(float)
+        late = []
         for growth in self._growth.values():
             volumes = np.array([one.volume for one in growth])
             gained = float(volumes[-1] - volumes[0])
             if gained > 0:
                 below = np.flatnonzero(volumes <= volumes[-1] - LAST_SHARE * gained)
-                for one in growth[int(below[-1]) :]:
-                    for cube, value in zip(one.cubes.tolist(), one.sums.tolist(), strict=True):
-                        total[cube] += value
-        if not total or max(total.values()) <= 0.0:
+                late += growth[int(below[-1]) :]
+        if not late:
             return None
-        largest = max(sorted(total), key=lambda cube: total[cube])
+        cubes, which = np.unique(np.concatenate([one.cubes for one in late]), return_inverse=True)
+        totals = np.bincount(which, np.concatenate([one.sums for one in late]))
+        if not totals.size or totals.max() <= 0.0:
+            return None
+        largest = cubes[int(np.argmax(totals))]
         z, y, x = (
             min(int(at) * BLOCK - b + 0.5 * (BLOCK - 1), n - 1.0 - c)
             for at, b, n, c in zip(

@@ -918,16 +918,25 @@ def test_rounds_leave_the_feet_that_hold():
     np.testing.assert_array_equal(states[held], reviewed[held])
 
 
-def test_front_cells_and_their_count():
+def test_front_cells_of_some_rows():
+    """Of the rows asked for only, in raster order, with the voxels inside of each row."""
     for shape in [(7, 9, 8), *THIN]:
         psi = reference.smooth_noise(shape, 6, 0.8)
         dense, _ = reference.whole_band(psi)
-        grid = reference.grid_of(shape, UNEQUAL)
-        want = np.flatnonzero(reference.front_cells(psi))
-        assert surface_voxels.front_cells(dense, grid, np.empty(0, np.int64)) == want.size
-        out = np.full(want.size + 3, -7)
-        assert surface_voxels.front_cells(dense, grid, out) == want.size
-        np.testing.assert_array_equal(out, [*want, -7, -7, -7])
+        grid, rows = reference.grid_of(shape, UNEQUAL), shape[0] * shape[1]
+        front = reference.front_cells(psi).reshape(rows, -1)
+        inside, counts = np.full(rows, -7, np.int32), np.full(rows, -7)
+        surface_voxels.count_inside(0, rows, dense.psi, grid, inside)
+        np.testing.assert_array_equal(inside, (psi < 0).reshape(rows, -1).sum(axis=1))
+        surface_voxels.count_front(0, rows, dense.psi, grid, inside, counts)
+        np.testing.assert_array_equal(counts, front.sum(axis=1))
+        ends, cells = np.cumsum(counts), np.full(front.sum(), -7)
+        half = rows // 2
+        surface_voxels.front_cells(half, rows, dense.psi, grid, inside, ends, cells)
+        before = ends[half - 1] if half else 0
+        assert (cells[:before] == -7).all()
+        surface_voxels.front_cells(0, half, dense.psi, grid, inside, ends, cells)
+        np.testing.assert_array_equal(cells, np.flatnonzero(front))
 
 
 def test_arrays_grow_and_keep_what_they_held():

@@ -340,17 +340,3 @@ def test_inside_sums_leave_the_band_and_the_outside_out():
         counted = image[plane][(psi[plane] < 0) & (slot[plane] < 0)].astype(np.float64)
         np.testing.assert_allclose(sums[plane], [counted.size, counted.sum(), (counted**2).sum()], rtol=1e-12)
     assert (sums[[0, 3]] == -7.0).all(), "planes that were not asked for"
-
-
-@pytest.mark.parametrize("size", [1, BLOCK - 1, BLOCK, 2 * BLOCK + 5])
-def test_voxels_inside_are_counted_by_block(size):
-    """Of the blocks asked for only; 0 is outside."""
-    psi = np.random.default_rng(size).choice(np.array([-1, 0, 1, -1e-30], np.float32), size)
-    blocks = -(-size // BLOCK)
-    sums = np.full((blocks, 1), -7.0)
-    region.inside_count(0, blocks, psi, sums)
-    np.testing.assert_array_equal(sums[:, 0], [(psi[b * BLOCK : (b + 1) * BLOCK] < 0).sum() for b in range(blocks)])
-    part = np.full((blocks, 1), -7.0)
-    region.inside_count(blocks - 1, blocks, psi, part)
-    np.testing.assert_array_equal(part[:-1], -7)
-    assert part[-1] == sums[-1]

@@ -74,3 +74,20 @@ def test_products_by_blocks():
         part = terms[block * BLOCK : (block + 1) * BLOCK]
         assert sums[block, 0] == pytest.approx(part.sum(), abs=1e-12 * np.abs(part).sum())
     assert (sums[3:] == -1).all()
+
+
+@pytest.mark.parametrize("shape", [(7, 9, 8), (1, 5, 13), (6, 1, 1)])
+def test_sums_by_cube(shape):
+    """Of cells in raster order, some rows without any; the order of the sums is that of the cells."""
+    rng = np.random.default_rng(5)
+    cells = np.flatnonzero(rng.random(shape) < 0.3)
+    values, scale = rng.standard_normal(cells.size).astype(np.float32), np.float32(-1.7)
+    cube_of = [np.arange(n) // 3 for n in shape]
+    count = [int(c[-1]) + 1 for c in cube_of]
+    planes, rows = cube_of[0] * (count[1] * count[2]), cube_of[1] * count[2]
+    reached, sums = np.zeros(int(np.prod(count)), bool), np.zeros(int(np.prod(count)))
+    statistics.sums_by_cube(cells, values, scale, np.add.outer(planes, rows).ravel(), cube_of[2], reached, sums)
+    z, y, x = np.unravel_index(cells, shape)
+    cubes = planes[z] + rows[y] + cube_of[2][x]
+    np.testing.assert_array_equal(reached, np.bincount(cubes, minlength=sums.size) > 0)
+    np.testing.assert_array_equal(sums, np.bincount(cubes, values * scale, minlength=sums.size))
