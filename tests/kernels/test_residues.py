@@ -7,7 +7,14 @@ from accelsurf.kernels import residues
 from accelsurf.kernels.grid import BATCH
 from accelsurf.kernels.guesses import guess_feet, guess_memory
 from accelsurf.kernels.interpolate import value_and_gradient
-from accelsurf.kernels.limited import MAX_CHANGE, limited_memory, limited_value_and_gradient
+from accelsurf.kernels.limited import (
+    LEVELS,
+    MAX_CHANGE,
+    enter_point,
+    limited_in_vectors,
+    limited_memory,
+    limited_value_and_gradient,
+)
 from tests.support import reference
 
 SPACING = (1.5, 1.0, 0.8)
@@ -20,7 +27,8 @@ def test_smooth_psi_is_interpolated_as_without_limits(shape):
     grid, rng, w = reference.grid_of(shape, SPACING), np.random.default_rng(1), np.empty(24)
     for place in rng.uniform(-0.5, 0.5 + np.array(shape) - 1, (60, 3)):
         want = value_and_gradient(psi, grid, *place, w)
-        np.testing.assert_allclose(limited_value_and_gradient(psi, grid, *place, w, limited_memory()), want, atol=1e-5)
+        found = limited_value_and_gradient(psi, grid, *place, w, limited_memory()[1])
+        np.testing.assert_allclose(found, want, atol=1e-5)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -32,7 +40,7 @@ def test_the_distance_of_a_plate_is_met_beside_its_ridge(axis, sign):
     psi = np.float32(sign * (np.abs(at - 3.0) - 0.75)).ravel()
     grid, place = reference.grid_of(shape, (1, 1, 1)), np.array([3.4, 3.3, 3.6])
     place[axis] = 3.75
-    value, *slope = limited_value_and_gradient(psi, grid, *place, w, limited_memory())
+    value, *slope = limited_value_and_gradient(psi, grid, *place, w, limited_memory()[1])
     assert abs(value) <= MAX_CHANGE * 0.75 * 0.25 * 1.75 / 6 + 1e-6
     assert abs(value_and_gradient(psi, grid, *place, w)[0]) > 0.07
     assert slope[axis] == pytest.approx(sign, abs=0.1)
@@ -45,11 +53,30 @@ def test_slopes_are_those_of_the_value():
     grid, step = reference.grid_of(shape, SPACING), 1e-4
     for _ in range(40):
         place = rng.integers(0, np.array(shape) - 1) + rng.uniform(0.1, 0.9, 3)
-        slope = limited_value_and_gradient(psi, grid, *place, w, limited_memory())[1:]
+        slope = limited_value_and_gradient(psi, grid, *place, w, limited_memory()[1])[1:]
         for axis in range(3):
             ends = [place + sign * step * (np.arange(3) == axis) for sign in (-1, 1)]
-            low, high = (limited_value_and_gradient(psi, grid, *end, w, limited_memory())[0] for end in ends)
+            low, high = (limited_value_and_gradient(psi, grid, *end, w, limited_memory()[1])[0] for end in ends)
             assert (high - low) / (2 * step * SPACING[axis]) == pytest.approx(slope[axis], abs=2e-3)
+
+
+@pytest.mark.parametrize("roughness", [0.02, 1.0])
+def test_many_points_at_once_have_the_values_of_each(roughness):
+    """Where few lines are limited and where most are, also beyond the borders; columns after the last stay."""
+    shape, w, rng = (4, 7, 9), np.empty(24), np.random.default_rng(3)
+    psi = (roughness * reference.smooth_noise(shape, 3) + roughness**3 * rng.normal(0, 1, shape)).astype(np.float32)
+    psi, grid = psi.ravel(), reference.grid_of(shape, SPACING)
+    places = rng.uniform(-0.5, 0.5 + np.array(shape) - 1, (BATCH - 5, 3))
+    places[:8] = np.rint(places[:8])
+    rows, one = limited_memory()
+    rows[:], first = -7.0, np.zeros(BATCH, np.int64)
+    for n, place in enumerate(places):
+        first[n] = enter_point(np.uint64(n), grid, *place, rows)
+    limited_in_vectors(len(places), psi, grid, first, rows)
+    found = rows[int(LEVELS) :].reshape(4, BATCH)
+    want = [limited_value_and_gradient(psi, grid, *place, w, one) for place in places]
+    np.testing.assert_allclose(found[:, : len(places)].T, want, rtol=1e-12, atol=1e-12)
+    assert (found[:, len(places) :] == -7.0).all()
 
 
 @pytest.mark.parametrize("shape", SHAPES)
