@@ -73,9 +73,9 @@ def merged_order(cells, n_old, keep, entered):
 def gather_band(start, stop, dense_psi, grid, order, old, new):
     """Fill the range of the ``new`` band from ``old`` (cells, foot) slots in ``order``; psi = sign x |foot|."""
     shortest = MIN_DISTANCE * min(grid.hz, min(grid.hy, grid.hx))
-    for s in range(start, stop):
-        source = order[s]
-        cell = old.cells[source]
+    for s in range(np.uint64(start), np.uint64(stop)):
+        source = np.uint64(order[s])
+        cell = np.uint64(old.cells[source])
         new.cells[s] = cell
         for axis in range(3):
             new.to_closest[s, axis] = old.to_closest[source, axis]
@@ -97,7 +97,7 @@ def sample_at_feet(start, stop, slot, grid, band, front, values, out):
     position = np.empty(3)
     hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
     cells, foot = band.cells, band.to_closest
-    for s in range(start, stop):
+    for s in range(np.uint64(start), np.uint64(stop)):
         if not front[s]:
             continue
         cell = cells[s]
@@ -115,7 +115,7 @@ def sample_at_feet(start, stop, slot, grid, band, front, values, out):
                         rows[k] += n_old
                 continue
         position[0], position[1], position[2] = pz, py, px
-        own = slot[cell]
+        own = slot[np.uint64(cell)]
         for field in range(m):
             if inside:
                 value, found = linear_band_value(flat, slot, n_old, grid, position, field * n_old)
@@ -135,8 +135,8 @@ def outward_table(start, stop, slot, grid, band, front, off, table):
     is). A cell that does not count is the cell itself, with weight 0.
     """
     slots, shares = table
-    for row in range(start, stop):
-        s = off[row]
+    for row in range(np.uint64(start), np.uint64(stop)):
+        s = np.uint64(off[row])
         iz, iy, ix = unravel(band.cells[s], grid)
         pz = min(max(iz + band.to_closest[s, 0] / grid.hz, 0.0), grid.nz - 1.0)
         py = min(max(iy + band.to_closest[s, 1] / grid.hy, 0.0), grid.ny - 1.0)
@@ -149,8 +149,8 @@ def outward_table(start, stop, slot, grid, band, front, off, table):
             share = (tz if i == 1 else 1.0 - tz) * (ty if j == 1 else 1.0 - ty) * (tx if k == 1 else 1.0 - tx)
             at = -1
             if share > 1e-6:
-                at = slot[((iz + i) * grid.ny + iy + j) * grid.nx + ix + k]
-            if at >= 0 and front[at]:
+                at = slot[np.uint64(((iz + i) * grid.ny + iy + j) * grid.nx + ix + k)]
+            if at >= 0 and front[np.uint64(at)]:
                 slots[row, corner] = at
                 shares[row, corner] = share
                 total += share
@@ -165,7 +165,7 @@ def outward_table(start, stop, slot, grid, band, front, off, table):
 @kernel(stage=Stage.EXTENSION)
 def extend_outwards(start, stop, off, slots, shares, values):
     """Overwrite ``values`` at the cells ``off`` the front by the front's, as `outward_table` weighs them."""
-    for row in range(start, stop):
+    for row in range(np.uint64(start), np.uint64(stop)):
         value = np.float32(0.0)
         for corner in range(8):
             share = shares[row, corner]
@@ -188,8 +188,8 @@ def quadratic_table(start, stop, slot, grid, band, row_of, off, across, table):
     interpolation there; all 0 where none is.
     """
     rows, shares, mirrored = table
-    for row in range(start, stop):
-        s = off[row]
+    for row in range(np.uint64(start), np.uint64(stop)):
+        s = np.uint64(off[row])
         iz, iy, ix = unravel(band.cells[s], grid)
         cz, uz, tz, az = nearest_node(iz + band.to_closest[s, 0] / grid.hz, grid.nz, grid.ny * grid.nx)
         cy, uy, ty, ay = nearest_node(iy + band.to_closest[s, 1] / grid.hy, grid.ny, grid.nx)
@@ -262,8 +262,8 @@ def nearest_node(p, n, stride):
 @kernel
 def put(slot, row_of, cell, share, rows, shares, row, k):
     """Write the row of ``cell`` and its share into a row of a table; 0 and False where it is not on the front."""
-    s = slot[cell]
-    r = row_of[s] if s >= 0 else -1
+    s = slot[np.uint64(cell)]
+    r = row_of[np.uint64(s)] if s >= 0 else -1
     known = r >= 0
     rows[row, k] = r if known else 0
     shares[row, k] = share
@@ -273,7 +273,7 @@ def put(slot, row_of, cell, share, rows, shares, row, k):
 @kernel(stage=Stage.EXTENSION)
 def extend_quadratically(start, stop, off, slots, shares, values):
     """Overwrite ``values`` at the cells ``off`` the front by the front's, as `quadratic_table` weighs them."""
-    for row in range(start, stop):
+    for row in range(np.uint64(start), np.uint64(stop)):
         value = np.float32(0.0)
         for k in range(10):
             value += shares[row, k] * values[slots[row, k]]
@@ -293,7 +293,7 @@ def drop_cells(start, stop, dense, cells, keep, gamma):
 @kernel(stage=Stage.BAND)
 def flatten_beyond(start, stop, dense, gamma):
     """Set psi to +-gamma (mm) at the voxels of the range, here of the whole volume, that are not in the band."""
-    for cell in range(start, stop):
+    for cell in range(np.uint64(start), np.uint64(stop)):
         if dense.slot[cell] < 0:
             dense.psi[cell] = -gamma if dense.psi[cell] < 0.0 else gamma
 

@@ -240,8 +240,8 @@ def crossing_point(psi, grid, cell, iz, iy, ix, near, foot):
         sign = 0.0
         for side in range(2):
             other = near[2 * axis + side]
-            if other >= 0 and (psi[other] < 0.0) != inside:
-                d = h * abs(value) / (abs(value) + abs(psi[other]) + 1e-30)
+            if other >= 0 and (psi[np.uint64(other)] < 0.0) != inside:
+                d = h * abs(value) / (abs(value) + abs(psi[np.uint64(other)]) + 1e-30)
                 if d < best:
                     best = d
                     sign = 1.0 if side == 1 else -1.0

@@ -14,7 +14,7 @@ def find_peaks(start, stop, dense, grid, band, depth, peak):
     """Mark in ``peak`` (n,) the slots of the range with |psi| up to ``depth`` (mm) that no neighbour exceeds."""
     psi, cells = dense.psi, band.cells
     plane, row = grid.ny * grid.nx, grid.nx
-    for s in range(start, stop):
+    for s in range(np.uint64(start), np.uint64(stop)):
         cell = cells[s]
         value = psi[cell]
         peak[s] = abs(value) <= depth

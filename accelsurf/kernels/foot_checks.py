@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from accelsurf.kernels._jit import kernel
 
 #: Slices are thick from this ratio of the spacings on.
@@ -36,12 +38,12 @@ def is_between_signs(psi, grid, iz, iy, ix, foot):
     sign there: the next voxels count too, along axes as fine as the finest.
     """
     bz, by, bx = int(iz + foot[0] / grid.hz), int(iy + foot[1] / grid.hy), int(ix + foot[2] / grid.hx)
-    inside = psi[(iz * grid.ny + iy) * grid.nx + ix] < 0.0
+    inside = psi[np.uint64((iz * grid.ny + iy) * grid.nx + ix)] < 0.0
     # The voxel beyond the surface, if there is one: nearly always this ends it.
     az = min(bz + 1, grid.nz - 1) if foot[0] > 0.0 else bz
     ay = min(by + 1, grid.ny - 1) if foot[1] > 0.0 else by
     ax = min(bx + 1, grid.nx - 1) if foot[2] > 0.0 else bx
-    if (psi[(az * grid.ny + ay) * grid.nx + ax] < 0.0) != inside:
+    if (psi[np.uint64((az * grid.ny + ay) * grid.nx + ax)] < 0.0) != inside:
         return True
     fine = 2.0 * min(grid.hz, min(grid.hy, grid.hx))
     mz, my, mx = 1 if grid.hz < fine else 0, 1 if grid.hy < fine else 0, 1 if grid.hx < fine else 0

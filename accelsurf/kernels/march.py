@@ -121,7 +121,7 @@ def classify_feet(start, stop, dense, grid, cells, foot, state, reviewed):
     """
     near = np.empty(6, np.int64)
     h = min(grid.hz, min(grid.hy, grid.hx))
-    for s in range(start, stop):
+    for s in range(np.uint64(start), np.uint64(stop)):
         reviewed[s] = state[s]
         if state[s] == OPEN:
             continue
@@ -133,8 +133,9 @@ def classify_feet(start, stop, dense, grid, cells, foot, state, reviewed):
         for side in range(6):
             if near[side] < 0:
                 continue
-            other = dense.slot[near[side]]
-            if other < 0:
+            slot = dense.slot[np.uint64(near[side])]
+            other = np.uint64(slot)
+            if slot < 0:
                 reviewed[s] = EDGE
             elif state[other] != OPEN:
                 oz, oy, ox = step_of(side, grid)
@@ -208,7 +209,7 @@ def activate_some(slot, grid, known, n, sources, half_width, first):
     for row in range(first, sources.shape[0]):
         if n + 6 > cells.shape[0]:
             return row, n
-        source = sources[row]
+        source = np.uint64(sources[row])
         if voxels_along(foot[source, 0], foot[source, 1], foot[source, 2], grid) > half_width:
             continue
         cell = cells[source]
@@ -217,16 +218,18 @@ def activate_some(slot, grid, known, n, sources, half_width, first):
         for side in range(6):
             if near[side] < 0:
                 continue
-            other = slot[near[side]]
+            at = np.uint64(near[side])
+            other = slot[at]
             if other >= 0:
-                active[other] = True
+                active[np.uint64(other)] = True
                 continue
             oz, oy, ox = step_of(side, grid)
             cz, cy, cx = foot[source, 0] - oz, foot[source, 1] - oy, foot[source, 2] - ox
             if tangent_foot(foot, source, grid, cz, cy, cx, guess) > half_width + SLACK:
                 continue
-            cells[n], state[n], active[n] = near[side], OPEN, True
-            slot[near[side]] = n
+            new = np.uint64(n)
+            cells[new], state[new], active[new] = near[side], OPEN, True
+            slot[at] = n
             n += 1
     return sources.shape[0], n
 
@@ -282,14 +285,15 @@ def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
     iz, iy, ix = unravel(cell, grid)
     neighbours(cell, iz, iy, ix, grid, near)
     for side in range(6):
-        other = dense.slot[near[side]] if near[side] >= 0 else -1
-        if other < 0 or state[other] == OPEN:
+        slot = dense.slot[np.uint64(near[side])] if near[side] >= 0 else -1
+        other = np.uint64(slot)
+        if slot < 0 or state[other] == OPEN:
             continue
         oz, oy, ox = step_of(side, grid)
         cz, cy, cx = foot[other, 0] + oz, foot[other, 1] + oy, foot[other, 2] + ox
         d = cz * cz + cy * cy + cx * cx
         if d < least:
-            least, found = d, other
+            least, found = d, slot
             out[0], out[1], out[2] = cz, cy, cx
     return found
 
@@ -305,10 +309,10 @@ def propagate_feet(start, stop, dense, grid, known, on, out):
     better, changed, offset = out
     near = np.empty(6, np.int64)
     guess = np.empty(3)
-    for row in range(start, stop):
-        donor = nearer_neighbour_foot(on[row], dense, grid, cells, foot, state, near, guess)
+    for row in range(np.uint64(start), np.uint64(stop)):
+        donor = nearer_neighbour_foot(np.uint64(on[row]), dense, grid, cells, foot, state, near, guess)
         changed[row] = donor >= 0
-        offset[row] = residue[donor] if donor >= 0 else 0.0
+        offset[row] = residue[np.uint64(donor)] if donor >= 0 else 0.0
         better[row, 0], better[row, 1], better[row, 2] = guess[0], guess[1], guess[2]
 
 

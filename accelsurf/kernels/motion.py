@@ -16,7 +16,7 @@ from accelsurf.kernels.stages import Stage
 def sample_image(start, stop, image, grid, band, front, out):
     """Cubic interpolation of a raveled dense image at the foot of every front cell (0 elsewhere)."""
     w = np.empty(24)
-    for s in range(start, stop):
+    for s in range(np.uint64(start), np.uint64(stop)):
         out[s] = 0.0
         if front[s]:
             iz, iy, ix = unravel(band.cells[s], grid)
@@ -113,16 +113,17 @@ def neighbour_slots(start, stop, slot, grid, cells, on, out):
     """
     table, walls, near = out
     sides = np.empty(6, np.int64)
-    for row in range(start, stop):
+    for row in range(np.uint64(start), np.uint64(stop)):
         s = on[row]
-        iz, iy, ix = unravel(cells[s], grid)
-        neighbours(cells[s], iz, iy, ix, grid, sides)
+        cell = cells[np.uint64(s)]
+        iz, iy, ix = unravel(cell, grid)
+        neighbours(cell, iz, iy, ix, grid, sides)
         for side in range(6):
-            other = slot[sides[side]] if sides[side] >= 0 else -1
+            other = slot[np.uint64(sides[side])] if sides[side] >= 0 else -1
             other = other if other >= 0 else s
             table[row, side] = other
             # Several threads may write it here, all the same.
-            near[other] = True
+            near[np.uint64(other)] = True
         walls[row] = 0
         for axis in range(3):
             walls[row] |= np.int8((sides[2 * axis] < 0) != (sides[2 * axis + 1] < 0)) << np.int8(axis)
@@ -147,7 +148,7 @@ def diffusion_stage(start, stop, on, table, grid, stages, weights, out):
     mu, rate, nu = weights
     old, older = stages
     pz, py, px = np.float32(1.0 / grid.hz**2), np.float32(1.0 / grid.hy**2), np.float32(1.0 / grid.hx**2)
-    for row in range(start, stop):
+    for row in range(np.uint64(start), np.uint64(stop)):
         s = on[row]
         here = old[s]
         lap = pz * ((old[table[row, 0]] - here) + (old[table[row, 1]] - here))

@@ -61,7 +61,7 @@ def nearest_slot(slot, grid, pz, py, px):
     iz = min(max(np.int64(np.floor(pz + 0.5)), 0), grid.nz - 1)
     iy = min(max(np.int64(np.floor(py + 0.5)), 0), grid.ny - 1)
     ix = min(max(np.int64(np.floor(px + 0.5)), 0), grid.nx - 1)
-    return slot[(iz * grid.ny + iy) * grid.nx + ix]
+    return slot[np.uint64((iz * grid.ny + iy) * grid.nx + ix)]
 
 
 @kernel
@@ -93,7 +93,7 @@ def own_residues(start, stop, psi, grid, band, motion, out):
     least, most = MIN_RESIDUE * h, MAX_RESIDUE * h
     furthest = 1.01 * OWN_RESIDUE * max(grid.hz, max(grid.hy, grid.hx))
     sy, sz = grid.nx, grid.ny * grid.nx
-    for s in range(start, stop):
+    for s in range(np.uint64(start), np.uint64(stop)):
         residue[s] = 0.0
         # The length of the foot, when psi was a distance.
         own[s] = abs(band.psi[s]) <= furthest and has_own_residue(s, grid, band)
@@ -119,13 +119,13 @@ def distant_residues(start, stop, slot, grid, band, motion, out):
     ``out`` as `own_residues` has filled it.
     """
     residue, own = out
-    for s in range(start, stop):
+    for s in range(np.uint64(start), np.uint64(stop)):
         if own[s]:
             continue
         pz, py, px = known_point(s, grid, band, motion)
         nearest = nearest_slot(slot, grid, pz, py, px)
-        if nearest >= 0 and own[nearest]:
-            residue[s] = residue[nearest]
+        if nearest >= 0 and own[np.uint64(nearest)]:
+            residue[s] = residue[np.uint64(nearest)]
 
 
 @kernel(stage=Stage.BAND)
@@ -153,17 +153,17 @@ def drop_residues(start, stop, slot, grid, band, flipped, out):
     ``flipped`` = ((n,) bool, `mark_below`'s marks (n,) bool).
     """
     is_flipped, marked = flipped
-    for s in range(start, stop):
+    for s in range(np.uint64(start), np.uint64(stop)):
         if out[s] == 0.0:
             continue
         pz, py, px = known_point(s, grid, band, (band.to_closest, 0.0))
-        first = slot[corner(0, grid, pz, py, px)] if pz >= 0.0 and py >= 0.0 and px >= 0.0 else -1
+        first = slot[np.uint64(corner(0, grid, pz, py, px))] if pz >= 0.0 and py >= 0.0 and px >= 0.0 else -1
         if first >= 0:
-            if marked[first]:
+            if marked[np.uint64(first)]:
                 out[s] = 0.0
             continue
         for i in range(8):
-            other = slot[corner(i, grid, pz, py, px)]
-            if other >= 0 and is_flipped[other]:
+            other = slot[np.uint64(corner(i, grid, pz, py, px))]
+            if other >= 0 and is_flipped[np.uint64(other)]:
                 out[s] = 0.0
                 break

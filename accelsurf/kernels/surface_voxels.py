@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import neighbours
 from accelsurf.kernels.stages import Stage
 
 
@@ -13,23 +12,23 @@ from accelsurf.kernels.stages import Stage
 def count_inside(start, stop, psi, grid, inside):
     """Voxels inside, of each of the range's rows along x of the volume: ``inside`` (nz ny,) int32."""
     for row in range(start, stop):
-        first = row * grid.nx
+        first = np.uint64(row * grid.nx)
         count = 0
-        for cell in range(first, first + grid.nx):
-            count += psi[cell] < 0.0
+        for ix in range(np.uint64(grid.nx)):
+            count += psi[first + ix] < 0.0
         inside[row] = count
 
 
 @kernel(stage=Stage.BAND)
 def count_front(start, stop, psi, grid, inside, counts):
     """Front cells of each of the range's rows: ``counts`` (nz ny,) int64. ``inside`` is that of `count_inside`."""
-    near = np.empty(6, np.int64)
+    marks = np.empty(grid.nx, np.uint8)
     for row in range(start, stop):
         counts[row] = 0
-        if is_even(inside, row, grid):
-            continue
-        for ix in range(grid.nx):
-            counts[row] += is_front(psi, grid, row, ix, near)
+        if not is_even(inside, row, grid):
+            mark_front(psi, grid, row, marks)
+            for ix in range(grid.nx):
+                counts[row] += marks[ix]
 
 
 @kernel(stage=Stage.BAND)
@@ -39,27 +38,39 @@ def front_cells(start, stop, psi, grid, inside, ends, cells):
     A front cell has a 6-neighbour on the other side of the surface. ``ends`` (nz ny,) is the running sum of
     `count_front`.
     """
-    near = np.empty(6, np.int64)
+    marks = np.empty(grid.nx, np.uint8)
     for row in range(start, stop):
         if is_even(inside, row, grid):
             continue
+        mark_front(psi, grid, row, marks)
         at = ends[row - 1] if row > 0 else 0
         for ix in range(grid.nx):
-            if is_front(psi, grid, row, ix, near):
+            if marks[ix]:
                 cells[at] = row * grid.nx + ix
                 at += 1
 
 
 @kernel
-def is_front(psi, grid, row, ix, near):
-    """Whether a voxel of a row has a 6-neighbour on the other side; ``near`` (6,) int64 is memory for them."""
-    cell = row * grid.nx + ix
-    neighbours(cell, row // grid.ny, row % grid.ny, ix, grid, near)
-    inside = psi[cell] < 0.0
-    for side in range(6):
-        if near[side] >= 0 and (psi[near[side]] < 0.0) != inside:
-            return True
-    return False
+def mark_front(psi, grid, row, marks):
+    """Set ``marks`` (nx,) uint8 to 1 at the front cells of a row, to 0 at the others; in vectors."""
+    iz, iy = row // grid.ny, row % grid.ny
+    # Unsigned: an index that may be negative keeps the loops from running in vectors.
+    nx, own, one = np.uint64(grid.nx), np.uint64(row * grid.nx), np.uint64(1)
+    plane = np.uint64(grid.ny) * nx
+    # Beyond the border a row is its own neighbour.
+    above = own - nx if iy > 0 else own
+    below = own + nx if iy < grid.ny - 1 else own
+    before = own - plane if iz > 0 else own
+    behind = own + plane if iz < grid.nz - 1 else own
+    for ix in range(nx):
+        inside = psi[own + ix] < 0.0
+        along_y = ((psi[above + ix] < 0.0) != inside) | ((psi[below + ix] < 0.0) != inside)
+        along_z = ((psi[before + ix] < 0.0) != inside) | ((psi[behind + ix] < 0.0) != inside)
+        marks[ix] = along_y | along_z
+    for ix in range(one, nx):
+        marks[ix] |= (psi[own + ix - one] < 0.0) != (psi[own + ix] < 0.0)
+    for ix in range(nx - one):
+        marks[ix] |= (psi[own + ix + one] < 0.0) != (psi[own + ix] < 0.0)
 
 
 @kernel
