@@ -134,10 +134,10 @@ def classify_feet(start, stop, dense, grid, cells, foot, state, reviewed):
             if near[side] < 0:
                 continue
             slot = dense.slot[np.uint64(near[side])]
-            other = np.uint64(slot)
             if slot < 0:
                 reviewed[s] = EDGE
-            elif state[other] != OPEN:
+            elif state[np.uint64(slot)] != OPEN:
+                other = np.uint64(slot)
                 oz, oy, ox = step_of(side, grid)
                 cz, cy, cx = foot[other, 0] + oz, foot[other, 1] + oy, foot[other, 2] + ox
                 if cz * cz + cy * cy + cx * cx < least:
@@ -286,9 +286,9 @@ def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
     neighbours(cell, iz, iy, ix, grid, near)
     for side in range(6):
         slot = dense.slot[np.uint64(near[side])] if near[side] >= 0 else -1
-        other = np.uint64(slot)
-        if slot < 0 or state[other] == OPEN:
+        if slot < 0 or state[np.uint64(slot)] == OPEN:
             continue
+        other = np.uint64(slot)
         oz, oy, ox = step_of(side, grid)
         cz, cy, cx = foot[other, 0] + oz, foot[other, 1] + oy, foot[other, 2] + ox
         d = cz * cz + cy * cy + cx * cx
