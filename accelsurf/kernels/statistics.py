@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import BLOCK
+from accelsurf.kernels.grid import BLOCK, voxels_along
 from accelsurf.kernels.stages import Stage
 
 
@@ -59,6 +59,48 @@ def products(first_block, last_block, weight, one, other, sums):
             if weight[s] != 0.0:
                 total += weight[s] * np.float64(one[s]) * np.float64(other[s])
         sums[block, 0] = total
+
+
+@kernel(stage=Stage.FLOW)
+def displacement_sums(first_block, last_block, grid, band, area, before, limits, sums):
+    """Per block of slots: the area, its sum with how far it has moved (voxels along the normal), and what moved far.
+
+    ``before`` = (cells, psi) of the earlier band, in raster order; a cell that was not in it has moved by ``beyond``,
+    and more than ``far`` voxels are far: ``limits`` = (far, beyond). ``area`` (n,) of the present ``band``, mm2.
+    """
+    cells, old = before
+    far, beyond = limits
+    for block in range(first_block, last_block):
+        whole, moved, apart = 0.0, 0.0, 0.0
+        first, last = block * BLOCK, min((block + 1) * BLOCK, area.shape[0])
+        at = rank_of(cells, band.cells[first])
+        for s in range(first, last):
+            if area[s] == 0.0:
+                continue
+            while at < cells.shape[0] and cells[at] < band.cells[s]:
+                at += 1
+            way = beyond
+            if at < cells.shape[0] and cells[at] == band.cells[s]:
+                z, y, x = band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2]
+                length2 = max(np.float64(z) * z + np.float64(y) * y + np.float64(x) * x, 1e-300)
+                way = abs(np.float64(band.psi[s]) - old[at]) * voxels_along(z, y, x, grid) / np.sqrt(length2)
+            whole += area[s]
+            moved += area[s] * way
+            apart += area[s] if way > far else 0.0
+        sums[block, 0], sums[block, 1], sums[block, 2] = whole, moved, apart
+
+
+@kernel
+def rank_of(cells, cell):
+    """How many of ``cells``, in rising order, lie before ``cell``."""
+    low, high = 0, cells.shape[0]
+    while low < high:
+        middle = (low + high) // 2
+        if cells[middle] < cell:
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
 
 @kernel

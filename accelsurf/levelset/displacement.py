@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from accelsurf.levelset.threads import dot
+from accelsurf.kernels import statistics
 
 if TYPE_CHECKING:
     from accelsurf.levelset.level_set import LevelSet
@@ -35,15 +35,13 @@ def displacement(surface: LevelSet, before: Snapshot) -> Displacement:
     Measured at the voxels that the surface cuts now; where the earlier band did not extend, its half width counts.
     """
     _, area = surface.fraction_and_area()
-    on = np.flatnonzero(area)
-    if on.size == 0 or before.cells.size == 0:
+    if before.cells.size == 0:
         return Displacement(surface.half_width, 1.0)
-    band, grid = surface.band, surface.grid
-    at = np.minimum(np.searchsorted(before.cells, band.cells[on]), before.cells.size - 1)
-    known = before.cells[at] == band.cells[on]
-    distance = np.abs(band.psi[on].astype(np.float64) - before.psi[at])
-    to_closest, h = band.to_closest[on].astype(np.float64), np.array([grid.hz, grid.hy, grid.hx])
-    per_mm = np.sqrt(((to_closest / h) ** 2).sum(axis=1) / np.maximum((to_closest**2).sum(axis=1), 1e-300))
-    voxels = np.where(known, distance * per_mm, surface.half_width)
-    whole = float(area[on].sum())
-    return Displacement(dot(area[on], voxels) / whole, float(area[on][voxels > FAR].sum()) / whole)
+    # What a run keeps is shorter; the kernel shall be compiled once.
+    earlier, limits = (before.cells.astype(np.int64, copy=False), before.psi), (FAR, surface.half_width)
+    whole, moved, far = surface.workers.block_sums(
+        statistics.displacement_sums, area.size, 3, surface.grid, surface.band, area, earlier, limits
+    )
+    if whole == 0:
+        return Displacement(surface.half_width, 1.0)
+    return Displacement(float(moved / whole), float(far / whole))

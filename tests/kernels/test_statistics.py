@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import statistics
-from accelsurf.kernels.grid import BLOCK
+from accelsurf.kernels.grid import BLOCK, Band
+from tests.support import reference
 
 pytestmark = pytest.mark.nojit
 
@@ -91,3 +92,30 @@ def test_sums_by_cube(shape):
     cubes = planes[z] + rows[y] + cube_of[2][x]
     np.testing.assert_array_equal(reached, np.bincount(cubes, minlength=sums.size) > 0)
     np.testing.assert_array_equal(sums, np.bincount(cubes, values * scale, minlength=sums.size))
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (2.5, 0.8, 1.1)])
+def test_displacement_sums(spacing):
+    """Against the same by whole arrays, of more than two blocks; the earlier band lacks cells and has others."""
+    rng, n, far, beyond = np.random.default_rng(6), 2 * BLOCK + 37, 0.5, 3.0
+    cells = np.flatnonzero(rng.random(3 * n) < 0.4)[:n]
+    old_cells = np.sort(np.concatenate([cells[rng.random(n) < 0.8], np.arange(3 * n, 3 * n + 9)]))
+    psi, old = (rng.normal(0, 1, size).astype(np.float32) for size in (n, old_cells.size))
+    band = Band(cells, psi, rng.normal(0, 1, (n, 3)).astype(np.float32))
+    band.to_closest[5] = 0.0
+    area = np.where(rng.random(n) < 0.5, rng.random(n), 0.0)
+    area[5] = 1.0
+    sums, arguments = np.full((4, 3), -7.0), (band, area, (old_cells, old), (far, beyond))
+    grid = reference.grid_of((30, 30, 30), spacing)
+    statistics.displacement_sums(1, 3, grid, *arguments, sums)
+    assert (sums[[0, 3]] == -7.0).all()
+    statistics.displacement_sums(0, 1, grid, *arguments, sums)
+    places = np.minimum(np.searchsorted(old_cells, cells), old_cells.size - 1)
+    known = old_cells[places] == cells
+    to_closest = band.to_closest.astype(float)
+    per_mm = np.linalg.norm(to_closest / spacing, axis=1) / np.maximum(np.linalg.norm(to_closest, axis=1), 1e-150)
+    way = np.where(known, np.abs(psi.astype(float) - old[places]) * per_mm, beyond)
+    for block in range(3):
+        own = slice(block * BLOCK, (block + 1) * BLOCK)
+        want = [area[own].sum(), (area * way)[own].sum(), area[own][way[own] > far].sum()]
+        np.testing.assert_allclose(sums[block], want, rtol=1e-6)
