@@ -50,6 +50,8 @@ def feet_memory():
 def nodes_memory():
     """Memory for `levels_at`, `BATCH` columns each: the cell's index z, y, x; where its foot lies among the four nodes
     of each axis; the first of these nodes in psi, -1 where they are not all well inside; a list of columns.
+
+    `limited_levels_at` has the first nodes in the order of that list.
     """
     return (
         np.zeros(3 * BATCH, np.float32), np.zeros(3 * BATCH, np.float32), np.zeros(BATCH, np.int64),
@@ -147,7 +149,7 @@ def levels_at(count, psi, grid, nodes, memory, w):
 def limited_levels_at(count, psi, grid, nodes, memory, lines, w):
     """As `levels_at`, of the limited interpolant; ``lines`` = `limited_memory`.
 
-    In vectors, where the volume has four nodes along each axis.
+    In vectors, where the volume has four nodes or more along each axis; ``w`` (24,) is scratch for others.
     """
     place, _, first, columns = nodes
     active = 0

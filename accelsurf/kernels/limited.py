@@ -17,12 +17,12 @@ UNCHANGED, PARABOLA, STRAIGHT = 0, 1, 2
 #: Rows of the memory of `limited_in_vectors`, `BATCH` long each, one array for the compiler to see that they are apart:
 #: the place of a point among the four nodes of each axis, z, y, x, and what lies beyond the border; the weights of a
 #: value and of a slope along these axes; four nodes of a line; of the four lines of a plane the values and slopes along
-#: x; of the four planes the values and slopes along x and y; psi and its gradient per voxel, z, y, x.
+#: x; of the four planes the values and slopes along x and y; psi and its gradient per mm, z, y, x.
 INNER, BEYOND, WEIGHTS, NODES, LINES, PLANES, LEVELS = (
     np.uint64(row * BATCH) for row in (0, 3, 6, 30, 34, 42, 54)
 )
 ROWS = 58
-#: So many rows further.
+#: Entry k: from a row of that memory to the k-th after it.
 ON = tuple(np.uint64(row * BATCH) for row in range(9))
 
 
@@ -119,7 +119,7 @@ def limited_in_vectors(count, psi, grid, first, memory):
 
     ``first`` (`BATCH`,) int64 are the raveled first nodes of the points; the rows INNER and BEYOND of ``memory``
     (`ROWS` x `BATCH`,) say where among the nodes the points are, and the row LEVELS and those after it get psi and its
-    gradient per mm, z, y, x.
+    gradient per mm, z, y, x. Points get the same bits in any column: there is nothing that vectors would round otherwise.
     """
     for axis in range(3):
         weights_in_vectors(count, INNER + ON[axis], WEIGHTS + np.uint64(axis) * ON[8], memory)

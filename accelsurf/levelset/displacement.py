@@ -37,7 +37,7 @@ def displacement(surface: LevelSet, before: Snapshot) -> Displacement:
     _, area = surface.fraction_and_area()
     if before.cells.size == 0:
         return Displacement(surface.half_width, 1.0)
-    # What a run keeps is shorter; the kernel shall be compiled once.
+    # A run keeps cells as uint32: the kernel shall not be compiled for both.
     earlier, limits = (before.cells.astype(np.int64, copy=False), before.psi), (FAR, surface.half_width)
     whole, moved, far = surface.workers.block_sums(
         statistics.displacement_sums, area.size, 3, surface.grid, surface.band, area, earlier, limits

@@ -144,7 +144,7 @@ class LateGrowth:
             return None
         cubes, which = np.unique(np.concatenate([one.cubes for one in late]), return_inverse=True)
         totals = np.bincount(which, np.concatenate([one.sums for one in late]))
-        if not totals.size or totals.max() <= 0.0:
+        if totals.max() <= 0.0:
             return None
         largest = cubes[int(np.argmax(totals))]
         z, y, x = (
