@@ -119,7 +119,7 @@ def limited_in_vectors(count, psi, grid, first, memory):
 
     ``first`` (`BATCH`,) int64 are the raveled first nodes of the points; the rows INNER and BEYOND of ``memory``
     (`ROWS` x `BATCH`,) say where among the nodes the points are, and the row LEVELS and those after it get psi and its
-    gradient per mm, z, y, x. Points get the same bits in any column: there is nothing that vectors would round otherwise.
+    gradient per mm, z, y, x. A point gets the same bits in any column: vectors round nothing of this otherwise.
     """
     for axis in range(3):
         weights_in_vectors(count, INNER + ON[axis], WEIGHTS + np.uint64(axis) * ON[8], memory)
