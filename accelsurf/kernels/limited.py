@@ -67,7 +67,8 @@ def limited_memory():
 def limited_value_and_gradient(psi, grid, pz, py, px, w, memory):
     """`interpolate.value_and_gradient`, with the second differences of every line of four nodes limited.
 
-    ``memory`` is the second of `limited_memory`.
+    In runs of volumes that are thinner than four nodes alone, others have `limited_in_vectors`. ``memory`` is the second
+    of `limited_memory`.
     """
     bz, mz, ez = axis_weights(pz, grid.nz, w, 0)
     by, my, ey = axis_weights(py, grid.ny, w, 8)
