@@ -67,7 +67,7 @@ def limited_memory():
 def limited_value_and_gradient(psi, grid, pz, py, px, w, memory):
     """`interpolate.value_and_gradient`, with the second differences of every line of four nodes limited.
 
-    In runs of volumes that are thinner than four nodes alone, others have `limited_in_vectors`. ``memory`` is the second
+    Runs use it on volumes that are thinner than four nodes; others have `limited_in_vectors`. ``memory`` is the second
     of `limited_memory`.
     """
     bz, mz, ez = axis_weights(pz, grid.nz, w, 0)
