@@ -8,6 +8,9 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 
+# Hot loops count slots and cells as np.uint64: a signed index is tested for being negative at every read. -1 is no slot
+# and no cell, so an index is made unsigned after that test.
+
 #: Band slots per block of a reduction. Partial sums are kept per block and added in order of the blocks.
 BLOCK = 4096
 #: Cells whose arithmetic is done together, in rows: as they do not depend on each other, it runs in vectors.
