@@ -195,12 +195,39 @@ def bent(replaced, parabola, more, a, b, c, d):
 
 
 @kernel(inlined=True)
-def weighted(memory, weights, i, a, b, c, d):
-    """Sum of four nodes by the weights of column ``i`` from the row ``weights`` on."""
+def four_nodes(memory, at):
+    """The nodes of a line: entry ``at`` of ``memory`` and those of the next three rows."""
+    return memory[at], memory[at + ON[1]], memory[at + ON[2]], memory[at + ON[3]]
+
+
+@kernel(inlined=True)
+def weighted(memory, weights, nodes):
+    """Sum of four nodes by the weights in entry ``weights`` of ``memory`` and in those of the next three rows."""
+    a, b, c, d = nodes
     return (
-        memory[weights + i] * a + memory[weights + ON[1] + i] * b + memory[weights + ON[2] + i] * c
-        + memory[weights + ON[3] + i] * d
+        memory[weights] * a + memory[weights + ON[1]] * b + memory[weights + ON[2]] * c + memory[weights + ON[3]] * d
     )
+
+
+@kernel(inlined=True)
+def limited_line(memory, at, weights, most):
+    """Value and slope of the line at ``at``, see `four_nodes` and `weighted`, and how it is limited, see `bends`."""
+    a, b, c, d = four_nodes(memory, at)
+    new_a, new_d, parabola, more_a, more_d = bends(a, b, c, d, most)
+    nodes = bent(new_a, parabola, more_a, a, b, c, d), b, c, bent(new_d, parabola, more_d, d, c, b, a)
+    return weighted(memory, weights, nodes), weighted(memory, weights + ON[4], nodes), (new_a, new_d, parabola)
+
+
+@kernel(inlined=True)
+def slope_along(memory, at, weights, limited):
+    """A slope across a line from those at its nodes, ``limited`` as `limited_line` has limited the values there.
+
+    The slopes of what was added to the values are 0.
+    """
+    new_a, new_d, parabola = limited
+    a, b, c, d = four_nodes(memory, at)
+    nodes = bent(new_a, parabola, 0.0, a, b, c, d), b, c, bent(new_d, parabola, 0.0, d, c, b, a)
+    return weighted(memory, weights, nodes)
 
 
 @kernel
@@ -208,12 +235,8 @@ def lines_along_x(count, line, most, memory):
     """Values and slopes of the lines in the rows NODES, to ``line`` beyond the first of the rows LINES."""
     weights = WEIGHTS + ON[8] + ON[8]
     for i in range(np.uint64(count)):
-        nodes = NODES + i
-        a, b, c, d = memory[nodes], memory[nodes + ON[1]], memory[nodes + ON[2]], memory[nodes + ON[3]]
-        new_a, new_d, parabola, more_a, more_d = bends(a, b, c, d, most)
-        first, last = bent(new_a, parabola, more_a, a, b, c, d), bent(new_d, parabola, more_d, d, c, b, a)
-        memory[LINES + line + i] = weighted(memory, weights, i, first, b, c, last)
-        memory[LINES + ON[4] + line + i] = weighted(memory, weights + ON[4], i, first, b, c, last)
+        value, gx, _ = limited_line(memory, NODES + i, weights + i, most)
+        memory[LINES + line + i], memory[LINES + ON[4] + line + i] = value, gx
 
 
 @kernel
@@ -221,17 +244,10 @@ def lines_along_y(count, plane, most, memory):
     """Values and slopes of the planes in the rows LINES, to ``plane`` beyond the first of the rows PLANES."""
     weights = WEIGHTS + ON[8]
     for i in range(np.uint64(count)):
-        values = LINES + i
-        a, b, c, d = memory[values], memory[values + ON[1]], memory[values + ON[2]], memory[values + ON[3]]
-        new_a, new_d, parabola, more_a, more_d = bends(a, b, c, d, most)
-        first, last = bent(new_a, parabola, more_a, a, b, c, d), bent(new_d, parabola, more_d, d, c, b, a)
-        memory[PLANES + plane + i] = weighted(memory, weights, i, first, b, c, last)
-        memory[PLANES + ON[8] + plane + i] = weighted(memory, weights + ON[4], i, first, b, c, last)
-        slopes = LINES + ON[4] + i
-        a, b, c, d = memory[slopes], memory[slopes + ON[1]], memory[slopes + ON[2]], memory[slopes + ON[3]]
-        # The slopes of what is added to the values are 0.
-        first, last = bent(new_a, parabola, 0.0, a, b, c, d), bent(new_d, parabola, 0.0, d, c, b, a)
-        memory[PLANES + ON[4] + plane + i] = weighted(memory, weights, i, first, b, c, last)
+        value, gy, limited = limited_line(memory, LINES + i, weights + i, most)
+        gx = slope_along(memory, LINES + ON[4] + i, weights + i, limited)
+        at = PLANES + plane + i
+        memory[at], memory[at + ON[4]], memory[at + ON[8]] = value, gx, gy
 
 
 @kernel
@@ -239,20 +255,9 @@ def lines_along_z(count, most, spacing, memory):
     """Psi and its gradient from the rows PLANES, to the rows LEVELS."""
     hz, hy, hx = spacing
     for i in range(np.uint64(count)):
-        at = PLANES + i
-        a, b, c, d = memory[at], memory[at + ON[1]], memory[at + ON[2]], memory[at + ON[3]]
-        new_a, new_d, parabola, more_a, more_d = bends(a, b, c, d, most)
-        first, last = bent(new_a, parabola, more_a, a, b, c, d), bent(new_d, parabola, more_d, d, c, b, a)
-        value = weighted(memory, WEIGHTS, i, first, b, c, last)
-        gz = weighted(memory, WEIGHTS + ON[4], i, first, b, c, last)
-        at += ON[4]
-        a, b, c, d = memory[at], memory[at + ON[1]], memory[at + ON[2]], memory[at + ON[3]]
-        first, last = bent(new_a, parabola, 0.0, a, b, c, d), bent(new_d, parabola, 0.0, d, c, b, a)
-        gx = weighted(memory, WEIGHTS, i, first, b, c, last)
-        at += ON[4]
-        a, b, c, d = memory[at], memory[at + ON[1]], memory[at + ON[2]], memory[at + ON[3]]
-        first, last = bent(new_a, parabola, 0.0, a, b, c, d), bent(new_d, parabola, 0.0, d, c, b, a)
-        gy = weighted(memory, WEIGHTS, i, first, b, c, last)
+        value, gz, limited = limited_line(memory, PLANES + i, WEIGHTS + i, most)
+        gx = slope_along(memory, PLANES + ON[4] + i, WEIGHTS + i, limited)
+        gy = slope_along(memory, PLANES + ON[8] + i, WEIGHTS + i, limited)
         beyond = BEYOND + i
         value += gz * memory[beyond] + gy * memory[beyond + ON[1]] + gx * memory[beyond + ON[2]]
         levels = LEVELS + i
