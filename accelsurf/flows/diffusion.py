@@ -89,20 +89,26 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
     walls = np.flatnonzero(rows.walls & (1 << component)) if component >= 0 else on[:0]
     # A value of the other sign beyond the wall, instead of the same: 2 less of it.
     to_wall = 2.0 / grid[3 + component] ** 2 if walls.size else 0.0
-    first = np.concatenate([field[on], np.zeros(off.size, np.float32)])
+    first = np.empty(rows.order.size, np.float32)
+    # "clip" only says that all slots exist: then nothing is buffered.
+    field.take(on, out=first[: on.size], mode="clip")
     rows.extend(surface.workers, first)
     field[off] = first[on.size :]
-    turn, blended = [first.copy(), np.zeros_like(first), np.zeros_like(first)], first
+    # Stage 1 reads an older one, with weight 0.
+    turn, blended = [first.copy() if step.blended == 0 else first, np.empty_like(first), np.zeros_like(first)], first
     for j in range(1, step.stages + 1):
         mu, nu = (2.0 * j - 1.0) / j, (1.0 - j) / j
         new, old, older = turn[j % 3], turn[(j - 1) % 3], turn[(j - 2) % 3]
         weights = np.float32(mu), np.float32(mu * share), np.float32(nu)
         parallel(motion.diffusion_stage, on.size, rows.order, rows.neighbours, grid, (old, older), weights, new)
-        new[walls] -= np.float32(mu * share * to_wall) * old[walls]
+        if walls.size:
+            new[walls] -= np.float32(mu * share * to_wall) * old[walls]
         if j < step.stages:
             rows.extend(surface.workers, new)
         if j == step.blended:
             blended = new.copy()
     last, blended = turn[step.stages % 3][: on.size], blended[: on.size]
-    field[on] = blended + np.float32(step.blend) * (last - blended)
-
+    last -= blended
+    last *= np.float32(step.blend)
+    last += blended
+    field[on] = last

@@ -180,57 +180,79 @@ def tangent_foot(foot, via, grid, cz, cy, cx, out):
 
 
 @kernel(stage=Stage.CLOSEST_POINTS)
-def activate_neighbours(slot, grid, known, n, sources, half_width):
-    """Activate the neighbours of the slots ``sources``, whose feet are new or at the band's edge; serial.
+def wake_neighbours(start, stop, slot, grid, known, sources, half_width, entering):
+    """Mark the neighbours in the band of the slots ``sources`` (m,), whose feet are new or at its edge, as active.
 
-    Neighbours that are not in the band enter it, as OPEN slots from ``n`` on, when the tangent plane at the source's
-    foot is within ``half_width`` voxels (and `SLACK`) of them; the others are marked as active, as they
-    may get a closer foot. ``slot`` is extended. ``known`` = (cells, foot, state, active (m,) bool) of the first
-    ``n`` slots, with room for more. Returns it, perhaps with more room, and the new n.
+    They may get a closer foot. A neighbour that is not in the band shall enter it when the tangent plane at the
+    source's foot is within ``half_width`` voxels (and `SLACK`) of it: ``entering`` (m,) uint8 gets a bit for its side.
+    ``known`` = (cells, foot, state, active (n,) bool), of which ``active`` is written.
     """
-    done, n = activate_some(slot, grid, known, n, sources, half_width, 0)
-    while done < sources.shape[0]:
-        cells, foot, state, active = known
-        known = grown(cells), grown_rows(foot), grown(state), grown(active)
-        done, n = activate_some(slot, grid, known, n, sources, half_width, done)
-    return known, n
-
-
-@kernel
-def activate_some(slot, grid, known, n, sources, half_width, first):
-    """`activate_neighbours` of the sources from row ``first`` on, as many as ``known`` has room for.
-
-    Returns the first row that is left over, and the new n. Apart from what grows: a loop in which an array may become
-    another counts the references to it each time round.
-    """
-    cells, foot, state, active = known
+    cells, foot, _, active = known
     near = np.empty(6, np.int64)
     guess = np.empty(3)
-    for row in range(first, sources.shape[0]):
-        if n + 6 > cells.shape[0]:
-            return row, n
+    for row in range(np.uint64(start), np.uint64(stop)):
+        entering[row] = 0
         source = np.uint64(sources[row])
         if voxels_along(foot[source, 0], foot[source, 1], foot[source, 2], grid) > half_width:
             continue
         cell = cells[source]
         iz, iy, ix = unravel(cell, grid)
         neighbours(cell, iz, iy, ix, grid, near)
+        sides = 0
         for side in range(6):
             if near[side] < 0:
                 continue
-            at = np.uint64(near[side])
-            other = slot[at]
+            other = slot[np.uint64(near[side])]
             if other >= 0:
+                # Several threads may write it here, all the same.
                 active[np.uint64(other)] = True
                 continue
             oz, oy, ox = step_of(side, grid)
             cz, cy, cx = foot[source, 0] - oz, foot[source, 1] - oy, foot[source, 2] - ox
-            if tangent_foot(foot, source, grid, cz, cy, cx, guess) > half_width + SLACK:
+            if tangent_foot(foot, source, grid, cz, cy, cx, guess) <= half_width + SLACK:
+                sides |= 1 << side
+        entering[row] = sides
+
+
+@kernel(stage=Stage.CLOSEST_POINTS)
+def enter_neighbours(slot, grid, known, n, sources, entering):
+    """Let the neighbours of ``sources`` that `wake_neighbours` has found enter as OPEN and active slots; serial.
+
+    ``slot`` is extended from ``n`` on, ``known`` has room for more than its first ``n`` slots. Returns it, perhaps with
+    more room, and the new n.
+    """
+    done, n = enter_some(slot, grid, known, n, sources, entering, 0)
+    while done < sources.shape[0]:
+        cells, foot, state, active = known
+        known = grown(cells), grown_rows(foot), grown(state), grown(active)
+        done, n = enter_some(slot, grid, known, n, sources, entering, done)
+    return known, n
+
+
+@kernel
+def enter_some(slot, grid, known, n, sources, entering, first):
+    """`enter_neighbours` of the sources from row ``first`` on, as many as ``known`` has room for.
+
+    Returns the first row that is left over, and the new n. Apart from what grows: a loop in which an array may become
+    another counts the references to it each time round.
+    """
+    cells, _, state, active = known
+    steps = grid.ny * grid.nx, grid.nx, 1
+    for row in range(first, sources.shape[0]):
+        if entering[row] == 0:
+            continue
+        if n + 6 > cells.shape[0]:
+            return row, n
+        cell = cells[sources[row]]
+        for side in range(6):
+            if not (entering[row] >> side) & 1:
                 continue
-            new = np.uint64(n)
-            cells[new], state[new], active[new] = near[side], OPEN, True
-            slot[at] = n
-            n += 1
+            at = cell + steps[side // 2] * (side % 2 * 2 - 1)
+            # Another source may have let it in.
+            if slot[at] < 0:
+                cells[n], state[n], active[n] = at, OPEN, True
+                slot[at] = n
+                n += 1
     return sources.shape[0], n
 
 

@@ -51,9 +51,11 @@ def find_closest_points(surface: LevelSet) -> ClosestPoints:
     active[open_slots] = True
     size = n
     for _ in range(MAX_ROUNDS):
-        known = cells, to_closest, state, active
+        known, entering = (cells, to_closest, state, active), np.empty(sources.size, np.uint8)
+        around = grid, known, sources, surface.half_width
+        parallel(march.wake_neighbours, sources.size, dense.slot, *around, entering)
         (cells, to_closest, state, active), size = surface.workers.serial(
-            march.activate_neighbours, dense.slot, grid, known, size, sources, surface.half_width
+            march.enter_neighbours, dense.slot, grid, known, size, sources, entering
         )
         if cells.size > residue.size:
             more = cells.size - residue.size

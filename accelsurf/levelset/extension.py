@@ -87,11 +87,11 @@ class FrontRows(NamedTuple):
 
 def front_rows(surface: LevelSet, front: np.ndarray) -> FrontRows:
     """The rows of the ``front`` (n,) and of the cells beside it: a Laplacian on the front reads no others."""
-    parallel, n, on = surface.workers.parallel, surface.size, np.flatnonzero(front).astype(np.int32)
+    parallel, n, on = surface.workers.parallel, surface.size, np.flatnonzero(front)
     slots, walls, near = np.empty((on.size, 6), np.int32), np.empty(on.size, np.int8), np.zeros(n, np.bool_)
     where = surface.dense.slot, surface.grid, surface.band.cells
     parallel(motion.neighbour_slots, on.size, *where, on, (slots, walls, near))
-    off = np.flatnonzero(near & ~front).astype(np.uint32)
+    off = np.flatnonzero(near > front)
     order = np.arange(on.size + off.size, dtype=np.uint32)
     row_of = np.full(n, -1, np.int32)
     row_of[on] = order[: on.size]

@@ -13,10 +13,13 @@ from typing import Any
 import numpy as np
 
 from accelsurf.grid.slabs import sum_in_order
-from accelsurf.kernels.grid import BLOCK
+from accelsurf.kernels.grid import BATCH, BLOCK
 
-#: Smallest number of blocks that is worth a second thread.
-MIN_BLOCKS = 2
+#: Slots of a range are a multiple of this: vectors and their batches are the same for any ranges.
+GRAIN = 4 * BATCH
+#: Seconds of one thread from which on a call is shared out, what sharing out takes by itself (a thread is woken, and
+#: the Python lock goes back and forth), and the shortest range of a call that is shared out.
+SHARED_FROM, SHARING, SHORTEST = 200e-6, 80e-6, 60e-6
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> float:
@@ -41,6 +44,8 @@ class Workers:
         self.visited = 0
         #: Wall seconds by name of kernel, for `--profile`; `kernels.stages` has the stage of each.
         self.seconds: dict[str, float] = {}
+        #: What a slot took one thread when last called, seconds by name of kernel.
+        self._pace: dict[str, float] = {}
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
     def parallel(self, kernel: Callable[..., Any], size: int, *args: Any) -> None:
@@ -49,7 +54,7 @@ class Workers:
             return
         self.visited += size
         began = time.perf_counter()
-        self._share_out(kernel, size, BLOCK, args)
+        self._share_out(kernel, size, GRAIN, args)
         self._count(kernel, began)
 
     def block_sums(self, kernel: Callable[..., Any], size: int, columns: int, *args: Any) -> np.ndarray:
@@ -88,14 +93,20 @@ class Workers:
         name = kernel.__name__
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
 
-    def _share_out(self, kernel: Callable[..., Any], size: int, block: int, args: tuple[Any, ...]) -> None:
-        """Distribute ``0 .. size`` in ranges of whole blocks over the threads, including this one."""
-        blocks = -(-size // block)
-        if self._pool is None or blocks < 2 * MIN_BLOCKS:
+    def _share_out(self, kernel: Callable[..., Any], size: int, grain: int, args: tuple[Any, ...]) -> None:
+        """Distribute ``0 .. size`` in ranges of whole grains over the threads, including this one.
+
+        As many ranges as are worth their cost by what the kernel took last time, of which the bytes do not depend.
+        """
+        name, began = kernel.__name__, time.perf_counter()
+        alone = self._pace.get(name, math.inf) * size
+        if self._pool is None or size <= grain or alone < SHARED_FROM:
             kernel(0, size, *args)
+            self._pace[name] = (time.perf_counter() - began) / max(1, size)
             return
-        # A few ranges per thread: the cost of a slot varies (front or not), the bytes do not.
-        step = max(MIN_BLOCKS, -(-blocks // (4 * self.threads))) * block
+        # A few ranges per thread: the cost of a slot varies (front or not).
+        count = int(min(4 * self.threads, max(self.threads, alone / SHORTEST)))
+        step = -(-size // (count * grain)) * grain
         ranges = iter([(start, min(start + step, size)) for start in range(0, size, step)])
 
         def drain() -> None:
@@ -110,6 +121,7 @@ class Workers:
             for other in others:
                 if not other.cancel():
                     other.result()
+        self._pace[name] = self.threads * (time.perf_counter() - began - SHARING) / size
 
     @contextmanager
     def borrowing_threads(self, others: Workers) -> Iterator[None]:

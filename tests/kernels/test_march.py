@@ -698,7 +698,11 @@ def test_spreading_takes_in_what_the_tangent_planes_reach(spacing):
         dense.slot[:] = slot
         arrays = [band.cells, foot, state, np.zeros(n, bool)]
         arrays = [np.concatenate([a, np.zeros((room, *a.shape[1:]), a.dtype)]) for a in arrays]
-        arrays, total = march.activate_neighbours(dense.slot, grid, tuple(arrays), n, sources, half_width)
+        entering, middle = np.full(sources.size, 255, np.uint8), sources.size // 3
+        for first, last in ((middle, sources.size), (0, middle)):
+            march.wake_neighbours(first, last, dense.slot, grid, tuple(arrays), sources, half_width, entering)
+        np.testing.assert_array_equal(arrays[3][:n], active)
+        arrays, total = march.enter_neighbours(dense.slot, grid, tuple(arrays), n, sources, entering)
         assert all(a.shape[0] >= total for a in arrays)
         assert total == n + len(entered)
         cells, feet, states, marked = (a[:total] for a in arrays)

@@ -8,11 +8,12 @@ import pytest
 
 from accelsurf.kernels.grid import BLOCK
 from accelsurf.levelset import LevelSet, Workers
+from accelsurf.levelset import threads as sharing
 from accelsurf.levelset.checks import check_level_set
 from accelsurf.levelset.closest_points import find_closest_points
 from tests.support import reference
 
-SIZES = [0, 1, BLOCK - 1, BLOCK, BLOCK + 1, 7 * BLOCK + 3, 40 * BLOCK]
+SIZES = [0, 1, sharing.GRAIN - 1, sharing.GRAIN, sharing.GRAIN + 1, 7 * BLOCK + 3, 40 * BLOCK]
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
@@ -163,3 +164,32 @@ def test_a_moving_surface_is_the_same_bytes_with_one_two_and_three_threads():
             results.append(b"".join(np.asarray(a).tobytes() for a in seen))
             assert check_level_set(surface, last=6) == []
     assert results[0] == results[1] == results[2]
+
+
+def test_what_is_shared_out_depends_on_the_time_it_took(monkeypatch):
+    """First by a guess, then by the pace of the last call: short calls stay on this thread, in one piece."""
+    monkeypatch.setattr(sharing, "SHARED_FROM", 0.02)
+    monkeypatch.setattr(sharing, "SHORTEST", 0.01)
+    monkeypatch.setattr(sharing, "SHARING", 0.0)
+    size, pieces, pause = 64 * sharing.GRAIN, [], 0.0
+
+    def kernel(start, stop):
+        pieces.append((start, stop))
+        time.sleep(pause * (stop - start) / size)
+
+    def pieces_of_call(workers, seconds):
+        nonlocal pause
+        pause = seconds
+        pieces.clear()
+        workers.parallel(kernel, size)
+        return sorted(pieces)
+
+    with Workers(2) as workers:
+        assert len(pieces_of_call(workers, 0.0)) == 8
+        assert pieces_of_call(workers, 0.0) == [(0, size)]
+        assert pieces_of_call(workers, 0.3) == [(0, size)]
+        shared = pieces_of_call(workers, 0.3)
+        assert len(shared) == 8 and all(start % sharing.GRAIN == 0 for start, _ in shared)
+        # Now known to take so long: two ranges, one for each thread.
+        assert len(pieces_of_call(workers, 0.024)) == 8
+        assert len(pieces_of_call(workers, 0.024)) in (2, 3)
