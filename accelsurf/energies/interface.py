@@ -41,7 +41,9 @@ class Interface(NamedTuple):
         """Values (n,) of a I^2 + b I + c at the surface for every front cell, 0 elsewhere; I raveled float32."""
         if self.epsilon == 0:
             value = sample_at_front(image, surface, front)
-            return np.where(front, polynomial_of(value, polynomial), np.float32(0.0))
+            force = polynomial_of(value, polynomial)
+            force[~front] = 0.0
+            return force
         out = np.empty(surface.size, np.float32)
         surface.workers.parallel(
             motion.mean_across,

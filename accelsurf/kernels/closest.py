@@ -7,13 +7,7 @@ import numpy as np
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import BATCH, unravel_in_vectors
 from accelsurf.kernels.interpolate import value_and_gradient
-from accelsurf.kernels.limited import (
-    LEVELS,
-    enter_point,
-    limited_in_vectors,
-    limited_memory,
-    limited_value_and_gradient,
-)
+from accelsurf.kernels.limited import LEVELS, enter_point, limited_in_vectors, limited_memory
 from accelsurf.kernels.simd.cubic import cubic
 
 MAX_ITERATIONS = 6
@@ -75,9 +69,9 @@ def closest_points(count, psi, grid, cells, memory, w):
     nodes = nodes_memory()
     places_of(count, grid, cells, nodes)
     if limited:
-        lines = limited_memory()
+        lines = limited_memory(grid)
         for iteration in range(MAX_ITERATIONS):
-            if limited_levels_at(count, psi, grid, nodes, memory, lines, w) == 0:
+            if limited_levels_at(count, psi, grid, nodes, memory, lines) == 0:
                 return
             correct(count, iteration, grid, memory)
         return
@@ -146,35 +140,25 @@ def levels_at(count, psi, grid, nodes, memory, w):
 
 
 @kernel
-def limited_levels_at(count, psi, grid, nodes, memory, lines, w):
-    """As `levels_at`, of the limited interpolant; ``lines`` = `limited_memory`.
-
-    In vectors, where the volume has four nodes or more along each axis; ``w`` (24,) is scratch for others.
-    """
+def limited_levels_at(count, psi, grid, nodes, memory, lines):
+    """As `levels_at`, of the limited interpolant; ``lines`` = `limited_memory`."""
     place, _, first, columns = nodes
     active = 0
     for n in range(count):
         columns[active] = n
         active += np.int64(memory[STATUS + np.uint64(n)] == ACTIVE)
-    rows, whole = lines[0], min(grid.nz, min(grid.ny, grid.nx)) >= 4
     for n in range(active):
         i = np.uint64(columns[n])
         pz = place[i] + memory[FOOT + i] / grid.hz
         py = place[i + NEXT] + memory[FOOT + NEXT + i] / grid.hy
         px = place[i + NEXT + NEXT] + memory[FOOT + NEXT + NEXT + i] / grid.hx
-        if whole:
-            first[n] = enter_point(np.uint64(n), grid, pz, py, px, rows)
-        else:
-            level, gz, gy, gx = limited_value_and_gradient(psi, grid, pz, py, px, w, lines[1])
-            at = LEVEL + i
-            memory[at], memory[at + NEXT], memory[at + NEXT + NEXT], memory[at + NEXT + NEXT + NEXT] = level, gz, gy, gx
-    if whole:
-        limited_in_vectors(active, psi, grid, first, rows)
-        for n in range(active):
-            at, row = LEVEL + np.uint64(columns[n]), LEVELS + np.uint64(n)
-            for _ in range(4):
-                memory[at] = rows[row]
-                at, row = at + NEXT, row + NEXT
+        first[n] = enter_point(np.uint64(n), grid, pz, py, px, lines)
+    limited_in_vectors(active, psi, grid, first, lines)
+    for n in range(active):
+        at, row = LEVEL + np.uint64(columns[n]), LEVELS + np.uint64(n)
+        for _ in range(4):
+            memory[at] = lines[row]
+            at, row = at + NEXT, row + NEXT
     return active
 
 

@@ -12,6 +12,33 @@ from accelsurf.kernels.grid import Grid
 from accelsurf.kernels.simd.cubic import cubic
 
 
+@kernel(inlined=True)
+def place_on_axis(p, n):
+    """First of the four nodes, or of all ``n``, around position ``p`` (voxels) on an axis, and the place among them.
+
+    ``p`` beyond the axis is clamped to its ends. Returns (base, u, beyond), where ``beyond`` is what was clamped.
+    """
+    clamped = min(max(p, 0.0), n - 1.0)
+    base = min(max(int(np.floor(clamped)) - 1, 0), max(n - 4, 0))
+    return base, clamped - base, p - clamped
+
+
+@kernel(inlined=True)
+def four_weights(u):
+    """Weights of four nodes at the place ``u`` from the first: of the value, then of the derivative per voxel."""
+    a, b, c = u - 1.0, u - 2.0, u - 3.0
+    return (
+        -a * b * c / 6.0,
+        u * b * c / 2.0,
+        -u * a * c / 2.0,
+        u * a * b / 6.0,
+        -((3.0 * u - 12.0) * u + 11.0) / 6.0,
+        ((3.0 * u - 10.0) * u + 6.0) / 2.0,
+        -((3.0 * u - 8.0) * u + 3.0) / 2.0,
+        ((3.0 * u - 6.0) * u + 2.0) / 6.0,
+    )
+
+
 @kernel
 def axis_weights(p, n, w, o):
     """Weights of the nodes ``base .. base + count - 1`` for position ``p`` (voxels) on an axis of ``n`` nodes.
@@ -20,23 +47,11 @@ def axis_weights(p, n, w, o):
     axis is clamped to its ends; the returned ``beyond`` is what was clamped, for a linear continuation.
     Returns (base, count, beyond).
     """
-    clamped = min(max(p, 0.0), n - 1.0)
-    beyond = p - clamped
+    base, u, beyond = place_on_axis(p, n)
     if n >= 4:
-        base = min(max(int(np.floor(clamped)) - 1, 0), n - 4)
-        u = clamped - base
-        a, b, c = u - 1.0, u - 2.0, u - 3.0
-        w[o] = -a * b * c / 6.0
-        w[o + 1] = u * b * c / 2.0
-        w[o + 2] = -u * a * c / 2.0
-        w[o + 3] = u * a * b / 6.0
-        w[o + 4] = -((3.0 * u - 12.0) * u + 11.0) / 6.0
-        w[o + 5] = ((3.0 * u - 10.0) * u + 6.0) / 2.0
-        w[o + 6] = -((3.0 * u - 8.0) * u + 3.0) / 2.0
-        w[o + 7] = ((3.0 * u - 6.0) * u + 2.0) / 6.0
+        w[o], w[o + 1], w[o + 2], w[o + 3], w[o + 4], w[o + 5], w[o + 6], w[o + 7] = four_weights(u)
         return base, 4, beyond
     if n == 3:
-        u = clamped
         w[o] = (u - 1.0) * (u - 2.0) / 2.0
         w[o + 1] = -u * (u - 2.0)
         w[o + 2] = u * (u - 1.0) / 2.0
@@ -45,8 +60,8 @@ def axis_weights(p, n, w, o):
         w[o + 6] = u - 0.5
         return 0, 3, beyond
     if n == 2:
-        w[o] = 1.0 - clamped
-        w[o + 1] = clamped
+        w[o] = 1.0 - u
+        w[o + 1] = u
         w[o + 4] = -1.0
         w[o + 5] = 1.0
         return 0, 2, beyond

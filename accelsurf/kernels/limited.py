@@ -6,14 +6,11 @@ import numpy as np
 
 from accelsurf.kernels._jit import kernel
 from accelsurf.kernels.grid import BATCH
-from accelsurf.kernels.interpolate import axis_weights
+from accelsurf.kernels.interpolate import axis_weights, four_weights, place_on_axis
 
 #: Second differences at the two inner nodes of a line may differ by this part of the spacing, and none may be larger
 #: than the smaller of the two (minmod) by more. Across a ridge they differ by up to 2.
 MAX_CHANGE = 0.25
-#: How an outer node of a line is replaced: not at all, by the parabola through the other three, by the line through
-#: the inner two.
-UNCHANGED, PARABOLA, STRAIGHT = 0, 1, 2
 #: Rows of the memory of `limited_in_vectors`, `BATCH` long each, one array for the compiler to see that they are apart:
 #: the place of a point among the four nodes of each axis, z, y, x, and what lies beyond the border; the weights of a
 #: value and of a slope along these axes; four nodes of a line; of the four lines of a plane the values and slopes along
@@ -27,147 +24,75 @@ ON = tuple(np.uint64(row * BATCH) for row in range(9))
 
 
 @kernel
-def limits(a, b, c, d, most):
-    """How to replace the outer nodes of the line ``a, b, c, d``: (way of a, what is added, way of d, what is added).
-
-    The second differences at b and c are limited to ``most`` more or less than the smaller of them, 0 where their
-    signs differ.
-    """
-    left, right = a - 2.0 * b + c, b - 2.0 * c + d
-    least = 0.0
-    if left * right > 0.0:
-        least = left if abs(left) < abs(right) else right
-    other = STRAIGHT if least == 0.0 else PARABOLA
-    way_a, more_a, way_d, more_d = UNCHANGED, 0.0, UNCHANGED, 0.0
-    if abs(left - least) > most:
-        way_a, more_a = other, most if left > least else -most
-    if abs(right - least) > most:
-        way_d, more_d = other, most if right > least else -most
-    return way_a, more_a, way_d, more_d
-
-
-@kernel
-def outer_node(way, more, b, c, d):
-    """The node before ``b`` on a line ``b, c, d``, replaced as `limits` has it."""
-    node = 2.0 * b - c + more
-    return node + (b - 2.0 * c + d) if way == PARABOLA else node
-
-
-@kernel
-def limited_memory():
-    """Memory for `limited_in_vectors`, and that for `limited_value_and_gradient`.
-
-    Rows of the latter: the values of four nodes, and then the slopes along x, y, z that are known by then.
-    """
-    one = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-    return np.empty(ROWS * BATCH), one
-
-
-@kernel
-def limited_value_and_gradient(psi, grid, pz, py, px, w, memory):
-    """`interpolate.value_and_gradient`, with the second differences of every line of four nodes limited.
-
-    Runs use it on volumes that are thinner than four nodes; others have `limited_in_vectors`. ``memory`` is the second
-    of `limited_memory`.
-    """
-    bz, mz, ez = axis_weights(pz, grid.nz, w, 0)
-    by, my, ey = axis_weights(py, grid.ny, w, 8)
-    bx, mx, ex = axis_weights(px, grid.nx, w, 16)
-    nodes, lines, planes, out = memory
-    for i in range(mz):
-        for j in range(my):
-            at = ((bz + i) * grid.ny + by + j) * grid.nx + bx
-            for k in range(mx):
-                nodes[0, k] = psi[at + k]
-            combine(nodes, 1, mx, (w, 16), MAX_CHANGE * grid.hx, lines, j)
-        combine(lines, 2, my, (w, 8), MAX_CHANGE * grid.hy, planes, i)
-    combine(planes, 3, mz, (w, 0), MAX_CHANGE * grid.hz, out, 0)
-    value, gx, gy, gz = out[0, 0], out[1, 0], out[2, 0], out[3, 0]
-    value += gz * ez + gy * ey + gx * ex
-    return value, gz / grid.hz, gy / grid.hy, gx / grid.hx
-
-
-@kernel(inlined=True)
-def combine(nodes, rows, count, weights, most, out, to):
-    """Interpolate the first ``rows`` of ``nodes`` (4, 4), and the slope of row 0, into column ``to`` of ``out``.
-
-    ``count`` nodes; ``weights`` = (w, where in w those of this axis begin), as `interpolate.axis_weights` sets them.
-    """
-    w, o = weights
-    way_a, more_a, way_d, more_d = UNCHANGED, 0.0, UNCHANGED, 0.0
-    if count == 4:
-        way_a, more_a, way_d, more_d = limits(nodes[0, 0], nodes[0, 1], nodes[0, 2], nodes[0, 3], most)
-    slope = 0.0
-    for row in range(rows):
-        total = 0.0
-        for k in range(count):
-            node = nodes[row, k]
-            # The slopes of what is added to the values are 0.
-            if k == 0 and way_a != UNCHANGED:
-                node = outer_node(way_a, more_a if row == 0 else 0.0, nodes[row, 1], nodes[row, 2], nodes[row, 3])
-            elif k == 3 and way_d != UNCHANGED:
-                node = outer_node(way_d, more_d if row == 0 else 0.0, nodes[row, 2], nodes[row, 1], nodes[row, 0])
-            total += w[o + k] * node
-            if row == 0:
-                slope += w[o + 4 + k] * node
-        out[row, to] = total
-    out[rows, to] = slope
+def limited_memory(grid):
+    """Memory for `limited_in_vectors` on a grid."""
+    memory = np.empty(ROWS * BATCH)
+    if min(grid.nz, min(grid.ny, grid.nx)) < 4:
+        # Nothing is written to the rows of nodes that a thin volume does not have.
+        memory[:] = 0.0
+    return memory
 
 
 @kernel
 def limited_in_vectors(count, psi, grid, first, memory):
-    """`limited_value_and_gradient` of ``count`` points at once, on a volume of four nodes or more along each axis.
+    """`interpolate.value_and_gradient` of ``count`` points, with the second differences of each line of nodes limited.
 
-    ``first`` (`BATCH`,) int64 are the raveled first nodes of the points; the rows INNER and BEYOND of ``memory``
-    (`ROWS` x `BATCH`,) say where among the nodes the points are, and the row LEVELS and those after it get psi and its
+    ``first`` (`BATCH`,) int64 are the raveled first nodes of the points; the rows INNER and BEYOND of ``memory``, from
+    `limited_memory`, say where among the nodes the points are, and the row LEVELS and those after it get psi and its
     gradient per mm, z, y, x. A point gets the same bits in any column: vectors round nothing of this otherwise.
     """
-    for axis in range(3):
-        weights_in_vectors(count, INNER + ON[axis], WEIGHTS + np.uint64(axis) * ON[8], memory)
-    for plane in range(4):
-        for line in range(4):
-            load_nodes(count, psi, first, (plane * grid.ny + line) * grid.nx, memory)
-            lines_along_x(count, np.uint64(line) * ON[1], MAX_CHANGE * grid.hx, memory)
-        lines_along_y(count, np.uint64(plane) * ON[1], MAX_CHANGE * grid.hy, memory)
-    lines_along_z(count, MAX_CHANGE * grid.hz, (grid.hz, grid.hy, grid.hx), memory)
+    nz, ny, nx = min(grid.nz, 4), min(grid.ny, 4), min(grid.nx, 4)
+    weights_in_vectors(count, grid.nz, INNER, WEIGHTS, memory)
+    weights_in_vectors(count, grid.ny, INNER + ON[1], WEIGHTS + ON[8], memory)
+    weights_in_vectors(count, grid.nx, INNER + ON[2], WEIGHTS + ON[8] + ON[8], memory)
+    for plane in range(nz):
+        for line in range(ny):
+            load_nodes(count, nx, psi, first, (plane * grid.ny + line) * grid.nx, memory)
+            lines_along_x(count, np.uint64(line) * ON[1], most_of(nx, grid.hx), memory)
+        lines_along_y(count, np.uint64(plane) * ON[1], most_of(ny, grid.hy), memory)
+    lines_along_z(count, most_of(nz, grid.hz), (grid.hz, grid.hy, grid.hx), memory)
+
+
+@kernel
+def most_of(nodes, h):
+    """By how much second differences may differ: without limits on an axis of fewer than four nodes."""
+    return MAX_CHANGE * h if nodes == 4 else np.inf
 
 
 @kernel(inlined=True)
 def enter_point(i, grid, pz, py, px, memory):
     """Enter a position (voxels) in column ``i`` of the rows INNER and BEYOND of ``memory``; returns its first node."""
-    bz, memory[INNER + i], memory[BEYOND + i] = inner_place(pz, grid.nz)
-    by, memory[INNER + ON[1] + i], memory[BEYOND + ON[1] + i] = inner_place(py, grid.ny)
-    bx, memory[INNER + ON[2] + i], memory[BEYOND + ON[2] + i] = inner_place(px, grid.nx)
+    bz, memory[INNER + i], memory[BEYOND + i] = place_on_axis(pz, grid.nz)
+    by, memory[INNER + ON[1] + i], memory[BEYOND + ON[1] + i] = place_on_axis(py, grid.ny)
+    bx, memory[INNER + ON[2] + i], memory[BEYOND + ON[2] + i] = place_on_axis(px, grid.nx)
     return (bz * grid.ny + by) * grid.nx + bx
 
 
-@kernel(inlined=True)
-def inner_place(p, n):
-    """First of the four nodes around a position on an axis, its place among them, and what lies beyond the border."""
-    clamped = min(max(p, 0.0), n - 1.0)
-    base = min(max(int(np.floor(clamped)) - 1, 0), n - 4)
-    return base, clamped - base, p - clamped
-
-
 @kernel
-def weights_in_vectors(count, at, to, memory):
+def weights_in_vectors(count, n, at, to, memory):
     """Write `interpolate.axis_weights` of the places in the row ``at`` of ``memory`` to the rows from ``to`` on."""
+    if n < 4:
+        w = np.zeros(8)
+        for i in range(np.uint64(count)):
+            axis_weights(memory[at + i], n, w, 0)
+            for k in range(8):
+                memory[to + ON[k] + i] = w[k]
+        return
     for i in range(np.uint64(count)):
-        u = memory[at + i]
-        a, b, c = u - 1.0, u - 2.0, u - 3.0
-        memory[to + i] = -a * b * c / 6.0
-        memory[to + ON[1] + i] = u * b * c / 2.0
-        memory[to + ON[2] + i] = -u * a * c / 2.0
-        memory[to + ON[3] + i] = u * a * b / 6.0
-        memory[to + ON[4] + i] = -((3.0 * u - 12.0) * u + 11.0) / 6.0
-        memory[to + ON[5] + i] = ((3.0 * u - 10.0) * u + 6.0) / 2.0
-        memory[to + ON[6] + i] = -((3.0 * u - 8.0) * u + 3.0) / 2.0
-        memory[to + ON[7] + i] = ((3.0 * u - 6.0) * u + 2.0) / 6.0
+        w0, w1, w2, w3, s0, s1, s2, s3 = four_weights(memory[at + i])
+        memory[to + i], memory[to + ON[1] + i], memory[to + ON[2] + i], memory[to + ON[3] + i] = w0, w1, w2, w3
+        slopes = to + ON[4] + i
+        memory[slopes], memory[slopes + ON[1]], memory[slopes + ON[2]], memory[slopes + ON[3]] = s0, s1, s2, s3
 
 
 @kernel
-def load_nodes(count, psi, first, shift, memory):
-    """Copy four nodes of each point's line, which begins ``shift`` beyond its ``first``, to the rows NODES."""
+def load_nodes(count, nodes, psi, first, shift, memory):
+    """Copy the nodes of each point's line, which begins ``shift`` beyond its ``first``, to the rows NODES."""
+    if nodes < 4:
+        for n in range(count):
+            for k in range(nodes):
+                memory[NODES + ON[k] + np.uint64(n)] = psi[first[n] + shift + k]
+        return
     for n in range(count):
         i = NODES + np.uint64(n)
         at = first[n] + shift
@@ -177,7 +102,12 @@ def load_nodes(count, psi, first, shift, memory):
 
 @kernel(inlined=True)
 def bends(a, b, c, d, most):
-    """`limits` without branches: whether a is replaced, d is, both by parabolas, and what is added to a and to d."""
+    """How to replace the outer nodes of a line a, b, c, d: whether a is, d is, both by parabolas, what each gets added.
+
+    The second differences at b and c are limited to ``most`` more or less than the smaller of them, 0 where their
+    signs differ: an outer node is replaced by the parabola through the other three, or by the line through the inner
+    two, plus that.
+    """
     left, right = a - 2.0 * b + c, b - 2.0 * c + d
     least = left if abs(left) < abs(right) else right
     least = least if left * right > 0.0 else 0.0
@@ -188,7 +118,7 @@ def bends(a, b, c, d, most):
 
 @kernel(inlined=True)
 def bent(replaced, parabola, more, a, b, c, d):
-    """The node a of a line ``a, b, c, d``, where it is replaced as `outer_node` has it."""
+    """The node a of a line ``a, b, c, d``, or what it is ``replaced`` by, see `bends`."""
     node = 2.0 * b - c + more
     node = node + (b - 2.0 * c + d) if parabola else node
     return node if replaced else a

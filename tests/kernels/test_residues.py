@@ -13,7 +13,6 @@ from accelsurf.kernels.limited import (
     enter_point,
     limited_in_vectors,
     limited_memory,
-    limited_value_and_gradient,
 )
 from tests.support import reference
 
@@ -21,14 +20,22 @@ SPACING = (1.5, 1.0, 0.8)
 SHAPES = [(7, 9, 8), (1, 9, 12), (3, 2, 9)]
 
 
+def limited_at(psi, grid, places):
+    """Values and slopes (n, 4) of the limited interpolant at ``places`` (n, 3), at most `BATCH`, all at once."""
+    memory, first = limited_memory(grid), np.zeros(BATCH, np.int64)
+    for n, place in enumerate(places):
+        first[n] = enter_point(np.uint64(n), grid, *place, memory)
+    limited_in_vectors(len(places), psi.ravel(), grid, first, memory)
+    return memory[int(LEVELS) :].reshape(4, BATCH)[:, : len(places)].T.copy()
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 def test_smooth_psi_is_interpolated_as_without_limits(shape):
     psi = 0.02 * reference.smooth_noise(shape, 3).ravel()
     grid, rng, w = reference.grid_of(shape, SPACING), np.random.default_rng(1), np.empty(24)
-    for place in rng.uniform(-0.5, 0.5 + np.array(shape) - 1, (60, 3)):
-        want = value_and_gradient(psi, grid, *place, w)
-        found = limited_value_and_gradient(psi, grid, *place, w, limited_memory()[1])
-        np.testing.assert_allclose(found, want, atol=1e-5)
+    places = rng.uniform(-0.5, 0.5 + np.array(shape) - 1, (60, 3))
+    want = np.array([value_and_gradient(psi, grid, *place, w) for place in places])
+    np.testing.assert_allclose(limited_at(psi, grid, places), want, atol=1e-5)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -40,7 +47,7 @@ def test_the_distance_of_a_plate_is_met_beside_its_ridge(axis, sign):
     psi = np.float32(sign * (np.abs(at - 3.0) - 0.75)).ravel()
     grid, place = reference.grid_of(shape, (1, 1, 1)), np.array([3.4, 3.3, 3.6])
     place[axis] = 3.75
-    value, *slope = limited_value_and_gradient(psi, grid, *place, w, limited_memory()[1])
+    value, *slope = limited_at(psi, grid, [place])[0]
     assert abs(value) <= MAX_CHANGE * 0.75 * 0.25 * 1.75 / 6 + 1e-6
     assert abs(value_and_gradient(psi, grid, *place, w)[0]) > 0.07
     assert slope[axis] == pytest.approx(sign, abs=0.1)
@@ -48,42 +55,45 @@ def test_the_distance_of_a_plate_is_met_beside_its_ridge(axis, sign):
 
 def test_slopes_are_those_of_the_value():
     """Of rough psi, where the limits hold everywhere, within a cell."""
-    shape, w, rng = (6, 7, 8), np.empty(24), np.random.default_rng(2)
+    shape, rng = (6, 7, 8), np.random.default_rng(2)
     psi = rng.normal(0, 1, shape).astype(np.float32).ravel()
     grid, step = reference.grid_of(shape, SPACING), 1e-4
     for _ in range(40):
         place = rng.integers(0, np.array(shape) - 1) + rng.uniform(0.1, 0.9, 3)
-        slope = limited_value_and_gradient(psi, grid, *place, w, limited_memory()[1])[1:]
+        slope = limited_at(psi, grid, [place])[0, 1:]
         for axis in range(3):
             ends = [place + sign * step * (np.arange(3) == axis) for sign in (-1, 1)]
-            low, high = (limited_value_and_gradient(psi, grid, *end, w, limited_memory()[1])[0] for end in ends)
+            low, high = limited_at(psi, grid, ends)[:, 0]
             assert (high - low) / (2 * step * SPACING[axis]) == pytest.approx(slope[axis], abs=2e-3)
 
 
+@pytest.mark.parametrize("shape", [*SHAPES, (4, 7, 9), (9, 1, 6), (6, 9, 3), (2, 2, 2), (1, 1, 7)])
 @pytest.mark.parametrize("roughness", [0.02, 1.0])
-def test_many_points_at_once_have_the_values_of_each(roughness):
-    """Where few lines are limited and where most are, also beyond the borders."""
-    shape, w, rng = (4, 7, 9), np.empty(24), np.random.default_rng(3)
+def test_limited_values_and_slopes_as_the_reference(shape, roughness):
+    """Where few lines are limited and where most are, also beyond the borders and on thin volumes."""
+    rng = np.random.default_rng(3)
     psi = (roughness * reference.smooth_noise(shape, 3) + roughness**3 * rng.normal(0, 1, shape)).astype(np.float32)
-    psi, grid = psi.ravel(), reference.grid_of(shape, SPACING)
+    grid = reference.grid_of(shape, SPACING)
     places = rng.uniform(-0.5, 0.5 + np.array(shape) - 1, (BATCH - 5, 3))
     places[:8] = np.rint(places[:8])
-    rows, one = limited_memory()
-    rows[:], first = -7.0, np.zeros(BATCH, np.int64)
-    for n, place in enumerate(places):
-        first[n] = enter_point(np.uint64(n), grid, *place, rows)
-    limited_in_vectors(len(places), psi, grid, first, rows)
-    found = rows[int(LEVELS) :].reshape(4, BATCH).copy()
-    want = np.array([limited_value_and_gradient(psi, grid, *place, w, one) for place in places])
-    np.testing.assert_allclose(found[:, : len(places)].T, want, rtol=1e-12, atol=1e-12)
+    found = limited_at(psi, grid, places)
+    for place, (value, *slope) in zip(places, found, strict=True):
+        want, gradient = reference.limited_interpolant(psi, place, SPACING, MAX_CHANGE)
+        np.testing.assert_allclose(value, want, atol=1e-6)
+        np.testing.assert_allclose(slope, gradient, atol=1e-6)
     # The same bits in any column, whether it is in a vector or left over.
-    rows[:] = -7.0
-    for n, place in enumerate(places[40:83]):
-        first[n] = enter_point(np.uint64(n), grid, *place, rows)
-    limited_in_vectors(43, psi, grid, first, rows)
-    again = rows[int(LEVELS) :].reshape(4, BATCH)
-    np.testing.assert_array_equal(again[:, :43], found[:, 40:83])
-    assert (again[:, 43:] == -7.0).all()
+    np.testing.assert_array_equal(limited_at(psi, grid, places[40:83]), found[40:83])
+
+
+def test_limited_columns_that_are_not_asked_for_are_left_alone():
+    grid = reference.grid_of((4, 5, 6), SPACING)
+    memory = limited_memory(grid)
+    memory[:] = -7.0
+    first = np.full(BATCH, enter_point(np.uint64(0), grid, 1.5, 1.5, 1.5, memory))
+    limited_in_vectors(1, np.ones(120, np.float32), grid, first, memory)
+    levels = memory[int(LEVELS) :].reshape(4, BATCH)
+    np.testing.assert_allclose(levels[:, 0], (1, 0, 0, 0), atol=1e-12)
+    assert (levels[:, 1:] == -7.0).all()
 
 
 @pytest.mark.parametrize("shape", SHAPES)

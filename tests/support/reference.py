@@ -77,6 +77,43 @@ def interpolate(array, positions):
     return value + (gradient * beyond).sum(axis=1), gradient
 
 
+def limited_nodes(nodes, most):
+    """(matrix, vector) of the nodes of a line (n,) with limited second differences: matrix @ nodes + vector."""
+    matrix, more = np.eye(len(nodes)), np.zeros(len(nodes))
+    if len(nodes) < 4:
+        return matrix, more
+    bends = np.diff(nodes, 2)
+    least = 0.0 if bends[0] * bends[1] <= 0.0 else min(bends, key=abs)
+    for bend, (a, b, c, d) in zip(bends, ((0, 1, 2, 3), (3, 2, 1, 0)), strict=True):
+        if abs(bend - least) > most:
+            # On with the slope between b and c; with the bend at c besides, where the two bends agree in sign.
+            matrix[a], more[a] = 0.0, np.copysign(most, bend - least)
+            matrix[a, [b, c]] = 2.0, -1.0
+            if least != 0.0:
+                matrix[a, [b, c, d]] += 1.0, -2.0, 1.0
+    return matrix, more
+
+
+def limited_interpolant(array, position, spacing, most):
+    """Value and gradient (3,) per mm of the limited interpolant at one ``position``; ``most`` in parts of a spacing."""
+    axes = [axis_weights(np.array([p]), n) for p, n in zip(position, array.shape, strict=True)]
+    box = tuple(slice(base[0], base[0] + weights.shape[1]) for base, weights, _, _ in axes)
+    values, slopes = np.asarray(array[box], float), {}
+    for axis in (2, 1, 0):
+        (weights,), (derivative,) = axes[axis][1:3]
+        reduced = {key: np.empty(values.shape[:-1]) for key in ("value", axis, *slopes)}
+        for at in np.ndindex(values.shape[:-1]):
+            matrix, more = limited_nodes(values[at], most * spacing[axis])
+            line = matrix @ values[at] + more
+            reduced["value"][at], reduced[axis][at] = weights @ line, derivative @ line
+            for other, given in slopes.items():
+                reduced[other][at] = weights @ (matrix @ given[at])
+        values, slopes = reduced.pop("value"), reduced
+    value = values + sum(slopes[axis] * axes[axis][3][0] for axis in range(3))
+    return float(value), np.array([slopes[axis] / spacing[axis] for axis in range(3)])
+
+
+
 def linear(array, positions):
     """Linear interpolation clamped to the border."""
     return ndimage.map_coordinates(np.asarray(array, float), np.atleast_2d(positions).T, order=1, mode="nearest")
