@@ -84,9 +84,8 @@ def nodes_of(p, n, stride):
     """
     if n == 1:
         return 0, np.float32(1.0), 0.0, 0
-    clamped = min(max(p, 0.0), n - 1.0)
-    base = min(max(int(clamped) - 1, 0), n - 4)
-    return base, np.float32(clamped - base), p - clamped, stride
+    base, u, beyond = place_on_axis(p, n)
+    return base, np.float32(u), beyond, stride
 
 
 @kernel

@@ -54,9 +54,9 @@ def limited_in_vectors(count, psi, grid, first, memory):
 
 
 @kernel
-def most_of(nodes, h):
-    """By how much second differences may differ: without limits on an axis of fewer than four nodes."""
-    return MAX_CHANGE * h if nodes == 4 else np.inf
+def most_of(length, h):
+    """By how much second differences along lines of ``length`` nodes may differ: no limits where they are not four."""
+    return MAX_CHANGE * h if length == 4 else np.inf
 
 
 @kernel(inlined=True)
@@ -86,11 +86,11 @@ def weights_in_vectors(count, n, at, to, memory):
 
 
 @kernel
-def load_nodes(count, nodes, psi, first, shift, memory):
-    """Copy the nodes of each point's line, which begins ``shift`` beyond its ``first``, to the rows NODES."""
-    if nodes < 4:
+def load_nodes(count, length, psi, first, shift, memory):
+    """Copy the ``length`` nodes of each point's line, which begins ``shift`` beyond its ``first``, to rows NODES."""
+    if length < 4:
         for n in range(count):
-            for k in range(nodes):
+            for k in range(length):
                 memory[NODES + ON[k] + np.uint64(n)] = psi[first[n] + shift + k]
         return
     for n in range(count):

@@ -185,7 +185,7 @@ def wake_neighbours(start, stop, slot, grid, known, sources, half_width, enterin
 
     They may get a closer foot. A neighbour that is not in the band shall enter it when the tangent plane at the
     source's foot is within ``half_width`` voxels (and `SLACK`) of it: ``entering`` (m,) uint8 gets a bit for its side.
-    ``known`` = (cells, foot, state, active (n,) bool), of which ``active`` is written.
+    ``known`` = (cells, foot, state, active bool), a row for each slot, of which ``active`` is written.
     """
     cells, foot, _, active = known
     near = np.empty(6, np.int64)
@@ -237,6 +237,7 @@ def enter_some(slot, grid, known, n, sources, entering, first):
     another counts the references to it each time round.
     """
     cells, _, state, active = known
+    # To the next voxel along z, y, x: the sides are those of `neighbours`, -z, +z, -y, +y, -x, +x.
     steps = grid.ny * grid.nx, grid.nx, 1
     for row in range(first, sources.shape[0]):
         if entering[row] == 0:

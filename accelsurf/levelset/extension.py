@@ -55,7 +55,7 @@ class FrontRows(NamedTuple):
     beside it read, by ``shares`` (k, 10), with quadratic interpolation: `kernels.band.quadratic_table`. A Laplacian
     divides the error of an extension by h^2: that of linear interpolation would not vanish with h. ``mirrored`` (k,)
     int8 has bit a set where values beyond a border across axis a count, ``walls`` (m,) int8 at the cells beside it.
-    Unsigned: a kernel tests a signed index for being negative.
+    Rows are uint32, as a kernel tests a signed index for being negative; slots are int64, with which numpy gathers.
     """
 
     front: np.ndarray

@@ -17,9 +17,9 @@ from accelsurf.kernels.grid import BATCH, BLOCK
 
 #: Slots of a range are a multiple of this: vectors and their batches are the same for any ranges.
 GRAIN = 4 * BATCH
-#: Seconds of one thread from which on a call is shared out, what sharing out takes by itself (a thread is woken, and
-#: the Python lock goes back and forth), and the shortest range of a call that is shared out.
-SHARED_FROM, SHARING, SHORTEST = 200e-6, 80e-6, 60e-6
+#: Seconds of one thread from which on a call is shared out: to wake a thread and hand the Python lock back and forth
+#: takes about 80 microseconds. And the seconds that a range is worth.
+SHARED_FROM, SHORTEST = 200e-6, 60e-6
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> float:
@@ -44,7 +44,7 @@ class Workers:
         self.visited = 0
         #: Wall seconds by name of kernel, for `--profile`; `kernels.stages` has the stage of each.
         self.seconds: dict[str, float] = {}
-        #: What a slot took one thread when last called, seconds by name of kernel.
+        #: Seconds that a slot, block or plane took one thread in the last call of more than a grain, by name of kernel.
         self._pace: dict[str, float] = {}
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
@@ -96,24 +96,32 @@ class Workers:
     def _share_out(self, kernel: Callable[..., Any], size: int, grain: int, args: tuple[Any, ...]) -> None:
         """Distribute ``0 .. size`` in ranges of whole grains over the threads, including this one.
 
-        As many ranges as are worth their cost by what the kernel took last time, of which the bytes do not depend.
+        In as many ranges as are worth their cost, by what a slot took the kernel last time: the bytes are the same.
         """
-        name, began = kernel.__name__, time.perf_counter()
+        name = kernel.__name__
         alone = self._pace.get(name, math.inf) * size
         if self._pool is None or size <= grain or alone < SHARED_FROM:
-            kernel(0, size, *args)
-            self._pace[name] = (time.perf_counter() - began) / max(1, size)
-            return
-        # A few ranges per thread: the cost of a slot varies (front or not).
-        count = int(min(4 * self.threads, max(self.threads, alone / SHORTEST)))
-        step = -(-size // (count * grain)) * grain
-        ranges = iter([(start, min(start + step, size)) for start in range(0, size, step)])
+            took = _seconds(kernel, 0, size, args)
+        else:
+            # A few ranges per thread: the cost of a slot varies (front or not).
+            count = int(min(4 * self.threads, max(2.0, alone / SHORTEST)))
+            step = -(-size // (count * grain)) * grain
+            took = self._drained(self._pool, kernel, [(i, min(i + step, size)) for i in range(0, size, step)], args)
+        # Fewer take what a call takes by itself.
+        if size > grain:
+            self._pace[name] = took / size
+
+    def _drained(
+        self, pool: ThreadPoolExecutor, kernel: Callable[..., Any], pieces: list[tuple[int, int]], args: tuple[Any, ...]
+    ) -> float:
+        """Call the kernel on the ranges ``pieces`` in several threads; returns the seconds of all of them together."""
+        ranges, took = iter(pieces), [0.0]
 
         def drain() -> None:
             for start, stop in ranges:
-                kernel(start, stop, *args)
+                took.append(_seconds(kernel, start, stop, args))
 
-        others = [self._pool.submit(drain) for _ in range(self.threads - 1)]
+        others = [pool.submit(drain) for _ in range(min(self.threads, len(pieces)) - 1)]
         try:
             drain()
         finally:
@@ -121,7 +129,7 @@ class Workers:
             for other in others:
                 if not other.cancel():
                     other.result()
-        self._pace[name] = self.threads * (time.perf_counter() - began - SHARING) / size
+        return sum(took)
 
     @contextmanager
     def borrowing_threads(self, others: Workers) -> Iterator[None]:
@@ -145,3 +153,10 @@ class Workers:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _seconds(kernel: Callable[..., Any], start: int, stop: int, args: tuple[Any, ...]) -> float:
+    """Call the kernel on a range; returns the seconds that it took."""
+    began = time.perf_counter()
+    kernel(start, stop, *args)
+    return time.perf_counter() - began

@@ -13,7 +13,8 @@ from accelsurf.levelset.checks import check_level_set
 from accelsurf.levelset.closest_points import find_closest_points
 from tests.support import reference
 
-SIZES = [0, 1, sharing.GRAIN - 1, sharing.GRAIN, sharing.GRAIN + 1, 7 * BLOCK + 3, 40 * BLOCK]
+GRAIN = sharing.GRAIN
+SIZES = [0, 1, GRAIN - 1, GRAIN, GRAIN + 1, BLOCK - 1, BLOCK, BLOCK + 1, 7 * BLOCK + 3, 40 * BLOCK]
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
@@ -166,30 +167,33 @@ def test_a_moving_surface_is_the_same_bytes_with_one_two_and_three_threads():
     assert results[0] == results[1] == results[2]
 
 
-def test_what_is_shared_out_depends_on_the_time_it_took(monkeypatch):
-    """First by a guess, then by the pace of the last call: short calls stay on this thread, in one piece."""
-    monkeypatch.setattr(sharing, "SHARED_FROM", 0.02)
-    monkeypatch.setattr(sharing, "SHORTEST", 0.01)
-    monkeypatch.setattr(sharing, "SHARING", 0.0)
-    size, pieces, pause = 64 * sharing.GRAIN, [], 0.0
-
-    def kernel(start, stop):
-        pieces.append((start, stop))
-        time.sleep(pause * (stop - start) / size)
-
-    def pieces_of_call(workers, seconds):
-        nonlocal pause
-        pause = seconds
-        pieces.clear()
-        workers.parallel(kernel, size)
-        return sorted(pieces)
-
+@pytest.mark.parametrize(
+    "expected, pieces", [(None, 8), (0.0, 1), (0.9, 1), (1.01, 2), (1.9, 3), (3.1, 6), (100.0, 8)]
+)
+def test_what_is_shared_out_depends_on_the_time_it_took(monkeypatch, expected, pieces):
+    """In ranges of half a second from a second on, at most four for each thread; so many for a kernel not known yet."""
+    monkeypatch.setattr(sharing, "SHARED_FROM", 1.0)
+    monkeypatch.setattr(sharing, "SHORTEST", 0.5)
+    size, seen = 240 * GRAIN, []
     with Workers(2) as workers:
-        assert len(pieces_of_call(workers, 0.0)) == 8
-        assert pieces_of_call(workers, 0.0) == [(0, size)]
-        assert pieces_of_call(workers, 0.3) == [(0, size)]
-        shared = pieces_of_call(workers, 0.3)
-        assert len(shared) == 8 and all(start % sharing.GRAIN == 0 for start, _ in shared)
-        # Now known to take so long: two ranges, one for each thread.
-        assert len(pieces_of_call(workers, 0.024)) == 8
-        assert len(pieces_of_call(workers, 0.024)) in (2, 3)
+        if expected is not None:
+            workers._pace["<lambda>"] = expected / size
+        workers.parallel(lambda start, stop: seen.append((start, stop)), size)
+    assert sorted(seen) == [(i * size // pieces, (i + 1) * size // pieces) for i in range(pieces)]
+    assert all(start % GRAIN == 0 for start, _ in seen)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_the_pace_of_a_kernel_is_that_of_its_last_call(threads):
+    """Of the seconds of all threads together; a call of one grain says nothing."""
+    size = 8 * GRAIN
+
+    def kernel(start, stop, seconds):
+        time.sleep(seconds * (stop - start) / size)
+
+    with Workers(threads) as workers:
+        for seconds in (0.2, 0.0):
+            workers.parallel(kernel, size, seconds)
+            assert seconds <= workers._pace["kernel"] * size < seconds + 0.2
+        workers.parallel(kernel, GRAIN, 4.0)
+        assert workers._pace["kernel"] * size < 0.2

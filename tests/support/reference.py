@@ -113,7 +113,6 @@ def limited_interpolant(array, position, spacing, most):
     return float(value), np.array([slopes[axis] / spacing[axis] for axis in range(3)])
 
 
-
 def linear(array, positions):
     """Linear interpolation clamped to the border."""
     return ndimage.map_coordinates(np.asarray(array, float), np.atleast_2d(positions).T, order=1, mode="nearest")
