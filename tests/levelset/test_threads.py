@@ -192,8 +192,10 @@ def test_the_pace_of_a_kernel_is_that_of_its_last_call(threads):
         time.sleep(seconds * (stop - start) / size)
 
     with Workers(threads) as workers:
-        for seconds in (0.2, 0.0):
-            workers.parallel(kernel, size, seconds)
-            assert seconds <= workers._pace["kernel"] * size < seconds + 0.2
+        workers.parallel(kernel, size, 0.4)
+        assert workers._pace["kernel"] * size >= 0.4
+        workers.parallel(kernel, size, 0.0)
+        fast = workers._pace["kernel"]
+        assert fast * size < 0.4
         workers.parallel(kernel, GRAIN, 4.0)
-        assert workers._pace["kernel"] * size < 0.2
+        assert workers._pace["kernel"] == fast
