@@ -106,6 +106,17 @@ def find_nodes(i, grid, nodes, memory):
 
 
 @kernel
+def active_columns(count, memory, columns):
+    """Write the active ones of the first ``count`` columns of ``memory`` to ``columns``; returns how many there are."""
+    # Without branches, which nobody could predict.
+    active = 0
+    for n in range(count):
+        columns[active] = n
+        active += np.int64(memory[STATUS + np.uint64(n)] == ACTIVE)
+    return active
+
+
+@kernel
 def levels_at(count, psi, grid, nodes, memory, w):
     """Psi and its gradient at the active feet of ``memory``; returns how many there are.
 
@@ -114,11 +125,7 @@ def levels_at(count, psi, grid, nodes, memory, w):
     place, inner, first, columns = nodes
     hz, hy, hx = 1.0 / grid.hz, 1.0 / grid.hy, 1.0 / grid.hx
     sy, sz = grid.nx, grid.ny * grid.nx
-    # Without branches, which nobody could predict.
-    active = 0
-    for n in range(count):
-        columns[active] = n
-        active += np.int64(memory[STATUS + np.uint64(n)] == ACTIVE)
+    active = active_columns(count, memory, columns)
     if active == 0:
         return 0
     # Of all columns, so that it runs in vectors.
@@ -143,10 +150,7 @@ def levels_at(count, psi, grid, nodes, memory, w):
 def limited_levels_at(count, psi, grid, nodes, memory, lines):
     """As `levels_at`, of the limited interpolant; ``lines`` = `limited_memory`."""
     place, _, first, columns = nodes
-    active = 0
-    for n in range(count):
-        columns[active] = n
-        active += np.int64(memory[STATUS + np.uint64(n)] == ACTIVE)
+    active = active_columns(count, memory, columns)
     for n in range(active):
         i = np.uint64(columns[n])
         pz = place[i] + memory[FOOT + i] / grid.hz

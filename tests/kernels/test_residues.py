@@ -79,8 +79,8 @@ def test_limited_values_and_slopes_as_the_reference(shape, roughness):
     found = limited_at(psi, grid, places)
     for place, (value, *slope) in zip(places, found, strict=True):
         want, gradient = reference.limited_interpolant(psi, place, SPACING, MAX_CHANGE)
-        np.testing.assert_allclose(value, want, atol=1e-6)
-        np.testing.assert_allclose(slope, gradient, atol=1e-6)
+        np.testing.assert_allclose(value, want, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(slope, gradient, rtol=1e-12, atol=1e-12)
     # The same bits in any column, whether it is in a vector or left over.
     np.testing.assert_array_equal(limited_at(psi, grid, places[40:83]), found[40:83])
 
