@@ -1,7 +1,9 @@
 """What pytest leaves alone here: the window's modules, where the packages of the viewer are not installed."""
 
 import importlib.util
+import os
 import signal
+import tempfile
 
 if importlib.util.find_spec("PySide6") is None or importlib.util.find_spec("pyvistaqt") is None:
     _qt = ("desktop", "appearance", "main_window", "start_page")
@@ -10,3 +12,7 @@ if importlib.util.find_spec("PySide6") is None or importlib.util.find_spec("pyvi
 # Started in the background, a process and all that it starts ignore Ctrl-C; some tests send it to programs.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Runs of tests keep their journals in a folder of their own, also where they are commands in other processes.
+_state = tempfile.TemporaryDirectory(prefix="accelsurf-state-")
+os.environ["XDG_STATE_HOME"] = _state.name

@@ -58,6 +58,10 @@ class AccelsurfError(Exception):
         return type(self), (self.message, self.hint)
 
 
+class AccelsurfWarning(UserWarning):
+    """Something that a person should know although the work goes on."""
+
+
 class UsageError(AccelsurfError):
     """An option, a setting or a combination of them that is not valid (exit 2)."""
 

@@ -15,7 +15,7 @@ from typing import NoReturn
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 from accelsurf import __version__
-from accelsurf.cli.error_lines import MAX_ERROR, MAX_HINT, printable, without_garbage
+from accelsurf.cli.error_lines import MAX_ERROR, MAX_HINT, printable, shown_warnings, without_garbage
 from accelsurf.cli.interrupts import Interrupts, say
 from accelsurf.cli.streams import guarded, open_missing
 from accelsurf.errors import AccelsurfError
@@ -127,7 +127,7 @@ def execute(argv: Sequence[str]) -> int:
     interrupts.install()
     try:
         with guarded() as output:
-            with _outside_data(outside):
+            with _outside_data(outside), shown_warnings():
                 code = _run(arguments, debug, interrupts)
             output.flush()
             code = interrupts.exit_code(code)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import io
+import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from accelsurf.cli.compare import check_reference
 from accelsurf.cli.options import Display
 from accelsurf.cli.place import Place
 from accelsurf.cli.progress import Watcher
-from accelsurf.errors import AccelsurfError, InputError
+from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
 from accelsurf.io import channels, read_labels
 from accelsurf.io.headers import outside_data_allowed
 from accelsurf.report.result_sets import load_report, report_name
@@ -57,11 +58,19 @@ def run_one(task: CaseTask) -> Outcome:
     task : CaseTask
     """
     silent = io.StringIO()
-    with redirect_stdout(silent), redirect_stderr(silent), outside_data_allowed(task.outside_data):
+    with (
+        redirect_stdout(silent),
+        redirect_stderr(silent),
+        outside_data_allowed(task.outside_data),
+        warnings.catch_warnings(record=True) as said,
+    ):
+        warnings.simplefilter("always", AccelsurfWarning)
         try:
-            return _run(task)
+            outcome = _run(task)
         except AccelsurfError as error:
-            return _failed(task, error.message, error.hint, error.exit_code)
+            outcome = _failed(task, error.message, error.hint, error.exit_code)
+    texts = dict.fromkeys(str(warning.message) for warning in said if issubclass(warning.category, AccelsurfWarning))
+    return replace(outcome, warnings=(*outcome.warnings, *texts))
 
 
 def run_on_cluster(task: CaseTask) -> Outcome:

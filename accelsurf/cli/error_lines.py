@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
+from accelsurf.cli.interrupts import say
+from accelsurf.errors import AccelsurfWarning
 from accelsurf.settings.wording import escaped, shown
 
 #: Longest line of an error and of a hint, characters: most paths have room, a megabyte of garbage has not.
@@ -52,3 +56,21 @@ def doubt_line(text: str) -> str:
     before, note, after = text.partition("note: ")
     is_note = note and (not before or before.startswith("object "))
     return f"note: {before}{after}" if is_note else f"warning: {text}"
+
+
+@contextmanager
+def shown_warnings() -> Iterator[None]:
+    """Print each warning of accelsurf once, as a line; those of libraries go the usual way."""
+    with warnings.catch_warnings():
+        usual, seen = warnings.showwarning, set[str]()
+
+        def show(message, category, *args, **kwargs):  # type: ignore[no-untyped-def]
+            if not issubclass(category, AccelsurfWarning):
+                usual(message, category, *args, **kwargs)
+            elif str(message) not in seen:
+                seen.add(str(message))
+                say("warning: " + printable(str(message), MAX_HINT))
+
+        warnings.simplefilter("always", AccelsurfWarning)
+        warnings.showwarning = show
+        yield

@@ -19,6 +19,7 @@ from accelsurf.cli.object_options import ObjectOptions
 from accelsurf.cli.options import Display
 from accelsurf.cli.place import Place
 from accelsurf.errors import OutputError
+from accelsurf.io.file_set import refuse_links
 from accelsurf.report import group_files, object_files, output_folder, result_sets
 from accelsurf.settings.run_config import RunConfig
 
@@ -80,6 +81,7 @@ def _work_folder(place: Place, resume: bool) -> Path:
         When an earlier run has left something there that may not be lost.
     """
     work = (place.folder / f".{place.name}_objects").absolute()
+    refuse_links(work)
     if work.is_dir() and not resume:
         if not place.overwrite:
             raise OutputError(

@@ -1,42 +1,37 @@
 """Files that belong together: they appear all at once or not at all, also when the process is killed.
 
-Drafts lie in a hidden folder beside the outputs (`accelsurf.io.claims`). When all are complete and on the disk, a
-journal with their names is put there: from this moment on the new files count. Then each old file is moved into the
-hidden folder and each new one to its place. The last file, a report that names the others, is the first old one to go
-and the last new one to come: where a report stands, its files are those that it names. Whoever finds the journal of a
-dead process finishes the moves (`recover`). Drafts without a journal are removed.
+New files lie in a staging folder beside the outputs until all are complete and on the disk. Then a journal in the
+user's state folder (`accelsurf.io.set_journals`) says what is moved: from this moment on the new files count. Each old
+file is moved into the staging folder and each new one to its place. The last file, a report that names the others, is the first
+old one to go and the last new one to come: where a report stands, its files are those that it names. The next command
+finishes the moves of a dead process by its journal (`recover`), or removes the staging folder where none had begun.
+A staging folder without a journal of this user is named and left alone.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
-import tempfile
+import stat
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
-from accelsurf.errors import OutputError
-from accelsurf.io.claims import SUFFIX, Claim, claim, hidden_folders, hidden_name
+from accelsurf.errors import AccelsurfWarning, OutputError
+from accelsurf.io import set_journals
+from accelsurf.io.set_journals import PREFIX, SUFFIX, Journal, Moves, sync_folder
 from accelsurf.io.signals import uninterrupted
 
-_JOURNAL = "journal.json"
 _NEW, _OLD = "new", "old"
-#: Another process looks for a moment whether the owner of a folder is dead, and holds its lock then.
+#: Another process looks for a moment whether the writer of a set is dead, and holds its lock then.
 _TRIES, _TRY_SECONDS = 10, 0.03
-
-
-@dataclass(frozen=True)
-class _Journal:
-    """What is moved: ``files`` in their order, then ``last``; ``remove`` are old files; ``undo`` moves all back."""
-
-    files: Sequence[str]
-    remove: Sequence[str]
-    last: str | None
-    undo: bool = False
+#: What Windows calls a junction by: a link between folders.
+_JUNCTION = 0xA0000003
+#: Foreign staging folders that a warning names.
+_NAMED = 3
 
 
 class FileSet:
@@ -52,16 +47,18 @@ class FileSet:
         Whether they are in place, or will be put there by the next run.
     """
 
-    def __init__(self, folder: Path, claimed: Claim) -> None:
-        self.folder, self._claim = folder, claimed
-        self.drafts = claimed.folder / _NEW
+    def __init__(self, folder: Path, journal: Journal) -> None:
+        self.folder, self._journal = folder, journal
+        self.drafts = journal.staging / _NEW
         self.committed = False
-        self.discard()
+        os.mkdir(journal.staging)  # it is new: nothing that was put there before is followed
+        os.mkdir(self.drafts)
 
     def discard(self) -> None:
         """Remove the drafts."""
         shutil.rmtree(self.drafts, ignore_errors=True)
-        self.drafts.mkdir(exist_ok=True)
+        with suppress(FileNotFoundError):  # somebody has removed the output folder: what is written next says so
+            self.drafts.mkdir(exist_ok=True)
 
     def commit(self, last: str | None = None, remove: Iterable[str] = ()) -> None:
         """Put all drafts in place of the old files of their names. Signals wait until that is done.
@@ -88,16 +85,15 @@ class FileSet:
                 os.replace(self.drafts / everything[0], self.folder / everything[0])  # all or nothing by itself
             else:
                 sync_folder(self.drafts)
-                _write_journal(self._claim.folder, _Journal(names, gone, last))
+                self._journal.write(Moves(names, gone, last))
                 self.committed = True  # drafts must not be removed from here on, whatever happens
                 try:
-                    _move(self._claim.folder, self.folder)
+                    _move(self._journal, self.folder)
                 except Exception:
-                    self.committed = (self._claim.folder / _JOURNAL).exists()
+                    self.committed = self._journal.moves is not None
                     raise
             self.committed = True
             sync_folder(self.folder)
-
 
     def _has_folder(self, name: str) -> bool:
         """Whether the draft of a name, or what it replaces, is a folder: the system does not exchange these."""
@@ -113,7 +109,7 @@ def opened(folder: Path, name: str, unique: bool = False) -> Iterator[FileSet]:
     folder : Path
         Exists.
     name : str
-        Of the set. Only one process at a time writes a set of this name.
+        Of the set. Only one process of this user at a time writes a set of this name.
     unique : bool
         Whether others may write one of this name at the same time: who ends last, wins.
 
@@ -122,76 +118,156 @@ def opened(folder: Path, name: str, unique: bool = False) -> Iterator[FileSet]:
     OSError
         When nothing can be written there.
     OutputError
-        When another process is writing this set, or what a killed one has begun cannot be finished.
+        When another process is writing this set, what a killed one has begun cannot be finished, or the folder is a
+        link.
+
+    Warns
+    -----
+    AccelsurfWarning
+        Of staging folders that are not of this user's runs, and of a state folder that cannot be written.
     """
-    stuck = recover(folder)
-    hidden = folder / hidden_name(name)
-    if not unique and hidden in stuck:
+    refuse_links(folder)
+    stuck = [path for path in recover(folder) if _set_of(path) == _set_of(Path(set_journals.staging_name(name, "0")))]
+    if stuck and not unique:
         raise OutputError(
             f"{folder / name}: a run that was killed has put only some of its files in place, and they cannot be moved",
-            f"is one of them open in another program? the others are in {hidden}",
+            f"is one of them open in another program? the others are in {stuck[0]}",
         )
-    claimed = _claimed(hidden, unique)
-    hidden = hidden if claimed is None else claimed.folder
-    if claimed is None or (hidden / _JOURNAL).exists():  # its owner has died since
-        if claimed is not None:
-            claimed.release()
+    journal = _begun(folder, name, unique)
+    if journal is None:
         raise OutputError(
             f"{folder / name}: another run is writing there now", "wait until it ends, or choose another folder with -o"
         )
+    if not (unique or journal.has_file or set_journals.is_staging(folder)):
+        text = f"{folder}: a run that is killed while its files are put in place could not be finished"
+        warnings.warn(f"{text}: no state can be kept in the home folder", AccelsurfWarning, stacklevel=2)
     try:
-        yield FileSet(folder, claimed)
+        yield FileSet(folder, journal)
     finally:
         with uninterrupted():
-            if (hidden / _JOURNAL).exists():
-                claimed.release()  # the next run tries again
+            if journal.moves is not None:
+                journal.release()  # the next run tries again
             else:
-                claimed.remove()
+                shutil.rmtree(journal.staging, ignore_errors=True)
+                journal.end()
 
 
-def _claimed(hidden: Path, unique: bool) -> Claim | None:
-    """Claim a hidden folder, or a new one with a name like it; None where another process keeps it."""
+def _begun(folder: Path, name: str, unique: bool) -> Journal | None:
     for _ in range(_TRIES):
-        place = hidden
-        if unique:
-            place = Path(
-                tempfile.mkdtemp(prefix=f"{hidden.name.removesuffix(SUFFIX)}.", suffix=SUFFIX, dir=hidden.parent)
-            )
-        claimed = claim(place, made=unique)
-        if claimed is not None:
-            return claimed
+        journal = set_journals.begun(folder, name, unique)
+        if journal is not None:
+            return journal
         time.sleep(_TRY_SECONDS)
     return None
 
 
+def _set_of(staging: Path) -> str:
+    """Name of a staging folder without what makes it unique."""
+    return staging.name.removesuffix(SUFFIX).rpartition(".")[0]
+
+
 def recover(folder: Path) -> list[Path]:
-    """Finish or remove what killed processes have left in a folder; processes that live are left alone.
+    """Finish or remove what killed processes of this user have left in a folder; those that live are left alone.
 
     Returns
     -------
     list of Path
-        Hidden folders of sets that are complete but could not be put in place.
+        Staging folders of sets that are complete but could not be put in place.
+
+    Warns
+    -----
+    AccelsurfWarning
+        Of staging folders that no journal of this user names.
     """
-    stuck = []
-    for hidden in hidden_folders(folder):
+    if set_journals.is_staging(folder):
+        return []
+    there, stuck = _staging_folders(folder), []
+    for journal in set_journals.left_by_dead(folder):
         try:
-            claimed = claim(hidden)
-        except OSError:
-            claimed = None
-            if os.path.exists(hidden / _JOURNAL):  # False where one may not look
-                stuck.append(hidden)
-        if claimed is None:
-            continue
-        try:
-            if (hidden / _JOURNAL).exists():
+            _check_staging(journal)
+            if journal.moves is not None:
                 with uninterrupted():
-                    _move(hidden, folder)
-        except (OSError, ValueError, TypeError, RecursionError):  # or the journal is none of ours
-            stuck.append(hidden)
-            claimed.release()
+                    _move(journal, folder)
+            shutil.rmtree(journal.staging, ignore_errors=True)
+        except OSError:
+            stuck.append(journal.staging)
+            journal.release()
         else:
-            claimed.remove()
+            journal.end()
+    _name_foreign(folder, there)
     return stuck
+
+
+def _staging_folders(folder: Path) -> list[str]:
+    """Names of what looks like staging folders, and of links that are called so."""
+    try:
+        names = os.listdir(folder)
+    except OSError:
+        return []
+    return sorted(name for name in names if name.startswith(PREFIX) and name.endswith(SUFFIX))
+
+
+def _name_foreign(folder: Path, there: list[str]) -> None:
+    """Warn of staging folders of which no journal of this user tells: whoever left them, nothing in them counts."""
+    if not there:
+        return
+    known = set_journals.recorded(folder)
+    names = [name for name in there if name not in known and os.path.lexists(folder / name)]
+    if names:
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        said = f"{', '.join(names[:_NAMED])}{more} {'are' if len(names) > 1 else 'is'} not from a run of yours"
+        warnings.warn(
+            f"{folder.absolute()}: {said}, so nothing in it is used or changed; remove it if nobody is writing there",
+            AccelsurfWarning,
+            stacklevel=3,
+        )
+
+
+def refuse_links(folder: Path) -> None:
+    """Refuse to write in a folder that is a link, or that lies below one in the present folder.
+
+    A link may have come with somebody's data, and lead anywhere.
+
+    Raises
+    ------
+    OutputError
+        With the folder that the link leads to.
+    """
+    whole, present = Path(os.path.abspath(folder)), Path.cwd()
+    below = whole.relative_to(present).parts if whole.is_relative_to(present) else whole.parts[-1:]
+    for count in range(len(below)):
+        part = Path(*whole.parts[: len(whole.parts) - count])
+        if _is_link(part):
+            raise OutputError(
+                f"{part}: is a link to {os.path.realpath(part)}, and nothing is written through a link",
+                f"name the folder itself: {os.path.realpath(whole)}",
+            )
+
+
+def _is_link(path: Path) -> bool:
+    """Whether a path is a link, or a junction of Windows."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return False
+    return stat.S_ISLNK(found.st_mode) or getattr(found, "st_reparse_tag", 0) == _JUNCTION
+
+
+def _check_staging(journal: Journal) -> None:
+    """Refuse a staging folder in whose place somebody has put something else; one that is gone has nothing to move.
+
+    Raises
+    ------
+    OSError
+        When it, or a folder in it, is no folder.
+    """
+    for folder in (journal.staging, journal.staging / _NEW, journal.staging / _OLD):
+        try:
+            found = folder.lstat()
+        except FileNotFoundError:
+            continue
+        if not stat.S_ISDIR(found.st_mode) or _is_link(folder):
+            raise NotADirectoryError(f"{folder}: is no folder")
 
 
 def finish_killed_runs(folder: Path) -> None:
@@ -220,78 +296,45 @@ def sync(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def sync_folder(folder: Path) -> None:
-    """Wait until the names in a folder are on the disk, where the system can say so."""
-    if os.name != "posix":
+def _move(journal: Journal, folder: Path) -> None:
+    """Do what a journal says; a move that fails puts everything back. May be repeated after a kill at any point."""
+    moves, staging = journal.moves, journal.staging
+    if moves is None or not staging.is_dir():
+        journal.clear()
         return
-    number = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(number)
-    except OSError:
-        pass  # some network file systems refuse it for folders
-    finally:
-        os.close(number)
-
-
-def _write_journal(hidden: Path, journal: _Journal) -> None:
-    draft = hidden / f"{_JOURNAL}.draft"
-    with draft.open("w", encoding="utf-8") as file:
-        # Names that are no UTF-8 are escaped.
-        file.write(json.dumps(asdict(journal)))
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(draft, hidden / _JOURNAL)
-    sync_folder(hidden)
-
-
-def _read_journal(hidden: Path) -> _Journal:
-    """The journal in a hidden folder; a ValueError where it would move files of other folders.
-
-    A hidden folder may have come with somebody's data.
-    """
-    journal = _Journal(**json.loads((hidden / _JOURNAL).read_text(encoding="utf-8")))
-    for name in (*journal.files, *journal.remove, *(() if journal.last is None else (journal.last,))):
-        if name in ("", ".", "..") or os.path.basename(name) != name:
-            raise ValueError(f"{name} is not the name of a file")
-    return journal
-
-
-def _move(hidden: Path, folder: Path) -> None:
-    """Do what the journal says; a move that fails puts everything back. May be repeated after a kill at any point."""
-    journal = _read_journal(hidden)
-    (hidden / _OLD).mkdir(exist_ok=True)
-    if not journal.undo:
-        try:
-            _move_forward(hidden, folder, journal)
-        except Exception:
-            journal = _Journal(journal.files, journal.remove, journal.last, undo=True)
-            _write_journal(hidden, journal)
-            _move_back(hidden, folder, journal)
-            (hidden / _JOURNAL).unlink()
-            raise
+    (staging / _OLD).mkdir(exist_ok=True)
+    if moves.undo:
+        _move_back(staging, folder, moves)
     else:
-        _move_back(hidden, folder, journal)
-    (hidden / _JOURNAL).unlink()
+        try:
+            _move_forward(staging, folder, moves)
+        except Exception:
+            moves = replace(moves, undo=True)
+            journal.write(moves)
+            _move_back(staging, folder, moves)
+            journal.clear()
+            raise
+    journal.clear()
 
 
-def _move_forward(hidden: Path, folder: Path, journal: _Journal) -> None:
-    new, old = hidden / _NEW, hidden / _OLD
-    last = [] if journal.last is None else [journal.last]
-    for name in (*last, *journal.remove):
-        if (name in journal.remove or os.path.lexists(new / name)) and os.path.lexists(folder / name):
+def _move_forward(staging: Path, folder: Path, moves: Moves) -> None:
+    new, old = staging / _NEW, staging / _OLD
+    last = [] if moves.last is None else [moves.last]
+    for name in (*last, *moves.remove):
+        if (name in moves.remove or os.path.lexists(new / name)) and os.path.lexists(folder / name):
             os.replace(folder / name, old / name)
-    for name in (*journal.files, *last):
+    for name in (*moves.files, *last):
         if os.path.lexists(new / name):
             if os.path.lexists(folder / name):
                 os.replace(folder / name, old / name)
             os.replace(new / name, folder / name)
 
 
-def _move_back(hidden: Path, folder: Path, journal: _Journal) -> None:
-    new, old = hidden / _NEW, hidden / _OLD
-    last = [] if journal.last is None else [journal.last]
-    for name in (*reversed(journal.files), *journal.remove, *last):
-        placed = name not in journal.remove and not os.path.lexists(new / name)
+def _move_back(staging: Path, folder: Path, moves: Moves) -> None:
+    new, old = staging / _NEW, staging / _OLD
+    last = [] if moves.last is None else [moves.last]
+    for name in (*reversed(moves.files), *moves.remove, *last):
+        placed = name not in moves.remove and not os.path.lexists(new / name)
         if placed and os.path.lexists(folder / name):
             os.replace(folder / name, new / name)
         if os.path.lexists(old / name):

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import Box
-from accelsurf.io.file_set import sync, sync_folder
+from accelsurf.io.file_set import sync
+from accelsurf.io.set_journals import sync_folder
 from accelsurf.report import object_files
 from accelsurf.report.document import describe_object, describe_window
 

@@ -23,6 +23,7 @@ from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, enclosing, p
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.sequence import ImageSequence
+from accelsurf.io.file_set import refuse_links
 from accelsurf.io.images import label_type
 from accelsurf.tracking.records import FrameResult, Lineage, SurfacePiece, TrackedObject
 
@@ -105,6 +106,7 @@ class FrameStore:
         self.folder = folder
         if read_only:
             return
+        refuse_links(folder)
         if not resume:
             shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True, exist_ok=True)
@@ -141,6 +143,7 @@ class FrameStore:
         row = FrameRow(int(result.frame), float(result.time), float(result.seconds), rows)
         arrays["row"] = np.frombuffer(json.dumps(asdict(row)).encode(), np.uint8)
         draft = self.folder / f".{result.frame}.npz"
+        draft.unlink(missing_ok=True)  # a link would be followed
         np.savez_compressed(draft, **arrays)  # type: ignore[arg-type]
         os.replace(draft, self._path(result.frame))
 

@@ -15,7 +15,7 @@ from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.errors import AccelsurfError
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.grid.volume import Volume
-from accelsurf.io.file_set import FileSet
+from accelsurf.io.file_set import FileSet, refuse_links
 from accelsurf.io.files import write_bytes
 from accelsurf.report import film_strip, output_folder, result_sets, track_document, track_tables, volume_curves
 from accelsurf.report.file_entries import describe_drafts
@@ -211,6 +211,7 @@ class TrackOutputs:
     @property
     def _mesh_folder(self) -> Path:
         folder = self._store.folder / "meshes"
+        refuse_links(folder)
         folder.mkdir(exist_ok=True)
         return folder
 

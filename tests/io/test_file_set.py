@@ -4,13 +4,15 @@ import errno
 import hashlib
 import json
 import os
+import random
 import signal
 import sys
+from pathlib import Path
 
 import pytest
 
-from accelsurf.errors import OutputError
-from accelsurf.io import claims, file_set
+from accelsurf.errors import AccelsurfWarning, OutputError
+from accelsurf.io import file_set, set_journals
 from accelsurf.io.file_set import opened, recover
 from accelsurf.io.files import write_bytes
 
@@ -21,6 +23,14 @@ OLD = {"scan_seg.nii": b"old labels", "scan_surface.ply": b"old mesh", "scan_tra
 NEW = {"scan_seg.nii": b"new labels", "scan_surface.stl": b"new mesh", "scan_trace.csv": b"new trace"}
 #: What changes a folder, or makes sure that a change is on the disk: the process dies before the n-th call of them.
 CALLS = ("replace", "rename", "unlink", "rmdir", "mkdir", "fsync", "open")
+
+
+@pytest.fixture(autouse=True)
+def no_journal_stays(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
+        assert os.listdir(set_journals.state_folder()) == []
 
 
 def report(files):
@@ -166,15 +176,6 @@ def test_drafts_of_an_exception_are_removed(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folders_of_others_are_left_alone(tmp_path):
-    other = tmp_path / ".notes.accelsurf"
-    other.mkdir()
-    (other / "precious").write_bytes(b"1")
-    with opened(tmp_path, "scan"):
-        pass
-    assert (other / "precious").read_bytes() == b"1" and [path.name for path in tmp_path.iterdir()] == [other.name]
-
-
 def test_signals_wait_until_all_files_are_in_place(tmp_path, monkeypatch):
     folder = filled(tmp_path / "out")
     real = os.replace
@@ -197,7 +198,9 @@ def test_long_names_have_a_short_hidden_folder(tmp_path):
     with opened(tmp_path, name) as files:
         (files.drafts / name).write_bytes(b"1")
         files.commit()
-    assert content(tmp_path) == {name: b"1"} and len(os.fsencode(claims.hidden_name(name))) < 200
+    assert content(tmp_path) == {name: b"1"} and all(
+        len(os.fsencode(set_journals.staging_name(text, "0" * 16))) < 255 for text in (name, "a" * 255, "名" * 66)
+    )
 
 
 def test_file_systems_without_locks_take_files(tmp_path, monkeypatch):
@@ -220,14 +223,14 @@ def test_file_systems_without_locks_take_files(tmp_path, monkeypatch):
 @pytest.mark.parametrize("unique", [False, True])
 def test_a_process_that_only_looks_for_dead_ones_is_waited_for(unique, tmp_path, monkeypatch):
     """Between the making of a folder and its lock, another process may take it for that of a dead one."""
-    real = claims._try_lock
+    real = set_journals._try_lock
     looked = []
 
     def try_lock(lock, new):
         looked.append(lock)
         return len(looked) > 2 and real(lock, new)
 
-    monkeypatch.setattr(claims, "_try_lock", try_lock)
+    monkeypatch.setattr(set_journals, "_try_lock", try_lock)
     with opened(tmp_path, "scan", unique=unique) as files:
         (files.drafts / "a").write_bytes(b"1")
         files.commit()
@@ -236,48 +239,212 @@ def test_a_process_that_only_looks_for_dead_ones_is_waited_for(unique, tmp_path,
     assert content(tmp_path) == {"a": b"1"} and not list(tmp_path.glob(".*"))
 
 
-def test_folders_of_other_users_are_left_alone(tmp_path, monkeypatch):
-    """One cannot look into them: in a shared folder every command ended with "Permission denied"."""
-    theirs = tmp_path / ".theirs.abc.accelsurf"
-    theirs.mkdir()
-    (theirs / "lock").write_bytes(b"")
-    real_stat, real_open = os.stat, os.open
+#: What a received folder may hold: made by a function of the hidden folder, a folder of somebody else, and its files.
+def _linked(name):
+    def plant(hidden, elsewhere, given):
+        hidden.mkdir()
+        for part in ("new", "old"):
+            (hidden / part).symlink_to(elsewhere) if name in (part, "both") else (hidden / part).mkdir()
+        journal(hidden, given)
 
-    def refuse(real):
-        def call(path, *args, **kwargs):
-            if ".theirs." in str(path) and not str(path).endswith(".accelsurf"):
-                raise PermissionError(errno.EACCES, "Permission denied", str(path))
-            return real(path, *args, **kwargs)
-
-        return call
-
-    monkeypatch.setattr(os, "stat", refuse(real_stat))
-    monkeypatch.setattr(os, "open", refuse(real_open))
-    assert recover(tmp_path) == []
-    file_set.finish_killed_runs(tmp_path)
-    write_bytes(tmp_path / "a", b"1")
-    assert content(tmp_path) == {"a": b"1"}
+    return plant
 
 
-@pytest.mark.parametrize(
-    "journal",
-    [
-        json.dumps({"files": ["../stolen"], "remove": [], "last": None}),
-        json.dumps({"files": [], "remove": ["../kept"], "last": None}),
-        json.dumps({"files": ["a"], "remove": [], "last": ".."}),
-        "[" * 100_000,
-        "[]",
-        '{"files": [1], "remove": [], "last": null}',
-    ],
-)
-def test_a_journal_moves_no_files_of_other_folders(journal, tmp_path):
-    """A hidden folder may have come with data from elsewhere."""
-    (tmp_path / "kept").write_bytes(b"1")
-    hidden = tmp_path / "data" / ".scan.accelsurf"
-    (hidden / "new").mkdir(parents=True)
+def journal(hidden, given):
     (hidden / "lock").write_bytes(b"")
-    (hidden / "stolen").write_bytes(b"2")
-    (hidden / "journal.json").write_text(journal)
-    assert recover(tmp_path / "data") == [hidden]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["data", "kept"]
-    assert (hidden / "stolen").exists()
+    text = json.dumps(given)
+    for name in ("journal.json", "record.json", "x.json"):
+        (hidden / name).write_text(text)
+
+
+def _plain(hidden, elsewhere, given):
+    (hidden / "new").mkdir(parents=True)
+    (hidden / "new" / "a").write_bytes(b"evil")
+    journal(hidden, given)
+
+
+def _itself_a_link(hidden, elsewhere, given):
+    hidden.symlink_to(elsewhere)
+
+
+def _lock_a_link(hidden, elsewhere, given):
+    _plain(hidden, elsewhere, given)
+    (hidden / "lock").unlink()
+    (hidden / "lock").symlink_to(elsewhere / "key")
+
+
+def _empty(hidden, elsewhere, given):
+    hidden.mkdir()
+
+
+def _a_file(hidden, elsewhere, given):
+    hidden.write_bytes(b"1")
+
+
+PLANTS = [_linked("new"), _linked("old"), _linked("both"), _plain, _itself_a_link, _lock_a_link, _empty, _a_file]
+NAMES = [".x.accelsurf", ".scan.accelsurf", ".scan.0123456789abcdef.accelsurf", "..accelsurf", ".a.b.c.accelsurf"]
+
+
+def everything(folder):
+    """All files below a folder by name, links as what they say."""
+    return {
+        str(path.relative_to(folder)): os.readlink(path) if path.is_symlink() else path.is_file() and path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_in_an_output_folder_orders_a_move_or_a_deletion(plant, seed, tmp_path):
+    """A folder may have come with somebody's data, and hold what looks like a run that was killed."""
+    draw = random.Random(seed)
+    elsewhere, folder = tmp_path / "home" / ".ssh", tmp_path / "data"
+    elsewhere.mkdir(parents=True)
+    folder.mkdir()
+    for name in ("key", "known"):
+        (elsewhere / name).write_bytes(b"mine")
+    for name in ("thesis", "key", "scan_seg.nii"):
+        (folder / name).write_bytes(b"theirs")
+    given = draw.choice(
+        [
+            {"files": ["key"], "remove": ["thesis"], "last": None, "undo": draw.random() < 0.5},
+            {"files": ["a", "key"], "remove": ["scan_seg.nii"], "last": "key"},
+            {"staging": NAMES[seed], "moves": {"files": ["key"], "remove": ["thesis"], "last": "known"}},
+            {"files": ["../stolen"], "remove": ["../home"], "last": ".."},
+        ]
+    )
+    name = draw.choice(NAMES)
+    plant(folder / name, elsewhere, given)
+    before = everything(tmp_path)
+    with pytest.warns(AccelsurfWarning, match="not from a run of yours") as said:
+        assert recover(folder) == []
+    assert len(said) == 1 and name in str(said[0].message)
+    with pytest.warns(AccelsurfWarning):
+        write_bytes(folder / "new.txt", b"1")
+    with pytest.warns(AccelsurfWarning), opened(folder, "scan") as files:
+        (files.drafts / "b").write_bytes(b"2")
+        (files.drafts / "c").write_bytes(b"3")
+        files.commit(last="c")
+    after = everything(tmp_path)
+    assert {key: after.pop(f"data/{key}") for key in ("new.txt", "b", "c")} == {"new.txt": b"1", "b": b"2", "c": b"3"}
+    assert after == before
+
+
+def killed_in_mid_move(folder):
+    """A folder whose set was put in place by half when its process was killed; the staging folder."""
+    for call in range(1000):
+        filled(folder / str(call))
+        assert dying_child(lambda call=call: write_new(folder / str(call)), call)
+        if REPORT not in content(folder / str(call)):
+            return next((folder / str(call)).glob(".*"))
+        recover(folder / str(call))
+    raise AssertionError
+
+
+@pytest.mark.parametrize("part", ["", "new", "old"])
+def test_a_link_in_place_of_a_staging_folder_is_not_followed(part, tmp_path):
+    staging = killed_in_mid_move(tmp_path)
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "scan_seg.nii").write_bytes(b"mine")
+    (staging / part).rename(tmp_path / "kept")
+    (staging / part).symlink_to(tmp_path / "elsewhere")
+    assert recover(staging.parent) == [staging]
+    with pytest.raises(OutputError, match="only some of its files"), opened(staging.parent, "scan"):
+        pytest.fail("written over")
+    assert (tmp_path / "elsewhere" / "scan_seg.nii").read_bytes() == b"mine"
+    (staging / part).unlink()
+    (tmp_path / "kept").rename(staging / part)
+    assert recover(staging.parent) == [] and content(staging.parent) == AFTER
+
+
+def test_a_copy_of_a_folder_with_a_killed_run_is_not_that_folder(tmp_path):
+    import shutil
+
+    staging = killed_in_mid_move(tmp_path)
+    shutil.copytree(staging.parent, tmp_path / "copy")
+    with pytest.warns(AccelsurfWarning, match="not from a run of yours"):
+        assert recover(tmp_path / "copy") == []
+    assert (tmp_path / "copy" / staging.name / "new").is_dir()
+    assert recover(staging.parent) == [] and content(staging.parent) == AFTER
+
+
+@pytest.mark.parametrize("how", ["others may write it", "a link", "not a journal", "a name elsewhere"])
+def test_a_journal_that_is_not_the_users_alone_is_no_journal(how, tmp_path):
+    staging = killed_in_mid_move(tmp_path)
+    (path,) = set_journals.state_folder().glob("*.json")
+    text = path.read_text()
+    if how == "others may write it":
+        path.chmod(0o666)
+    elif how == "a link":
+        path.rename(tmp_path / "journal")
+        path.symlink_to(tmp_path / "journal")
+    else:
+        path.write_text("[" * 9999 if how == "not a journal" else text.replace('"scan_trace.csv"', '"../x"'))
+    before = everything(staging.parent)
+    with pytest.warns(AccelsurfWarning, match="not from a run of yours"):
+        assert recover(staging.parent) == []
+    assert everything(staging.parent) == before
+
+
+def test_journals_of_folders_that_are_gone_are_forgotten(tmp_path):
+    import shutil
+
+    staging = killed_in_mid_move(tmp_path)
+    (tmp_path / "new").mkdir()  # before: else it could get the inode of the folder that goes
+    shutil.rmtree(staging.parent)
+    left = list(set_journals.state_folder().iterdir())
+    assert left
+    write_bytes(tmp_path / "new" / "a", b"1")
+    assert list(set_journals.state_folder().iterdir()) == left
+    for path in left:
+        os.utime(path, (0, path.stat().st_mtime - 86400 * 91))
+    write_bytes(tmp_path / "new" / "a", b"1")
+
+
+def test_outputs_are_not_written_through_links(tmp_path, monkeypatch):
+    (tmp_path / "home").mkdir()
+    (tmp_path / "link").symlink_to("home")
+    monkeypatch.chdir(tmp_path)
+    for folder in (tmp_path / "link", Path("link"), Path("link/new"), Path("./home/../link")):
+        with pytest.raises(OutputError, match="is a link to") as refused:
+            file_set.refuse_links(folder)
+        assert str(tmp_path / "home") in refused.value.hint
+    with pytest.raises(OutputError, match="is a link to"):
+        write_bytes(tmp_path / "link" / "a", b"1")
+    (tmp_path / "home" / "a").symlink_to(tmp_path / "target")
+    write_bytes(tmp_path / "home" / "a", b"1")  # the link itself is replaced
+    assert not (tmp_path / "target").exists() and not (tmp_path / "home" / "a").is_symlink()
+
+
+@pytest.mark.parametrize("state", ["a file", "not to be written", "for all to write", "no home"])
+def test_without_a_place_for_journals_a_set_is_written_and_a_line_says_so(state, tmp_path, monkeypatch):
+    place = tmp_path / "state"
+    if state == "a file":
+        place.write_bytes(b"1")
+    elif state == "for all to write":
+        (place / "accelsurf" / "sets").mkdir(parents=True)
+        (place / "accelsurf" / "sets").chmod(0o777)
+    folder = filled(tmp_path / "out")
+    with monkeypatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", "" if state == "no home" else str(place))
+        if state == "not to be written":
+            patch.setattr(set_journals.os, "access", lambda *args: False)
+        if state == "no home":
+            patch.setattr(os.path, "expanduser", lambda path: path)
+        with pytest.warns(AccelsurfWarning, match="no state can be kept"):
+            write_new(folder)
+        write_bytes(folder / "other.txt", b"somebody's")  # a single file needs no journal
+    assert content(folder) == AFTER and not list(folder.glob(".*"))
+
+
+def test_an_output_folder_that_goes_away_is_an_error_of_its_name(tmp_path):
+    import shutil
+
+    from accelsurf.report.output_folder import naming_final, opened_set
+
+    folder = tmp_path / "out"
+    with pytest.raises(OutputError, match="out"), opened_set(folder, "scan") as files, naming_final(files):
+        shutil.rmtree(folder)
+        files.discard()
+        write_bytes(files.drafts / "a", b"1")
+    assert not folder.exists()

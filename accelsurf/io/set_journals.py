@@ -1,0 +1,357 @@
+"""Journals of sets of files that this user's processes are writing: in the user's state folder, nowhere else.
+
+What lies in an output folder may have come with somebody's data, so nothing there can order a move or a deletion. A
+journal is tied to the output folder by device and inode, and to the staging folder in it by a name that nobody can
+guess. A lock of the operating system beside the journal ends with the process: who gets the lock of a journal that is
+there already knows that its writer is dead.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import secrets
+import stat
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+#: First and last characters of the name of a staging folder.
+PREFIX, SUFFIX = ".", ".accelsurf"
+_JOURNAL, _LOCK, _DRAFT = ".json", ".lock", ".draft"
+#: Journals of killed runs whose folders nobody has written to since are forgotten after so long.
+_FORGOTTEN_DAYS = 90
+#: Longest name of a set that is repeated in the name of its staging folder, bytes: file systems allow 255.
+_MAX_NAME_BYTES = 200
+_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP}
+#: Only the user may write these, on systems that say who may.
+_OTHERS_MAY_WRITE = 0o022
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+
+
+@dataclass(frozen=True)
+class Moves:
+    """What is moved: ``files`` in their order, then ``last``; ``remove`` are old files; ``undo`` moves all back."""
+
+    files: Sequence[str]
+    remove: Sequence[str]
+    last: str | None
+    undo: bool = False
+
+
+class Journal:
+    """The journal of one set, locked by this process.
+
+    Attributes
+    ----------
+    staging : Path
+        The folder beside the outputs in which new files lie until they are complete.
+    moves : Moves or None
+        None as long as files are being written.
+    """
+
+    def __init__(self, path: Path | None, lock: int, folder: Path, staging: Path, moves: Moves | None = None) -> None:
+        self._path, self._lock, self._folder = path, lock, folder
+        self.staging, self.moves = staging, moves
+
+    @property
+    def has_file(self) -> bool:
+        """Whether it is in a file, so that another process finds it after a kill."""
+        return self._path is not None
+
+    def write(self, moves: Moves | None) -> None:
+        """Say what is to be moved; it is on the disk afterwards.
+
+        Raises
+        ------
+        OSError
+            When it cannot be written.
+        """
+        if self._path is not None:
+            content = {"staging": self.staging.name, "moves": None if moves is None else asdict(moves)}
+            draft = self._path.with_suffix(_DRAFT)
+            draft.unlink(missing_ok=True)
+            with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+                file.write(json.dumps(content))  # names that are no UTF-8 are escaped
+                if moves is not None:
+                    file.flush()
+                    os.fsync(file.fileno())
+            os.replace(draft, self._path)
+            if moves is not None:
+                sync_folder(self._path.parent)
+        self.moves = moves
+
+    def clear(self) -> None:
+        """Say that nothing is to be moved any more."""
+        try:
+            self.write(None)
+        except OSError:  # a full disk
+            if self._path is not None:
+                _unlink(self._path)
+        self.moves = None
+
+    def end(self) -> None:
+        """Remove it, and free the lock; more than once does nothing."""
+        if self._path is not None and self._lock >= 0:
+            _unlink(self._path.with_suffix(_DRAFT))
+            _unlink(self._path)
+            _free(self._lock, self._path.with_suffix(_LOCK))
+        self._lock = -1
+
+    def release(self) -> None:
+        """Free the lock and leave the journal, for another process to deal with."""
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+
+def state_folder() -> Path:
+    """Folder of the journals, made if it is not there.
+
+    Raises
+    ------
+    OSError
+        When nothing can be written there, or others than the user can write there, too.
+    """
+    from platformdirs import user_state_path
+
+    try:
+        folder = user_state_path("accelsurf", appauthor=False) / "sets"
+    except RuntimeError as error:
+        raise OSError(errno.ENOENT, str(error)) from error
+    if not folder.is_absolute():  # older versions say so in this way
+        raise OSError(errno.ENOENT, "the user has no home folder")
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not _is_private(folder.lstat()) or not stat.S_ISDIR(folder.lstat().st_mode):
+        raise PermissionError(errno.EACCES, "others than the user may write there", str(folder))
+    if not os.access(folder, os.W_OK):
+        raise PermissionError(errno.EACCES, "Permission denied", str(folder))
+    return folder
+
+
+def begun(folder: Path, name: str, unique: bool) -> Journal | None:
+    """Begin a set of files: lock its journal, or say None where another process writes a set of this name there.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files will be; it exists.
+    name : str
+        Of the set.
+    unique : bool
+        Whether others may write one of this name at the same time.
+
+    Raises
+    ------
+    OSError
+        When the folder cannot be looked at.
+    """
+    token = secrets.token_hex(8)
+    staging = folder / staging_name(name, token)
+    if is_staging(folder):  # its own journal says that all in it is of this user
+        return Journal(None, -1, folder, staging)
+    try:
+        state = state_folder()
+    except OSError:
+        return Journal(None, -1, folder, staging)
+    _forget_old(state)
+    word = token if unique else hashlib.sha256(os.fsencode(name)).hexdigest()[:16]
+    path = state / f"{_identity(folder)}-{word}{_JOURNAL}"
+    lock = _locked(path)
+    if lock is None:
+        return None
+    if path.exists():  # its writer has died since the folder was recovered
+        os.close(lock)
+        return None
+    journal = Journal(path, lock, folder, staging)
+    try:
+        journal.write(None)
+    except BaseException:
+        journal.end()
+        raise
+    return journal
+
+
+def left_by_dead(folder: Path) -> Iterator[Journal]:
+    """Journals of sets in a folder whose writers are dead, each locked; of those that live none.
+
+    Parameters
+    ----------
+    folder : Path
+    """
+    for path in _journals(folder):
+        lock = _locked(path)
+        if lock is None:
+            continue
+        content = _content(path)
+        if content is None:
+            Journal(path, lock, folder, folder).end()
+        else:
+            yield Journal(path, lock, folder, *content_of(content, folder))
+
+
+def recorded(folder: Path) -> set[str]:
+    """Names of the staging folders in a folder that journals of this user name."""
+    contents = (_content(path) for path in _journals(folder))
+    return {content["staging"] for content in contents if content is not None}
+
+
+def content_of(content: dict[str, Any], folder: Path) -> tuple[Path, Moves | None]:
+    """Staging folder and moves that a journal says."""
+    moves = content["moves"]
+    return folder / content["staging"], None if moves is None else Moves(**moves)
+
+
+def staging_name(name: str, token: str) -> str:
+    """Name of the staging folder of a set; short enough for any file system.
+
+    Examples
+    --------
+    >>> staging_name("scan", "0123"), len(staging_name("x" * 255, "0123"))
+    ('.scan.0123.accelsurf', 73)
+    """
+    if len(os.fsencode(name)) > _MAX_NAME_BYTES:
+        name = f"{name[:40]}-{hashlib.sha256(os.fsencode(name)).hexdigest()[:16]}"
+    return f"{PREFIX}{name}.{token}{SUFFIX}"
+
+
+def is_staging(folder: Path) -> bool:
+    """Whether a folder is, or lies in, a staging folder.
+
+    Examples
+    --------
+    >>> is_staging(Path("out/.scan.0123456789abcdef.accelsurf/new")), is_staging(Path("out/new"))
+    (True, False)
+    """
+    return any(part.startswith(PREFIX) and part.endswith(SUFFIX) for part in folder.parts)
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until the names in a folder are on the disk, where the system can say so."""
+    if os.name != "posix":
+        return
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    except OSError:
+        pass  # some network file systems refuse it for folders
+    finally:
+        os.close(number)
+
+
+def _identity(folder: Path) -> str:
+    found = folder.stat()
+    return f"{found.st_dev:x}-{found.st_ino:x}"
+
+
+def _journals(folder: Path) -> list[Path]:
+    try:
+        return _paths(state_folder(), f"{_identity(folder)}-*")
+    except OSError:
+        return []
+
+
+def _paths(state: Path, pattern: str) -> list[Path]:
+    """Paths of journals; a process may have been killed when there was no more than a lock."""
+    return sorted({path.with_suffix(_JOURNAL) for path in state.glob(pattern)})
+
+
+def _forget_old(state: Path) -> None:
+    """Remove what runs that were killed long ago have left in the state folder."""
+    for path in _paths(state, "*"):
+        try:
+            newest = max(file.lstat().st_mtime for file in state.glob(f"{path.stem}.*"))
+        except (OSError, ValueError):  # it has just ended
+            continue
+        if time.time() - newest > 86400 * _FORGOTTEN_DAYS and (lock := _locked(path)) is not None:
+            Journal(path, lock, state, state).end()
+
+
+def _content(path: Path) -> dict[str, Any] | None:
+    """What a journal says; None where it is gone, is not this user's alone, or is none."""
+    try:
+        with open(os.open(path, os.O_RDONLY | _NO_LINK), encoding="utf-8") as file:
+            if not _is_private(os.fstat(file.fileno())):
+                return None
+            content = json.load(file)
+        staging, moves = content["staging"], content["moves"]
+        names = [staging, *([] if moves is None else [*moves["files"], *moves["remove"], moves["last"] or staging])]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    if any(name in ("", ".", "..") or os.path.basename(name) != name for name in names):
+        return None
+    return dict(content)
+
+
+def _is_private(found: os.stat_result) -> bool:
+    """Whether a file is this user's, and nobody else may write it."""
+    if os.name != "posix":
+        return True
+    return found.st_uid == os.geteuid() and not found.st_mode & _OTHERS_MAY_WRITE
+
+
+def _locked(journal: Path) -> int | None:
+    """An open file that this process has locked for a journal; None where another process has."""
+    path = journal.with_suffix(_LOCK)
+    while True:
+        new = not journal.exists()
+        lock = os.open(path, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o600)
+        try:
+            got = _try_lock(lock, new)
+            if got and _is_file(lock, path):
+                return lock
+        except BaseException:
+            os.close(lock)
+            raise
+        os.close(lock)
+        if not got:
+            return None
+
+
+def _free(lock: int, path: Path) -> None:
+    if sys.platform == "win32":
+        os.close(lock)  # an open file cannot be removed there
+        _unlink(path)
+    else:
+        _unlink(path)
+        os.close(lock)
+
+
+def _unlink(path: Path) -> None:
+    try:
+        path.unlink()
+    except OSError:
+        pass
+
+
+def _is_file(lock: int, path: Path) -> bool:
+    """Whether an open file is still the one of that name."""
+    try:
+        return os.path.samestat(os.fstat(lock), path.lstat())
+    except OSError:
+        return False
+
+
+def _try_lock(lock: int, new: bool) -> bool:
+    """Lock an open file without waiting. Where the file system has no locks, whoever begins a journal has it."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(lock, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in _NO_LOCKS:
+            return new
+        if error.errno in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
+            return False
+        raise
+    return True
