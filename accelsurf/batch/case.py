@@ -15,8 +15,6 @@ from accelsurf.settings.wording import shown
 _UNSAFE = re.compile(r'[<>:"/\\|?*\x00-\x1f\x7f]')
 #: Names of the tables of a batch, which lie beside the folders of the cases.
 _TABLES = re.compile(r"batch(_report)?(_\d+of\d+)?\.(csv|html|json)", re.IGNORECASE)
-#: Settings that are places, and kinds of places that name a file: ``label:FILE``.
-PLACES, FILE_KINDS = ("start", "foreground", "background", "inside", "outside"), ("label", "mesh", "stroke")
 #: Of an id: names of files begin with it, and have 255 bytes on the usual file systems.
 MAX_ID_BYTES = 160
 

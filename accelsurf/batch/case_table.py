@@ -8,10 +8,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from accelsurf.batch import csv_table
-from accelsurf.batch.case import FILE_KINDS, PLACES, Case
+from accelsurf.batch.case import Case
 from accelsurf.errors import InputError
 from accelsurf.io import split_name
 from accelsurf.io.headers import name_of
+from accelsurf.report.inputs import FILE_KINDS, PLACES
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.track_config import FRAME_SETTINGS, setting_entry
 from accelsurf.settings.track_fields import TrackFields

@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf import io
-from accelsurf.batch.case import FILE_KINDS, PLACES
 from accelsurf.batch.outcome import CaseTask, Outcome, of_report
 from accelsurf.errors import AccelsurfError
 from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
 from accelsurf.report.document import to_json
+from accelsurf.report.inputs import named_files
 from accelsurf.report.result_sets import is_of, is_output, load_report, report_name
-from accelsurf.settings.run_config import RunConfig
-from accelsurf.settings.track_config import TrackConfig
 
 
 def record_path(task: CaseTask) -> Path:
@@ -69,24 +67,6 @@ def finished(task: CaseTask) -> Outcome | None:
         return of_report(task, report, _dice(task, report, record))
     except (AccelsurfError, LookupError, TypeError, AttributeError):
         return None  # it is run again, and says what is wrong
-
-
-def named_files(given: RunConfig | TrackConfig) -> list[Path]:
-    """Return the files, beside the image, that the settings of a run or a tracking name and that are there."""
-    config, corrections = (given.run, given.correct) if isinstance(given, TrackConfig) else (given, ())
-    texts = [text for text in (config.mask, config.objects, *config.channel) if text]
-    wheres = [text for key in PLACES for text in getattr(config, key)]
-    wheres += [text for edit in config.edit for text in (edit.add, edit.remove, *edit.inside, *edit.outside) if text]
-    refinements = [*config.refine, *(one.refinement for one in corrections)]
-    wheres += [text for one in refinements for text in (*one.inside, *one.outside)]
-    texts += [text.partition(":")[2] for text in wheres if text.partition(":")[0] in FILE_KINDS]
-    found = {}
-    for text in texts:
-        for name in (text, text.rpartition("@")[0]):  # FILE@IDS; a name may have an @ itself
-            if name and io.is_stored(Path(name)):
-                found[name] = Path(name)
-                break
-    return list(found.values())
 
 
 def _dice(task: CaseTask, report: Mapping[str, Any], record: Mapping[str, Any]) -> float | None:

@@ -148,7 +148,8 @@ def batch(
     work = Batch(*admitted(tasks, options), shard, words, sys.argv)
     if options.plan:
         return _print_plan(work, options.scheduler)
-    return _conclude(_run(work, folder, options, overwrite, display), folder, display)
+    tables = [*(Path(text) for text in cases), *([config] if config is not None else [])]
+    return _conclude(_run(work, folder, options, overwrite, display, tables), folder, display)
 
 
 def task_of(task: CaseTask) -> CaseTask:
@@ -240,9 +241,9 @@ def _at_once(work: Batch, scheduler: str | None) -> str:
 
 
 def _run(
-    work: Batch, folder: Path, options: BatchOptions, overwrite: bool, display: Display
+    work: Batch, folder: Path, options: BatchOptions, overwrite: bool, display: Display, given: list[Path]
 ) -> Tables:
-    """Run the cases; files of an earlier batch are refused before anything is computed."""
+    """Run the cases; files of an earlier batch are refused before anything is computed, ``given`` files always."""
     from accelsurf.batch.run import refuse_results
     from accelsurf.cli import batch_case
     from accelsurf.cli.batch_progress import BatchProgress
@@ -253,6 +254,7 @@ def _run(
     with opened_set(folder, work.names.set) as files:
         if not (overwrite or options.resume):
             refuse_results(folder, work)
+        batch_case.refuse_inputs_of(work.tasks, [folder / name for name in work.names.all], given)
         if not display.quiet:
             say(_at_once(work, options.scheduler))
         pool = made_pool(work, options)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import io
 import warnings
+from collections.abc import Iterable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
@@ -25,8 +26,10 @@ from accelsurf.cli.place import Place
 from accelsurf.cli.progress import Watcher
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
 from accelsurf.io import channels, read_labels
+from accelsurf.io.file_set import refuse_inputs
 from accelsurf.io.headers import outside_data_allowed
 from accelsurf.report.result_sets import load_report, report_name
+from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
@@ -106,7 +109,27 @@ def lost(task: CaseTask, failure: Failure) -> Outcome:
 
 def place_of(task: CaseTask) -> Place:
     """Where the image of a case is, and where its files go."""
-    return Place(task.case.image, task.folder, task.case.id, task.overwrite, task.resume)
+    further = (task.case.reference,)
+    return Place(task.case.image, task.folder, task.case.id, task.overwrite, task.resume, further=further)
+
+
+def refuse_inputs_of(tasks: Sequence[CaseTask], tables: Sequence[Path], given: Sequence[Path]) -> None:
+    """Refuse a batch whose tables, or the files of one of its cases, are what it or another of its cases reads.
+
+    Raises
+    ------
+    OutputError
+        With the file.
+    """
+    places = [(place_of(task), task.config) for task in tasks]
+    inputs = [*given, *(path for place, config in places for path in place.inputs(config))]
+    refuse_inputs([*tables, *(path for place, config in places for path in _outputs(place, config))], inputs)
+
+
+def _outputs(place: Place, config: RunConfig | TrackConfig) -> Iterable[Path]:
+    if isinstance(config, TrackConfig):
+        return track_case.TrackCase(place, config).files.paths(place.folder, place.name).values()
+    return place.paths(config).values()
 
 
 class LostCaseError(AccelsurfError):

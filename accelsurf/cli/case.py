@@ -123,8 +123,9 @@ def run_case(
         When there is no result; the report has been written then, and an earlier result is as it was.
     """
     log = Log()
-    with output_folder.opened_set(place.folder, place.name) as files:
-        output_folder.refuse_existing(place.paths(config), place.overwrite)
+    inputs = place.inputs(config)
+    with output_folder.opened_set(place.folder, place.name, inputs) as files:
+        output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
         if place.has_checkpoint:
             _refuse_checkpoint(place)
         try:

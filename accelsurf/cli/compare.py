@@ -71,14 +71,16 @@ def compare(
     from accelsurf.cli.progress import Watcher
     from accelsurf.io.channels import read as read_channels
     from accelsurf.report.file_entries import describe_input
+    from accelsurf.report.inputs import inputs_of
     from accelsurf.report.output_folder import opened_set, refuse_existing
 
     display = display or Display()
     source, folder = required(input, "INPUT"), required(output, "-o DIR, the output folder,")
     configs = {name: run_config(settings, config, flow=name, checkpoint=None) for name in _names(flows)}
     paths = {"comparison": folder / "compare.json", "picture": folder / "compare.png"}
-    with opened_set(folder, "compare") as files:
-        refuse_existing(paths, overwrite)
+    inputs = inputs_of(source, next(iter(configs.values())), reference, config)
+    with opened_set(folder, "compare", inputs) as files:
+        refuse_existing(paths, overwrite, inputs)
         volume, *channels = read_channels(source, next(iter(configs.values())).reading)
         truth = io.read_labels(reference) if reference is not None else None
         if truth is not None:

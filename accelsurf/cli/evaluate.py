@@ -86,6 +86,7 @@ def evaluate(
         return evaluate_tracks(pred, ref, as_json, table)
     known = _names(names)
     found = _pairs(pred, ref, pairs)
+    _refuse_input_as_table(table, found, pairs, names)
     if isinstance(found, list):
         results = [_try(pair, asked) for pair in found]
     else:
@@ -105,6 +106,17 @@ def _check_table(table: str | None, as_json: bool, overwrite: bool) -> None:
         raise UsageError(f"--csv: {table} was given, expected the name of a file", "as in --csv table.csv, or --csv -")
     elif Path(table).exists() and not overwrite:
         raise OutputError(f"{table}: exists already", "choose another name, or add --overwrite")
+
+
+def _refuse_input_as_table(table: str | None, found: list[Pair] | Pair, *further: Path | None) -> None:
+    """Refuse a table in the place of a file that is read."""
+    from accelsurf.io.file_set import refuse_inputs
+
+    if table is None or table == "-":
+        return
+    sides = [side for pair in (found if isinstance(found, list) else [found]) for side in (pair.pred, pair.ref)]
+    inputs = [*(side.path for side in sides if side is not None), *(path for path in further if path is not None)]
+    refuse_inputs([Path(table)], inputs)
 
 
 def _refuse_with_tracks(given: dict[str, Any]) -> None:

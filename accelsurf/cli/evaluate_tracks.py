@@ -25,7 +25,7 @@ def evaluate_tracks(result: str | None, reference: str | None, as_json: bool, ta
         A CSV file for a row of each frame; "-" prints it.
     """
     from accelsurf.analysis.tracked_files import compare, open_tracks
-    from accelsurf.io.file_set import finish_killed_runs
+    from accelsurf.io.file_set import finish_killed_runs, refuse_inputs
     from accelsurf.io.files import write_bytes
     from accelsurf.report.document import to_json
     from accelsurf.report.tables import csv_text
@@ -35,6 +35,8 @@ def evaluate_tracks(result: str | None, reference: str | None, as_json: bool, ta
         raise UsageError(f"evaluate: no {lacking} was given", "accelsurf evaluate --help lists the options")
     for path in (Path(result), Path(reference)):
         finish_killed_runs(path.parent)
+    if table is not None and table != "-":
+        refuse_inputs([Path(table)], [Path(result), Path(reference)])
     given, wanted = open_tracks(Path(result)), open_tracks(Path(reference))
     found = compare(given, wanted)
     if table is not None:

@@ -98,6 +98,7 @@ def movie(
     """
     from accelsurf.cli.progress import Watcher
     from accelsurf.io import channels
+    from accelsurf.report.inputs import inputs_of
     from accelsurf.report.output_folder import refuse_existing
     from accelsurf.segmentation.run import Run
     from accelsurf.viewer.frontends import movie_file
@@ -108,7 +109,7 @@ def movie(
     movie_settings = movie_file.MovieSettings(look.every, look.fps, look.orbit, look.hold, _size(look.size))
     _check_target(target, preview, movie_settings.size)
     image, run_settings = _source(source, settings, config)
-    refuse_existing({"movie": target}, overwrite)
+    refuse_existing({"movie": target}, overwrite, inputs_of(image, run_settings, reference, config))
     require_graphics()
     volume, *more = channels.read(image, run_settings.reading)
     scene = _scene(volume, reference, look, movie_settings.size, run_settings)

@@ -63,8 +63,9 @@ def run_objects(
         return int(report["exit_code"])
     if report is not None and report["status"] != "ok" and report.get("objects"):
         place = replace(place, overwrite=True)
-    with output_folder.opened_set(place.folder, place.name) as files:
-        output_folder.refuse_existing(place.paths(config), place.overwrite)
+    inputs = place.inputs(config)
+    with output_folder.opened_set(place.folder, place.name, inputs) as files:
+        output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
         work = _work_folder(place, resume)
         done = _Work(place, config, image, options, work).run(display)
         from accelsurf.cli.object_outputs import write_outputs

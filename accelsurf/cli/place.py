@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from accelsurf.report import layouts, object_files, output_names, result_sets
+from accelsurf.report.inputs import inputs_of
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_config import TrackConfig
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,8 @@ class Place:
         Whether the run goes on from the checkpoint of an earlier one.
     has_checkpoint : bool
         Whether it may have one: a correction has none.
+    further : tuple of Path or None
+        Files that the command reads beside the image and what its settings name.
     """
 
     source: Path
@@ -34,13 +38,18 @@ class Place:
     overwrite: bool = False
     resume: bool = False
     has_checkpoint: bool = True
+    further: tuple[Path | None, ...] = ()
 
     @classmethod
-    def of(cls, source: Path, folder: Path, overwrite: bool = False) -> Place:
-        """The place of an image whose outputs have its name, without suffix."""
+    def of(cls, source: Path, folder: Path, overwrite: bool = False, *further: Path | None) -> Place:
+        """The place of an image whose outputs have its name, without suffix; ``further`` files are read, too."""
         from accelsurf.io.headers import name_of
 
-        return cls(source, folder, name_of(source), overwrite)
+        return cls(source, folder, name_of(source), overwrite, further=further)
+
+    def inputs(self, config: RunConfig | TrackConfig) -> list[Path]:
+        """All files that the command reads: none of them may be replaced."""
+        return inputs_of(self.source, config, *self.further)
 
     @property
     def report_path(self) -> Path:

@@ -77,7 +77,7 @@ def segment(
     from accelsurf.cli.place import Place
 
     display, work = display or Display(), work or ObjectOptions()
-    place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite)
+    place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite, config)
     try:
         run, parts = run_config(settings, config), parts or ImageParts()
         run, place = with_level(place.source, run, parts, display.quiet), place.laid_out(run)

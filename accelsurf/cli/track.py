@@ -76,7 +76,7 @@ def track(
     source = required(input, "SEQUENCE")
     folder = required(output, "-o DIR, the output folder,")
     page = _front_end() if view else None
-    case = TrackCase(replace(Place.of(source, folder, overwrite), resume=resume), wanted)
+    case = TrackCase(replace(Place.of(source, folder, overwrite, config), resume=resume), wanted)
     done = run_track_case(case, Watcher(display))
     if not display.quiet:
         print("\n".join(_summary(case, done)))

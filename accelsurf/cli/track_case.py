@@ -6,8 +6,8 @@ the tracking ended, also when it failed.
 
 from __future__ import annotations
 
-import shutil
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -93,7 +93,7 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
         outputs = TrackOutputs(
             case.place.folder, case.place.name, tracking.sequence, case.files,
             settings=tracking.config.model_dump(mode="json"), toml=tracking.config.to_toml(), argv=sys.argv,
-            overwrite=case.place.overwrite or resumed, store=case.store,
+            overwrite=case.place.overwrite or resumed, store=case.store, inputs=case.place.inputs(case.config),
         )
         try:
             _follow(case, tracking, outputs, watcher)
@@ -101,7 +101,8 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
         except BaseException as error:
             outputs.abort(error)
             if isinstance(error, AccelsurfError):
-                _remove_state(case)
+                with suppress(OutputError):  # what went wrong first matters more
+                    _remove_state(case)
             raise
     finally:
         tracking.close()
@@ -134,8 +135,10 @@ def _look_at_state(case: TrackCase) -> None:
 
 
 def _remove_state(case: TrackCase) -> None:
+    from accelsurf.report.track_frames import remove_store
+
     case.state.unlink(missing_ok=True)
-    shutil.rmtree(case.store, ignore_errors=True)
+    remove_store(case.store)
 
 
 def _begun(case: TrackCase, watcher: Watcher) -> Tracking:

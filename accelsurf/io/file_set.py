@@ -2,9 +2,10 @@
 
 New files lie in a staging folder beside the outputs until all are complete and on the disk. Then a journal in the
 user's state folder (`accelsurf.io.set_journals`) says what is moved: from this moment on the new files count. Each old
-file is moved into the staging folder and each new one to its place. The last file, a report that names the others, is the first
-old one to go and the last new one to come: where a report stands, its files are those that it names. The next command
-finishes the moves of a dead process by its journal (`recover`), or removes the staging folder where none had begun.
+file is moved into the staging folder and each new one to its place. The last file, a report that names the others, is
+the first old one to go and the last new one to come: where a report stands, its files are those that it names. The next
+command finishes the moves of a dead process by its journal (`recover`), or removes the staging folder where none had
+begun.
 A staging folder without a journal of this user is named and left alone.
 """
 
@@ -15,7 +16,7 @@ import shutil
 import stat
 import time
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -47,8 +48,8 @@ class FileSet:
         Whether they are in place, or will be put there by the next run.
     """
 
-    def __init__(self, folder: Path, journal: Journal) -> None:
-        self.folder, self._journal = folder, journal
+    def __init__(self, folder: Path, journal: Journal, inputs: Sequence[Path] = ()) -> None:
+        self.folder, self._journal, self._inputs = folder, journal, inputs
         self.drafts = journal.staging / _NEW
         self.committed = False
         os.mkdir(journal.staging)  # it is new: nothing that was put there before is followed
@@ -74,9 +75,12 @@ class FileSet:
         ------
         OSError
             When a file cannot be put in place; then the old ones are there as before.
+        OutputError
+            When one of the old files is an input of the run.
         """
         names = sorted(path.name for path in self.drafts.iterdir() if path.name != last)
         gone = [name for name in remove if name not in {*names, last} and os.path.lexists(self.folder / name)]
+        refuse_inputs([self.folder / name for name in (*names, *gone, *([last] if last else []))], self._inputs)
         for path in self.drafts.iterdir():
             sync(path)
         everything = names if last is None else [*names, last]
@@ -101,7 +105,7 @@ class FileSet:
 
 
 @contextmanager
-def opened(folder: Path, name: str, unique: bool = False) -> Iterator[FileSet]:
+def opened(folder: Path, name: str, unique: bool = False, inputs: Sequence[Path] = ()) -> Iterator[FileSet]:
     """Prepare a set of files. What a killed process has left of one is finished or removed first.
 
     Parameters
@@ -112,6 +116,8 @@ def opened(folder: Path, name: str, unique: bool = False) -> Iterator[FileSet]:
         Of the set. Only one process of this user at a time writes a set of this name.
     unique : bool
         Whether others may write one of this name at the same time: who ends last, wins.
+    inputs : sequence of Path, optional
+        Files that are not replaced or removed, under whatever name.
 
     Raises
     ------
@@ -142,7 +148,7 @@ def opened(folder: Path, name: str, unique: bool = False) -> Iterator[FileSet]:
         text = f"{folder}: a run that is killed while its files are put in place could not be finished"
         warnings.warn(f"{text}: no state can be kept in the home folder", AccelsurfWarning, stacklevel=2)
     try:
-        yield FileSet(folder, journal)
+        yield FileSet(folder, journal, inputs)
     finally:
         with uninterrupted():
             if journal.moves is not None:
@@ -268,6 +274,37 @@ def _check_staging(journal: Journal) -> None:
             continue
         if not stat.S_ISDIR(found.st_mode) or _is_link(folder):
             raise NotADirectoryError(f"{folder}: is no folder")
+
+
+def refuse_inputs(outputs: Iterable[Path], inputs: Sequence[Path]) -> None:
+    """Refuse to replace or remove a file that is read, also by another name: a link or a hard link.
+
+    Parameters
+    ----------
+    outputs : iterable of Path
+    inputs : sequence of Path
+
+    Raises
+    ------
+    OutputError
+        With the input.
+    """
+    known = {(found.st_dev, found.st_ino): path for path in inputs if (found := _stat(path)) is not None}
+    for output in outputs:
+        for found in (_stat(output), _stat(output, follow=False)):
+            if found is not None and (found.st_dev, found.st_ino) in known:
+                raise OutputError(
+                    f"{output}: is read by this command ({known[found.st_dev, found.st_ino]}), and would be replaced "
+                    "or removed",
+                    "choose another folder with -o, or copy the input elsewhere and name the copy",
+                )
+
+
+def _stat(path: Path, follow: bool = True) -> os.stat_result | None:
+    try:
+        return path.stat() if follow else path.lstat()
+    except OSError:
+        return None
 
 
 def finish_killed_runs(folder: Path) -> None:

@@ -4,27 +4,35 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from accelsurf.errors import OutputError
-from accelsurf.io.file_set import FileSet, opened
-from accelsurf.report.result_sets import is_failure_report, is_output
+from accelsurf.io.file_set import FileSet, opened, refuse_inputs, refuse_links
+from accelsurf.report.result_sets import is_failure_report, is_output, unchanged_outputs
 
 #: Of a file's name, on the usual file systems.
 MAX_NAME_BYTES = 255
 
 
-def refuse_existing(paths: dict[str, Path], overwrite: bool) -> None:
+def refuse_existing(paths: dict[str, Path], overwrite: bool, inputs: Sequence[Path] = ()) -> None:
     """Refuse to start when an output exists already, or the folder cannot take one; make the folder.
 
     The report of a failed run does not count as existing: it has no result.
 
+    Parameters
+    ----------
+    paths : dict of str to Path
+        All that may be written, by kind; what a standing ``report`` lists may be removed.
+    overwrite : bool
+    inputs : sequence of Path, optional
+        Files that are read: none of them is replaced or removed.
+
     Raises
     ------
     OutputError
-        When an output exists and may not be replaced, or nothing can be written there.
+        When an output exists and may not be replaced, or is an input; or nothing can be written there.
     """
     longest = max((path.name for path in paths.values()), key=lambda name: len(os.fsencode(name)), default="")
     if len(os.fsencode(longest)) > MAX_NAME_BYTES:
@@ -34,6 +42,9 @@ def refuse_existing(paths: dict[str, Path], overwrite: bool) -> None:
             "rename the image, or link to it by a shorter name",
         )
     existing = [path for path in paths.values() if os.path.lexists(path)]
+    refuse_inputs(existing, inputs)
+    if inputs and (report := paths.get("report")) is not None:
+        refuse_inputs((report.parent / name for name in unchanged_outputs(report, ())), inputs)
     results = [path for path in existing if not (path == paths.get("report") and is_failure_report(path))]
     if results and not overwrite:
         more = f" and {len(results) - 1} more" if len(results) > 1 else ""
@@ -51,13 +62,14 @@ def make_writable(folder: Path) -> None:
     Raises
     ------
     OutputError
-        When it cannot.
+        When it cannot, or the folder is a link.
     """
     try:
         os.fspath(folder).encode()
     except UnicodeEncodeError:
         message = f"{folder}: the name of the folder is not valid UTF-8"
-        raise OutputError(message, "choose another folder with -o, or link to this one") from None
+        raise OutputError(message, "choose another folder with -o, or rename this one") from None
+    refuse_links(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -68,7 +80,7 @@ def make_writable(folder: Path) -> None:
 
 
 @contextmanager
-def opened_set(folder: Path, name: str) -> Iterator[FileSet]:
+def opened_set(folder: Path, name: str, inputs: Sequence[Path] = ()) -> Iterator[FileSet]:
     """Make a folder, and prepare the files of a run in it; see `accelsurf.io.file_set.opened`.
 
     Raises
@@ -79,7 +91,7 @@ def opened_set(folder: Path, name: str) -> Iterator[FileSet]:
     make_writable(folder)
     with ExitStack() as stack:
         try:
-            files = stack.enter_context(opened(folder, name))
+            files = stack.enter_context(opened(folder, name, inputs=inputs))
         except OSError as error:
             reason = error.strerror or str(error)
             raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import re
 import shutil
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -19,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.errors import OutputError
 from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, enclosing, placed_at
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow, window_of
@@ -30,6 +32,9 @@ from accelsurf.tracking.records import FrameResult, Lineage, SurfacePiece, Track
 #: psi is written up to so many times the largest voxel size from the surface: what contours need.
 _BAND = 3.0
 _PREFIX = "frame_"
+#: Names in the folder of the frames.
+_FRAME = re.compile(r"frame_(\d{6}|[1-9]\d{6,11})\.npz")
+_OF_A_STORE = re.compile(rf"{_FRAME.pattern}|\.\d+\.npz|meshes")
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,28 @@ class DrawnObject(NamedTuple):
     predicted: SurfacePiece | None
 
 
+def remove_store(folder: Path) -> None:
+    """Remove the frames that a tracking has left in a folder, and the folder.
+
+    Raises
+    ------
+    OutputError
+        When it is a link, or there is something else in it: then it is somebody's, and stays as it is.
+    """
+    refuse_links(folder)
+    try:
+        names = os.listdir(folder)
+    except (FileNotFoundError, NotADirectoryError):
+        names = []
+    others = sorted(name for name in names if _OF_A_STORE.fullmatch(name) is None)
+    if others or (folder.exists() and not folder.is_dir()):
+        raise OutputError(
+            f"{folder}: is not what a tracking has left{f', {others[0]} is in it' if others else ''}",
+            "choose another folder with -o, or move it away",
+        )
+    shutil.rmtree(folder, ignore_errors=True)
+
+
 class FrameStore:
     """Frames in a folder.
 
@@ -108,7 +135,7 @@ class FrameStore:
             return
         refuse_links(folder)
         if not resume:
-            shutil.rmtree(folder, ignore_errors=True)
+            remove_store(folder)
         folder.mkdir(parents=True, exist_ok=True)
         for number in self.numbers():
             try:
@@ -118,7 +145,8 @@ class FrameStore:
 
     def numbers(self) -> list[int]:
         """The frames that are there, rising."""
-        return sorted(int(path.stem.removeprefix(_PREFIX)) for path in self.folder.glob(f"{_PREFIX}*.npz"))
+        found = (_FRAME.fullmatch(name) for name in (os.listdir(self.folder) if self.folder.is_dir() else ()))
+        return sorted(int(name[1]) for name in found if name is not None)
 
     def put(self, result: FrameResult) -> None:
         """Write a frame; one that is there already is replaced.

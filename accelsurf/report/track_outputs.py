@@ -12,7 +12,7 @@ from typing import Any
 from accelsurf import io
 from accelsurf.analysis import contours, surface_mesh
 from accelsurf.analysis.surface_mesh import Surface
-from accelsurf.errors import AccelsurfError
+from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.grid.volume import Volume
 from accelsurf.io.file_set import FileSet, refuse_links
@@ -20,7 +20,7 @@ from accelsurf.io.files import write_bytes
 from accelsurf.report import film_strip, output_folder, result_sets, track_document, track_tables, volume_curves
 from accelsurf.report.file_entries import describe_drafts
 from accelsurf.report.track_files import TrackFiles, labels_name, mesh_name
-from accelsurf.report.track_frames import FrameStore, TrackSet, frame_digits
+from accelsurf.report.track_frames import FrameStore, TrackSet, frame_digits, remove_store
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.settings.registry import load
 from accelsurf.settings.track_formats import TRACK_FORMATS
@@ -79,13 +79,14 @@ class TrackOutputs:
         overwrite: bool = False,
         store: Path | None = None,
         resume: bool = True,
+        inputs: Sequence[Path] = (),
     ) -> None:
         self.name, self.sequence, self.files = name, sequence, files or TrackFiles()
         self.files.check(sequence.geometry)
         self._settings, self._toml, self._argv, self._overwrite = dict(settings or {}), toml, tuple(argv), overwrite
         with ExitStack() as stack:
-            self._set = stack.enter_context(output_folder.opened_set(folder, name))
-            output_folder.refuse_existing(self.files.paths(folder, name), overwrite)
+            self._set = stack.enter_context(output_folder.opened_set(folder, name, inputs))
+            output_folder.refuse_existing(self.files.paths(folder, name), overwrite, inputs)
             self._own_store = store is not None
             self._store = FrameStore(self._set.drafts.parent / "frames" if store is None else store, resume)
             self._stack = stack.pop_all()
@@ -159,7 +160,8 @@ class TrackOutputs:
             write_bytes(self._set.drafts / report, track_document.to_json(document).encode())
             _commit(self._set, report, self._overwrite)
         if self._own_store and status == "ok":
-            shutil.rmtree(self._store.folder, ignore_errors=True)
+            with suppress(OutputError):  # somebody has put a file there
+                remove_store(self._store.folder)
         self._stack.close()
         return entries
 

@@ -25,7 +25,7 @@ _NAME = re.compile(r"[0-9A-Za-z][0-9A-Za-z_.-]{0,63}")
 _VERSION, _GROUP, _MARK = "0.5", "labels", "zarr.json"
 
 
-def check(image: Path, name: str, overwrite: bool) -> None:
+def check(image: Path, name: str, overwrite: bool) -> Path:
     """Refuse beforehand what cannot be written.
 
     Parameters
@@ -36,6 +36,11 @@ def check(image: Path, name: str, overwrite: bool) -> None:
         Of the label map in its group.
     overwrite : bool
         Whether one of this name may be replaced.
+
+    Returns
+    -------
+    Path
+        Where it would be.
 
     Raises
     ------
@@ -62,6 +67,7 @@ def check(image: Path, name: str, overwrite: bool) -> None:
         raise OutputError(f"{group}: cannot be written to", "may the store be written to?")
     if (group / name).exists() and not overwrite:
         raise OutputError(f"{group / name}: exists already", "choose another --label-group, or add --overwrite")
+    return group / name
 
 
 def put(image: Path, labels: Volume, name: str, overwrite: bool) -> Path:

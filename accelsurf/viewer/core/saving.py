@@ -10,7 +10,7 @@ from typing import Any
 
 from accelsurf import __version__, io
 from accelsurf.errors import UsageError, check_known
-from accelsurf.io.file_set import FileSet
+from accelsurf.io.file_set import FileSet, refuse_inputs
 from accelsurf.io.files import write_bytes
 from accelsurf.report import (
     document,
@@ -22,6 +22,7 @@ from accelsurf.report import (
     outputs,
     result_sets,
 )
+from accelsurf.report.inputs import inputs_of, named_files
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
@@ -81,13 +82,15 @@ def save(
     labels = output_names.label_format(config, suffix)
     output_names.check(config, labels, run.volume.geometry)
     label_files.check(config, run.volume)
-    with output_folder.opened_set(folder, name) as files:
+    inputs = inputs_of(source, result.config) if source is not None else named_files(result.config)
+    with output_folder.opened_set(folder, name, inputs) as files:
         what = _all_beside_report(folder / result_sets.report_name(name), what)
         all_names = output_names.names(config, labels, run.volume.geometry.slice_axis is not None).items()
         names = {kind: f"{name}_{last}" for kind, last in all_names if _kind(kind) in what}
         paths = _result_paths(result, folder, names)
         paths |= {"run": folder / RUN_FILE} if "run" in what else {}
         paths |= {"report": folder / result_sets.report_name(name)} if "report" in what else {}
+        refuse_inputs(paths.values(), inputs)
         _check_paths(paths, replaceable)
         with output_folder.naming_final(files):
             return _write(files, paths, names, name, source, result)

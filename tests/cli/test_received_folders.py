@@ -1,0 +1,215 @@
+"""Folders that somebody else has made, and outputs that are inputs: no file of anybody is touched by a command."""
+
+import json
+import os
+import shutil
+import sys
+
+import numpy as np
+import pytest
+
+from accelsurf import Volume, cli, io
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links")
+
+BALL = ("--max-steps", "2", "--start", "ball:5,5,5,3", "--progress", "none")
+
+
+def run(*words):
+    return cli.execute([str(word) for word in words])
+
+
+def image(path, offset=0.0):
+    z, y, x = np.indices((11, 12, 13)) - 5.0
+    path.parent.mkdir(parents=True, exist_ok=True)
+    io.write(Volume.from_array((100.0 * (z * z + y * y + x * x < 14) + offset).astype(np.float32)), path)
+    return path
+
+
+def contents(folder):
+    return {
+        str(path.relative_to(folder)): os.readlink(path) if path.is_symlink() else path.is_file() and path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+@pytest.fixture
+def received(tmp_path, monkeypatch):
+    """The present folder, as somebody sent it, beside the home of who opens it."""
+    home, data = tmp_path / "home" / ".ssh", tmp_path / "data"
+    home.mkdir(parents=True)
+    for name in ("id_rsa", "authorized_keys"):
+        (home / name).write_bytes(b"mine")
+    scan = image(data / "scan.nii")
+    for name in ("id_rsa", "thesis.docx"):
+        (data / name).write_bytes(b"theirs")
+    monkeypatch.chdir(data)
+    return tmp_path, home, data, scan
+
+
+def journal(hidden, home, linked=("new", "old")):
+    hidden.mkdir(parents=True)
+    for part in ("new", "old"):
+        (hidden / part).symlink_to(home) if part in linked else (hidden / part).mkdir()
+    (hidden / "lock").write_bytes(b"")
+    said = {"files": ["id_rsa"], "remove": ["authorized_keys", "thesis.docx", "scan.nii"], "last": None}
+    (hidden / "journal.json").write_text(json.dumps(said))
+
+
+#: Commands that write in the present folder, or in one in it.
+COMMANDS = {
+    "look": ("look", "scan.nii"),
+    "segment": ("segment", "scan.nii", "-o", ".", *BALL),
+    "evaluate": ("evaluate", "scan.nii", "scan.nii", "--csv", "table.csv"),
+    "synth": ("synth", "ball_small", "-o", "."),
+    "track": ("track", "frames", "-o", ".", *BALL),
+    "batch": ("batch", "scan.nii", "-o", ".", "--jobs", "1", *BALL),
+}
+
+
+LINKED = [(), ("new",), ("old",), ("new", "old")]
+
+
+@pytest.mark.parametrize(
+    ("command", "linked"),
+    [*(("look", linked) for linked in LINKED), *zip(list(COMMANDS)[1:], [*LINKED[::-1], LINKED[3]], strict=True)],
+)
+def test_what_looks_like_a_killed_run_is_named_and_not_obeyed(command, linked, received, capfd):
+    top, home, data, scan = received
+    for number in range(2):
+        image(data / "frames" / f"t{number}.nii", number)
+    names = [".x.accelsurf", ".scan.accelsurf", ".scan.0123456789abcdef.accelsurf"]
+    journal(data / names[len(linked) % 3], home, linked)
+    before = contents(top)
+    assert run(*COMMANDS[command]) == 0
+    said = capfd.readouterr().err
+    assert said.count("not from a run of yours") == 1 and names[len(linked) % 3] in said
+    after = contents(top)
+    assert {name: after.get(name) for name in before} == before
+
+
+#: What a link is called that leads elsewhere, and the command that would write through it.
+LINKS = {
+    "the output folder": ("out", ("segment", "scan.nii", "-o", "out", *BALL)),
+    "a folder above it": ("out", ("segment", "scan.nii", "-o", "out/new", *BALL)),
+    "the folder of a picture": ("out", ("look", "scan.nii", "-o", "out/a.png")),
+    "the folder of a case": ("scan", ("batch", "scan.nii", "-o", ".", "--jobs", "1", *BALL)),
+    "the frames of a tracking": ("frames_frames", ("track", "frames", "-o", ".", "--overwrite", *BALL)),
+    "the frames of one that goes on": ("frames_frames", ("track", "frames", "-o", ".", "--resume", *BALL)),
+    "phantoms": ("out", ("synth", "ball_small", "-o", "out")),
+}
+
+
+@pytest.mark.parametrize("what", LINKS)
+def test_nothing_is_written_or_removed_through_a_link(what, received, capfd):
+    top, home, data, scan = received
+    for number in range(2):
+        image(data / "frames" / f"t{number}.nii", number)
+    (home / "frame_000000.npz").write_bytes(b"mine")
+    name, words = LINKS[what]
+    (data / name).symlink_to(home)
+    before = contents(home)
+    assert run(*words) in (7, 9)
+    said = capfd.readouterr()
+    told = said.err + said.out + "".join(path.read_text() for path in data.glob("batch_report.json"))
+    assert "is a link to" in told and str(home) in told
+    assert contents(home) == before
+
+
+@pytest.mark.parametrize("words", [("--overwrite",), ("--resume",)])
+def test_a_folder_that_has_the_name_of_a_trackings_frames_is_somebodys(words, received, capfd):
+    top, home, data, scan = received
+    for number in range(2):
+        image(data / "frames" / f"t{number}.nii", number)
+    shutil.copytree(home, data / "frames_frames")
+    assert run("track", "frames", "-o", ".", *BALL, *words) == 7
+    assert "is not what a tracking has left" in capfd.readouterr().err
+    assert contents(data / "frames_frames") == contents(home)
+
+
+def test_links_in_the_places_of_files_are_replaced(received):
+    top, home, data, scan = received
+    for name in ("scan_seg.nii", "scan_report.json", "scan_look.png", "scan_checkpoint.npz"):
+        (data / name).symlink_to(home / "id_rsa")
+    before = contents(home)
+    assert run("look", scan, "--overwrite") == 0
+    assert run("segment", scan, "-o", ".", "--overwrite", "--checkpoint", "1", *BALL) == 0
+    assert contents(home) == before and not (data / "scan_seg.nii").is_symlink()
+
+
+def labels(path):
+    z, y, x = np.indices((11, 12, 13)) - 5.0
+    io.write_labels(Volume.from_array((z * z + y * y + x * x < 9).astype(np.uint8)), path)
+    return path
+
+
+#: Options with a file of the output folder, and which.
+INPUTS = {
+    "channel": ("scan_seg.nii", ("--channel", "out/scan_seg.nii")),
+    "start": ("scan_seg.nii", ("--start", "label:out/scan_seg.nii")),
+    "start, ids": ("scan_seg.nii", ("--start", "label:out/scan_seg.nii@1")),
+    "mesh": ("scan_surface.ply", ("--start", "mesh:out/scan_surface.ply")),
+    "mask": ("scan_seg.nii", ("--mask", "out/scan_seg.nii")),
+    "objects": ("scan_seg.nii", ("--objects", "out/scan_seg.nii")),
+    "foreground": ("scan_seg.nii", ("--energy", "likelihood", "--foreground", "label:out/scan_seg.nii")),
+    "settings": ("scan_run.toml", ("--config", "out/scan_run.toml")),
+    "removed": ("scan_seg.nii", ("--channel", "out/scan_seg.nii", "--format", "nrrd")),
+    "detached": ("scan_seg.mhd", ("--channel", "out/scan_seg.mhd", "--format", "mhd")),
+    "detached, removed": ("scan_seg.mhd", ("--start", "label:out/scan_seg.mhd", "--format", "nii")),
+}
+
+
+@pytest.mark.parametrize(
+    ("option", "how"),
+    [*((option, "by its name") for option in INPUTS), ("channel", "by a link"), ("mesh", "by a hard link")],
+)
+def test_an_output_that_is_an_input_is_refused(option, how, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    image(tmp_path / "scan.nii")
+    name, words = INPUTS[option]
+    form = ("--format", "mhd") if name.endswith("mhd") else ()
+    assert run("segment", "scan.nii", "-o", "out", "--keep-state", "yes", "--mesh", "ply", *form, *BALL) == 0
+    if how != "by its name":
+        other = tmp_path / f"other{name[name.index('.'):]}"
+        other.symlink_to(f"out/{name}") if how == "by a link" else os.link(tmp_path / "out" / name, other)
+        words = [word.replace(f"out/{name}", other.name) for word in words]
+    before = contents(tmp_path / "out")
+    start = () if "--start" in words or "--objects" in words or "--config" in words else BALL[2:4]
+    capfd.readouterr()
+    assert run("segment", "scan.nii", "-o", "out", "--overwrite", "--keep-state", "yes", *words, *start) == 7
+    assert "is read by this command" in capfd.readouterr().err
+    assert contents(tmp_path / "out") == before
+
+
+def test_pictures_tables_and_movies_do_not_replace_what_they_show(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    plane = Volume.from_array(np.random.default_rng(0).integers(0, 255, (1, 24, 26)).astype(np.uint8))
+    for name in ("a.png", "compare.png"):
+        io.write(plane, tmp_path / name)
+    labels(tmp_path / "a.nii")
+    (tmp_path / "pairs.csv").write_text("pred,ref\na.nii,a.nii\n")
+    (tmp_path / "batch.csv").write_text("image\na.png\n")
+    before = contents(tmp_path)
+    for words in (
+        ("look", "a.png", "-o", "a.png"),
+        ("movie", "a.png", "--preview", "-o", "a.png", "--start", "ball:12,12,0,5"),
+        ("compare", "compare.png", "-o", ".", "--max-steps", "2"),
+        ("evaluate", "--pairs", "pairs.csv", "--csv", "pairs.csv"),
+        ("evaluate", "a.nii", "a.nii", "--csv", "a.nii"),
+        ("batch", "batch.csv", "-o", ".", "--jobs", "1", "--max-steps", "2"),
+    ):
+        assert run(*words, "--overwrite") == 7, words
+        assert "is read by this command" in capfd.readouterr().err
+    assert {name: content for name, content in contents(tmp_path).items() if name in before} == before
+
+
+def test_a_case_of_a_batch_does_not_replace_what_another_one_reads(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "b"):
+        image(tmp_path / f"{name}.nii")
+    assert run("batch", "a.nii", "-o", "out", "--jobs", "1", *BALL) == 0
+    (tmp_path / "cases.csv").write_text("image,channel\na.nii,\nb.nii,out/a/a_seg.nii\n")
+    before = contents(tmp_path / "out")
+    assert run("batch", "cases.csv", "-o", "out", "--jobs", "1", "--overwrite", *BALL) == 7
+    assert "is read by this command" in capfd.readouterr().err
+    assert contents(tmp_path / "out") == before
