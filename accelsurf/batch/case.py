@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from accelsurf.errors import InputError
-from accelsurf.settings.wording import shown
+from accelsurf.settings.wording import escaped, shown
 
 #: Characters that a file system or a shell does not take in a name.
 _UNSAFE = re.compile(r'[<>:"/\\|?*\x00-\x1f\x7f]')
@@ -34,6 +34,8 @@ class Case:
         Label map that the result is compared with.
     place : str
         Where it was found, for messages: a file, or a line of a table.
+    problem : str
+        Why it cannot be run: it is refused alone, and the others of the batch go on.
     """
 
     id: str
@@ -41,6 +43,7 @@ class Case:
     settings: Mapping[str, str | tuple[str, ...]] = field(default_factory=dict)
     reference: Path | None = None
     place: str = ""
+    problem: str = ""
 
     @property
     def channels(self) -> tuple[Path, ...]:
@@ -49,18 +52,17 @@ class Case:
         return tuple(Path(one) for one in ((given,) if isinstance(given, str) else given))
 
 
-def check_ids(cases: Sequence[Case]) -> None:
-    """Refuse ids that are no names of folders, and ids that are given twice.
+def checked_ids(cases: Sequence[Case]) -> list[Case]:
+    """Return cases whose ids are names of folders, each once; one whose file has an unsafe name says so as its problem.
 
     Letters that differ in case alone are the same on some file systems, so they count as the same here.
 
     Raises
     ------
     InputError
-        With the place of the case.
+        When one is given twice; with the places of the cases.
     """
-    for case in cases:
-        _check_id(case)
+    cases = [_checked_id(case) for case in cases]
     count = Counter(case.id.casefold() for case in cases)
     twice = [case for case in cases if count[case.id.casefold()] > 1]
     if twice:
@@ -69,9 +71,24 @@ def check_ids(cases: Sequence[Case]) -> None:
             f"the id {shown(twice[0].id)} is given {len(places)} times: {places[0]} and {places[1]}",
             "each case needs an id of its own: a folder of this name is made for it",
         )
+    return cases
 
 
-def _check_id(case: Case) -> None:
+def _checked_id(case: Case) -> Case:
+    try:
+        return check_id(case)
+    except InputError as error:
+        return replace(case, id=escaped(case.id) or "?", problem=escaped(error.message))
+
+
+def check_id(case: Case) -> Case:
+    """Refuse an id that is no name of a folder; return the case.
+
+    Raises
+    ------
+    InputError
+        With the place of the case.
+    """
     name, hint = case.id, "letters, digits, . _ and - are safe; a table can give each image an id"
     if not name:
         raise InputError(f"{case.place}: the id is empty", hint)
@@ -87,3 +104,4 @@ def _check_id(case: Case) -> None:
         raise InputError(f"{case.place}: the id is not valid UTF-8", hint) from None
     if size > MAX_ID_BYTES:
         raise InputError(f"{case.place}: the id has {size} bytes, at most {MAX_ID_BYTES} expected", hint)
+    return case

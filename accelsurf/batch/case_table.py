@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from accelsurf.batch import csv_table
-from accelsurf.batch.case import Case
+from accelsurf.batch.case import Case, check_id
 from accelsurf.errors import InputError
 from accelsurf.io import split_name
 from accelsurf.io.headers import name_of
@@ -110,7 +110,8 @@ def _case(path: Path, given: Mapping[str, str], number: int, tracking: bool) -> 
     reference = base / given[REFERENCE] if REFERENCE in given else None
     settings = {key: _value(key, text, base) for key, text in given.items() if key not in (IMAGE, ID, REFERENCE)}
     name = name_of(image) if tracking else split_name(image)[0]  # a sequence may be a pattern of its frames
-    return Case(given.get(ID, name), image, settings, reference, f"{path}, row {number}")
+    case = Case(given.get(ID, name), image, settings, reference, f"{path}, row {number}")
+    return check_id(case) if ID in given else case
 
 
 def _value(key: str, text: str, base: Path) -> str | tuple[str, ...]:

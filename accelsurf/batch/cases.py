@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from accelsurf.batch import case_table, layouts, sequence_cases
-from accelsurf.batch.case import Case, check_ids
+from accelsurf.batch.case import Case, checked_ids
 from accelsurf.batch.layouts import Layout
 from accelsurf.errors import InputError, UsageError
 from accelsurf.io import is_stored
@@ -61,22 +61,22 @@ def read_cases(given: Sequence[str], layout: Layout = "auto", tracking: bool = F
     if not given:
         raise UsageError("CASES is missing", "name a folder of images, a pattern in quotes, or a CSV table")
     cases, words = sequence_cases.read(given) if tracking else _read(given, layout)
-    check_cases(cases)
-    return cases, words
+    return checked_cases(cases), words
 
 
-def check_cases(cases: Sequence[Case]) -> None:
-    """Refuse ids that are no names or given twice, and references that are missing.
+def checked_cases(cases: Sequence[Case]) -> list[Case]:
+    """Return cases with ids that are names, each once, and references that are there; see `checked_ids`.
 
     Raises
     ------
     InputError
         With the place of the case.
     """
-    check_ids(cases)
+    cases = checked_ids(cases)
     for case in cases:
         if case.reference is not None and not is_stored(case.reference):
             raise InputError(f"{case.place}: the reference {case.reference} is missing", "check its path")
+    return list(cases)
 
 
 def _read(given: Sequence[str], layout: Layout) -> tuple[list[Case], str]:

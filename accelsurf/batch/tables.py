@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
@@ -145,11 +146,15 @@ class Tables:
         self._written = time.monotonic()
         self._cost = self._written - began
 
+    def _image_of(self, id: str) -> str:
+        """Path of the image of a case; bytes of it that are no text are written as escapes."""
+        return os.fspath(self._images[id]).encode("utf-8", "backslashreplace").decode("utf-8")
+
     def _report(self, status: BatchStatus, exit_code: int) -> dict[str, Any]:
         cases = []
         for one in self.outcomes:
             entry = asdict(one)
-            cases.append({"id": one.id, "image": str(self._images[one.id]), **entry})
+            cases.append({"id": one.id, "image": self._image_of(one.id), **entry})
         counts = {key: self.count(key) for key in ("ok", "failed", "waiting")}
         return {
             "schema_version": SCHEMA_VERSION,

@@ -69,6 +69,8 @@ def run_one(task: CaseTask) -> Outcome:
     ):
         warnings.simplefilter("always", AccelsurfWarning)
         try:
+            if task.case.problem:
+                raise InputError(task.case.problem, "rename the file; or give the image an id, in a table of cases")
             outcome = _run(task)
         except AccelsurfError as error:
             outcome = _failed(task, error.message, error.hint, error.exit_code)

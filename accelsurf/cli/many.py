@@ -11,8 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from accelsurf.batch.case import Case
-from accelsurf.batch.cases import check_cases, read_cases
+from accelsurf.batch.case import Case, check_id
+from accelsurf.batch.cases import checked_cases, read_cases
 from accelsurf.batch.outcome import CaseTask, Outcome
 from accelsurf.batch.pool import Pool
 from accelsurf.batch.run import Batch, refuse_results
@@ -202,8 +202,7 @@ def _cases(given: str | Path | Sequence[CaseLike]) -> tuple[list[Case], str]:
     if all(isinstance(one, (str, Path)) for one in several):
         return read_cases([str(one) for one in several])
     cases = [_case(one, place) for place, one in enumerate(several)]
-    check_cases(cases)
-    return cases, "a list"
+    return checked_cases(cases), "a list"
 
 
 def _case(given: CaseLike, number: int) -> Case:
@@ -216,8 +215,10 @@ def _case(given: CaseLike, number: int) -> Case:
     if "image" not in settings:
         raise UsageError(f"cases: case {number} has no image", "give each at least image=PATH")
     image, reference = Path(settings.pop("image")), settings.pop("reference", None)
-    id = str(settings.pop("id", split_name(image)[0]))
-    return Case(id, image, settings, None if reference is None else Path(reference), f"case {number}")
+    given_id = settings.pop("id", None)
+    id = split_name(image)[0] if given_id is None else str(given_id)
+    case = Case(id, image, settings, None if reference is None else Path(reference), f"case {number}")
+    return case if given_id is None else check_id(case)
 
 
 def _config(case: Case, common: RunConfig) -> RunConfig:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from accelsurf.batch.case import Case, check_ids
+from accelsurf.batch.case import Case, check_id, checked_ids
 from accelsurf.batch.cases import Shard, read_cases, shard_of
 from accelsurf.errors import InputError, UsageError
 
@@ -118,14 +118,16 @@ def test_a_layout_is_for_a_folder(tmp_path):
 )
 def test_ids_that_are_no_names_of_folders(name, tmp_path):
     with pytest.raises(InputError, match="row 3: the id"):
-        check_ids([Case(name, tmp_path, place="row 3")])
+        check_id(Case(name, tmp_path, place="row 3"))
+    (case,) = checked_ids([Case(name, tmp_path, place="scan")])
+    assert "scan: the id" in case.problem and case.id.isprintable() and case.id
 
 
 def test_ids_that_are_safe(tmp_path):
     cases = [Case(name, tmp_path) for name in ("a b", "Ärzte", "sub-01_T1w", "1.2.3")]
-    check_ids(cases)
+    assert checked_ids(cases) == cases
     with pytest.raises(InputError):
-        check_ids([*cases, Case("ärzte", tmp_path)])
+        checked_ids([*cases, Case("ärzte", tmp_path)])
 
 
 def test_an_id_that_is_given_twice_is_named_with_both_places(tmp_path):

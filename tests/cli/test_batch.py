@@ -6,6 +6,7 @@ Most tests run the cases in this process, one after another; a few with real wor
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -529,3 +530,25 @@ def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_p
         one = json.loads((out / name / f"{name}_report.json").read_text())
         assert one["status"] == "failed" and one["error"]["message"] == rows[name]["reason"]
     assert not list(out.rglob(".*"))
+
+
+UNSAFE = ["a:b", "-x", "a ", "tab\there", "x" * 170, os.fsdecode(b"bad\xff"), "quote\"s", "a<b>", "a\\b"]
+
+
+def test_files_with_unsafe_names_are_refused_alone(tmp_path, capsys):
+    scans = tmp_path / "scans"
+    scans.mkdir()
+    io.write(Volume.from_array(np.pad(np.full((4, 4, 4), 100.0, np.float32), 3)), scans / "good.nii")
+    for name in (*UNSAFE, "batch"):  # only batch.csv and its like are names of tables
+        shutil.copyfile(scans / "good.nii", scans / f"{name}.nii")
+    words = ["batch", str(scans), "-o", str(tmp_path / "out"), "--jobs", "1", "--max-steps", "2", "--progress", "none"]
+    assert cli.execute(words) == 9
+    said = capsys.readouterr()
+    assert "Traceback" not in said.err + said.out
+    cases = json.loads((tmp_path / "out" / "batch_report.json").read_text())["cases"]
+    assert {case["id"] for case in cases if case["status"] == "ok"} == {"good", "batch"}
+    refused = [case for case in cases if case["status"] != "ok"]
+    assert len(refused) == len(UNSAFE)
+    for line in refused:
+        assert "the id" in line["reason"] and line["exit_code"] == 3 and "table" in line["hint"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir() if path.is_dir()) == ["batch", "good"]
