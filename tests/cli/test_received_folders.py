@@ -2,6 +2,7 @@
 
 import json
 import os
+import random
 import shutil
 import sys
 
@@ -213,3 +214,52 @@ def test_a_case_of_a_batch_does_not_replace_what_another_one_reads(tmp_path, mon
     assert run("batch", "cases.csv", "-o", "out", "--jobs", "1", "--overwrite", *BALL) == 7
     assert "is read by this command" in capfd.readouterr().err
     assert contents(tmp_path / "out") == before
+
+
+#: Commands, after which a folder has their outputs.
+WRITERS = {
+    "segment": ("segment", "scan.nii", "-o", "out", "--checkpoint", "1", "--keep-state", "yes", *BALL),
+    "segment again": ("segment", "scan.nii", "-o", "out", "--overwrite", *BALL),
+    "refine": ("refine", "out", "--outside", "ball:9,5,5,1", "--progress", "none"),
+    "track": ("track", "frames", "-o", "out", *BALL),
+    "batch": ("batch", "scan.nii", "-o", "out", "--jobs", "1", *BALL),
+    "synth": ("synth", "ball_small", "-o", "out"),
+}
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_an_output_folder_that_goes_away_during_a_command_is_a_documented_error(command, received, monkeypatch, capfd):
+    """Somebody removes it before the n-th change that the command makes to files."""
+    top, home, data, scan = received
+    for number in range(2):
+        image(data / "frames" / f"t{number}.nii", number)
+    inputs = contents(data)
+    draw = random.Random(command)
+    real = {name: getattr(os, name) for name in ("replace", "mkdir", "fsync", "open")}
+    before = ("segment again", "refine")
+    codes = set()
+    for _ in range(6):
+        shutil.rmtree("out", ignore_errors=True)
+        if command in before:
+            assert run(*WRITERS["segment"]) == 0
+        left = [draw.randrange(40)]
+
+        def counted(name, left=left):
+            def call(*args, **kwargs):
+                left[0] -= 1
+                if left[0] == 0:
+                    with monkeypatch.context() as undone:
+                        undone.setattr(os, "open", real["open"])
+                        shutil.rmtree(data / "out", ignore_errors=True)
+                return real[name](*args, **kwargs)
+
+            return call
+
+        with monkeypatch.context() as patch:
+            for name in real:
+                patch.setattr(os, name, counted(name))
+            codes.add(run(*WRITERS[command]))
+        said = capfd.readouterr().err
+        assert "bug in accelsurf" not in said and "Traceback" not in said, said
+        assert {name: content for name, content in contents(data).items() if name in inputs} == inputs
+    assert codes <= {0, 3, 7, 9} and codes & {7, 9}
