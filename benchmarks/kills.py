@@ -176,9 +176,9 @@ def kill(bench: Bench, outcome: Outcome) -> None:
     moment = bench.wait(program)
     program.kill()
     program.communicate()
-    if any((hidden / "journal.json").exists() for hidden in bench.hidden()):
+    if not bench.report():
         outcome.count("killed between two renames, finished by the next reader")
-        recover(bench.results)
+    recover(bench.results)
     if fault := fault_of(bench.results):
         outcome.faults.append(f"kill {moment}: {fault}")
     outcome.count("old files" if bench.report() == before else "new files")
