@@ -44,13 +44,17 @@ class VoxelSource(Protocol):
 
 @dataclass(frozen=True)
 class Opening:
-    """What `open_volume` was asked for beside the name of the image; see there."""
+    """What `open_volume` was asked for beside the name of the image; see there.
+
+    ``again`` is true where the same image was opened before, so that what there is to say of it has been said.
+    """
 
     level: Level = 0
     channel_index: int | None = None
     time_index: int | None = None
     cache_bytes: int = CACHE_BYTES
     spacing: tuple[float, float, float] | None = None
+    again: bool = False
 
     @property
     def options(self) -> ReadOptions:
@@ -259,9 +263,12 @@ def open_volume(
     UsageError
         When there is no such level, channel or time point.
     """
-    path = Path(path)
+    return _opened(Path(path), Opening(level, channel_index, time_index, cache_bytes, spacing), outside_data)
+
+
+def _opened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
+    """Open an image; see `open_volume`."""
     with naming(path), headers.outside_data_allowed(outside_data):
-        opening = Opening(level, channel_index, time_index, cache_bytes, spacing)
         form, header = headers.parse(path, opening.options)
         if form.open is None:
             raise InputError(
@@ -298,7 +305,4 @@ def open_channels(path: str | os.PathLike[str], options: ReadOptions) -> list[La
 
 def _reopened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
     """A volume that was opened, once more."""
-    return open_volume(
-        path, level=opening.level, channel_index=opening.channel_index, time_index=opening.time_index,
-        cache_bytes=opening.cache_bytes, spacing=opening.spacing, outside_data=outside_data,
-    )
+    return _opened(path, replace(opening, again=True), outside_data)
