@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import os
 from collections.abc import Mapping
@@ -20,7 +19,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io import selection
 from accelsurf.io.formats.ome_metadata import OmeMetadata, parse_attributes
 from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
-from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, check_mark, library, open_array
+from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, library, open_array, read_mark
 from accelsurf.io.frame_times import TIMES_KEY, FrameTimes
 from accelsurf.io.headers import check_within_store, split_name
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
@@ -137,10 +136,10 @@ def _attributes(path: Path) -> dict[str, Any]:
         When it is none, or is damaged.
     """
     library()
-    for mark in MARKS:
-        check_mark(path, path / mark)
     try:
-        node = _json(path / "zarr.json") or {"attributes": _json(path / ".zattrs"), "node_type": _old_type(path)}
+        node = read_mark(path, path / "zarr.json")
+        if node is None:
+            node = {"attributes": read_mark(path, path / ".zattrs"), "node_type": _old_type(path)}
         kind, attributes = node.get("node_type"), node.get("attributes") or {}
         if kind not in ("array", "group") or not isinstance(attributes, dict):
             raise ValueError(f"a node of type {str(kind)[:40]}")
@@ -155,14 +154,9 @@ def _attributes(path: Path) -> dict[str, Any]:
     return attributes
 
 
-def _json(path: Path) -> Any:
-    """What a file of metadata holds; None where there is none."""
-    return json.loads(path.read_bytes()) if path.is_file() else None
-
-
 def _old_type(path: Path) -> str | None:
     """What a node of Zarr 2 is."""
-    return next((kind for kind in ("array", "group") if (path / f".z{kind}").is_file()), None)
+    return next((kind for kind in ("array", "group") if read_mark(path, path / f".z{kind}") is not None), None)
 
 
 def _plain(path: Path, kind: str) -> tuple[str, str]:

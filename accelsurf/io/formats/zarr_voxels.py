@@ -11,7 +11,9 @@ chunks: the metadata of the array are therefore looked for after each reading.
 from __future__ import annotations
 
 import itertools
+import json
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -30,6 +32,8 @@ from accelsurf.settings import budgets
 
 #: Voxels along an axis: beyond that the numbers of the header are damaged.
 _MAX_AXIS = 1 << 48
+#: What the metadata of an array list, and how much of it at most.
+_LISTS, _MAX_LISTED = ("shape", "chunks", "codecs", "filters"), 16
 #: What a group or an array of a Zarr has, one of them.
 MARKS = ("zarr.json", ".zattrs", ".zgroup", ".zarray")
 
@@ -66,14 +70,15 @@ def open_array(folder: Path, path: str) -> Any:
     """
     zarr = library()
     check_within_store(folder, folder / path)
-    for mark in MARKS:
-        check_mark(folder, folder / path / mark)
     try:
-        array = zarr.open_array(folder / path, mode="r")
+        for mark in MARKS:
+            _check_claims(read_mark(folder, folder / path / mark))
+        with warnings.catch_warnings(action="ignore"):  # codecs that are not in Zarr 3
+            array = zarr.open_array(folder / path, mode="r")
         dtype, chunks = np.dtype(array.dtype), tuple(array.chunks)
         if not all(0 < n <= _MAX_AXIS for n in (*array.shape, *chunks)):
             raise ValueError(f"its shape is {array.shape}, in chunks of {chunks}")
-    except (PermissionError, MemoryError):
+    except (PermissionError, MemoryError, InputError):
         raise
     except Exception as error:  # its metadata may be anything, and each part of zarr raises errors of its own
         raise InputError(
@@ -85,16 +90,26 @@ def open_array(folder: Path, path: str) -> Any:
     return array
 
 
-def check_mark(folder: Path, mark: Path) -> None:
-    """Refuse a file of metadata that is too large to be one, or a link out of the store.
+def read_mark(folder: Path, mark: Path) -> Any:
+    """What a file of metadata in a group holds; None where there is none.
 
     Raises
     ------
     InputError
+        When it is too large, or a link out of the group; ValueError or RecursionError when it is no JSON.
     """
     check_within_store(folder, mark)
-    if mark.is_file():
-        budgets.ZARR_METADATA.check(mark.stat().st_size)
+    if not mark.is_file():
+        return None
+    budgets.ZARR_METADATA.check(mark.stat().st_size)
+    return json.loads(mark.read_bytes())
+
+
+def _check_claims(said: Any) -> None:
+    """Refuse an array of so many axes or codecs that zarr would be busy with them alone."""
+    for key, given in said.items() if isinstance(said, dict) else ():
+        if key in _LISTS and isinstance(given, list) and len(given) > _MAX_LISTED:
+            raise ValueError(f"its {key} has {len(given)} entries, at most {_MAX_LISTED} expected")
 
 
 class ZarrVoxels:
