@@ -59,8 +59,10 @@ def look(
     overwrite
         Replace a picture that exists.
     """
+    from accelsurf.cli.interrupts import say
     from accelsurf.grid.grey_window import parse_window
     from accelsurf.io.files import write_bytes
+    from accelsurf.io.metadata import WARNING_KEY
     from accelsurf.report.output_folder import make_writable
 
     source = required(input, "IMAGE")
@@ -69,6 +71,9 @@ def look(
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: exists already", "choose another with -o, or add --overwrite")
     volumes, grid = _read(source, level, run_config(reading).reading)
+    for note in dict.fromkeys(volume.metadata.get(WARNING_KEY, "") for volume in volumes):
+        if note:
+            say(f"warning: {note}")
     from accelsurf.report.look import look_png  # loads what draws
 
     geometry = volumes[0].geometry

@@ -1,9 +1,9 @@
 """What the metadata of an OME-Zarr image say: its axes, its levels, and where their voxels are.
 
 Versions 0.4 and 0.5 differ in the place of the metadata only. Axes of space are given in their order in the array;
-lengths may have any unit. Axes along lines of the body say so in words (`ome_orientation`). For other directions OME-Zarr
-has nothing: accelsurf keeps them in an attribute of its own when it writes, with what `accelsurf.grid.volume.Volume` calls
-metadata, and which chunks it wrote.
+lengths may have any unit. Axes along lines of the body say so in words (`ome_orientation`). For other directions
+OME-Zarr has nothing: accelsurf keeps them in an attribute of its own when it writes, with what
+`accelsurf.grid.volume.Volume` calls metadata, and which chunks it wrote.
 """
 
 from __future__ import annotations
@@ -156,7 +156,8 @@ def parse_attributes(attributes: Mapping[str, Any]) -> OmeMetadata:
             raise InputError(f"{1 + len(others)} images in one group given, one expected", "save them apart")
         budgets.ZARR_LEVELS.check(len(scales["datasets"]))
         if len(scales["axes"]) > MAX_AXES:
-            raise InputError(f"an OME-Zarr of {len(scales['axes'])} axes given, at most {MAX_AXES} expected", _DAMAGED_HINT)
+            given = len(scales["axes"])
+            raise InputError(f"an OME-Zarr of {given} axes given, at most {MAX_AXES} expected", _DAMAGED_HINT)
         axes = tuple(
             OmeAxis(str(axis["name"]), str(axis.get("type") or ""), str(axis.get("unit") or ""), word_of(axis))
             for axis in scales["axes"]
@@ -317,7 +318,8 @@ def attributes_of(
     ]
     axes: list[dict[str, Any]] = [{"name": axis, "type": "space", "unit": "millimeter"} for axis in "zyx"]
     if (words := _words(geometry, metadata)) is not None:
-        axes = [axis | {"orientation": {"type": "anatomical", "value": word}} for axis, word in zip(axes, words, strict=True)]
+        said = ({"orientation": {"type": "anatomical", "value": word}} for word in words)
+        axes = [axis | orientation for axis, orientation in zip(axes, said, strict=True)]
     multiscale = {"name": name, "axes": axes, "datasets": datasets, "type": method}
     own = {
         "direction": geometry.direction.tolist(),

@@ -1,7 +1,7 @@
 """The anatomical orientation of the axes of an OME-Zarr (RFC-4 of OME-NGFF): words for the directions of a grid.
 
-An axis says from which side of the patient to which its coordinates increase. The words for quadrupeds are taken as DICOM
-places both kinds of patients: dorsal where posterior is, cranial and rostral where superior is.
+An axis says from which side of the patient to which its coordinates increase. The words for quadrupeds are taken as
+DICOM places both kinds of patients: dorsal where posterior is, cranial and rostral where superior is.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from accelsurf.grid.geometry import Floats
 _FIELDS = ("orientation", "anatomicalOrientation", "anatomical_orientation")
 #: Sides towards which x, y and z of the world (LPS) increase, and those that they come from.
 _SIDES = (("right", "left"), ("anterior", "posterior"), ("inferior", "superior"))
-_QUADRUPED = {"dorsal": "posterior", "ventral": "anterior", "cranial": "superior", "rostral": "superior", "caudal": "inferior"}
+_QUADRUPED = {
+    **{"dorsal": "posterior", "ventral": "anterior"},
+    **{"cranial": "superior", "rostral": "superior", "caudal": "inferior"},
+}
 _HINT = "correct the orientation of the axes in the metadata of the store, or remove it from all of them"
 
 
@@ -111,7 +114,7 @@ def direction_of(axes: Sequence[tuple[str, str]]) -> tuple[Floats | None, list[s
         direction[:, 2] *= -1.0  # the slice is seen from the side that makes the axes right-handed
     if any(side in _QUADRUPED for _, _, word in known for side in word.split("-to-")):
         notes.append(
-            "the axes are oriented in the words for animals: dorsal is taken as posterior, cranial and rostral as superior"
+            "the axes are oriented in words for animals: dorsal is taken as posterior, cranial and rostral as superior"
         )
     return direction, notes
 

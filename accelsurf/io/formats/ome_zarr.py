@@ -209,16 +209,13 @@ def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
     """
     asked = replace(header.options, channel_index=opening.channel_index, time_index=opening.time_index)
     place = selection.single(header.count("channel"), header.count("time"), asked)
-    lazy, voxels = _opened(path, header, place, opening.level, opening.cache_bytes)
-    if not opening.again:
-        lazy.metadata = with_warnings(lazy.metadata, voxels.missing(listed=True))
-    return lazy
+    return _opened(path, header, place, opening.level, opening.cache_bytes, not opening.again)[0]
 
 
 def _opened(
-    path: Path, header: OmeHeader, place: tuple[int, int], level: Level, cache_bytes: int
+    path: Path, header: OmeHeader, place: tuple[int, int], level: Level, cache_bytes: int, listed: bool = False
 ) -> tuple[LazyVolume, ZarrVoxels]:
-    """A level of the image of a time point and a channel."""
+    """A level of the image of a time point and a channel; ``listed``: which says what is missing of it."""
     ome = header.ome
     grids = _grids(header)
     number = checked_level(level, [grid.shape for grid in grids])
@@ -233,7 +230,8 @@ def _opened(
     name = ome.levels[number].path
     voxels = ZarrVoxels(header.folder, name, index, ome.space_axes, cache_bytes, ome.stored.get(name))
     layout = StoreLayout(grids, voxels.chunk_shape, header.count("channel"), header.count("time"), number)
-    return LazyVolume(voxels, grids[number], dict(ome.metadata), path, layout), voxels
+    note = voxels.missing if listed else None
+    return LazyVolume(voxels, grids[number], dict(ome.metadata), path, layout, note), voxels
 
 
 def _grids(header: OmeHeader) -> tuple[Geometry, ...]:

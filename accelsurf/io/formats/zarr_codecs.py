@@ -1,8 +1,8 @@
 """Chunks of a Zarr, unpacked: what each codec announces is compared with the bytes that are there.
 
-numcodecs believes what a chunk says of itself: of a Blosc chunk that is cut short it returns what lies in the memory behind
-it, or what was there before; tails are left unread; sizes are allocated as they are claimed. So the bytes are checked here
-before and after a codec. Codecs that are not in the list below are refused by name.
+numcodecs believes what a chunk says of itself: of a Blosc chunk that is cut short it returns what lies in the memory
+behind it, or what was there before; tails are left unread; sizes are allocated as they are claimed. So the bytes are
+checked here before and after a codec. Codecs that are not in the list below are refused by name.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class ChunkFormat:
     by_columns: bool = False
 
     @property
-    def bytes(self) -> int:
+    def value_bytes(self) -> int:
         """Bytes of the values."""
         return math.prod(self.shape) * self.dtype.itemsize
 
@@ -68,7 +68,7 @@ class ChunkFormat:
     def limit(self) -> int:
         """Bytes that a codec may unpack to, or a packed chunk may have."""
         filtered = any(name in _FILTERS for name, _ in self.steps)
-        return self.bytes * (_FILTERED if filtered else 1) + _SLACK
+        return self.value_bytes * (_FILTERED if filtered else 1) + _SLACK
 
     def decode(self, packed: bytes) -> NDArray[Any]:
         """Return the values of a chunk, of its whole shape.
@@ -83,8 +83,8 @@ class ChunkFormat:
         for name, config in self.steps:
             data = _UNPACKED.get(name, _filtered)(data, self.limit, {"id": name, **config})
         values = np.frombuffer(data, np.uint8)
-        if values.size != self.bytes:
-            raise ValueError(f"{values.size} bytes of values are in it, {self.bytes} expected")
+        if values.size != self.value_bytes:
+            raise ValueError(f"{values.size} bytes of values are in it, {self.value_bytes} expected")
         stored = values.view(self.dtype).reshape(
             [self.shape[axis] for axis in self.order], order="F" if self.by_columns else "C"
         )
@@ -131,7 +131,7 @@ def _known(name: str) -> str:
     if name not in _UNPACKED and name not in _FILTERS:
         known = ", ".join([*_UNPACKED, *_FILTERS])
         raise InputError(
-            f"chunks packed with the codec {name[:40]} given, one of {known} expected", "write the array anew, with zstd"
+            f"chunks packed with the codec {name[:40]} given, one of {known} expected", "write it anew, with zstd"
         )
     return name
 

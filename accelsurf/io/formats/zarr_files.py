@@ -1,5 +1,6 @@
-"""The files of the chunks of an array: one for each chunk, or shards with many. What is missing is told apart from what is
-damaged, and from what a shard itself says was left out.
+"""The files of the chunks of an array: one for each chunk, or shards with many.
+
+What is missing is told apart from what is damaged, and from what a shard itself says was left out.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ class ChunkFiles:
         if index not in (["bytes"], ["bytes", "crc32c"]):
             raise InputError(f"shards with an index packed with {', '.join(index)[:80]} given", "write the array anew")
         self._index = format_of((*parts, 2), np.dtype("u8"), sharding["index_codecs"])
-        self._index_bytes = self._index.bytes + 4 * (len(index) - 1)
+        self._index_bytes = self._index.value_bytes + 4 * (len(index) - 1)
         self._checked, self._at_start = len(index) > 1, sharding["index_location"] == "start"
         return format_of(array.chunks, dtype, sharding["codecs"])
 

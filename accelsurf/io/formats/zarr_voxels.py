@@ -1,11 +1,12 @@
 """Arrays of a Zarr, read chunk by chunk. The only place that imports zarr for reading; it is an extra.
 
-zarr reads and checks the metadata; the chunks are unpacked by `zarr_codecs`, which compares them with what they announce.
+zarr reads and checks the metadata; the chunks are unpacked by `zarr_codecs`, which compares them with what they
+announce.
 
-A chunk that is not in the store has the fill value: so says Zarr, and stores of label maps consist of little else. A store
-that accelsurf has written says which chunks it had, so that one that is missing is a fault. In others those that are
-missing are counted, and a warning says what stands in their place. A store that has gone would read as nothing but missing
-chunks: the metadata of the array are therefore looked for after each reading.
+A chunk that is not in the store has the fill value: so says Zarr, and stores of label maps consist of little else. A
+store that accelsurf has written says which chunks it had, so that one that is missing is a fault. In others those that
+are missing are counted, and a warning says what stands in their place. A store that has gone would read as nothing but
+missing chunks: the metadata of the array are therefore looked for after each reading.
 """
 
 from __future__ import annotations
@@ -239,12 +240,12 @@ class ZarrVoxels:
         value = self._array.metadata.fill_value
         return np.asarray(0 if value is None else value, self.dtype)
 
-    def missing(self, listed: bool) -> str:
+    def missing(self, listed: bool = True) -> str:
         """A warning with the number of files of chunks that are missing; empty where none is, or the store says why.
 
         Parameters
         ----------
-        listed : bool
+        listed : bool, optional
             Whether to look into the folders of the array; otherwise those count that were met while it was read.
 
         Raises
@@ -261,8 +262,8 @@ class ZarrVoxels:
         if absent == 0:
             return ""
         return (
-            f"{absent} of {count} chunks of the array {self._name} are not in the store: {self._fill_value} stands there; "
-            "they were left out because they hold nothing else, or they are lost"
+            f"{absent} of {count} chunks of the array {self._name} are not in the store: {self._fill_value} stands "
+            "there; they were left out because they hold nothing else, or they are lost"
         )
 
 

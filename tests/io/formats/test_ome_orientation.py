@@ -1,4 +1,4 @@
-"""Sides of the body in OME-Zarr (RFC-4): the words of the axes become directions in LPS, and directions become words."""
+"""Sides of the body in OME-Zarr (RFC-4): words of axes become directions in LPS, and directions become words."""
 
 import itertools
 import json
@@ -97,7 +97,8 @@ def test_all_directions_along_axes_are_written_in_words_and_come_back(tmp_path, 
     alone = io.read(path)
     np.testing.assert_array_equal(alone.geometry.direction, direction)
     assert alone.geometry.origin == origin
-    assert ("place of the first voxel" in alone.metadata.get(io.WARNING_KEY, "")) == (not np.array_equal(direction, np.eye(3)))
+    is_turned = not np.array_equal(direction, np.eye(3))
+    assert ("place of the first voxel" in alone.metadata.get(io.WARNING_KEY, "")) == is_turned
     np.testing.assert_array_equal(alone.array, back.array)
     # And what was read so is written so.
     io.write(alone, tmp_path / "b.ome.zarr")
@@ -118,7 +119,8 @@ def test_a_dish_under_a_microscope_gets_no_sides(tmp_path, unit):
     grid = Geometry((3, 4, 5), (1e-3, 1e-3, 1e-3))
     io.write(Volume(np.zeros((3, 4, 5), "u1"), grid, {"spatial_unit": unit}), tmp_path / "a.ome.zarr")
     assert "orientation" not in (tmp_path / "a.ome.zarr/zarr.json").read_text()
-    io.write(Volume(np.zeros((3, 4, 5), "u1"), grid, {"spatial_unit": unit, "ome_oriented": "yes"}), tmp_path / "b.ome.zarr")
+    said = {"spatial_unit": unit, "ome_oriented": "yes"}
+    io.write(Volume(np.zeros((3, 4, 5), "u1"), grid, said), tmp_path / "b.ome.zarr")
     assert "right-to-left" in (tmp_path / "b.ome.zarr/zarr.json").read_text()
 
 
@@ -139,7 +141,8 @@ def test_words_for_animals_are_placed_as_in_dicom_and_that_is_said(tmp_path, sai
 
 
 @pytest.mark.parametrize(
-    "word", ["proximal-to-distal", "dorsal-to-palmar", "apex-to-base", "left-to-left", "left-to-superior", "RAS", "LR", "to"]
+    "word",
+    ["proximal-to-distal", "dorsal-to-palmar", "apex-to-base", "left-to-left", "left-to-superior", "RAS", "LR", "to"],
 )
 @pytest.mark.parametrize("field", ["orientation", "anatomicalOrientation"])
 def test_a_word_for_no_side_is_named_in_a_warning(tmp_path, word, field):
@@ -205,12 +208,16 @@ def test_axes_without_a_word_beside_others_are_named(tmp_path, said, expected, n
     volume = io.read(oriented(tmp_path / "a.zarr", {name: spelled(word, 0) for name, word in said.items()}))
     np.testing.assert_array_equal(volume.geometry.direction, expected)
     for name in "zyx":
-        assert (f"the axis {name} has no orientation, others have" in volume.metadata[io.WARNING_KEY]) == (name in noted)
+        said_so = f"the axis {name} has no orientation, others have" in volume.metadata[io.WARNING_KEY]
+        assert said_so == (name in noted)
 
 
 @pytest.mark.parametrize(
     ("x", "y", "third"),
-    [("left-to-right", "posterior-to-anterior", (0, 0, 1)), ("anterior-to-posterior", "superior-to-inferior", (-1, 0, 0))],
+    [
+        ("left-to-right", "posterior-to-anterior", (0, 0, 1)),
+        ("anterior-to-posterior", "superior-to-inferior", (-1, 0, 0)),
+    ],
 )
 def test_a_slice_is_turned_right_handed(tmp_path, x, y, third):
     given = [axis | spelled(word, 0) for axis, word in zip(axes("yx", "millimeter"), (y, x), strict=True)]

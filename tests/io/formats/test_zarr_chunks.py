@@ -1,6 +1,7 @@
-"""Chunks of a Zarr, cut, lengthened, emptied and taken away, for every codec: refused, or the right values; never others."""
+"""Chunks of a Zarr that are cut, lengthened, emptied or taken away, for every codec: refused, or read as they were."""
 
 import re
+import shutil
 import warnings
 import zlib
 from pathlib import Path
@@ -38,7 +39,8 @@ def packings() -> list:
     for name in blosc.list_compressors():
         for number, shuffle in enumerate(SHUFFLES):
             made.append((f"2 {name} {shuffle}", 2, {"compressors": numcodecs.Blosc(name, 5, number)}))
-            made.append((f"3 {name} {shuffle}", 3, {"compressors": BloscCodec(cname=name, shuffle=shuffle, typesize=2)}))
+            codec = BloscCodec(cname=name, shuffle=shuffle, typesize=2)
+            made.append((f"3 {name} {shuffle}", 3, {"compressors": codec}))
     made.append(("2 blosc not packed", 2, {"compressors": numcodecs.Blosc("lz4", 0)}))
     for codec in (
         numcodecs.Zstd(), numcodecs.Zstd(3, checksum=True), numcodecs.GZip(), numcodecs.Zlib(), numcodecs.LZ4(),
@@ -52,7 +54,8 @@ def packings() -> list:
         made.append((f"3 {codec}", 3, {"compressors": codec}))
     made.append(("3 zstd crc32c", 3, {"compressors": [ZstdCodec(), Crc32cCodec()]}))
     made.append(("3 big", 3, {"compressors": None, "serializer": BytesCodec(endian="big")}))
-    made.append(("3 transposed", 3, {"filters": zarr.codecs.TransposeCodec(order=(2, 0, 1)), "compressors": GzipCodec()}))
+    turned = zarr.codecs.TransposeCodec(order=(2, 0, 1))
+    made.append(("3 transposed", 3, {"filters": turned, "compressors": GzipCodec()}))
     made.append(("3 delta", 3, {"filters": codecs3.Delta(dtype="<i2"), "compressors": ZstdCodec()}))
     made.append(("3 shuffle", 3, {"compressors": [codecs3.Shuffle(elementsize=2), ZstdCodec()]}))
     for codec in (
@@ -86,14 +89,13 @@ SHARDS = [
 ]  # fmt: skip
 
 
-def store(path: Path, array: np.ndarray, version: int, options: dict, **more) -> Path:
+def store(path: Path, array: np.ndarray, version: int, options: dict) -> Path:
     """An OME-Zarr with an array packed in some way."""
     make_store(path, [], "zyx", [((2.0, 1.0, 1.0),)], "0.5" if version == 3 else "0.4", unit="millimeter")
     group = zarr.open_group(path, mode="a")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        made = group.create_array("0", shape=array.shape, chunks=more.pop("chunks", CHUNK), dtype=array.dtype, **options)
-        made[:] = array
+        group.create_array("0", shape=array.shape, chunks=CHUNK, dtype=array.dtype, **options)[:] = array
     return path
 
 
@@ -233,11 +235,25 @@ def test_files_are_listed_once_however_often_the_image_is_opened_again(tmp_path,
     listed = zarr_files.ChunkFiles.places
     monkeypatch.setattr(zarr_files.ChunkFiles, "places", lambda self, wanted: calls.append(1) or listed(self, wanted))
     lazy = io.open_volume(path)
-    pickle.loads(pickle.dumps(lazy)).read(whole_box(SHAPE))
-    lazy.coarser().read(whole_box(SHAPE))
+    assert not calls  # nobody has asked yet
+    (path / "0/c/0/0/0").unlink()
+    for _ in range(3):
+        assert "1 of 12 chunks" in lazy.metadata[io.WARNING_KEY]
+    for again in (pickle.loads(pickle.dumps(lazy)), lazy.coarser()):
+        again.read(whole_box(SHAPE))
+        assert io.WARNING_KEY not in again.metadata
     assert len(calls) == 1
-    io.read(path)  # what it meets counts
+    assert "1 of 12 chunks" in io.read(path).metadata[io.WARNING_KEY]  # what was met is counted
     assert len(calls) == 1
+
+
+def test_folders_that_cannot_be_looked_into_are_an_error_with_the_name_of_the_image(tmp_path):
+    path = make_store(tmp_path / "a.zarr", [image("u1")], "zyx", [((1.0,) * 3,)])
+    lazy = io.open_volume(path)
+    shutil.rmtree(path / "0/c/0")
+    (path / "0/c/0").write_text("a file")
+    with pytest.raises(InputError, match=r"a\.zarr: cannot be read \(Not a directory"):
+        lazy.metadata  # noqa: B018
 
 
 def test_a_shard_says_by_itself_what_was_left_out(tmp_path):
