@@ -25,7 +25,7 @@ from accelsurf.io.headers import check_within_store, split_name
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.levels import checked_level
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import FRAME_KEY, with_warnings
+from accelsurf.io.metadata import FRAME_KEY, WARNING_KEY, with_warnings
 from accelsurf.settings.reading import AS_IT_IS, Level, ReadOptions
 
 _SERIES_KEY = "bioformats2raw.layout"
@@ -85,6 +85,21 @@ class OmeHeader:
             return FrameTimes.from_text(text, count)
         found = self.ome.metadata.get(FRAME_KEY)
         return None if found is None else FrameTimes.regular(count, float(found))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know of all time points: what the metadata do not say, and how many chunks are missing.
+
+        Raises
+        ------
+        OSError
+            When the folders of the image cannot be looked into.
+        """
+        places = selection.selected(self.count("channel"), self.count("time"), replace(self.options, time_index=0))
+        number = checked_level(self.options.level, [grid.shape for grid in _grids(self)])
+        at = [{"time": None, "channel": channel} for _, channel in places]
+        missing = (_voxels(self, number, place, 0).missing() for place in at)
+        return (self.ome.metadata.get(WARNING_KEY, ""), *dict.fromkeys(missing))
 
     @property
     def geometry(self) -> Geometry:
@@ -216,10 +231,17 @@ def _opened(
     path: Path, header: OmeHeader, place: tuple[int, int], level: Level, cache_bytes: int, listed: bool = False
 ) -> tuple[LazyVolume, ZarrVoxels]:
     """A level of the image of a time point and a channel; ``listed``: which says what is missing of it."""
-    ome = header.ome
     grids = _grids(header)
     number = checked_level(level, [grid.shape for grid in grids])
-    at = {"time": place[0], "channel": place[1]}
+    voxels = _voxels(header, number, {"time": place[0], "channel": place[1]}, cache_bytes)
+    layout = StoreLayout(grids, voxels.chunk_shape, header.count("channel"), header.count("time"), number)
+    note = voxels.missing if listed else None
+    return LazyVolume(voxels, grids[number], dict(header.ome.metadata), path, layout, note), voxels
+
+
+def _voxels(header: OmeHeader, number: int, at: Mapping[str, int | None], cache_bytes: int) -> ZarrVoxels:
+    """The voxels of a level, at places along the axes that are none of space."""
+    ome = header.ome
     index: list[int | None] = []
     for axis, n in zip(ome.axes, header.shape, strict=True):
         if axis.kind != "space" and axis.kind not in at and n > 1:
@@ -228,10 +250,7 @@ def _opened(
             )
         index.append(None if axis.kind == "space" else at.get(axis.kind, 0))
     name = ome.levels[number].path
-    voxels = ZarrVoxels(header.folder, name, index, ome.space_axes, cache_bytes, ome.stored.get(name))
-    layout = StoreLayout(grids, voxels.chunk_shape, header.count("channel"), header.count("time"), number)
-    note = voxels.missing if listed else None
-    return LazyVolume(voxels, grids[number], dict(ome.metadata), path, layout, note), voxels
+    return ZarrVoxels(header.folder, name, index, ome.space_axes, cache_bytes, ome.stored.get(name))
 
 
 def _grids(header: OmeHeader) -> tuple[Geometry, ...]:

@@ -227,6 +227,31 @@ def test_missing_chunks_are_counted_in_a_warning(tmp_path, version, separator, f
     assert [words[0] for words in (one.metadata[io.WARNING_KEY] for one in both)] == ["1", "2"]
 
 
+def test_missing_chunks_of_a_sequence_are_counted_over_all_frames(tmp_path):
+    array = np.random.default_rng(1).integers(8, 99, (3, 4, 4, 4)).astype("u1")
+    path = make_store(tmp_path / "a.zarr", [array], "tzyx", [((1.0,) * 4,)], unit="millimeter", chunks=(1, 2, 4, 4))
+    assert io.read_sequence(path).notes == ()
+    for place in ("0/0", "2/1"):
+        (path / f"0/c/{place}/0/0").unlink()
+    notes = io.read_sequence(path).notes
+    assert len(notes) == 1 and notes[0].startswith("2 of 6 chunks of the array 0 are not in the store: 0 stands there")
+
+
+def test_a_sequence_that_accelsurf_wrote_misses_its_chunks(tmp_path):
+    array = np.zeros((3, 4, 5, 6), np.uint8)
+    array[1, 2, 3] = 7  # the other frames are left out
+    path = tmp_path / "a.ome.zarr"
+    grid = Geometry((4, 5, 6), (1.0, 1.0, 1.0))
+    with io.SequenceWriter(path, grid, (0.0, 1.0, 2.0), "s", np.uint8) as writer:
+        for number, frame in enumerate(array):
+            writer.write(number, frame)
+    found = io.read_sequence(path)
+    assert found.notes == () and [int(found.frame(n).array.max()) for n in range(3)] == [0, 7, 0]
+    (path / "0/c/1/0/0/0").unlink()
+    with pytest.raises(InputError, match=r"chunk \(1, 0, 0, 0\) of the array 0 is missing: it was there"):
+        io.read_sequence(path).frame(1)
+
+
 def test_files_are_listed_once_however_often_the_image_is_opened_again(tmp_path, monkeypatch):
     import pickle
 
