@@ -59,10 +59,8 @@ def look(
     overwrite
         Replace a picture that exists.
     """
-    from accelsurf.cli.interrupts import say
     from accelsurf.grid.grey_window import parse_window
     from accelsurf.io.files import write_bytes
-    from accelsurf.io.metadata import WARNING_KEY
     from accelsurf.report.output_folder import make_writable
 
     source = required(input, "IMAGE")
@@ -71,9 +69,7 @@ def look(
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: exists already", "choose another with -o, or add --overwrite")
     volumes, grid = _read(source, level, run_config(reading).reading)
-    for note in dict.fromkeys(volume.metadata.get(WARNING_KEY, "") for volume in volumes):
-        if note:
-            say(f"warning: {note}")
+    _say_notes(volumes)
     from accelsurf.report.look import look_png  # loads what draws
 
     geometry = volumes[0].geometry
@@ -88,6 +84,16 @@ def look(
         print(f"values   {volume.array.min():.6g} to {volume.array.max():.6g}{which}")
     print(f"picture  {path.absolute()}")
     return 0
+
+
+def _say_notes(volumes: list[Volume]) -> None:
+    """Print the warnings about the files of an image."""
+    from accelsurf.cli.interrupts import say
+    from accelsurf.io.metadata import WARNING_KEY
+
+    for note in dict.fromkeys(volume.metadata.get(WARNING_KEY, "") for volume in volumes):
+        if note:
+            say(f"warning: {note}")
 
 
 def _said_of(volumes: list[Volume]) -> str:
