@@ -17,6 +17,7 @@ from accelsurf.settings.labels import LabelTable
 if TYPE_CHECKING:
     from accelsurf.analysis.label_metrics import LabelAgreement
     from accelsurf.batch.pairs import LabelFile, Pair
+    from accelsurf.grid.volume import Volume
     from accelsurf.report.evaluation import CaseResult
 
 SOME_FAILED = 9
@@ -183,7 +184,6 @@ def _try(pair: Pair, asked: Asked) -> CaseResult:
 
 def _result(pair: Pair, asked: Asked) -> CaseResult:
     """Compare a pair."""
-    from accelsurf import io
     from accelsurf.analysis.label_metrics import LabelMap, evaluate_labels, evaluate_object
     from accelsurf.io.file_set import finish_killed_runs
     from accelsurf.report.evaluation import CaseResult
@@ -192,12 +192,23 @@ def _result(pair: Pair, asked: Asked) -> CaseResult:
         raise InputError(f"there is no {'prediction' if pair.pred is None else 'reference'} of this name")
     for path in (pair.pred.path, pair.ref.path):
         finish_killed_runs(path.parent)
-    pred, ref = (LabelMap(io.read_labels(side.path), side.ids) for side in (pair.pred, pair.ref))
+    pred, ref = (LabelMap(_read(side.path), side.ids) for side in (pair.pred, pair.ref))
     if asked.labels is None:
         agreements = [evaluate_object(pred, ref, asked.tolerances)]
     else:
         agreements = evaluate_labels(pred, ref, asked.labels, asked.tolerances)
     return CaseResult(pair.case, _written(pair.pred), _written(pair.ref), tuple(agreements))
+
+
+def _read(path: Path) -> Volume:
+    """A label map; what there is to say of its file is said."""
+    from accelsurf import io
+    from accelsurf.cli.interrupts import say
+
+    labels = io.read_labels(path)
+    if note := labels.metadata.get(io.WARNING_KEY):
+        say(f"warning: {path}: {note}")
+    return labels
 
 
 def _written(side: LabelFile | None) -> str:

@@ -72,6 +72,7 @@ def look(
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: exists already", "choose another with -o, or add --overwrite")
     volumes, grid = _read(source, level, run_config(reading).reading)
+    _say_notes(volumes)
     from accelsurf.report.look import look_png  # loads what draws
 
     geometry = volumes[0].geometry
@@ -86,6 +87,16 @@ def look(
         print(f"values   {volume.array.min():.6g} to {volume.array.max():.6g}{which}")
     print(f"picture  {path.absolute()}")
     return 0
+
+
+def _say_notes(volumes: list[Volume]) -> None:
+    """Print the warnings about the files of an image."""
+    from accelsurf.cli.interrupts import say
+    from accelsurf.io.metadata import WARNING_KEY
+
+    for note in dict.fromkeys(volume.metadata.get(WARNING_KEY, "") for volume in volumes):
+        if note:
+            say(f"warning: {note}")
 
 
 def _said_of(volumes: list[Volume]) -> str:

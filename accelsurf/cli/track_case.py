@@ -172,7 +172,7 @@ def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
     complete = tracking.done == len(tracking.visits) and not tracking.interrupted
     with watcher.writing():
         code = watcher.exit_code(0 if complete else INTERRUPTED)
-        warnings = [*tracking.warnings, *_doubts(tracking)]
+        warnings = [*tracking.sequence.notes, *tracking.warnings, *_doubts(tracking)]
         outputs.finish(
             tracking.lineage, status="ok" if complete else "interrupted", exit_code=code, warnings=warnings
         )

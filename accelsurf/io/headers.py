@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -14,6 +15,8 @@ from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_fo
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.registry import load
 
+#: Names of formats whose files may be zip archives, or are folders that somebody packed.
+_PACKED = ("dcm", "ome.zarr")
 _OUTSIDE_DATA = ContextVar("outside data", default=False)
 
 
@@ -156,6 +159,8 @@ def format_of(path: Path) -> ImageFormat:
     if not path.exists():
         return _absent_form(path)
     form = image_format(split_name(path)[1])
+    if (form is None or form.name in _PACKED) and path.is_file():
+        _check_no_packed_zarr(path)
     if form is None and path.is_file():
         form = next((one for one in IMAGE_FORMATS.values() if one.is_file and load(one.is_file)(path)), None)
     if form is None:
@@ -168,6 +173,29 @@ def format_of(path: Path) -> ImageFormat:
     if path.stat().st_size == 0:
         raise InputError("the file is empty", hint="copy or export it again")
     return form
+
+
+def _check_no_packed_zarr(path: Path) -> None:
+    """Refuse a zip archive of a Zarr, by name: chunks are read from a folder.
+
+    Raises
+    ------
+    InputError
+    """
+    if not zipfile.is_zipfile(path):
+        return
+    marks = {mark for form in IMAGE_FORMATS.values() if form.has_levels for mark in form.folder_marks}
+    try:
+        with zipfile.ZipFile(path) as archive:
+            found = next((name for name in archive.namelist() if name.rpartition("/")[2] in marks), None)
+    except (zipfile.BadZipFile, NotImplementedError, ValueError):
+        return  # who reads the archive says what is wrong with it
+    if found is not None:
+        below = found.split("/")[0] if "/" in found else f"{path.name.split('.')[0]}.zarr"
+        raise InputError(
+            f"a zipped Zarr given (it has {found[:80]}), the folder of an OME-Zarr expected",
+            f"unpack it, and give the folder: unzip {path.name}{'' if '/' in found else f' -d {below}'}",
+        )
 
 
 def _folder_format(path: Path) -> ImageFormat | None:

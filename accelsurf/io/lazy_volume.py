@@ -7,6 +7,7 @@ voxel by voxel, in the same type.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -20,6 +21,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import headers, selection
 from accelsurf.io.files import naming
+from accelsurf.io.metadata import with_warnings
 from accelsurf.settings.reading import Level, ReadOptions
 from accelsurf.settings.registry import load
 
@@ -44,13 +46,17 @@ class VoxelSource(Protocol):
 
 @dataclass(frozen=True)
 class Opening:
-    """What `open_volume` was asked for beside the name of the image; see there."""
+    """What `open_volume` was asked for beside the name of the image; see there.
+
+    ``again`` is true where the same image was opened before, so that what there is to say of it has been said.
+    """
 
     level: Level = 0
     channel_index: int | None = None
     time_index: int | None = None
     cache_bytes: int = CACHE_BYTES
     spacing: tuple[float, float, float] | None = None
+    again: bool = False
 
     @property
     def options(self) -> ReadOptions:
@@ -96,10 +102,12 @@ class LazyVolume:
         The file or folder.
     layout : StoreLayout, optional
         How it is stored; by default one level, channel and time point, without chunks.
+    note : callable, optional
+        Returns a further warning, or an empty text; it takes time, and is asked when the metadata are.
 
     Attributes
     ----------
-    voxels, geometry, metadata, source, layout
+    voxels, geometry, source, layout
         The same.
     """
 
@@ -110,10 +118,12 @@ class LazyVolume:
         metadata: dict[str, str] | None = None,
         source: Path | None = None,
         layout: StoreLayout | None = None,
+        note: Callable[[], str] | None = None,
     ) -> None:
         self.voxels, self.geometry, self.source = voxels, geometry, source
         self.layout = layout or StoreLayout((geometry,))
-        self.metadata: dict[str, str] = metadata or {}
+        self._metadata: dict[str, str] = metadata or {}
+        self._note = note
         self._opened: tuple[Path, Opening, bool] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -126,6 +136,21 @@ class LazyVolume:
     def of_array(cls, volume: Volume) -> LazyVolume:
         """A volume that is in memory, to be read like one that is not."""
         return cls(_ArrayVoxels(volume.array), volume.geometry, dict(volume.metadata), volume.source)
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """As in `Volume`, with a warning about what is missing.
+
+        Raises
+        ------
+        InputError
+            When the folders of the image cannot be looked into.
+        """
+        if self._note is not None:
+            with naming(self.source or Path()):
+                self._metadata = with_warnings(self._metadata, self._note())
+            self._note = None
+        return self._metadata
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -259,9 +284,12 @@ def open_volume(
     UsageError
         When there is no such level, channel or time point.
     """
-    path = Path(path)
+    return _opened(Path(path), Opening(level, channel_index, time_index, cache_bytes, spacing), outside_data)
+
+
+def _opened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
+    """Open an image; see `open_volume`."""
     with naming(path), headers.outside_data_allowed(outside_data):
-        opening = Opening(level, channel_index, time_index, cache_bytes, spacing)
         form, header = headers.parse(path, opening.options)
         if form.open is None:
             raise InputError(
@@ -298,7 +326,4 @@ def open_channels(path: str | os.PathLike[str], options: ReadOptions) -> list[La
 
 def _reopened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
     """A volume that was opened, once more."""
-    return open_volume(
-        path, level=opening.level, channel_index=opening.channel_index, time_index=opening.time_index,
-        cache_bytes=opening.cache_bytes, spacing=opening.spacing, outside_data=outside_data,
-    )
+    return _opened(path, replace(opening, again=True), outside_data)

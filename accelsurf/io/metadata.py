@@ -15,6 +15,9 @@ DICOM_KEY = "dicom_series"
 VALUE_UNIT_KEY = "value_unit"
 """The unit of the values, as HU, where the file says it."""
 
+ORIENTED_KEY = "ome_oriented"
+"""Present where the axes of an OME-Zarr were given an anatomical orientation."""
+
 UNIT_KEY = "spatial_unit"
 """The unit in which the file gives lengths: nm or um; absent where it is mm, or none. All lengths here are mm."""
 FRAME_KEY = "frame_seconds"

@@ -86,7 +86,7 @@ class FileFrames(FileSequence):
         self.form, self.header = headers.parse(path, options)
         count = int(getattr(self.header, "time_points", 1))
         times = getattr(self.header, "frame_times", None) or FrameTimes.regular(count, None)
-        self.place(geometry_of(path, self.header), times)
+        self.place(geometry_of(path, self.header), times, getattr(self.header, "notes", ()))
 
     @property
     def frame_values(self) -> int:

@@ -103,6 +103,8 @@ NPZ = Budget(
 )
 SLICES = Budget("the files of a folder of slices", 1 << 16, "files", "make one stack of them, as OME-Zarr")
 ZARR_CHUNK = Budget("a chunk of a Zarr, unpacked", 1 << 30, "bytes", "store it in smaller chunks")
+ZARR_METADATA = Budget("a file of metadata of a Zarr", 1 << 24, "bytes", "is it damaged? export the image again")
+ZARR_LEVELS = Budget("the levels of an OME-Zarr", 64, "levels", "is it damaged? export the image again")
 MESH_FILE = Budget(
     "a mesh in memory while it is read", 1, "bytes", "simplify the mesh first", "byte of free memory"
 )
@@ -136,6 +138,6 @@ STATE_UNPACKED = Budget(
 #: All of them, in the order of the reference page.
 BUDGETS = (
     CONFIG, EXPRESSION, PATH, PATH_VOXELS, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW,
-    PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, ZARR_CHUNK, MESH_FILE, MESH_UNPACKED, MESH_ROWS,
-    OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED, UPLOAD,
+    PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, ZARR_CHUNK, ZARR_METADATA, ZARR_LEVELS, MESH_FILE,
+    MESH_UNPACKED, MESH_ROWS, OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED, UPLOAD,
 )

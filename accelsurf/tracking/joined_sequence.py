@@ -31,6 +31,7 @@ class JoinedSequence(ImageSequence):
         self.times, self.time_unit, self.geometry, self.source = (
             first.times, first.time_unit, first.geometry, first.source,
         )
+        self.notes = tuple(dict.fromkeys(note for one in self._sequences for note in one.notes))
         for one in others:
             if len(one) != len(first):
                 raise InputError(f"channel {one.source}: it has {len(one)} frames, {len(first)} expected")

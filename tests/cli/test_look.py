@@ -8,6 +8,7 @@ from accelsurf import cli, io
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.report import canvas
+from tests.io.formats.test_ome_zarr import make_store
 
 
 def run(*words):
@@ -121,3 +122,13 @@ def test_each_channel_has_a_row(tmp_path):
         assert run("look", scan, "-o", tmp_path / f"{scan.stem}.png") == 0
     heights = [picture_of(tmp_path / f"{scan.stem}.png").shape[0] for scan in (one, two)]
     assert heights[1] > 1.5 * heights[0]
+
+
+def test_look_says_what_a_reader_should_know_of_the_file(tmp_path, capsys):
+    array = np.random.default_rng(0).integers(1, 99, (6, 7, 8)).astype("u1")
+    path = make_store(tmp_path / "a.zarr", [array], "zyx", [((1.0,) * 3,)], unit="millimeter")
+    (path / "0/c/0/0/0").unlink()
+    assert run("look", path, "-o", tmp_path / "a.png") == 0
+    said = capsys.readouterr().err
+    assert said.startswith("warning: 1 of 18 chunks of the array 0 are not in the store: 0 stands there")
+    assert said.count("\n") == 1

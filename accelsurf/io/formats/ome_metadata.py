@@ -1,8 +1,9 @@
 """What the metadata of an OME-Zarr image say: its axes, its levels, and where their voxels are.
 
 Versions 0.4 and 0.5 differ in the place of the metadata only. Axes of space are given in their order in the array;
-lengths may have any unit. OME-Zarr has no direction of the axes in the world: accelsurf keeps it in an attribute of its
-own when it writes, with what `accelsurf.grid.volume.Volume` calls metadata.
+lengths may have any unit. Axes along lines of the body say so in words (`ome_orientation`). For other directions
+OME-Zarr has nothing: accelsurf keeps them in an attribute of its own when it writes, with what
+`accelsurf.grid.volume.Volume` calls metadata, and which chunks it wrote.
 """
 
 from __future__ import annotations
@@ -16,10 +17,15 @@ import numpy as np
 
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Floats, Geometry
-from accelsurf.io.metadata import FRAME_KEY, UNIT_KEY, WARNING_KEY
+from accelsurf.io.formats.ome_orientation import direction_of, word_of, words_for
+from accelsurf.io.formats.zarr_files import STORED_KEY
+from accelsurf.io.headers import is_anatomical
+from accelsurf.io.metadata import FRAME_KEY, ORIENTED_KEY, UNIT_KEY, WARNING_KEY, with_warnings
+from accelsurf.settings import budgets
 
 #: Name of the attribute that accelsurf writes.
 OWN_KEY = "accelsurf"
+MAX_AXES = 5
 VERSIONS = ("0.4", "0.5")
 _DAMAGED_HINT = "is the store complete? copy or export it again"
 _MM = {
@@ -45,11 +51,14 @@ class OmeAxis:
         "space", "time", "channel", or another word.
     unit : str
         Empty where none is given.
+    orientation : str
+        Of `ome_orientation.word_of`.
     """
 
     name: str
     kind: str
     unit: str = ""
+    orientation: str = ""
 
 
 @dataclass(frozen=True)
@@ -81,9 +90,11 @@ class OmeMetadata:
     levels : tuple of OmeLevel
         Finest first.
     direction : ndarray (3, 3)
-        As in `Geometry`; the identity where accelsurf has not written it.
+        As in `Geometry`; the identity where nothing says it.
     metadata : dict of str to str
         As in `Volume`, with a warning where the axes have no unit.
+    stored : dict of str to list of int
+        Of arrays that accelsurf has written, the files of their chunks as `zarr_files.runs_of` says it.
     """
 
     version: str
@@ -91,14 +102,12 @@ class OmeMetadata:
     levels: tuple[OmeLevel, ...]
     direction: Floats
     metadata: dict[str, str] = field(default_factory=dict)
+    stored: dict[str, list[int]] = field(default_factory=dict)
 
     @property
     def space_axes(self) -> tuple[int, ...]:
         """Which axes of the array are z, y, x, or y, x; by their names, else in the order of the array."""
-        found = [i for i, axis in enumerate(self.axes) if axis.kind == "space"]
-        names = [self.axes[i].name.lower() for i in found]
-        wanted = ("z", "y", "x")[3 - len(found) :]
-        return tuple(found[names.index(name)] for name in wanted) if set(names) == set(wanted) else tuple(found)
+        return _space_axes(self.axes)
 
     def geometry(self, level: int, shape: Sequence[int]) -> Geometry:
         """The grid of a level whose array has a shape.
@@ -145,32 +154,80 @@ def parse_attributes(attributes: Mapping[str, Any]) -> OmeMetadata:
             )
         if others:
             raise InputError(f"{1 + len(others)} images in one group given, one expected", "save them apart")
+        budgets.ZARR_LEVELS.check(len(scales["datasets"]))
+        if len(scales["axes"]) > MAX_AXES:
+            given = len(scales["axes"])
+            raise InputError(f"an OME-Zarr of {given} axes given, at most {MAX_AXES} expected", _DAMAGED_HINT)
         axes = tuple(
-            OmeAxis(str(axis["name"]), str(axis.get("type") or ""), str(axis.get("unit") or ""))
+            OmeAxis(str(axis["name"]), str(axis.get("type") or ""), str(axis.get("unit") or ""), word_of(axis))
             for axis in scales["axes"]
         )
         common = scales.get("coordinateTransformations")
         levels = tuple(_level(dataset, common, len(axes)) for dataset in scales["datasets"])
-        direction, metadata = _own(attributes.get(OWN_KEY, {}))
+        direction, metadata, stored = _own(attributes.get(OWN_KEY, {}))
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         message = f"the OME-Zarr metadata are damaged ({type(error).__name__}: {error})"
         raise InputError(message, _DAMAGED_HINT) from None
     space = [axis for axis in axes if axis.kind == "space"]
-    if not levels or not 2 <= len(space) <= 3 or len(axes) > 5:
+    if not levels or not 2 <= len(space) <= 3:
         raise InputError(
             f"an OME-Zarr of {len(levels)} levels with axes {', '.join(axis.name for axis in axes)} given, "
             "expected one level or more, with two or three axes of space",
             _DAMAGED_HINT,
         )
     if all(not axis.unit for axis in space):
-        metadata[WARNING_KEY] = "the OME-Zarr gives no unit of length: it is taken as mm"
+        metadata = with_warnings(metadata, "the OME-Zarr gives no unit of length: it is taken as mm")
     units = [_mm_per_unit(axis.unit) for axis in space]
     if units[-1] < 0.1:
         metadata[UNIT_KEY] = "nm" if units[-1] < 1e-4 else "um"
     for axis, step in zip(axes, levels[0].scale, strict=True):
         if axis.kind == "time" and (seconds := step * _SECONDS.get(axis.unit.lower(), 0.0)) > 0:
             metadata[FRAME_KEY] = repr(seconds)
-    return OmeMetadata(version, axes, levels, direction, metadata)
+    direction, metadata = _placed(axes, levels[0], direction, metadata)
+    return OmeMetadata(version, axes, levels, direction, metadata, stored)
+
+
+def _space_axes(axes: Sequence[OmeAxis]) -> tuple[int, ...]:
+    found = [i for i, axis in enumerate(axes) if axis.kind == "space"]
+    names = [axes[i].name.lower() for i in found]
+    wanted = ("z", "y", "x")[3 - len(found) :]
+    return tuple(found[names.index(name)] for name in wanted) if set(names) == set(wanted) else tuple(found)
+
+
+def _placed(
+    axes: Sequence[OmeAxis], finest: OmeLevel, own: Floats | None, metadata: dict[str, str]
+) -> tuple[Floats, dict[str, str]]:
+    """The directions of the axes, and the metadata with what is to be said of them.
+
+    Raises
+    ------
+    InputError
+        When two axes are along one line, or the words contradict the directions that accelsurf has written.
+    """
+    order = _space_axes(axes)[::-1]
+    direction, notes = direction_of([(axes[i].name, axes[i].orientation) for i in order])
+    notes += [
+        f"the orientation of the axis {axis.name[:40]}, which is none of space, is not used"
+        for axis in axes if axis.orientation and axis.kind != "space"
+    ]
+    if direction is None or own is not None:
+        if direction is not None and own is not None and not np.allclose(direction, own, rtol=0.0, atol=1e-4):
+            raise InputError(
+                "the OME-Zarr gives its axes an orientation, and in the attribute of accelsurf other directions",
+                'remove what is wrong: "orientation" of the axes, or "direction" of "accelsurf"',
+            )
+        return np.eye(3) if own is None else own, with_warnings(metadata, *notes)
+    if not np.array_equal(direction, np.eye(3)) and any(finest.translation[i] for i in order):
+        notes.append(
+            "the axes point to other sides than left, posterior and superior; the place of the first voxel is taken as "
+            "given in these, as ITK and ngff-zarr do"
+        )
+    return direction, with_warnings(metadata | {ORIENTED_KEY: "yes"}, *notes)
+
+
+def is_oriented(metadata: Mapping[str, str]) -> bool:
+    """Whether the axes of an OME-Zarr were given an anatomical orientation."""
+    return ORIENTED_KEY in metadata
 
 
 def _other_kind(ome: Mapping[str, Any]) -> tuple[str, str]:
@@ -182,9 +239,7 @@ def _other_kind(ome: Mapping[str, Any]) -> tuple[str, str]:
     if "labels" in ome:
         names = ", ".join(map(str, ome["labels"][:5])) if isinstance(ome["labels"], list) else ""
         return f"the label maps of an OME-Zarr given ({names}), one image expected", "give one of them, as labels/NAME"
-    return "a Zarr without the metadata of an OME-Zarr image given: nothing says how large a voxel is", (
-        "convert it to OME-Zarr, e.g. with ngff-zarr"
-    )
+    return "an OME-Zarr without an image given", "give the group of one of its images"
 
 
 def _level(dataset: Mapping[str, Any], common: Any, axes: int) -> OmeLevel:
@@ -211,13 +266,14 @@ def _transform(given: Any, axes: int) -> tuple[tuple[float, ...], tuple[float, .
     return numbers[0], numbers[1] if len(numbers) > 1 else (0.0,) * axes
 
 
-def _own(given: Mapping[str, Any]) -> tuple[Floats, dict[str, str]]:
-    """Direction and metadata that accelsurf has written."""
-    direction = np.array(given.get("direction", np.eye(3)), np.float64)
-    if direction.shape != (3, 3):
+def _own(given: Mapping[str, Any]) -> tuple[Floats | None, dict[str, str], dict[str, list[int]]]:
+    """Direction, metadata and chunks that accelsurf has written."""
+    direction = None if "direction" not in given else np.array(given["direction"], np.float64)
+    if direction is not None and direction.shape != (3, 3):
         raise ValueError("the direction is no matrix of 3 x 3")
     metadata = {str(key): str(value) for key, value in given.get("metadata", {}).items() if key != WARNING_KEY}
-    return direction, metadata
+    stored = {str(path): [int(edge) for edge in edges] for path, edges in given.get(STORED_KEY, {}).items()}
+    return direction, metadata, stored
 
 
 def _mm_per_unit(unit: str) -> float:
@@ -260,10 +316,24 @@ def attributes_of(
         }
         for path, spacing, offset in levels
     ]
-    axes = [{"name": name, "type": "space", "unit": "millimeter"} for name in "zyx"]
+    axes: list[dict[str, Any]] = [{"name": axis, "type": "space", "unit": "millimeter"} for axis in "zyx"]
+    if (words := _words(geometry, metadata)) is not None:
+        said = ({"orientation": {"type": "anatomical", "value": word}} for word in words)
+        axes = [axis | orientation for axis, orientation in zip(axes, said, strict=True)]
     multiscale = {"name": name, "axes": axes, "datasets": datasets, "type": method}
     own = {
         "direction": geometry.direction.tolist(),
         "metadata": {key: value for key, value in metadata.items() if key != WARNING_KEY},
     }
     return {"ome": {"version": VERSIONS[-1], "multiscales": [multiscale]}, OWN_KEY: own}
+
+
+def _words(geometry: Geometry, metadata: Mapping[str, str]) -> list[str] | None:
+    """The orientation of the axes z, y and x that is written; None where nothing is said.
+
+    The world is a patient's. Only where the lengths are those of a microscope, and nothing says that the axes have a
+    meaning, is it not said: the cells of a dish have no left side.
+    """
+    is_dish = UNIT_KEY in metadata and not is_anatomical(metadata) and np.array_equal(geometry.direction, np.eye(3))
+    words = None if is_dish else words_for(geometry.direction)
+    return None if words is None else words[::-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from collections.abc import Mapping
@@ -18,16 +19,20 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io import selection
 from accelsurf.io.formats.ome_metadata import OmeMetadata, parse_attributes
 from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
-from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, library, open_array
+from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, library, open_array, read_mark
 from accelsurf.io.frame_times import TIMES_KEY, FrameTimes
 from accelsurf.io.headers import check_within_store, split_name
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.levels import checked_level
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import FRAME_KEY
+from accelsurf.io.metadata import FRAME_KEY, WARNING_KEY, with_warnings
 from accelsurf.settings.reading import AS_IT_IS, Level, ReadOptions
 
 _SERIES_KEY = "bioformats2raw.layout"
+#: What the metadata of a group of OME-Zarr have, one of them.
+_KINDS = {"multiscales", "plate", "well", "labels", _SERIES_KEY}
+#: Folders that are looked into for images, and bytes of metadata that are looked at for that.
+_LISTED, _QUICK = 64, 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +87,21 @@ class OmeHeader:
         return None if found is None else FrameTimes.regular(count, float(found))
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know of all time points: what the metadata do not say, and how many chunks are missing.
+
+        Raises
+        ------
+        OSError
+            When the folders of the image cannot be looked into.
+        """
+        places = selection.selected(self.count("channel"), self.count("time"), replace(self.options, time_index=0))
+        number = checked_level(self.options.level, [grid.shape for grid in _grids(self)])
+        at = [{"time": None, "channel": channel} for _, channel in places]
+        missing = (_voxels(self, number, place, 0).missing() for place in at)
+        return (self.ome.metadata.get(WARNING_KEY, ""), *dict.fromkeys(missing))
+
+    @property
     def geometry(self) -> Geometry:
         """The grid of the level that is read."""
         grids = _grids(self)
@@ -101,7 +121,7 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> OmeHeader:
         When there is none, or it is damaged.
     """
     if not path.is_dir():
-        raise InputError("this is a file, the folder of an OME-Zarr expected", "unpack it if it is zipped")
+        raise InputError("this is a file, the folder of an OME-Zarr expected", "unpack it if it is packed")
     attributes = _attributes(path)
     ome = attributes.get("ome", attributes)
     if isinstance(ome, dict) and _SERIES_KEY in ome and "multiscales" not in ome:
@@ -123,18 +143,64 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> OmeHeader:
 
 
 def _attributes(path: Path) -> dict[str, Any]:
-    zarr = library()
-    for mark in MARKS:
-        check_within_store(path, path / mark)
+    """The attributes of a group.
+
+    Raises
+    ------
+    InputError
+        When it is none, or is damaged.
+    """
+    library()
     try:
-        return dict(zarr.open_group(path, mode="r", use_consolidated=False).attrs)
-    except (PermissionError, MemoryError):
-        raise
-    except Exception as error:  # json, zarr and its metadata classes raise errors of many kinds
+        node = read_mark(path, path / "zarr.json")
+        if node is None:
+            node = {"attributes": read_mark(path, path / ".zattrs"), "node_type": _old_type(path)}
+        kind, attributes = node.get("node_type"), node.get("attributes") or {}
+        if kind not in ("array", "group") or not isinstance(attributes, dict):
+            raise ValueError(f"a node of type {str(kind)[:40]}")
+    except (ValueError, AttributeError, RecursionError) as error:
+        message = " ".join(str(error).split())[:200]
         if any((path / mark).is_file() for mark in MARKS):
-            message = " ".join(str(error).split())[:200]
             raise InputError(f"the metadata of the Zarr are damaged ({message})", "copy the store again") from error
         raise InputError("this folder is no Zarr: no zarr.json or .zgroup is in it", "is it the right one?") from error
+    ome = attributes.get("ome", attributes)
+    if kind == "array" or not isinstance(ome, dict) or not _KINDS & set(ome):
+        raise InputError(*_plain(path, kind))
+    return attributes
+
+
+def _old_type(path: Path) -> str | None:
+    """What a node of Zarr 2 is."""
+    return next((kind for kind in ("array", "group") if read_mark(path, path / f".z{kind}") is not None), None)
+
+
+def _plain(path: Path, kind: str) -> tuple[str, str]:
+    """What a Zarr is that has no metadata of OME, and what to do."""
+    for above in (path.absolute().parent, path.absolute().parent.parent):
+        if any(_says_images(above / mark) for mark in ("zarr.json", ".zattrs")):
+            number = "" if kind != "array" or not path.name.isdigit() else f", with --level {path.name}"
+            return f"the {kind} {path.name} of an OME-Zarr given, its image expected", f"give {above.name}{number}"
+    if kind == "array":
+        return "a Zarr array without the metadata of OME-Zarr given: nothing says how large a voxel is", (
+            "convert it to OME-Zarr, e.g. with ngff-zarr; or save it as .npy, and give --spacing"
+        )
+    below = sorted(entry.name for entry in itertools.islice(os.scandir(path), _LISTED) if entry.is_dir())
+    images = [name for name in below if any(_says_images(path / name / mark) for mark in ("zarr.json", ".zattrs"))]
+    if images:
+        named = ", ".join(images[:5])
+        return f"a Zarr group of the images {named} given, one image expected", f"give one, as {path.name}/{images[0]}"
+    named = f" ({', '.join(below[:5])})" if below else ""
+    return f"a Zarr group{named} without the metadata of an OME-Zarr image given: nothing says how large a voxel is", (
+        "convert an array of it to OME-Zarr, e.g. with ngff-zarr; or save it as .npy, and give --spacing"
+    )
+
+
+def _says_images(mark: Path) -> bool:
+    """Whether a file of metadata is that of an OME-Zarr image; a quick look, which another reading follows."""
+    try:
+        return mark.stat().st_size < _QUICK and b'"multiscales"' in mark.read_bytes()
+    except OSError:
+        return False
 
 
 def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
@@ -158,15 +224,24 @@ def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
     """
     asked = replace(header.options, channel_index=opening.channel_index, time_index=opening.time_index)
     place = selection.single(header.count("channel"), header.count("time"), asked)
-    return _opened(path, header, place, opening.level, opening.cache_bytes)
+    return _opened(path, header, place, opening.level, opening.cache_bytes, not opening.again)[0]
 
 
-def _opened(path: Path, header: OmeHeader, place: tuple[int, int], level: Level, cache_bytes: int) -> LazyVolume:
-    """A level of the image of a time point and a channel."""
-    ome = header.ome
+def _opened(
+    path: Path, header: OmeHeader, place: tuple[int, int], level: Level, cache_bytes: int, listed: bool = False
+) -> tuple[LazyVolume, ZarrVoxels]:
+    """A level of the image of a time point and a channel; ``listed``: which says what is missing of it."""
     grids = _grids(header)
     number = checked_level(level, [grid.shape for grid in grids])
-    at = {"time": place[0], "channel": place[1]}
+    voxels = _voxels(header, number, {"time": place[0], "channel": place[1]}, cache_bytes)
+    layout = StoreLayout(grids, voxels.chunk_shape, header.count("channel"), header.count("time"), number)
+    note = voxels.missing if listed else None
+    return LazyVolume(voxels, grids[number], dict(header.ome.metadata), path, layout, note), voxels
+
+
+def _voxels(header: OmeHeader, number: int, at: Mapping[str, int | None], cache_bytes: int) -> ZarrVoxels:
+    """The voxels of a level, at places along the axes that are none of space."""
+    ome = header.ome
     index: list[int | None] = []
     for axis, n in zip(ome.axes, header.shape, strict=True):
         if axis.kind != "space" and axis.kind not in at and n > 1:
@@ -174,15 +249,14 @@ def _opened(path: Path, header: OmeHeader, place: tuple[int, int], level: Level,
                 f"an image of {n} entries of an axis of type {axis.kind or 'none'} given, one expected", "extract one"
             )
         index.append(None if axis.kind == "space" else at.get(axis.kind, 0))
-    voxels = ZarrVoxels(header.folder, ome.levels[number].path, index, ome.space_axes, cache_bytes)
-    layout = StoreLayout(grids, voxels.chunk_shape, header.count("channel"), header.count("time"), number)
-    return LazyVolume(voxels, grids[number], dict(ome.metadata), path, layout)
+    name = ome.levels[number].path
+    return ZarrVoxels(header.folder, name, index, ome.space_axes, cache_bytes, ome.stored.get(name))
 
 
 def _grids(header: OmeHeader) -> tuple[Geometry, ...]:
     """The grids of the levels, finest first."""
     ome = header.ome
-    shapes = [open_array(header.folder, one.path).shape for one in ome.levels]
+    shapes = [open_array(header.folder, level.path).shape for level in ome.levels]
     for i, shape in enumerate(shapes):
         if len(shape) != len(ome.axes):
             raise InputError(
@@ -201,7 +275,7 @@ def read(path: Path, header: OmeHeader, available: int) -> Volume:
     """
     asked = header.options
     place = selection.single(header.count("channel"), header.count("time"), asked)
-    return _in_memory(_opened(path, header, place, asked.level, 0), available, 1)
+    return _in_memory(*_opened(path, header, place, asked.level, 0), available, 1)
 
 
 def read_channels(path: Path, header: OmeHeader, available: int) -> list[Volume]:
@@ -213,13 +287,14 @@ def read_channels(path: Path, header: OmeHeader, available: int) -> list[Volume]
         As `read`, and for more than `selection.MAX_CHANNELS` channels.
     """
     places = selection.selected(header.count("channel"), header.count("time"), header.options)
-    lazy = [_opened(path, header, place, header.options.level, 0) for place in places]
-    return [_in_memory(one, available, len(lazy)) for one in lazy]
+    opened = [_opened(path, header, place, header.options.level, 0) for place in places]
+    return [_in_memory(*one, available, len(opened)) for one in opened]
 
 
-def _in_memory(lazy: LazyVolume, available: int, count: int) -> Volume:
+def _in_memory(lazy: LazyVolume, voxels: ZarrVoxels, available: int, count: int) -> Volume:
     check_memory(lazy.geometry.size, count * lazy.dtype.itemsize, available)
-    return Volume(lazy.voxels.read(whole_box(lazy.shape)), lazy.geometry, lazy.metadata, lazy.source)
+    array = voxels.read(whole_box(lazy.shape))
+    return Volume(array, lazy.geometry, with_warnings(lazy.metadata, voxels.missing(listed=False)), lazy.source)
 
 
 def write(volume: Volume, path: Path) -> None:

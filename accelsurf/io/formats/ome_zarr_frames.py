@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from accelsurf.io.formats.ome_metadata import OWN_KEY, attributes_of
+from accelsurf.io.formats.zarr_files import with_record
 from accelsurf.io.formats.zarr_pyramid import chunk_shape
 from accelsurf.io.formats.zarr_voxels import library
 from accelsurf.io.frame_times import TIMES_KEY
@@ -35,6 +36,7 @@ def write(path: Path, frames: FrameStack) -> None:
     )
     for number, values in enumerate(frames):
         array[number] = np.asarray(values, frames.dtype)
+    group.attrs[OWN_KEY] = with_record(dict(group.attrs)[OWN_KEY], path, group)
 
 
 def _attributes(path: Path, frames: FrameStack) -> dict[str, Any]:

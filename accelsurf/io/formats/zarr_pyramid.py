@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import MAX_SPACING_RATIO
-from accelsurf.io.formats.ome_metadata import VERSIONS, attributes_of
+from accelsurf.io.formats.ome_metadata import OWN_KEY, VERSIONS, attributes_of
+from accelsurf.io.formats.zarr_files import with_record
 from accelsurf.io.formats.zarr_voxels import library
 from accelsurf.io.metadata import LABELS_KEY
 from accelsurf.settings.labels import LabelTable
@@ -126,7 +127,7 @@ class ZarrPyramid:
         zarr = library()
         from zarr.codecs import ZstdCodec
 
-        self._labels, self._source = labels, source
+        self._labels, self._source, self._folder = labels, source, folder
         self._levels = planned_levels(geometry, labels)
         described = [(str(i), level.spacing, level.offset) for i, level in enumerate(self._levels)]
         method = "nearest" if labels else "mean"
@@ -177,6 +178,7 @@ class ZarrPyramid:
                 coarse[box] = (_nearest if self._labels else _means)(fine[above], level.halved)
         if self._labels:
             self._group.attrs["ome"] = self._attributes["ome"] | {"image-label": self._image_label()}
+        self._group.attrs[OWN_KEY] = with_record(self._attributes[OWN_KEY], self._folder, self._group)
 
     def _image_label(self) -> dict[str, Any]:
         """What the attributes say of a label map."""

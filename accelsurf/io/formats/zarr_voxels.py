@@ -1,13 +1,20 @@
 """Arrays of a Zarr, read chunk by chunk. The only place that imports zarr for reading; it is an extra.
 
-A chunk that is not in the store has the fill value: so says Zarr, and stores of label maps consist of little else. So a
-store that has gone would read as zeros. The metadata of the array are therefore looked for after each reading.
+zarr reads and checks the metadata; the chunks are unpacked by `zarr_codecs`, which compares them with what they
+announce.
+
+A chunk that is not in the store has the fill value: so says Zarr, and stores of label maps consist of little else. A
+store that accelsurf has written says which chunks it had, so that one that is missing is a fault. In others those that
+are missing are counted, and a warning says what stands in their place. A store that has gone would read as nothing but
+missing chunks: the metadata of the array are therefore looked for after each reading.
 """
 
 from __future__ import annotations
 
 import itertools
+import json
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -20,11 +27,14 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
 from accelsurf.io.chunk_cache import ChunkCache
 from accelsurf.io.files import file_version
-from accelsurf.io.headers import check_within_store, is_outside_data_allowed, outside_data_allowed
+from accelsurf.io.formats.zarr_files import ChunkFiles, is_in_runs
+from accelsurf.io.headers import check_within_store
 from accelsurf.settings import budgets
 
 #: Voxels along an axis: beyond that the numbers of the header are damaged.
 _MAX_AXIS = 1 << 48
+#: What the metadata of an array list, and how much of it at most.
+_LISTS, _MAX_LISTED = ("shape", "chunks", "codecs", "filters"), 16
 #: What a group or an array of a Zarr has, one of them.
 MARKS = ("zarr.json", ".zattrs", ".zgroup", ".zarray")
 
@@ -60,14 +70,16 @@ def open_array(folder: Path, path: str) -> Any:
         When there is no such array, or none of real numbers, or a link to it leads out of the group.
     """
     zarr = library()
-    for part in (path, *(f"{path}/{mark}" for mark in MARKS)):
-        check_within_store(folder, folder / part)
+    check_within_store(folder, folder / path)
     try:
-        array = zarr.open_array(folder / path, mode="r")
+        for mark in MARKS:
+            _check_claims(read_mark(folder, folder / path / mark))
+        with warnings.catch_warnings(action="ignore"):  # codecs that are not in Zarr 3
+            array = zarr.open_array(folder / path, mode="r")
         dtype, chunks = np.dtype(array.dtype), tuple(array.chunks)
         if not all(0 < n <= _MAX_AXIS for n in (*array.shape, *chunks)):
             raise ValueError(f"its shape is {array.shape}, in chunks of {chunks}")
-    except (PermissionError, MemoryError):
+    except (PermissionError, MemoryError, InputError):
         raise
     except Exception as error:  # its metadata may be anything, and each part of zarr raises errors of its own
         raise InputError(
@@ -77,6 +89,28 @@ def open_array(folder: Path, path: str) -> Any:
         raise InputError(f"values of type {dtype} given, one real number per voxel expected", "convert them first")
     budgets.ZARR_CHUNK.check(math.prod(chunks) * dtype.itemsize, "a chunk of the Zarr")
     return array
+
+
+def read_mark(folder: Path, mark: Path) -> Any:
+    """What a file of metadata in a group holds; None where there is none.
+
+    Raises
+    ------
+    InputError
+        When it is too large, or a link out of the group; ValueError or RecursionError when it is no JSON.
+    """
+    check_within_store(folder, mark)
+    if not mark.is_file():
+        return None
+    budgets.ZARR_METADATA.check(mark.stat().st_size)
+    return json.loads(mark.read_bytes())
+
+
+def _check_claims(said: Any) -> None:
+    """Refuse an array of so many axes or codecs that zarr would be busy with them alone."""
+    for key, given in said.items() if isinstance(said, dict) else ():
+        if key in _LISTS and isinstance(given, list) and len(given) > _MAX_LISTED:
+            raise ValueError(f"its {key} has {len(given)} entries, at most {_MAX_LISTED} expected")
 
 
 class ZarrVoxels:
@@ -94,15 +128,18 @@ class ZarrVoxels:
         Which axes of the array are z, y, x, or y, x for one slice.
     cache_bytes : int
         Of unpacked chunks that are held.
+    stored : sequence of int, optional
+        Which files the store had when accelsurf wrote it, as `zarr_files.runs_of` says it.
     """
 
     def __init__(
-        self, folder: Path, path: str, index: Sequence[int | None], order: Sequence[int], cache_bytes: int
+        self, folder: Path, path: str, index: Sequence[int | None], order: Sequence[int], cache_bytes: int,
+        stored: Sequence[int] | None = None,
     ) -> None:
         self._array = open_array(folder, path)
-        self._name, self._folder, self._outside_allowed = path, folder, is_outside_data_allowed()
-        # A file of a store has a chunk, or with sharding several.
-        self._file_shape = tuple(self._array.shards or self._array.chunks)
+        self._name, self._stored = path, stored
+        self._files = ChunkFiles(folder, path, self._array)
+        self._missing: set[tuple[int, ...]] = set()
         self._index, self._order = tuple(index), tuple(order)
         self._flat = 3 - len(self._order)
         nz, ny, nx = (*[1] * self._flat, *(int(self._array.chunks[axis]) for axis in self._order))
@@ -146,32 +183,88 @@ class ZarrVoxels:
 
     def _chunk(self, place: tuple[int, ...]) -> NDArray[Any]:
         """The voxels of a chunk, as far as the grid goes."""
-        selection: list[Any] = list(self._index)
+        widths, shape = self._files.chunk.shape, self._array.shape
+        whole = [0 if n is None else n // width for n, width in zip(self._index, widths, strict=True)]
+        inside: list[Any] = [None if n is None else n % width for n, width in zip(self._index, widths, strict=True)]
         for axis, at in zip(self._order, place[self._flat :], strict=True):
-            width = int(self._array.chunks[axis])
-            selection[axis] = slice(at * width, min((at + 1) * width, int(self._array.shape[axis])))
-        self._check_links(selection)
-        try:
-            found = np.asarray(self._array[tuple(selection)])
-        except (OSError, MemoryError):
-            raise
-        except Exception as error:  # each codec raises errors of its own
-            where = ", ".join(map(str, place))
-            raise InputError(
-                f"chunk ({where}) of the array {self._name} is damaged ({_short(error)})",
-                "copy the store again, or write this chunk anew from its source",
-            ) from error
-        # The axes of the selection are those of space in the order of the array.
+            whole[axis] = at
+            inside[axis] = slice(0, min(widths[axis], int(shape[axis]) - at * widths[axis]))
+        found = self._unpacked(tuple(whole))
+        if found is None:
+            found = np.broadcast_to(self._fill_value, widths)
+        found = found[tuple(inside)]
+        # The axes that are left are those of space in the order of the array.
         found = found.transpose(np.argsort(np.argsort(self._order)))
-        return np.ascontiguousarray(found.reshape((1,) * self._flat + found.shape), self.dtype)
+        return np.array(found.reshape((1,) * self._flat + found.shape), self.dtype, order="C")
 
-    def _check_links(self, selection: Sequence[int | slice]) -> None:
-        """Refuse a chunk whose file lies, with links followed, outside of the store: its bytes would be shown."""
-        first = [one.start if isinstance(one, slice) else one for one in selection]
-        place = tuple(n // width for n, width in zip(first, self._file_shape, strict=True))
-        file = self._array.metadata.encode_chunk_key(place)
-        with outside_data_allowed(self._outside_allowed):
-            check_within_store(self._folder, self._folder / self._name / file)
+    def _unpacked(self, place: tuple[int, ...]) -> NDArray[Any] | None:
+        """The values of a chunk; None where the store has none."""
+        try:
+            packed = self._files.read(place)
+        except FileNotFoundError:
+            self._check_missing(place)
+            return None
+        except ValueError as error:
+            raise self._damage(place, error) from error
+        try:
+            return None if packed is None else self._files.chunk.decode(packed)
+        except MemoryError:
+            raise
+        except Exception as error:  # each codec raises errors of its own, bz2 those of the system
+            raise self._damage(place, error) from error
+
+    def _damage(self, place: tuple[int, ...], error: Exception) -> InputError:
+        return InputError(
+            f"{self._named(place)} is damaged ({_short(error)})",
+            "copy the store again, or write this chunk anew from its source",
+        )
+
+    def _check_missing(self, place: tuple[int, ...]) -> None:
+        """Note that a file is missing, or refuse it where the store says that it had one."""
+        self._mark.stat()  # raises where the whole store has gone
+        file = self._files.file_of(place)
+        self._missing.add(file)
+        if self._stored is not None and is_in_runs(self._files.number(file), self._stored):
+            raise InputError(
+                f"{self._named(place)} is missing: it was there when the store was written",
+                "copy the store again; or, if another program has emptied the chunk, "
+                'remove "stored" of "accelsurf" from zarr.json',
+            )
+
+    def _named(self, place: tuple[int, ...]) -> str:
+        return f"chunk ({', '.join(map(str, place))}) of the array {self._name}"
+
+    @property
+    def _fill_value(self) -> Any:
+        """What stands where a chunk is missing; Zarr 2 may not say it."""
+        value = self._array.metadata.fill_value
+        return np.asarray(0 if value is None else value, self.dtype)
+
+    def missing(self, listed: bool = True) -> str:
+        """A warning with the number of files of chunks that are missing; empty where none is, or the store says why.
+
+        Parameters
+        ----------
+        listed : bool, optional
+            Whether to look into the folders of the array; otherwise those count that were met while it was read.
+
+        Raises
+        ------
+        OSError
+            When a folder cannot be read.
+        """
+        if self._stored is not None:
+            return ""
+        places = zip(self._index, self._files.file_shape, strict=True)
+        wanted = [None if n is None else n // width for n, width in places]
+        count = math.prod(n for n, only in zip(self._files.grid, wanted, strict=True) if only is None)
+        absent = count - sum(1 for _ in self._files.places(wanted)) if listed else len(self._missing)
+        if absent == 0:
+            return ""
+        return (
+            f"{absent} of {count} chunks of the array {self._name} are not in the store: {self._fill_value} stands "
+            "there; they were left out because they hold nothing else, or they are lost"
+        )
 
 
 def _short(error: Exception) -> str:

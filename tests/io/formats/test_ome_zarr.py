@@ -4,6 +4,9 @@ import json
 import os
 import subprocess
 import sys
+import time
+import tracemalloc
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -212,15 +215,6 @@ def test_a_damaged_chunk_is_named_and_never_zeros(tmp_path, damage):
     refused(path, "is damaged", lazy)
 
 
-def test_an_absent_chunk_has_the_fill_value(tmp_path):
-    """So says Zarr: it is how stores of little content are small."""
-    path = make_store(tmp_path / "a.zarr", [values("u1")], "zyx", [((1.0,) * 3,)], chunks=(5, 7, 3))
-    (path / "0" / "c" / "0" / "0" / "1").unlink()
-    expected = values("u1")
-    expected[..., 3:6] = 0
-    np.testing.assert_array_equal(io.read(path).array, expected)
-
-
 def test_a_damaged_shard_is_an_error(tmp_path):
     group = zarr.open_group(make_store(tmp_path / "a.zarr", [], "zyx", [((1.0,) * 3,)]), mode="a")
     array = np.random.default_rng(0).integers(1, 99, (8, 8, 8)).astype("u2")
@@ -244,9 +238,9 @@ def test_a_store_that_goes_away_or_changes_is_an_error(tmp_path):
 
 def test_what_is_no_image_is_refused_by_name(tmp_path):
     zarr.create_array(tmp_path / "array.zarr", shape=(3, 3, 3), dtype="u1")
-    refused(tmp_path / "array.zarr", "damaged|no Zarr")
+    refused(tmp_path / "array.zarr", "a Zarr array without the metadata of OME-Zarr")
     zarr.create_group(tmp_path / "plain.zarr")
-    refused(tmp_path / "plain.zarr", "without the metadata of an OME-Zarr")
+    refused(tmp_path / "plain.zarr", "a Zarr group without the metadata of an OME-Zarr")
     for key, words in (("plate", "plate of many"), ("well", "well of many"), ("labels", "label maps")):
         zarr.create_group(tmp_path / f"{key}.zarr", attributes={"ome": {"version": "0.5", key: ["one"]}})
         refused(tmp_path / f"{key}.zarr", words)
@@ -257,6 +251,95 @@ def test_what_is_no_image_is_refused_by_name(tmp_path):
     refused(tmp_path / "none.zarr", "no such file")
     (tmp_path / "folder").mkdir()
     refused(tmp_path / "folder", "this is a folder, an image file expected")
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("name", ["a.zarr", "plain"])
+def test_a_plain_array_or_group_is_called_so_and_told_what_to_do(tmp_path, version, name):
+    path = tmp_path / name
+    zarr.create_array(path, shape=(3, 3, 3), dtype="u1", zarr_format=version)
+    refused(path, "a Zarr array without the metadata of OME-Zarr given: nothing says how large a voxel is")
+    path = tmp_path / f"group{name}"
+    zarr.create_group(path, zarr_format=version).create_array("raw", shape=(3, 3, 3), dtype="u1")
+    refused(path, r"a Zarr group \(raw\) without the metadata of an OME-Zarr image given")
+    make_store(path / "cells", [values("u1")], "zyx", [((1.0,) * 3,)], "0.5" if version == 3 else "0.4")
+    refused(path, "a Zarr group of the images cells given, one image expected")
+    refused(path / "cells/0", "the array 0 of an OME-Zarr given, its image expected")
+
+
+@pytest.mark.parametrize("name", ["a.zarr.zip", "a.ome.zarr.zip", "a.zip", "a.ozx", "a.zarr", "scan"])
+@pytest.mark.parametrize("below", ["", "cells.ome.zarr/", "data/cells.zarr/"])
+@pytest.mark.parametrize("version", ["0.4", "0.5"])
+def test_a_zipped_zarr_is_called_so(tmp_path, name, below, version):
+    store = make_store(tmp_path / "store", [values("u1")], "zyx", [((1.0,) * 3,)], version)
+    with zipfile.ZipFile(tmp_path / name, "w") as archive:
+        for file in sorted(store.rglob("*")):
+            archive.write(file, f"{below}{file.relative_to(store)}")
+    with pytest.raises(InputError, match=r"a zipped Zarr given \(it has .*\), the folder of an OME-Zarr") as caught:
+        io.open_volume(tmp_path / name)
+    assert f"unzip {name}" in caught.value.hint
+    refused(tmp_path / name, "a zipped Zarr given")
+
+
+def in_file(name: str, change):
+    """A change of a file of metadata of a store."""
+
+    def act(path: Path) -> None:
+        said = json.loads((path / name).read_text())
+        change(said)
+        (path / name).write_text(json.dumps(said))
+
+    return act
+
+
+def image_of(said):
+    return said["attributes"]["ome"]["multiscales"][0]
+
+
+CLAIMS = {
+    "shape": in_file("0/zarr.json", lambda said: said.update(shape=[10**9] * 3)),
+    "axis": in_file("0/zarr.json", lambda said: said.update(shape=[10**18] * 3)),
+    "chunk": in_file("0/zarr.json", lambda said: said["chunk_grid"]["configuration"].update(chunk_shape=[10**9] * 3)),
+    "axes of the array": in_file("0/zarr.json", lambda said: said.update(shape=[1] * 10**5)),
+    "codecs": in_file("0/zarr.json", lambda said: said.update(codecs=said["codecs"] + [{"name": "crc32c"}] * 10**4)),
+    "levels": in_file("zarr.json", lambda said: image_of(said).update(datasets=image_of(said)["datasets"] * 10**4)),
+    "axes": in_file("zarr.json", lambda said: image_of(said).update(axes=image_of(said)["axes"] * 10**4)),
+    "images": in_file("zarr.json", lambda said: said["attributes"]["ome"].update(multiscales=[image_of(said)] * 10**3)),
+    "labels": in_file("zarr.json", lambda said: said["attributes"].update(ome={"labels": ["cells"] * 10**5})),
+    "depth": lambda path: (path / "zarr.json").write_text('{"attributes":' + '{"a":' * 10**5),
+    "depth of the array": lambda path: (path / "0/zarr.json").write_text("[" * 10**5),
+    "length": lambda path: os.truncate(path / "zarr.json", 1 << 40),
+    "length of the array": lambda path: os.truncate(path / "0/zarr.json", 1 << 40),
+}
+
+
+@pytest.mark.parametrize("claim", CLAIMS)
+def test_claims_are_checked_before_anything_is_made_of_them(tmp_path, claim):
+    path, _ = written(tmp_path)
+    io.read(path)
+    CLAIMS[claim](path)
+    began = time.thread_time()
+    tracemalloc.start()
+    try:
+        refused(path, "expected|available|damaged|several|given")
+        assert tracemalloc.get_traced_memory()[1] < 1 << 26
+    finally:
+        tracemalloc.stop()
+    assert time.thread_time() - began < 3.0  # most take some ms; the limit is for machines that are busy
+
+
+def test_a_shard_of_too_many_chunks_is_refused_before_its_index_is_read(tmp_path):
+    path, array = written(tmp_path)
+    sharding = {"chunk_shape": [1, 1, 1], "codecs": [{"name": "bytes"}], "index_location": "end", "index_codecs": [
+        {"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"},
+    ]}  # fmt: skip
+
+    def change(said):
+        said.update(codecs=[{"name": "sharding_indexed", "configuration": sharding}])
+        said["chunk_grid"]["configuration"]["chunk_shape"] = [10**9] * 3
+
+    in_file("0/zarr.json", change)(path)
+    refused(path, r"chunk \(0, 0, 0\) of the array 0 is damaged \(its shard has \d+ bytes, its index alone 16000000")
 
 
 def changed(path: Path, change) -> None:

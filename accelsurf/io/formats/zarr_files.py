@@ -1,0 +1,259 @@
+"""The files of the chunks of an array: one for each chunk, or shards with many.
+
+What is missing is told apart from what is damaged, and from what a shard itself says was left out.
+"""
+
+from __future__ import annotations
+
+import bisect
+import functools
+import os
+import stat
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import InputError
+from accelsurf.io.chunk_cache import ChunkCache
+from accelsurf.io.formats.zarr_codecs import ChunkFormat, format_of, format_of_v2
+from accelsurf.io.headers import check_within_store, is_outside_data_allowed, outside_data_allowed
+
+#: In the attribute of accelsurf of a group: for each array that it wrote, the files of the chunks, as `runs_of`.
+STORED_KEY = "stored"
+_SHARDS = "sharding_indexed"
+#: What the index of a shard has, twice, for a chunk that was left out.
+_LEFT_OUT = 2**64 - 1
+#: Bytes of indices of shards that are held.
+_INDEX_BYTES = 1 << 25
+
+
+class ChunkFiles:
+    """The packed chunks of an array.
+
+    Parameters
+    ----------
+    folder : Path
+        The group.
+    name : str
+        Path of the array within it.
+    array : zarr.Array
+        Its metadata.
+
+    Attributes
+    ----------
+    chunk : ChunkFormat
+        Of the chunks.
+    file_shape : tuple of int
+        Voxels of a file along each axis.
+    grid : tuple of int
+        Files along each axis.
+
+    Raises
+    ------
+    InputError
+        When the chunks are packed in a way that is not known here.
+    """
+
+    def __init__(self, folder: Path, name: str, array: Any) -> None:
+        self._folder, self._name, self._outside_allowed = folder, name, is_outside_data_allowed()
+        self._metadata = array.metadata
+        self.file_shape = tuple(map(int, array.shards or array.chunks))
+        self.grid = tuple(-(-int(n) // width) for n, width in zip(array.shape, self.file_shape, strict=True))
+        self._in_shard: tuple[int, ...] | None = None
+        self.chunk = self._format(array)
+        self._indices = ChunkCache(_INDEX_BYTES)
+
+    def _format(self, array: Any) -> ChunkFormat:
+        said, dtype = self._metadata, np.dtype(array.dtype)
+        if said.zarr_format == 2:
+            codecs = [codec.get_config() for codec in (*(said.filters or ()), said.compressor) if codec is not None]
+            return format_of_v2(array.chunks, dtype, codecs, said.order == "F")
+        codecs = [codec.to_dict() for codec in said.codecs]
+        if codecs[0]["name"] != _SHARDS or len(codecs) > 1:
+            return format_of(array.chunks, dtype, codecs)
+        sharding = codecs[0]["configuration"]
+        parts = self._in_shard = tuple(a // b for a, b in zip(self.file_shape, array.chunks, strict=True))
+        index = [codec["name"] for codec in sharding["index_codecs"]]
+        if index not in (["bytes"], ["bytes", "crc32c"]):
+            raise InputError(f"shards with an index packed with {', '.join(index)[:80]} given", "write the array anew")
+        self._index = format_of((*parts, 2), np.dtype("u8"), sharding["index_codecs"])
+        self._index_bytes = self._index.value_bytes + 4 * (len(index) - 1)
+        self._checked, self._at_start = len(index) > 1, sharding["index_location"] == "start"
+        return format_of(array.chunks, dtype, sharding["codecs"])
+
+    def file_of(self, place: Sequence[int]) -> tuple[int, ...]:
+        """The place of the file of a chunk."""
+        widths = zip(self.file_shape, self.chunk.shape, strict=True)
+        return tuple(n // (whole // part) for n, (whole, part) in zip(place, widths, strict=True))
+
+    def read(self, place: Sequence[int]) -> bytes | None:
+        """Return the bytes of a chunk; None where its shard says that it was left out.
+
+        Parameters
+        ----------
+        place : sequence of int
+            Of the chunk, all axes.
+
+        Raises
+        ------
+        FileNotFoundError
+            When there is no file of it; OSError when it cannot be read.
+        InputError
+            When a link to it leads out of the store.
+        ValueError
+            When the file is of another size than it announces.
+        """
+        path = self._path(self.file_of(place))
+        with outside_data_allowed(self._outside_allowed):
+            check_within_store(self._folder, path)
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
+            raise ValueError("it is no file")
+        with path.open("rb") as file:
+            if self._in_shard is None:
+                return _exactly(file, 0, found.st_size, 2 * self.chunk.limit)
+            entry = self._entry(file, found, place)
+            return None if entry is None else _exactly(file, *entry, 2 * self.chunk.limit)
+
+    def _path(self, place: tuple[int, ...]) -> Path:
+        return self._folder / self._name / self._metadata.encode_chunk_key(place)
+
+    def _entry(self, file: Any, found: os.stat_result, place: Sequence[int]) -> tuple[int, int] | None:
+        """Where a chunk begins in a shard, and how many bytes it has."""
+        key = found.st_ino, found.st_size, found.st_mtime_ns
+        index = self._indices.get(key, lambda: self._read_index(file, found.st_size))
+        assert self._in_shard is not None
+        first, size = map(int, index[tuple(n % parts for n, parts in zip(place, self._in_shard, strict=True))])
+        if first == size == _LEFT_OUT:
+            return None
+        low, high = self._bounds(found.st_size)
+        if not (low <= first and 0 < size and first + size <= high):
+            raise ValueError(f"its shard has it at {first} to {first + size}, of bytes {low} to {high} of chunks")
+        return first, size
+
+    def _bounds(self, file_bytes: int) -> tuple[int, int]:
+        """Where the chunks of a shard are."""
+        return (self._index_bytes, file_bytes) if self._at_start else (0, file_bytes - self._index_bytes)
+
+    def _read_index(self, file: Any, file_bytes: int) -> NDArray[Any]:
+        low, high = self._bounds(file_bytes)
+        if high < low:
+            raise ValueError(f"its shard has {file_bytes} bytes, its index alone {self._index_bytes}")
+        begin = 0 if self._at_start else high
+        index = self._index.decode(_exactly(file, begin, self._index_bytes, file_bytes))
+        if not self._checked and not self._at_start:
+            # Only the place of the index says that it is one: behind the last chunk, without a gap.
+            ends = [int(a) + int(b) for a, b in index.reshape(-1, 2).tolist() if (a, b) != (_LEFT_OUT, _LEFT_OUT)]
+            if max(ends, default=0) != high:
+                raise ValueError(f"its shard has {high} bytes of chunks, its index announces {max(ends, default=0)}")
+        return np.array(index)
+
+    def places(self, wanted: Sequence[int | None]) -> Iterator[tuple[int, ...]]:
+        """The places of the files that are there, by the names in the folders of the array.
+
+        Parameters
+        ----------
+        wanted : sequence of int or None
+            For each axis the place of the files along it; None: all.
+
+        Raises
+        ------
+        OSError
+            When a folder cannot be read.
+        """
+        root, start, split = self._folder / self._name, "", "."
+        if self._metadata.zarr_format == 2:
+            split = self._metadata.dimension_separator
+        else:
+            split = self._metadata.chunk_key_encoding.separator
+            start = f"c{split}" if self._metadata.chunk_key_encoding.name == "default" else ""
+        if split == "/":
+            yield from self._walk(root / start, (), wanted)
+            return
+        for name in _names(root):
+            parts = name.removeprefix(start).split(split) if name.startswith(start) else []
+            if len(parts) == len(wanted) and all(map(self._is_place, range(len(parts)), parts, wanted)):
+                yield tuple(map(int, parts))
+
+    def _walk(
+        self, folder: Path, place: tuple[int, ...], wanted: Sequence[int | None]
+    ) -> Iterator[tuple[int, ...]]:
+        """As `places`, of the files below a folder."""
+        axis = len(place)
+        is_last = axis == len(wanted) - 1
+        for name in _names(folder) if is_last or wanted[axis] is None else (str(wanted[axis]),):
+            if self._is_place(axis, name, wanted[axis]):
+                below = (*place, int(name))
+                yield from (below,) if is_last else self._walk(folder / name, below, wanted)
+
+    def _is_place(self, axis: int, name: str, only: int | None) -> bool:
+        if not name.isdecimal() or str(int(name)) != name:
+            return False
+        return int(name) < self.grid[axis] and only in (None, int(name))
+
+    def number(self, place: Sequence[int]) -> int:
+        """The number of a file in the order of the array."""
+        return functools.reduce(lambda number, axis: number * axis[1] + axis[0], zip(place, self.grid, strict=True), 0)
+
+
+def _names(folder: Path) -> Iterator[str]:
+    """The names in a folder; none where there is no folder."""
+    try:
+        with os.scandir(folder) as entries:
+            yield from (entry.name for entry in entries)
+    except FileNotFoundError:
+        return
+
+
+def _exactly(file: Any, begin: int, size: int, limit: int) -> bytes:
+    """Bytes of a file."""
+    if size > limit:
+        raise ValueError(f"{size} bytes are there, at most {limit} expected")
+    file.seek(begin)
+    found: bytes = file.read(size)
+    if len(found) != size:
+        raise ValueError(f"{size} bytes expected, {len(found)} are there")
+    return found
+
+
+def runs_of(numbers: Iterable[int]) -> list[int]:
+    """Numbers as runs: a first number, that behind the last that follows it without a gap, the next first, and so on.
+
+    Examples
+    --------
+    >>> runs_of([5, 3, 4, 9])
+    [3, 6, 9, 10]
+    """
+    edges: list[int] = []
+    for number in sorted(numbers):
+        if edges and edges[-1] == number:
+            edges[-1] = number + 1
+        else:
+            edges += [number, number + 1]
+    return edges
+
+
+def is_in_runs(number: int, runs: Sequence[int]) -> bool:
+    """Whether a number is in runs of `runs_of`.
+
+    Examples
+    --------
+    >>> [is_in_runs(n, [3, 6, 9, 10]) for n in (2, 3, 5, 6, 9, 10)]
+    [False, True, True, False, True, False]
+    """
+    return bisect.bisect_right(runs, number) % 2 == 1
+
+
+def with_record(attributes: Mapping[str, Any], folder: Path, group: Any) -> dict[str, Any]:
+    """The attribute of accelsurf of a group that was written, with the files of the chunks of its arrays.
+
+    A chunk of zeros is left out; so one that is missing later is known to have been lost, or to have never been there.
+    """
+    stored = {}
+    for name, array in sorted(group.arrays()):
+        files = ChunkFiles(folder, name, array)
+        stored[name] = runs_of(map(files.number, files.places([None] * array.ndim)))
+    return {**attributes, STORED_KEY: stored}
