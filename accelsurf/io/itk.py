@@ -1,11 +1,17 @@
-"""The only place that imports SimpleITK: its readers and writers, without their warnings, and its grids."""
+"""SimpleITK's readers and writers, and its grids. What its libraries print is no line beside ours but a refusal.
+
+libtiff, libpng and others print to standard error and go on, with values that may be wrong.
+"""
 
 from __future__ import annotations
 
 import os
+import re
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from threading import RLock
 from typing import Any
 
 import numpy as np
@@ -15,6 +21,15 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+
+#: Standard error belongs to the process: one thread at a time listens to it.
+_LISTENING = RLock()
+#: How lines of libraries begin or end. All others are of accelsurf, from another thread.
+_LIBRARY_LINE = re.compile(
+    r"libpng (warning|error): |(?!(error|warning|hint|note): )[^:]*: (Warning, |Error|.*\.$)"
+    r"|ITK|Meta|M_|\*\* |(Warning|Error|Debug): In |gdcm|Corrupt|Unsupported|Premature"
+)
+_MOST_BYTES = 1 << 16  # of what they print
 
 
 def open_reader(path: Path, itk_name: str) -> sitk.ImageFileReader:
@@ -30,22 +45,21 @@ def open_reader(path: Path, itk_name: str) -> sitk.ImageFileReader:
     reader = sitk.ImageFileReader()
     reader.SetImageIO(itk_name)
     reader.SetFileName(str(path))
-    with _quiet():
+    with _listening():
         reader.ReadImageInformation()
     return reader
 
 
 def execute(reader: sitk.ImageFileReader) -> sitk.Image:
     """Read the voxels; a fourth axis of one is dropped."""
-    with _quiet():
+    with _listening():
         image = reader.Execute()
     return image[:, :, :, 0] if image.GetDimension() == 4 and image.GetSize()[3] == 1 else image
 
 
 def array_of(path: Path, itk_name: str) -> NDArray[Any]:
-    """The values of a file, (z, y, x), or with colours along a fourth axis; without what ITK's libraries print."""
-    with _without_stderr():
-        return np.asarray(sitk.GetArrayFromImage(execute(open_reader(path, itk_name))))
+    """The values of a file, (z, y, x), or with colours along a fourth axis."""
+    return np.asarray(sitk.GetArrayFromImage(execute(open_reader(path, itk_name))))
 
 
 def save(
@@ -77,7 +91,7 @@ def save(
     writer.SetFileName(str(path))
     writer.SetUseCompression(compress)
     # Its libraries print about a full disk and go on: what they wrote is read back, and told in one line.
-    with _quiet(), _without_stderr():
+    with _listening(refuses=False):
         writer.Execute(image)
 
 
@@ -133,29 +147,63 @@ def check_kind(reader: sitk.ImageFileReader, count: int = 1, is_interleaved: boo
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Switch ITK's warnings off for a while: accelsurf checks the file and reports a problem in one line."""
-    before = sitk.ProcessObject.GetGlobalWarningDisplay()
-    sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    try:
-        yield
-    finally:
-        sitk.ProcessObject.SetGlobalWarningDisplay(before)
+def _listening(refuses: bool = True) -> Iterator[None]:
+    """Keep what libraries print while they read or write from the screen; what other threads print comes afterwards.
+
+    ITK's own warnings are switched off: accelsurf checks the file and reports a problem in one line.
+
+    Parameters
+    ----------
+    refuses : bool
+        Whether a line of a library is an error.
+
+    Raises
+    ------
+    InputError
+        With that line, also in place of an error of ITK, which says less.
+    """
+    with _LISTENING:
+        shown, before = sitk.ProcessObject.GetGlobalWarningDisplay(), _standard_error()
+        sitk.ProcessObject.SetGlobalWarningDisplay(False)
+        printed = tempfile.TemporaryFile()
+        os.dup2(printed.fileno(), 2)
+        failure: RuntimeError | None = None
+        try:
+            yield
+        except RuntimeError as error:
+            failure = error
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
+            sitk.ProcessObject.SetGlobalWarningDisplay(shown)
+            printed.seek(0)
+            said = _passed_on(printed.read(_MOST_BYTES))
+            printed.close()
+        if said and refuses:
+            raise InputError(
+                f"the library that reads it says: {said}", "the file is damaged: copy or export it again"
+            ) from failure
+        if failure is not None:
+            raise failure
 
 
-@contextmanager
-def _without_stderr() -> Iterator[None]:
-    """Let what compiled code prints to standard error vanish for a moment."""
+def _standard_error() -> int:
+    """A second handle of standard error; where it is closed, nothing that is opened later is taken for it."""
     try:
-        before = os.dup(2)
-    except OSError:  # it is closed
-        yield
-        return
-    null = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, 2)
-    os.close(null)
-    try:
-        yield
-    finally:
-        os.dup2(before, 2)
-        os.close(before)
+        return os.dup(2)
+    except OSError:
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 2)
+        if null != 2:
+            os.close(null)
+        return os.dup(2)
+
+
+def _passed_on(printed: bytes) -> str:
+    """The first line of a library, with all others written to standard error."""
+    lines = printed.decode("utf-8", "replace").splitlines(keepends=True)
+    of_libraries = [line for line in lines if _LIBRARY_LINE.match(line.strip())]
+    others = "".join(line for line in lines if line not in of_libraries)
+    if others:
+        os.write(2, others.encode())
+    return of_libraries[0].strip() if of_libraries else ""

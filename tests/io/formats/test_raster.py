@@ -310,7 +310,7 @@ def test_a_huge_claim_is_refused_before_anything_is_read(tmp_path, suffix):
         struct.pack_into(">I", raw, 29, zlib.crc32(raw[12:29]))
     else:
         first = struct.unpack_from("<I", raw, 4)[0]
-        for entry in (0, 1):
+        for entry in (0, 1, 9):  # width, length, rows of a strip
             struct.pack_into("<I", raw, first + 2 + 12 * entry + 8, 10**6)
     path.write_bytes(raw)
     refuse(path, r"1000000 x 1000000 x 1 voxels needs about 12107\.19 GiB")
