@@ -29,7 +29,7 @@ _LIBRARY_LINE = re.compile(
     r"libpng (warning|error): |(?!(error|warning|hint|note): )[^:]*: (Warning, |Error|.*\.$)"
     r"|ITK|Meta|M_|\*\* |(Warning|Error|Debug): In |gdcm|Corrupt|Unsupported|Premature"
 )
-_MOST_BYTES = 1 << 16  # of what they print
+_MAX_PRINTED = 1 << 16  # of what they print
 
 
 def open_reader(path: Path, itk_name: str) -> sitk.ImageFileReader:
@@ -177,7 +177,7 @@ def _listening(refuses: bool = True) -> Iterator[None]:
             os.close(before)
             sitk.ProcessObject.SetGlobalWarningDisplay(shown)
             printed.seek(0)
-            said = _passed_on(printed.read(_MOST_BYTES))
+            said = _passed_on(printed.read(_MAX_PRINTED))
             printed.close()
         if said and refuses:
             raise InputError(

@@ -34,15 +34,13 @@ from accelsurf.io.formats.tiff_directories import (
     ROWS,
     RULES,
     SAMPLES,
-    STRIP_BYTES,
-    STRIPS,
-    TILE_BYTES,
     TILE_HEIGHT,
     TILE_WIDTH,
     TILES,
     WIDTH,
     Page,
     TiffForm,
+    strips_of,
 )
 from accelsurf.settings import budgets
 
@@ -54,6 +52,7 @@ _DEFLATE = (8, 32946)
 _LZW, _PACKBITS = 5, 32773
 _COMPRESSIONS = (1, _LZW, *_DEFLATE, _PACKBITS)  # the first: none
 _NO_PREDICTOR = (1, _PACKBITS)  # packings whose bytes are no differences
+_FIRST_BYTE = 8  # after which strips and directories begin
 _CHUNK = 1 << 16
 #: Types of values by bits and sample format.
 _KINDS = {kind: name for name, kind in STORED.items()} | {
@@ -168,7 +167,7 @@ class TiffHeader(RasterHeader):
         size = self.data.stat().st_size
         offsets, lengths = self.strips[:, 0], self.strips[:, 1]
         # No sum of the two is taken that 64 bits do not hold.
-        if (wrong := (offsets < 0) | (lengths <= 0) | (offsets > size) | (lengths > size - offsets)).any():
+        if (wrong := (offsets < _FIRST_BYTE) | (lengths <= 0) | (offsets > size) | (lengths > size - offsets)).any():
             offset, length = self.strips[int(wrong.argmax())].tolist()
             raise InputError(
                 f"the header announces {length} bytes of voxels at byte {offset}, the file has {size} bytes",
@@ -331,12 +330,6 @@ def _page_kind(page: Page) -> tuple[Any, ...]:
     tags = tuple(page.get(key, (1,))[0] for key in keys)
     tile = page.get(TILE_WIDTH), page.get(TILE_HEIGHT), TILES in page
     return page[WIDTH][0], page[HEIGHT][0], _rows(page), _bits(page), _format(page), page.get(EXTRA), *tags, *tile
-
-
-def strips_of(page: Page) -> NDArray[np.int64]:
-    """Offset and length of the strips or tiles of a page."""
-    offsets, lengths = (TILES, TILE_BYTES) if TILES in page else (STRIPS, STRIP_BYTES)
-    return np.stack([np.array(page[offsets], np.int64), np.array(page[lengths], np.int64)], axis=1)
 
 
 def samples_of(page: Page) -> int:

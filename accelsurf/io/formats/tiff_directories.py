@@ -6,6 +6,9 @@ import os
 import struct
 from typing import Any, BinaryIO, Literal, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from accelsurf.errors import InputError
 from accelsurf.io.formats.raster import TRUNCATED_HINT
 from accelsurf.settings import budgets
@@ -17,7 +20,8 @@ FILL_ORDER, PREDICTOR, SUB_PAGES, EXTRA = 266, 317, 330, 338
 _TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 7: "s", 13: "I", 16: "Q", 18: "Q"}
 #: Types of values: whole numbers, of any length, as TIFF 6.0 asks of readers; offsets; texts; fractions.
 _WHOLE, _OFFSET, _TEXT, _FRACTION = (1, 3, 4, 16), (3, 4, 13, 16, 18), (1, 2, 7), (5,)
-MAX_SAMPLES, _ANY = (1 << 16) - 1, 1 << 62
+_OF_BIG_TIFF = (16, 18)
+MAX_SAMPLES, ANY = (1 << 16) - 1, 1 << 62
 
 
 class TagRule(NamedTuple):
@@ -43,13 +47,13 @@ RULES = {
     SUBFILE: TagRule("NewSubfileType"), WIDTH: TagRule("ImageWidth"), HEIGHT: TagRule("ImageLength"),
     BITS: TagRule("BitsPerSample", most=MAX_SAMPLES), COMPRESSION: TagRule("Compression"),
     PHOTOMETRIC: TagRule("PhotometricInterpretation"), FILL_ORDER: TagRule("FillOrder"),
-    DESCRIPTION: TagRule("ImageDescription", _TEXT, _ANY), STRIPS: TagRule("StripOffsets", _OFFSET, _ANY),
+    DESCRIPTION: TagRule("ImageDescription", _TEXT, ANY), STRIPS: TagRule("StripOffsets", _OFFSET, ANY),
     ORIENTATION: TagRule("Orientation"), SAMPLES: TagRule("SamplesPerPixel"), ROWS: TagRule("RowsPerStrip"),
-    STRIP_BYTES: TagRule("StripByteCounts", _WHOLE, _ANY), X_RES: TagRule("XResolution", _FRACTION),
+    STRIP_BYTES: TagRule("StripByteCounts", _WHOLE, ANY), X_RES: TagRule("XResolution", _FRACTION),
     Y_RES: TagRule("YResolution", _FRACTION), PLANAR: TagRule("PlanarConfiguration"),
     RES_UNIT: TagRule("ResolutionUnit"), PREDICTOR: TagRule("Predictor"), TILE_WIDTH: TagRule("TileWidth"),
-    TILE_HEIGHT: TagRule("TileLength"), TILES: TagRule("TileOffsets", _OFFSET, _ANY),
-    TILE_BYTES: TagRule("TileByteCounts", _WHOLE, _ANY), SUB_PAGES: TagRule("SubIFDs", _OFFSET, 32),
+    TILE_HEIGHT: TagRule("TileLength"), TILES: TagRule("TileOffsets", _OFFSET, ANY),
+    TILE_BYTES: TagRule("TileByteCounts", _WHOLE, ANY), SUB_PAGES: TagRule("SubIFDs", _OFFSET, 32),
     EXTRA: TagRule("ExtraSamples", most=MAX_SAMPLES), FORMAT: TagRule("SampleFormat", most=MAX_SAMPLES),
 }
 _MAX_ENTRIES = 4096
@@ -181,16 +185,31 @@ def read_directory(file: BinaryIO, form: TiffForm, at: int, spent: int = 0) -> D
             continue
         if tag in page:  # libraries do not agree which of the two counts
             raise ValueError
-        if kind not in rule.types or not 0 < n <= rule.most:
-            raise InputError(
-                f"the tag {rule.name} of the TIFF is damaged: {n} values of type {kind}, at most {rule.most} of type "
-                f"{' or '.join(map(str, rule.types))} expected", TRUNCATED_HINT
-            )
+        field = raw[place + 4 + struct.calcsize(word) : place + entry]
+        _check(rule, kind, n, field)
         spent += n * struct.calcsize("=" + _TYPES[kind])
         budgets.TIFF_TAGS.check(spent, "the entries of the TIFF", form.size + (1 << 16))
-        field = raw[place + 4 + struct.calcsize(word) : place + entry]
         page[tag] = _values(file, order, tag, kind, n, field)
     return Directory(page, following, spent, length)
+
+
+def _check(rule: TagRule, kind: int, count: int, field: bytes) -> None:
+    """Refuse an entry whose type or number of values are not those of its tag, or not those that were written.
+
+    Raises
+    ------
+    InputError
+        With both.
+    """
+    is_known = kind in rule.types and 0 < count <= rule.most and (kind not in _OF_BIG_TIFF or len(field) == 8)
+    size = struct.calcsize("=" + _TYPES[kind]) * count if is_known else 0
+    # What an entry does not fill is zero: other bytes are of a longer value.
+    if not is_known or (size < len(field) and rule.types != _TEXT and any(field[size:])):
+        most = f"at most {rule.most} " if rule.most < ANY else ""
+        raise InputError(
+            f"the tag {rule.name} of the TIFF is damaged: {count} values of type {kind}, {most}of type "
+            f"{' or '.join(map(str, rule.types))} expected", TRUNCATED_HINT
+        )
 
 
 def _values(file: BinaryIO, order: str, tag: int, kind: int, count: int, field: bytes) -> tuple[Any, ...]:
@@ -212,3 +231,19 @@ def _decoded(text: bytes) -> str:
         return text.decode()
     except UnicodeDecodeError:
         return text.decode("latin-1")
+
+
+def strips_of(page: Page) -> NDArray[np.int64]:
+    """Offset and length of the strips or tiles of a page.
+
+    Raises
+    ------
+    InputError
+        When they lie upon one another.
+    """
+    offsets, lengths = (TILES, TILE_BYTES) if TILES in page else (STRIPS, STRIP_BYTES)
+    strips = np.stack([np.array(page[offsets], np.int64), np.array(page[lengths], np.int64)], axis=1)
+    ordered = strips[np.argsort(strips[:, 0], kind="stable")]
+    if (ordered[1:, 0] - ordered[:-1, 0] < ordered[:-1, 1]).any():
+        raise InputError("strips or tiles of a page of the TIFF lie upon one another", TRUNCATED_HINT)
+    return strips

@@ -121,9 +121,7 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
     try:
         with path.open("rb") as file:
             form, all_pages = read_pages(file)
-            pages = {at: page for at, page in all_pages.items() if not page.get(SUBFILE, (0,))[0] & 1}  # no thumbnails
-            if not pages:
-                raise InputError("the TIFF holds no page", hint=TRUNCATED_HINT)
+            pages = _without_thumbnails(all_pages)
             first = next(iter(pages.values()))
             samples = samples_of(first)
             stack = stack_of(first, len(pages), samples)
@@ -138,6 +136,27 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
     if any(part.decoder == "tifffile" for part in parts):
         library()  # one that is missing is said before anything is read
     return TiffImage(path, stack, parts, samples, grids, level, metadata, options)
+
+
+def _without_thumbnails(all_pages: dict[int, Page]) -> dict[int, Page]:
+    """The pages that are not smaller versions of others.
+
+    Raises
+    ------
+    InputError
+        When there is none, or one is called smaller and is not.
+    """
+    pages = {at: page for at, page in all_pages.items() if not page.get(SUBFILE, (0,))[0] & 1}
+    if not pages:
+        raise InputError("the TIFF holds no page", hint=TRUNCATED_HINT)
+    first = next(iter(pages.values()))
+    full = first[HEIGHT][0] * first[WIDTH][0]
+    for number, (at, page) in enumerate(all_pages.items(), 1):
+        if at not in pages and page[HEIGHT][0] * page[WIDTH][0] >= full:
+            raise InputError(
+                f"page {number} of the TIFF is called a smaller version of another, and is none", TRUNCATED_HINT
+            )
+    return pages
 
 
 def _spacing(stack: TiffStack, options: ReadOptions) -> tuple[Spacing, dict[str, str]]:

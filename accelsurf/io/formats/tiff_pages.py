@@ -27,7 +27,7 @@ from accelsurf.io.chunk_cache import ChunkCache
 from accelsurf.io.files import file_version
 from accelsurf.io.formats.raster import TRUNCATED_HINT
 from accelsurf.io.formats.raw_voxels import CHANGED
-from accelsurf.io.formats.tiff import TiffHeader, of_samples, strips_of
+from accelsurf.io.formats.tiff import TiffHeader, of_samples
 from accelsurf.io.formats.tiff_directories import (
     BITS,
     COMPRESSION,
@@ -49,6 +49,7 @@ from accelsurf.io.formats.tiff_directories import (
     Page,
     read_directory,
     read_form,
+    strips_of,
 )
 from accelsurf.io.formats.tiff_file import MAX_FILE_BYTES
 from accelsurf.io.grey import to_grey
