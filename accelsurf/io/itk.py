@@ -5,14 +5,16 @@ libtiff, libpng and others print to standard error and go on, with values that m
 
 from __future__ import annotations
 
+import ctypes
 import os
 import re
+import sys
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
-from threading import RLock
-from typing import Any
+from threading import Lock
+from typing import IO, Any, TypeVar
 
 import numpy as np
 import SimpleITK as sitk
@@ -22,14 +24,16 @@ from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 
-#: Standard error belongs to the process: one thread at a time listens to it.
-_LISTENING = RLock()
-#: How lines of libraries begin or end. All others are of accelsurf, from another thread.
+#: ITK's warnings are switched off for all threads: one at a time does so.
+_LISTENING = Lock()
+#: How lines of libraries begin or end, where lines of other threads are among them.
 _LIBRARY_LINE = re.compile(
     r"libpng (warning|error): |(?!(error|warning|hint|note): )[^:]*: (Warning, |Error|.*\.$)"
     r"|ITK|Meta|M_|\*\* |(Warning|Error|Debug): In |gdcm|Corrupt|Unsupported|Premature"
 )
-_MAX_PRINTED = 1 << 16  # of what they print
+_MAX_PRINTED = 1 << 16  # bytes that are heeded
+_CLONE_FILES = 0x400
+_T = TypeVar("_T")
 
 
 def open_reader(path: Path, itk_name: str) -> sitk.ImageFileReader:
@@ -45,15 +49,13 @@ def open_reader(path: Path, itk_name: str) -> sitk.ImageFileReader:
     reader = sitk.ImageFileReader()
     reader.SetImageIO(itk_name)
     reader.SetFileName(str(path))
-    with _listening():
-        reader.ReadImageInformation()
+    _listened(reader.ReadImageInformation)
     return reader
 
 
 def execute(reader: sitk.ImageFileReader) -> sitk.Image:
     """Read the voxels; a fourth axis of one is dropped."""
-    with _listening():
-        image = reader.Execute()
+    image = _listened(reader.Execute)
     return image[:, :, :, 0] if image.GetDimension() == 4 and image.GetSize()[3] == 1 else image
 
 
@@ -91,8 +93,7 @@ def save(
     writer.SetFileName(str(path))
     writer.SetUseCompression(compress)
     # Its libraries print about a full disk and go on: what they wrote is read back, and told in one line.
-    with _listening(refuses=False):
-        writer.Execute(image)
+    _listened(lambda: writer.Execute(image), refuses=False)
 
 
 def voxel_type(reader: sitk.ImageFileReader) -> np.dtype[Any]:
@@ -146,14 +147,14 @@ def check_kind(reader: sitk.ImageFileReader, count: int = 1, is_interleaved: boo
         )
 
 
-@contextmanager
-def _listening(refuses: bool = True) -> Iterator[None]:
-    """Keep what libraries print while they read or write from the screen; what other threads print comes afterwards.
+def _listened(work: Callable[[], _T], refuses: bool = True) -> _T:
+    """Return what a call of ITK returns, without what its libraries print.
 
     ITK's own warnings are switched off: accelsurf checks the file and reports a problem in one line.
 
     Parameters
     ----------
+    work : callable
     refuses : bool
         Whether a line of a library is an error.
 
@@ -162,29 +163,57 @@ def _listening(refuses: bool = True) -> Iterator[None]:
     InputError
         With that line, also in place of an error of ITK, which says less.
     """
-    with _LISTENING:
-        shown, before = sitk.ProcessObject.GetGlobalWarningDisplay(), _standard_error()
+    with _LISTENING, tempfile.TemporaryFile() as printed:
+        shown = sitk.ProcessObject.GetGlobalWarningDisplay()
         sitk.ProcessObject.SetGlobalWarningDisplay(False)
-        printed = tempfile.TemporaryFile()
-        os.dup2(printed.fileno(), 2)
-        failure: RuntimeError | None = None
         try:
-            yield
-        except RuntimeError as error:
-            failure = error
+            future, lines = _apart(work, printed) if sys.platform == "linux" else _among_others(work, printed)
         finally:
-            os.dup2(before, 2)
-            os.close(before)
             sitk.ProcessObject.SetGlobalWarningDisplay(shown)
-            printed.seek(0)
-            said = _passed_on(printed.read(_MAX_PRINTED))
-            printed.close()
-        if said and refuses:
-            raise InputError(
-                f"the library that reads it says: {said}", "the file is damaged: copy or export it again"
-            ) from failure
-        if failure is not None:
-            raise failure
+    failure = future.exception()
+    if lines and refuses and (failure is None or isinstance(failure, RuntimeError)):
+        raise InputError(
+            f"the library that reads it says: {lines[0]}", "the file is damaged: copy or export it again"
+        ) from failure
+    return future.result()
+
+
+def _apart(work: Callable[[], _T], printed: IO[bytes]) -> tuple[Future[_T], list[str]]:
+    """Do work in a thread that has a standard error of its own; return what came of it, and the lines.
+
+    Linux gives a thread its own table of open files. Where a container forbids it, as elsewhere, the lines of all
+    threads are taken.
+    """
+    with ThreadPoolExecutor(1) as pool:
+        if pool.submit(_take_own_files).result():
+            pool.submit(os.dup2, printed.fileno(), 2).result()
+            future = pool.submit(work)
+            wait([future])
+            return future, _lines(printed)
+    return _among_others(work, printed)
+
+
+def _take_own_files() -> bool:
+    """Give this thread a table of open files of its own; whether that was allowed."""
+    return ctypes.CDLL(None).unshare(_CLONE_FILES) == 0
+
+
+def _among_others(work: Callable[[], _T], printed: IO[bytes]) -> tuple[Future[_T], list[str]]:
+    """As `_apart`, with the standard error of the process: what is of no library is written to it afterwards."""
+    future: Future[_T] = Future()
+    before = _standard_error()
+    os.dup2(printed.fileno(), 2)
+    try:
+        future.set_result(work())
+    except Exception as error:
+        future.set_exception(error)
+    finally:
+        os.dup2(before, 2)
+        os.close(before)
+        lines = _lines(printed)
+        if others := [line for line in lines if not _LIBRARY_LINE.match(line)]:
+            os.write(2, "".join(f"{line}\n" for line in others).encode())
+    return future, [line for line in lines if _LIBRARY_LINE.match(line)]
 
 
 def _standard_error() -> int:
@@ -199,11 +228,7 @@ def _standard_error() -> int:
         return os.dup(2)
 
 
-def _passed_on(printed: bytes) -> str:
-    """The first line of a library, with all others written to standard error."""
-    lines = printed.decode("utf-8", "replace").splitlines(keepends=True)
-    of_libraries = [line for line in lines if _LIBRARY_LINE.match(line.strip())]
-    others = "".join(line for line in lines if line not in of_libraries)
-    if others:
-        os.write(2, others.encode())
-    return of_libraries[0].strip() if of_libraries else ""
+def _lines(printed: IO[bytes]) -> list[str]:
+    """What was printed."""
+    printed.seek(0)
+    return [line.strip() for line in printed.read(_MAX_PRINTED).decode("utf-8", "replace").splitlines() if line.strip()]

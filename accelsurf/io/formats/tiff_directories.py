@@ -146,6 +146,8 @@ def read_pages(file: BinaryIO) -> tuple[TiffForm, dict[int, Page]]:
         # Directories may not lie upon one another: there could be one for nearly each byte of the file.
         spent, length = found.spent, length + found.length
         budgets.TIFF_TAGS.check(length, "the directories of the TIFF lie upon one another", form.size)
+        if WIDTH not in found.page or HEIGHT not in found.page:
+            raise ValueError
         pages[at] = found.page
         at = found.following
     return form, pages
