@@ -1,6 +1,7 @@
 """What libtiff and libpng print: never a line beside accelsurf's, and a reason to refuse; lines of others stay."""
 
 import os
+import struct
 import subprocess
 import sys
 import threading
@@ -8,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image
 
 from accelsurf import io
@@ -102,6 +104,22 @@ def test_lines_of_other_threads_arrive_and_readers_do_not_disturb_each_other(tmp
         assert found.splitlines() == lines
     else:
         assert sum(line in found for line in lines) > 0.9 * len(lines)
+
+
+@pytest.mark.parametrize("options", [{"compression": "lzma"}, {"compression": "zlib", "tile": (16, 16)}])
+def test_what_tifffile_logs_stays_with_it(tmp_path, capfd, caplog, options):
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, STACK, photometric="minisblack", rowsperstrip=None, **options)
+    # A private tag whose value lies beyond the end: tifffile logs a line, and it counts for nothing.
+    content = path.read_bytes()
+    at = content.index(struct.pack("<HHI", 305, 2, 12))
+    path.write_bytes(content[: at + 8] + struct.pack("<I", 2**31) + content[at + 12 :])
+    with caplog.at_level("DEBUG"):
+        np.testing.assert_array_equal(io.read(path).array, STACK)
+    assert caplog.records == [] and capfd.readouterr() == ("", "")
+    with tifffile.TiffFile(path) as file:
+        file.pages[0].tags.get(305)
+    assert caplog.records, "its own users hear it"
 
 
 def test_closed_standard_error_is_no_place_for_a_file(tmp_path):

@@ -11,9 +11,11 @@ import logging
 import os
 import struct
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from threading import get_ident
 from types import ModuleType
 from typing import Any, BinaryIO
 
@@ -64,7 +66,6 @@ _LZW = 5
 #: Packings that tifffile unpacks to bytes: LZW, LZMA, Zstandard by both numbers.
 _STREAMS = (_LZW, 34925, 34926, 50000)
 _GROUP_BYTES = 1 << 26  # of pages that are unpacked at once where none is held
-_SILENCE = logging.NullHandler()
 
 
 class TiffPages:
@@ -171,7 +172,6 @@ def library() -> ModuleType:
             "this kind of TIFF (tiles, packing or type of values) needs the package tifffile",
             'install it: pip install "accelsurf[tiff]"',
         ) from error
-    logging.getLogger("tifffile").addHandler(_SILENCE)  # what is wrong with a file is an error here, or harmless
     return tifffile
 
 
@@ -186,7 +186,7 @@ def _values_by_tifffile(file: BinaryIO, at: int, header: TiffHeader) -> NDArray[
     tifffile = library()
     try:
         file.seek(0)
-        with tifffile.TiffFile(file, _multifile=False) as stack:
+        with _listened() as said, tifffile.TiffFile(file, _multifile=False) as stack:
             stack.filehandle.seek(at)
             page = tifffile.TiffPage(stack, index=0)
             if header.compression in _STREAMS:  # tifffile cuts off what is too much, and fills up what is missing
@@ -196,7 +196,10 @@ def _values_by_tifffile(file: BinaryIO, at: int, header: TiffHeader) -> NDArray[
                     file.seek(offset)
                     if len(unpack(file.read(length))) != announced:
                         raise InputError(f"a strip or tile does not hold {announced} bytes of voxels", TRUNCATED_HINT)
+            said.clear()  # of tags, also of such that do not count
             found = page.asarray(maxworkers=1)
+            if said:
+                raise InputError(f"tifffile: {said[0]}", TRUNCATED_HINT)
     except (OSError, MemoryError, InputError):
         raise
     except Exception as error:  # each codec raises errors of its own
@@ -208,6 +211,25 @@ def _values_by_tifffile(file: BinaryIO, at: int, header: TiffHeader) -> NDArray[
             ) from error
         raise InputError(f"tifffile: {message}", TRUNCATED_HINT) from error
     return np.asarray(found)
+
+
+@contextmanager
+def _listened() -> Iterator[list[str]]:
+    """What tifffile logs in this thread, which goes nowhere else."""
+    said: list[str] = []
+
+    def heard(record: logging.LogRecord) -> bool:
+        if record.thread != get_ident():
+            return True
+        said.append(" ".join(record.getMessage().split())[:200])
+        return False
+
+    logger = logging.getLogger("tifffile")
+    logger.addFilter(heard)
+    try:
+        yield said
+    finally:
+        logger.removeFilter(heard)
 
 
 def _values(file: BinaryIO, pages: Sequence[Page], order: str) -> NDArray[Any]:
