@@ -10,11 +10,12 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
+from contextlib import contextmanager
 from pathlib import Path
-from threading import Lock
-from typing import IO, Any, TypeVar
+from threading import Lock, Thread
+from typing import IO, Any, BinaryIO, TypeVar
 
 import numpy as np
 import SimpleITK as sitk
@@ -46,10 +47,16 @@ def open_reader(path: Path, itk_name: str) -> sitk.ImageFileReader:
     itk_name : str
         The format, as ITK names the class that reads it.
     """
+    reader = _reader(path, itk_name)
+    _listened(reader.ReadImageInformation)
+    return reader
+
+
+def _reader(path: Path, itk_name: str) -> sitk.ImageFileReader:
+    """A reader of one format that has read nothing yet."""
     reader = sitk.ImageFileReader()
     reader.SetImageIO(itk_name)
     reader.SetFileName(str(path))
-    _listened(reader.ReadImageInformation)
     return reader
 
 
@@ -59,9 +66,20 @@ def execute(reader: sitk.ImageFileReader) -> sitk.Image:
     return image[:, :, :, 0] if image.GetDimension() == 4 and image.GetSize()[3] == 1 else image
 
 
+@contextmanager
+def copied(suffix: str) -> Iterator[tuple[Path, BinaryIO]]:
+    """A file for what ITK is to read, and its name; gone afterwards."""
+    number, name = tempfile.mkstemp(suffix, "accelsurf-")
+    try:
+        with open(number, "wb") as out:
+            yield Path(name), out
+    finally:
+        os.unlink(name)
+
+
 def array_of(path: Path, itk_name: str) -> NDArray[Any]:
     """The values of a file, (z, y, x), or with colours along a fourth axis."""
-    return np.asarray(sitk.GetArrayFromImage(execute(open_reader(path, itk_name))))
+    return np.asarray(sitk.GetArrayFromImage(execute(_reader(path, itk_name))))
 
 
 def save(
@@ -184,13 +202,25 @@ def _apart(work: Callable[[], _T], printed: IO[bytes]) -> tuple[Future[_T], list
     Linux gives a thread its own table of open files. Where a container forbids it, as elsewhere, the lines of all
     threads are taken.
     """
-    with ThreadPoolExecutor(1) as pool:
-        if pool.submit(_take_own_files).result():
-            pool.submit(os.dup2, printed.fileno(), 2).result()
-            future = pool.submit(work)
-            wait([future])
-            return future, _lines(printed)
-    return _among_others(work, printed)
+    future: Future[_T] = Future()
+
+    def run() -> None:
+        if _take_own_files():
+            os.dup2(printed.fileno(), 2)
+            _finish(future, work)
+
+    thread = Thread(target=run)
+    thread.start()
+    thread.join()
+    return (future, _lines(printed)) if future.done() else _among_others(work, printed)
+
+
+def _finish(future: Future[_T], work: Callable[[], _T]) -> None:
+    """Do work, and keep what it returns or raises."""
+    try:
+        future.set_result(work())
+    except Exception as error:
+        future.set_exception(error)
 
 
 def _take_own_files() -> bool:
@@ -204,9 +234,7 @@ def _among_others(work: Callable[[], _T], printed: IO[bytes]) -> tuple[Future[_T
     before = _standard_error()
     os.dup2(printed.fileno(), 2)
     try:
-        future.set_result(work())
-    except Exception as error:
-        future.set_exception(error)
+        _finish(future, work)
     finally:
         os.dup2(before, 2)
         os.close(before)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import struct
-import tempfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -147,10 +146,9 @@ def read(path: Path, header: PngHeader, available: int) -> Volume:
         When the file is incomplete, larger than the memory, or not what its header claims.
     """
     check_memory(header.shape[::-1], header.pixel_bytes, available)
-    with tempfile.TemporaryDirectory(prefix="accelsurf-") as folder:
-        copy = Path(folder) / "image.png"
-        with copy.open("wb") as out:
-            scale = header.copy_checked(out)
+    with itk.copied(".png") as (copy, out):
+        scale = header.copy_checked(out)
+        out.close()
         array, note = itk.array_of(copy, header.itk_name), ""
     if array.ndim > 2:
         array, note = to_grey(array)

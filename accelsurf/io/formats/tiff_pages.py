@@ -10,11 +10,9 @@ from __future__ import annotations
 import logging
 import os
 import struct
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from threading import get_ident
 from types import ModuleType
 from typing import Any, BinaryIO
@@ -234,10 +232,9 @@ def _listened() -> Iterator[list[str]]:
 
 def _values(file: BinaryIO, pages: Sequence[Page], order: str) -> NDArray[Any]:
     """The values of pages, (n, ny, nx), or with colours along a fourth axis, by way of a file of their own."""
-    with tempfile.TemporaryDirectory(prefix="accelsurf-") as folder:
-        path = Path(folder) / "pages.tif"
-        with path.open("wb") as out:
-            _write_pages(out, file, pages, order)
+    with itk.copied(".tif") as (path, out):
+        _write_pages(out, file, pages, order)
+        out.close()
         found = itk.array_of(path, TiffHeader.itk_name)
     ny, nx = pages[0][HEIGHT][0], pages[0][WIDTH][0]
     return found.reshape(len(pages), ny, nx, *([-1] if found.size > len(pages) * ny * nx else []))
