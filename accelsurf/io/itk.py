@@ -1,12 +1,21 @@
-"""The only place that imports SimpleITK: its readers and writers, without their warnings, and its grids."""
+"""SimpleITK's readers and writers, and its grids. What its libraries print is no line beside ours but a refusal.
+
+libtiff, libpng and others print to standard error and go on, with values that may be wrong.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import os
-from collections.abc import Iterator, Mapping
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from threading import Lock, Thread
+from typing import IO, Any, BinaryIO, TypeVar
 
 import numpy as np
 import SimpleITK as sitk
@@ -15,6 +24,17 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+
+#: ITK's warnings are switched off for all threads: one at a time does so.
+_LISTENING = Lock()
+#: How lines of libraries begin or end, where lines of other threads are among them.
+_LIBRARY_LINE = re.compile(
+    r"libpng (warning|error): |(?!(error|warning|hint|note): )[^:]*: (Warning, |Error|.*\.$)"
+    r"|ITK|Meta|M_|\*\* |(Warning|Error|Debug): In |gdcm|Corrupt|Unsupported|Premature"
+)
+_MAX_PRINTED = 1 << 16  # bytes that are heeded
+_CLONE_FILES = 0x400
+_T = TypeVar("_T")
 
 
 def open_reader(path: Path, itk_name: str) -> sitk.ImageFileReader:
@@ -27,25 +47,39 @@ def open_reader(path: Path, itk_name: str) -> sitk.ImageFileReader:
     itk_name : str
         The format, as ITK names the class that reads it.
     """
+    reader = _reader(path, itk_name)
+    _listened(reader.ReadImageInformation)
+    return reader
+
+
+def _reader(path: Path, itk_name: str) -> sitk.ImageFileReader:
+    """A reader of one format that has read nothing yet."""
     reader = sitk.ImageFileReader()
     reader.SetImageIO(itk_name)
     reader.SetFileName(str(path))
-    with _quiet():
-        reader.ReadImageInformation()
     return reader
 
 
 def execute(reader: sitk.ImageFileReader) -> sitk.Image:
     """Read the voxels; a fourth axis of one is dropped."""
-    with _quiet():
-        image = reader.Execute()
+    image = _listened(reader.Execute)
     return image[:, :, :, 0] if image.GetDimension() == 4 and image.GetSize()[3] == 1 else image
 
 
+@contextmanager
+def copied(suffix: str) -> Iterator[tuple[Path, BinaryIO]]:
+    """A file for what ITK is to read, and its name; gone afterwards."""
+    number, name = tempfile.mkstemp(suffix, "accelsurf-")
+    try:
+        with open(number, "wb") as out:
+            yield Path(name), out
+    finally:
+        os.unlink(name)
+
+
 def array_of(path: Path, itk_name: str) -> NDArray[Any]:
-    """The values of a file, (z, y, x), or with colours along a fourth axis; without what ITK's libraries print."""
-    with _without_stderr():
-        return np.asarray(sitk.GetArrayFromImage(execute(open_reader(path, itk_name))))
+    """The values of a file, (z, y, x), or with colours along a fourth axis."""
+    return np.asarray(sitk.GetArrayFromImage(execute(_reader(path, itk_name))))
 
 
 def save(
@@ -77,8 +111,7 @@ def save(
     writer.SetFileName(str(path))
     writer.SetUseCompression(compress)
     # Its libraries print about a full disk and go on: what they wrote is read back, and told in one line.
-    with _quiet(), _without_stderr():
-        writer.Execute(image)
+    _listened(lambda: writer.Execute(image), refuses=False)
 
 
 def voxel_type(reader: sitk.ImageFileReader) -> np.dtype[Any]:
@@ -132,30 +165,98 @@ def check_kind(reader: sitk.ImageFileReader, count: int = 1, is_interleaved: boo
         )
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Switch ITK's warnings off for a while: accelsurf checks the file and reports a problem in one line."""
-    before = sitk.ProcessObject.GetGlobalWarningDisplay()
-    sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    try:
-        yield
-    finally:
-        sitk.ProcessObject.SetGlobalWarningDisplay(before)
+def _listened(work: Callable[[], _T], refuses: bool = True) -> _T:
+    """Return what a call of ITK returns, without what its libraries print.
+
+    ITK's own warnings are switched off: accelsurf checks the file and reports a problem in one line.
+
+    Parameters
+    ----------
+    work : callable
+    refuses : bool
+        Whether a line of a library is an error.
+
+    Raises
+    ------
+    InputError
+        With that line, also in place of an error of ITK, which says less.
+    """
+    with _LISTENING, tempfile.TemporaryFile() as printed:
+        shown = sitk.ProcessObject.GetGlobalWarningDisplay()
+        sitk.ProcessObject.SetGlobalWarningDisplay(False)
+        try:
+            future, lines = _apart(work, printed) if sys.platform == "linux" else _among_others(work, printed)
+        finally:
+            sitk.ProcessObject.SetGlobalWarningDisplay(shown)
+    failure = future.exception()
+    if lines and refuses and (failure is None or isinstance(failure, RuntimeError)):
+        raise InputError(
+            f"the library that reads it says: {lines[0]}", "the file is damaged: copy or export it again"
+        ) from failure
+    return future.result()
 
 
-@contextmanager
-def _without_stderr() -> Iterator[None]:
-    """Let what compiled code prints to standard error vanish for a moment."""
+def _apart(work: Callable[[], _T], printed: IO[bytes]) -> tuple[Future[_T], list[str]]:
+    """Do work in a thread that has a standard error of its own; return what came of it, and the lines.
+
+    Linux gives a thread its own table of open files. Where a container forbids it, as elsewhere, the lines of all
+    threads are taken.
+    """
+    future: Future[_T] = Future()
+
+    def run() -> None:
+        if _take_own_files():
+            os.dup2(printed.fileno(), 2)
+            _finish(future, work)
+
+    thread = Thread(target=run)
+    thread.start()
+    thread.join()
+    return (future, _lines(printed)) if future.done() else _among_others(work, printed)
+
+
+def _finish(future: Future[_T], work: Callable[[], _T]) -> None:
+    """Do work, and keep what it returns or raises."""
     try:
-        before = os.dup(2)
-    except OSError:  # it is closed
-        yield
-        return
-    null = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, 2)
-    os.close(null)
+        future.set_result(work())
+    except Exception as error:
+        future.set_exception(error)
+
+
+def _take_own_files() -> bool:
+    """Give this thread a table of open files of its own; whether that was allowed."""
+    return ctypes.CDLL(None).unshare(_CLONE_FILES) == 0
+
+
+def _among_others(work: Callable[[], _T], printed: IO[bytes]) -> tuple[Future[_T], list[str]]:
+    """As `_apart`, with the standard error of the process: what is of no library is written to it afterwards."""
+    future: Future[_T] = Future()
+    before = _standard_error()
+    os.dup2(printed.fileno(), 2)
     try:
-        yield
+        _finish(future, work)
     finally:
         os.dup2(before, 2)
         os.close(before)
+        lines = _lines(printed)
+        if others := [line for line in lines if not _LIBRARY_LINE.match(line)]:
+            os.write(2, "".join(f"{line}\n" for line in others).encode())
+    return future, [line for line in lines if _LIBRARY_LINE.match(line)]
+
+
+def _standard_error() -> int:
+    """A second handle of standard error; where it is closed, nothing that is opened later is taken for it."""
+    try:
+        return os.dup(2)
+    except OSError:
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 2)
+        if null != 2:
+            os.close(null)
+        return os.dup(2)
+
+
+def _lines(printed: IO[bytes]) -> list[str]:
+    """What was printed."""
+    printed.seek(0)
+    return [line.strip() for line in printed.read(_MAX_PRINTED).decode("utf-8", "replace").splitlines() if line.strip()]

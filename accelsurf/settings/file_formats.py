@@ -200,7 +200,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         "PNG, grey or colour; written grey",
         (".png",),
         f"{_FORMATS}.png:parse",
-        f"{_FORMATS}.raster:read",
+        f"{_FORMATS}.png:read",
         f"{_FORMATS}.png:write",
         ("spacing",),
         types=("uint8", "uint16"),

@@ -155,7 +155,7 @@ def bombs(folder):
         content = bytearray(tiff_file.encode(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
         for place in range(len(content) - 12):
             tag, kind, count = struct.unpack_from("<HHI", content, place)
-            if (tag, kind, count) in ((256, 4, 1), (257, 4, 1)):
+            if (tag, kind, count) in ((256, 4, 1), (257, 4, 1), (278, 4, 1)):
                 struct.pack_into("<I", content, place + 8, 20_000)
             if (tag, kind, count) == (259, 3, 1):
                 struct.pack_into("<I", content, place + 8, compression)

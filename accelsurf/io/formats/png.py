@@ -1,20 +1,30 @@
-"""PNG: what the header claims, whether it is all there, and how it is written. ITK reads the pixels."""
+"""PNG: what the header claims, whether it is all there, and how it is written.
+
+ITK reads the pixels, from a copy without the parts that say nothing about them: a note, a profile of colours or a
+number of significant bits (by which ITK would divide the values) is not unpacked and not heeded.
+"""
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
+from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.io import itk
 from accelsurf.io.formats.deflate import check_unpacked, inflated_bytes
 from accelsurf.io.formats.raster import TRUNCATED_HINT, RasterHeader
+from accelsurf.io.grey import to_grey
+from accelsurf.io.memory import check_memory
+from accelsurf.io.metadata import with_warnings
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 _START = b"\x89PNG\r\n\x1a\n"
@@ -22,6 +32,10 @@ _CHANNELS = {0: 1, 2: 3, 3: 4, 6: 4}
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
 _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
 _CHUNK = 1 << 16
+_TRANSPARENT_GREY = ("a grey PNG with transparency given, one without expected", "save it without the alpha channel")
+_MAX_SCALE_BYTES = 64
+#: The parts that say what the pixels are, by colour type: those of a palette, of a colour, of grey.
+_PALETTE, _COLOUR, _GREY = ((b"IHDR", b"IDAT", b"IEND", *more) for more in ((b"PLTE", b"tRNS"), (b"tRNS",), ()))
 
 
 @dataclass(frozen=True)
@@ -32,21 +46,34 @@ class PngHeader(RasterHeader):
     ----------
     unpacked_bytes : int
         Bytes of all rows when unpacked.
+    colour : int
+        Colour type.
     """
 
     itk_name: ClassVar[str] = "PNGImageIO"
 
     unpacked_bytes: int
 
-    def check_complete(self) -> None:
-        """Refuse a PNG that is cut short or damaged: every checksum, and the number of bytes of its rows.
+    colour: int
+
+    def copy_checked(self, out: BinaryIO) -> tuple[float, float] | None:
+        """Copy the parts that say what the pixels are; refuse a PNG that is cut short or damaged.
+
+        Every checksum counts, and the number of bytes of the rows.
+
+        Returns
+        -------
+        tuple of float or None
+            Size of a pixel (x, y), where it is said.
 
         Raises
         ------
         InputError
             With what is wrong.
         """
-        unpack, present, name = zlib.decompressobj(), 0, b""
+        known = _PALETTE if self.colour == 3 else _COLOUR if self.colour == 2 else _GREY
+        unpack, present, name, scale = zlib.decompressobj(), 0, b"", b""
+        out.write(_START)
         with self.data.open("rb") as file:
             file.seek(len(_START))
             while name != b"IEND":
@@ -54,20 +81,81 @@ class PngHeader(RasterHeader):
                 if len(start) < 8:
                     raise InputError("the PNG ends before its end mark", hint=TRUNCATED_HINT)
                 left, name = struct.unpack(">I4s", start)
-                check = zlib.crc32(name)
+                is_copied, check = self._is_copied(name, known), zlib.crc32(name)
+                out.write(start if is_copied else b"")
                 while left and (piece := file.read(min(left, _CHUNK))):
                     left, check = left - len(piece), zlib.crc32(piece, check)
                     if name == b"IDAT":
                         present += inflated_bytes(unpack, piece)
                         check_unpacked(present, self.unpacked_bytes)
-                if left or file.read(4) != struct.pack(">I", check):
+                    scale = piece[:_MAX_SCALE_BYTES] if name == b"sCAL" else scale
+                    out.write(piece if is_copied else b"")
+                found = file.read(4)
+                if left or found != struct.pack(">I", check):
                     part = name.decode("ascii", "replace")
                     raise InputError(f"the part {part} of the PNG is cut short or damaged", hint=TRUNCATED_HINT)
+                out.write(found if is_copied else b"")
         if present < self.unpacked_bytes:
             raise InputError(
                 f"the header announces {self.unpacked_bytes} bytes of rows, the file holds {present}",
                 hint=TRUNCATED_HINT,
             )
+        return _scale(scale)
+
+    def _is_copied(self, name: bytes, known: tuple[bytes, ...]) -> bool:
+        """Whether a part says what the pixels are.
+
+        Raises
+        ------
+        InputError
+            When it says so in a way that is not known.
+        """
+        if self.colour == 0 and name == b"tRNS":
+            raise InputError(*_TRANSPARENT_GREY)
+        if name[:1].isupper() and name not in (*known, b"PLTE"):
+            part = name.decode("ascii", "replace")
+            raise InputError(f"the PNG has a part {part}, without which it cannot be read, and which is not known",
+                             "save it as a plain PNG")
+        return name in known
+
+
+def _scale(text: bytes) -> tuple[float, float] | None:
+    """Size of a pixel (x, y), by the part that ITK writes it into; None where it says none."""
+    try:
+        x, y = (float(word) for word in text[1:].split(b"\0"))
+    except ValueError:
+        return None
+    return (x, y) if min(x, y) > 0 and math.isfinite(x) and math.isfinite(y) else None
+
+
+def read(path: Path, header: PngHeader, available: int) -> Volume:
+    """Read a PNG.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : PngHeader
+        What its header claims.
+    available : int
+        Bytes of memory.
+
+    Raises
+    ------
+    InputError
+        When the file is incomplete, larger than the memory, or not what its header claims.
+    """
+    check_memory(header.shape[::-1], header.pixel_bytes, available)
+    with itk.copied(".png") as (copy, out):
+        scale = header.copy_checked(out)
+        out.close()
+        array, note = itk.array_of(copy, header.itk_name), ""
+    if array.ndim > 2:
+        array, note = to_grey(array)
+    if array.shape != header.shape[1:]:
+        raise InputError(f"the header announces {header.shape[1:]} pixels, ITK reads {array.shape}", "save it again")
+    spacing = header.spacing or (1.0, *(scale or (1.0, 1.0))[::-1])
+    return Volume(array[None], Geometry(header.shape, spacing), with_warnings({}, note), path)
 
 
 def parse(path: Path, options: ReadOptions = AS_IT_IS) -> PngHeader:
@@ -90,13 +178,11 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> PngHeader:
             f"the PNG header is damaged: {width} x {height}, {depth} bits, colour type {color}", hint=TRUNCATED_HINT
         )
     if color == 4:
-        raise InputError(
-            "a grey PNG with transparency given, one without expected", hint="save it without the alpha channel"
-        )
+        raise InputError(*_TRANSPARENT_GREY)
     bits = depth * (_CHANNELS[color] if color != 3 else 1)  # a palette: the colours are looked up later
     unpacked = _row_bytes(width, height, bits, bool(interlaced))
     spacing = None if options.spacing is None else options.spacing[::-1]
-    return PngHeader(path, (1, height, width), spacing, _CHANNELS[color] * (2 if depth == 16 else 1), unpacked)
+    return PngHeader(path, (1, height, width), spacing, _CHANNELS[color] * (2 if depth == 16 else 1), unpacked, color)
 
 
 def _row_bytes(width: int, height: int, bits: int, interlaced: bool) -> int:

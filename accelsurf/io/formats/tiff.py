@@ -17,27 +17,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.formats.deflate import check_unpacked, inflated_bytes
+from accelsurf.io.formats.deflate import check_unpacked, inflated_bytes, run_lengths
 from accelsurf.io.formats.raster import STORED, TRUNCATED_HINT, RasterHeader
 from accelsurf.io.formats.tiff_directories import (
     BITS,
     COMPRESSION,
+    EXTRA,
     FILL_ORDER,
     FORMAT,
     HEIGHT,
+    MAX_SAMPLES,
     ORIENTATION,
     PHOTOMETRIC,
     PLANAR,
+    PREDICTOR,
+    ROWS,
+    RULES,
     SAMPLES,
-    STRIP_BYTES,
-    STRIPS,
-    TILE_BYTES,
     TILE_HEIGHT,
     TILE_WIDTH,
     TILES,
     WIDTH,
     Page,
     TiffForm,
+    strips_of,
 )
 from accelsurf.settings import budgets
 
@@ -48,6 +51,8 @@ _DIRECTORY_BYTES = 186  # about
 _DEFLATE = (8, 32946)
 _LZW, _PACKBITS = 5, 32773
 _COMPRESSIONS = (1, _LZW, *_DEFLATE, _PACKBITS)  # the first: none
+_NO_PREDICTOR = (1, _PACKBITS)  # packings whose bytes are no differences
+_FIRST_BYTE = 8  # after which strips and directories begin
 _CHUNK = 1 << 16
 #: Types of values by bits and sample format.
 _KINDS = {kind: name for name, kind in STORED.items()} | {
@@ -61,8 +66,8 @@ class TiffHeader(RasterHeader):
 
     Attributes
     ----------
-    unpacked_bytes : int
-        Bytes of all rows when unpacked.
+    strip_bytes : ndarray (m,) of int64
+        Bytes of each of the strips or tiles of a page when unpacked.
     strips : ndarray (n, 2) of int64
         Offset and length of the strips or tiles.
     compression : int
@@ -73,8 +78,6 @@ class TiffHeader(RasterHeader):
         Where the directories of the pages begin.
     stored : numpy.dtype or None
         Of the values of a grey image, with the byte order of the file; None for a colour.
-    selected : bool
-        Whether the file has pages that are none of these.
     planes : ndarray (n,) of int64 or None
         Where the rows of each page begin, if they lie one after the other as they are.
     ends : ndarray (n,) of int64
@@ -87,17 +90,21 @@ class TiffHeader(RasterHeader):
 
     itk_name: ClassVar[str] = "TIFFImageIO"
 
-    unpacked_bytes: int
+    strip_bytes: NDArray[np.int64]
     strips: NDArray[np.int64]
     compression: int
     tiled: bool
     directories: NDArray[np.int64]
     stored: np.dtype[Any] | None
-    selected: bool
     planes: NDArray[np.int64] | None
     ends: NDArray[np.int64]
     decoder: Decoder = "ITK"
     sample: int | None = None
+
+    @property
+    def unpacked_bytes(self) -> int:
+        """Bytes of all rows when unpacked; of pages in tiles, with what goes beyond the image."""
+        return int(self.strip_bytes.sum()) * self.shape[0]
 
     def of_pages(self, pages: Sequence[int], sample: int | None = None) -> TiffHeader:
         """The header of some of the pages, in an order."""
@@ -105,14 +112,14 @@ class TiffHeader(RasterHeader):
         some = [self.strips[starts[page] : self.ends[page]] for page in pages]
         _, ny, nx = self.shape
         return replace(
-            self, shape=(len(pages), ny, nx), unpacked_bytes=self.unpacked_bytes // self.shape[0] * len(pages),
+            self, shape=(len(pages), ny, nx),
             strips=np.concatenate(some), ends=np.cumsum([len(one) for one in some], dtype=np.int64),
-            directories=self.directories[list(pages)], selected=True, sample=sample,
+            directories=self.directories[list(pages)], sample=sample,
             planes=None if self.planes is None else self.planes[list(pages)],
         )
 
     def check_complete(self) -> None:
-        """Refuse a TIFF whose strips are not all there.
+        """Refuse a TIFF whose strips are not all there, or hold other numbers of bytes than its tags announce.
 
         Raises
         ------
@@ -120,24 +127,34 @@ class TiffHeader(RasterHeader):
             With what is missing.
         """
         self.check_places()
-        present = stored = sum(self.strips[:, 1].tolist())
+        stored = sum(self.strips[:, 1].tolist())
         if ratio := {_LZW: budgets.LZW, _PACKBITS: budgets.PACKBITS}.get(self.compression):
             ratio.check(self.unpacked_bytes, "the header announces voxels", stored)
-        if self.compression in _DEFLATE:
-            present = 0
-            with self.data.open("rb") as file:
-                for offset, length in self.strips.tolist():
-                    file.seek(offset)
-                    present += self._unpacked(file, length, present)
-        elif self.compression == _PACKBITS and not self.tiled:
-            present = self._run_lengths()
-            if present > self.unpacked_bytes:
-                raise InputError("the runs of the TIFF go on beyond its rows", hint=TRUNCATED_HINT)
-        if self.compression in (1, *_DEFLATE, _PACKBITS) and present < self.unpacked_bytes:
+        if self.compression not in (1, *_DEFLATE, _PACKBITS):
+            return
+        if self.planes is not None and stored == self.unpacked_bytes:
+            return  # the rows of each page follow one another, however the strips divide them
+        present = 0
+        with self.data.open("rb") as file:
+            for (offset, length), announced in zip(self.strips.tolist(), self._announced(), strict=True):
+                file.seek(offset)
+                found = length if self.compression == 1 else self._unpacked(file, length, announced)
+                present += found
+                # A library leaves out what is too much, and fills up what is missing.
+                if found > announced or (found < announced and len(self.strips) > 1):
+                    raise InputError(
+                        f"a strip or tile of the TIFF holds {found} bytes of voxels, its tags announce {announced}",
+                        TRUNCATED_HINT,
+                    )
+        if present < self.unpacked_bytes:
             raise InputError(
                 f"the header announces {self.unpacked_bytes} bytes of voxels, the file holds {present}",
                 hint=TRUNCATED_HINT,
             )
+
+    def _announced(self) -> list[int]:
+        """Bytes of each strip when unpacked."""
+        return np.tile(self.strip_bytes, self.shape[0]).tolist()
 
     def check_places(self) -> None:
         """Refuse a TIFF whose strips lie beyond its end, or upon one another.
@@ -150,7 +167,7 @@ class TiffHeader(RasterHeader):
         size = self.data.stat().st_size
         offsets, lengths = self.strips[:, 0], self.strips[:, 1]
         # No sum of the two is taken that 64 bits do not hold.
-        if (wrong := (offsets < 0) | (lengths <= 0) | (offsets > size) | (lengths > size - offsets)).any():
+        if (wrong := (offsets < _FIRST_BYTE) | (lengths <= 0) | (offsets > size) | (lengths > size - offsets)).any():
             offset, length = self.strips[int(wrong.argmax())].tolist()
             raise InputError(
                 f"the header announces {length} bytes of voxels at byte {offset}, the file has {size} bytes",
@@ -159,26 +176,15 @@ class TiffHeader(RasterHeader):
         stored = sum(lengths.tolist())
         budgets.TIFF_STRIPS.check(stored, "the strips of the TIFF overlap", size + _DIRECTORY_BYTES)
 
-    def _run_lengths(self) -> int:
-        """Bytes that the runs of PackBits strips unpack to."""
-        total = 0
-        with self.data.open("rb") as file:
-            for offset, length in self.strips.tolist():
-                file.seek(offset)
-                packed, at = file.read(length), 0
-                while at < length:
-                    run = packed[at]  # up to 127: so many bytes and one follow; from 129: one byte, 257 - run times
-                    total += run + 1 if run < 128 else 257 - run if run > 128 else 0
-                    at += run + 2 if run < 128 else 2 if run > 128 else 1
-        return total
-
-    def _unpacked(self, file: BinaryIO, length: int, before: int) -> int:
-        """Bytes that a deflated strip unpacks to."""
+    def _unpacked(self, file: BinaryIO, length: int, announced: int) -> int:
+        """Bytes that a strip of a file unpacks to, read no further than is needed to refuse it."""
+        if self.compression == _PACKBITS:
+            return run_lengths(file.read(length))
         unpack, present = zlib.decompressobj(), 0
         while length > 0 and not unpack.eof and (piece := file.read(min(length, _CHUNK))):
             length -= len(piece)
             present += inflated_bytes(unpack, piece)
-            check_unpacked(before + present, self.unpacked_bytes)
+            check_unpacked(present, announced)
         return present
 
 
@@ -218,19 +224,25 @@ def header_of(
     width, height, bits = int(page[WIDTH][0]), int(page[HEIGHT][0]), sum(_bits(page))
     compression = int(page.get(COMPRESSION, (1,))[0])
     strips = [strips_of(one) for one in listed]
-    stored, page_bytes = _stored_type(page, form.order), _page_bytes(page, width, height, bits)
-    pixel = 4 if tiled or bits == 1 else bits // 8  # those ITK reads as colours with opacity
+    stored, pixel = _stored_type(page, form.order), 4 if tiled or bits == 1 else bits // 8  # 4: ITK gives colours
     is_plain = stored is not None and len(_bits(page)) == 1 and bits > 1 and compression == 1 and not tiled
-    planes, places = _planes(listed, strips, page_bytes) if is_plain else None, list(pages)
+    page_bytes = height * width * bits // 8
+    planes, places = _planes(strips, page_bytes) if is_plain else None, np.array(list(pages), np.int64)
     if repeats > 1:
         if planes is None:
             raise InputError(f"the TIFF announces {repeats} images and has 1 page", "save a page for each slice")
-        planes, places = planes[0] + np.arange(repeats, dtype=np.int64) * page_bytes, places * repeats
-        strips = [np.array([[at, page_bytes]], np.int64) for at in planes.tolist()]
+        if int(planes[0]) + repeats * page_bytes > form.size:
+            raise InputError(
+                f"the TIFF announces {repeats} images, that is {repeats * page_bytes} bytes of voxels, and has "
+                f"{form.size} bytes", TRUNCATED_HINT,
+            )
+        planes, places = planes[0] + np.arange(repeats, dtype=np.int64) * page_bytes, places.repeat(repeats)
+        strips = [np.stack([planes, np.full(repeats, page_bytes)], axis=1)]
+    ends = np.cumsum([len(some) for some in strips], dtype=np.int64) if repeats == 1 else np.arange(1, repeats + 1)
+    strip_bytes = np.array([page_bytes]) if planes is not None else _strip_bytes(page, width, height, strips)
     return TiffHeader(
-        path, (len(places), height, width), spacing, pixel, len(places) * page_bytes, np.concatenate(strips),
-        compression, tiled, np.array(places, np.int64), stored, False, planes,
-        np.cumsum([len(some) for some in strips], dtype=np.int64), decoder,
+        path, (len(places), height, width), spacing, pixel, strip_bytes, np.concatenate(strips), compression, tiled,
+        places, stored, planes, ends, decoder,
     )
 
 
@@ -239,48 +251,85 @@ def _stored_type(page: Page, order: Literal["<", ">"]) -> np.dtype[Any] | None:
     bits = _bits(page)
     if page.get(PHOTOMETRIC, (1,))[0] not in (0, 1):
         return None
-    return np.dtype(_KINDS[bits[0], page.get(FORMAT, (1,))[0]]).newbyteorder(order)
+    return np.dtype(_KINDS[bits[0], _format(page)]).newbyteorder(order)
 
 
-def _planes(
-    pages: Sequence[Page], strips: Sequence[NDArray[np.int64]], page_bytes: int
-) -> NDArray[np.int64] | None:
+def _planes(strips: Sequence[NDArray[np.int64]], page_bytes: int) -> NDArray[np.int64] | None:
     """Where the pages begin, if the strips of each follow one another; None if not."""
-    for page, some in zip(pages, strips, strict=True):
-        ends = some.sum(axis=1)
-        if page.get(FILL_ORDER, (1,))[0] != 1 or some[:, 1].sum() != page_bytes or (ends[:-1] != some[1:, 0]).any():
+    for some in strips:
+        if some[:, 1].sum() != page_bytes or (some.sum(axis=1)[:-1] != some[1:, 0]).any():
             return None
     return np.array([some[0, 0] for some in strips], np.int64)
 
 
+def _strip_bytes(
+    page: Page, width: int, height: int, strips: Sequence[NDArray[np.int64]]
+) -> NDArray[np.int64]:
+    """Bytes of each strip or tile of a page when it is unpacked; of a tile, with what goes beyond the image.
+
+    Raises
+    ------
+    InputError
+        When a page has more or fewer of them than its size and theirs give.
+    """
+    bits = _bits(page)
+    planes = len(bits) if page.get(PLANAR, (1,))[0] == 2 else 1
+    bits_together = sum(bits) // planes
+    wide, high = (width, _rows(page)) if TILES not in page else (int(page[TILE_WIDTH][0]), int(page[TILE_HEIGHT][0]))
+    if min(wide, high) < 1:
+        raise ValueError
+    down, across = -(-height // high), -(-width // wide)
+    for some in strips:
+        if len(some) != planes * down * across:
+            raise InputError(
+                f"the TIFF has {len(some)} strips or tiles for {width} x {height} pixels, {planes * down * across} "
+                "expected", TRUNCATED_HINT,
+            )
+    found = np.full((planes, down, across), high * ((wide * bits_together + 7) // 8), np.int64)
+    if TILES not in page:
+        found[:, -1] = (height - (down - 1) * high) * ((wide * bits_together + 7) // 8)
+    return found.ravel()
+
+
+def _rows(page: Page) -> int:
+    """Rows of a strip."""
+    return min(int(page.get(ROWS, page[HEIGHT])[0]), int(page[HEIGHT][0]))
+
+
 def _bits(page: Page) -> tuple[int, ...]:
-    samples = int(page.get(SAMPLES, (1,))[0])
-    bits = page.get(BITS, (1,))
-    return tuple(bits) if len(bits) == samples else (int(bits[0]),) * samples
+    """Bits of each value of a pixel."""
+    return of_samples(page, BITS)
+
+
+def _format(page: Page) -> int:
+    """Sample format of all values of a pixel; 0 where they have several."""
+    found = set(of_samples(page, FORMAT))
+    return found.pop() if len(found) == 1 else 0
+
+
+def of_samples(page: Page, tag: int) -> tuple[int, ...]:
+    """Values of a tag that has one for each value of a pixel, or one for all.
+
+    Raises
+    ------
+    InputError
+        When there are other numbers of them.
+    """
+    samples, values = int(page.get(SAMPLES, (1,))[0]), page.get(tag, (1,))
+    if not 0 < samples <= MAX_SAMPLES or len(values) not in (1, samples):
+        raise InputError(
+            f"the TIFF has {samples} values in a pixel, and {len(values)} values of the tag {RULES[tag].name}",
+            TRUNCATED_HINT,
+        )
+    return tuple(values) if len(values) == samples else (int(values[0]),) * samples
 
 
 def _page_kind(page: Page) -> tuple[Any, ...]:
     """What the pages of a stack have in common."""
-    keys = (COMPRESSION, PHOTOMETRIC, ORIENTATION, PLANAR)
+    keys = (COMPRESSION, PHOTOMETRIC, ORIENTATION, PLANAR, PREDICTOR, FILL_ORDER)
     tags = tuple(page.get(key, (1,))[0] for key in keys)
-    tile = page.get(TILE_WIDTH), page.get(TILE_HEIGHT)  # of other lengths than one libtiff dies
-    return page[WIDTH][0], page[HEIGHT][0], _bits(page), page.get(FORMAT, (1,))[0], *tags, *tile
-
-
-def strips_of(page: Page) -> NDArray[np.int64]:
-    """Offset and length of the strips or tiles of a page."""
-    offsets, lengths = (TILES, TILE_BYTES) if TILES in page else (STRIPS, STRIP_BYTES)
-    return np.stack([np.array(page[offsets], np.int64), np.array(page[lengths], np.int64)], axis=1)
-
-
-def _page_bytes(page: Page, width: int, height: int, bits: int) -> int:
-    """Bytes of a page when it is unpacked; of one in tiles, with what goes beyond the image."""
-    if TILES not in page:
-        return height * ((width * bits + 7) // 8)
-    (wide,), (high,) = page[TILE_WIDTH], page[TILE_HEIGHT]
-    if min(wide, high) < 1:
-        raise ValueError
-    return -(-width // wide) * -(-height // high) * high * ((wide * bits + 7) // 8)
+    tile = page.get(TILE_WIDTH), page.get(TILE_HEIGHT), TILES in page
+    return page[WIDTH][0], page[HEIGHT][0], _rows(page), _bits(page), _format(page), page.get(EXTRA), *tags, *tile
 
 
 def samples_of(page: Page) -> int:
@@ -296,8 +345,8 @@ def _decoder(page: Page) -> Decoder:
     InputError
         For what neither gives as one number for each pixel.
     """
-    bits, form, colour = _bits(page), page.get(FORMAT, (1,))[0], page.get(PHOTOMETRIC, (1,))[0]
-    tiled, compression = TILES in page, page.get(COMPRESSION, (1,))[0]
+    bits, form, colour = _bits(page), _format(page), page.get(PHOTOMETRIC, (1,))[0]
+    tiled, compression, predictor = TILES in page, page.get(COMPRESSION, (1,))[0], page.get(PREDICTOR, (1,))[0]
     grey = colour in (0, 1)
     wrong = ""
     if not (page[WIDTH][0] and page[HEIGHT][0]):
@@ -314,6 +363,16 @@ def _decoder(page: Page) -> Decoder:
         wrong = "values that grow towards black"
     elif page.get(ORIENTATION, (1,))[0] != 1:
         wrong = "rows and columns turned by its orientation tag"
+    elif page.get(FILL_ORDER, (1,))[0] != 1:
+        wrong = "the bits of each byte in the other order"
+    elif predictor not in (1, 2, 3) or predictor > 1 and (
+        compression in _NO_PREDICTOR or (predictor == 3 and form != 3)
+    ):
+        wrong = f"differences (predictor number {predictor}) of {bits[0]}-bit values, packed by number {compression},"
+    elif page.get(PLANAR, (1,))[0] not in (1, 2):
+        wrong = f"planes of kind {page[PLANAR][0]}"
+    elif EXTRA in page and (len(page[EXTRA]) != len(bits) - (1 if grey else 3) or max(page[EXTRA]) > 2):
+        wrong = f"{len(bits)} values in a pixel, {len(page[EXTRA])} of them beside grey or colour,"
     elif page.get(PLANAR, (1,))[0] != 1 and not grey:
         wrong = "colour channels one after the other"
     elif tiled and max(page[TILE_WIDTH][0], page[TILE_HEIGHT][0]) > _MAX_TILE_EDGE:

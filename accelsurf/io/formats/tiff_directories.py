@@ -6,6 +6,9 @@ import os
 import struct
 from typing import Any, BinaryIO, Literal, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from accelsurf.errors import InputError
 from accelsurf.io.formats.raster import TRUNCATED_HINT
 from accelsurf.settings import budgets
@@ -13,14 +16,46 @@ from accelsurf.settings import budgets
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = 254, 256, 257, 258, 259, 262, 270
 STRIPS, ORIENTATION, SAMPLES, ROWS, STRIP_BYTES, X_RES, Y_RES, PLANAR = 273, 274, 277, 278, 279, 282, 283, 284
 RES_UNIT, TILE_WIDTH, TILE_HEIGHT, TILES, TILE_BYTES, FORMAT = 296, 322, 323, 324, 325, 339
-FILL_ORDER, PREDICTOR, SUB_PAGES = 266, 317, 330
+FILL_ORDER, PREDICTOR, SUB_PAGES, EXTRA = 266, 317, 330, 338
+_TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 7: "s", 13: "I", 16: "Q", 18: "Q"}
+#: Types of values: whole numbers, of any length, as TIFF 6.0 asks of readers; offsets; texts; fractions.
+_WHOLE, _OFFSET, _TEXT, _FRACTION = (1, 3, 4, 16), (3, 4, 13, 16, 18), (1, 2, 7), (5,)
+_OF_BIG_TIFF = (16, 18)
+MAX_SAMPLES, ANY = (1 << 16) - 1, 1 << 62
+
+
+class TagRule(NamedTuple):
+    """What a tag that is read may be: libraries ignore one that they do not understand, and give other voxels then.
+
+    Attributes
+    ----------
+    name : str
+        Of the tag.
+    types : tuple of int
+        Of its values, by their numbers in TIFF.
+    most : int
+        The largest number of values.
+    """
+
+    name: str
+    types: tuple[int, ...] = _WHOLE
+    most: int = 1
+
+
 #: The tags that are read.
-USED = frozenset((
-    *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION, STRIPS, ORIENTATION, SAMPLES),
-    *(ROWS, STRIP_BYTES, X_RES, Y_RES, PLANAR, RES_UNIT, TILE_WIDTH, TILE_HEIGHT, TILES, TILE_BYTES, FORMAT),
-    *(FILL_ORDER, PREDICTOR, SUB_PAGES),
-))
-_TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 13: "I", 16: "Q", 18: "Q"}
+RULES = {
+    SUBFILE: TagRule("NewSubfileType"), WIDTH: TagRule("ImageWidth"), HEIGHT: TagRule("ImageLength"),
+    BITS: TagRule("BitsPerSample", most=MAX_SAMPLES), COMPRESSION: TagRule("Compression"),
+    PHOTOMETRIC: TagRule("PhotometricInterpretation"), FILL_ORDER: TagRule("FillOrder"),
+    DESCRIPTION: TagRule("ImageDescription", _TEXT, ANY), STRIPS: TagRule("StripOffsets", _OFFSET, ANY),
+    ORIENTATION: TagRule("Orientation"), SAMPLES: TagRule("SamplesPerPixel"), ROWS: TagRule("RowsPerStrip"),
+    STRIP_BYTES: TagRule("StripByteCounts", _WHOLE, ANY), X_RES: TagRule("XResolution", _FRACTION),
+    Y_RES: TagRule("YResolution", _FRACTION), PLANAR: TagRule("PlanarConfiguration"),
+    RES_UNIT: TagRule("ResolutionUnit"), PREDICTOR: TagRule("Predictor"), TILE_WIDTH: TagRule("TileWidth"),
+    TILE_HEIGHT: TagRule("TileLength"), TILES: TagRule("TileOffsets", _OFFSET, ANY),
+    TILE_BYTES: TagRule("TileByteCounts", _WHOLE, ANY), SUB_PAGES: TagRule("SubIFDs", _OFFSET, 32),
+    EXTRA: TagRule("ExtraSamples", most=MAX_SAMPLES), FORMAT: TagRule("SampleFormat", most=MAX_SAMPLES),
+}
 _MAX_ENTRIES = 4096
 
 Page = dict[int, tuple[Any, ...]]
@@ -49,6 +84,27 @@ class TiffForm(NamedTuple):
     entry_bytes: int
     first: int
     size: int
+
+
+class Directory(NamedTuple):
+    """A directory.
+
+    Attributes
+    ----------
+    page : Page
+        The values by tag.
+    following : int
+        Where the next directory begins; 0 where there is none.
+    spent : int
+        Bytes of the values of this one and of those before.
+    length : int
+        Bytes of the directory itself.
+    """
+
+    page: Page
+    following: int
+    spent: int
+    length: int
 
 
 def read_form(file: BinaryIO) -> TiffForm:
@@ -81,17 +137,23 @@ def read_pages(file: BinaryIO) -> tuple[TiffForm, dict[int, Page]]:
         When it is no TIFF or its pages run in a circle; ValueError or struct.error when it is damaged.
     """
     form = read_form(file)
-    at, spent = form.first, 0
+    at, spent, length = form.first, 0, 0
     pages: dict[int, Page] = {}
     while at:
         if at in pages:
             raise InputError("the pages of the TIFF run in a circle", hint=TRUNCATED_HINT)
-        pages[at], following, spent = read_directory(file, form, at, spent)
-        at = following
+        found = read_directory(file, form, at, spent)
+        # Directories may not lie upon one another: there could be one for nearly each byte of the file.
+        spent, length = found.spent, length + found.length
+        budgets.TIFF_TAGS.check(length, "the directories of the TIFF lie upon one another", form.size)
+        if WIDTH not in found.page or HEIGHT not in found.page:
+            raise ValueError
+        pages[at] = found.page
+        at = found.following
     return form, pages
 
 
-def read_directory(file: BinaryIO, form: TiffForm, at: int, spent: int = 0) -> tuple[Page, int, int]:
+def read_directory(file: BinaryIO, form: TiffForm, at: int, spent: int = 0) -> Directory:
     """Read one directory.
 
     Parameters
@@ -104,15 +166,11 @@ def read_directory(file: BinaryIO, form: TiffForm, at: int, spent: int = 0) -> t
     spent : int
         Bytes of the values of directories before: pages may name the same bytes again and again.
 
-    Returns
-    -------
-    dict, int, int
-        The values by tag, where the next directory begins (0: there is none), and the bytes with those of this one.
-
     Raises
     ------
     InputError
-        When the values take more bytes than the file has; ValueError or struct.error when it is damaged.
+        When a tag is not as it has to be, or the values take more bytes than the file has; ValueError or struct.error
+        when it is damaged.
     """
     order, word, entry = form.order, form.word, form.entry_bytes
     file.seek(at)
@@ -121,29 +179,73 @@ def read_directory(file: BinaryIO, form: TiffForm, at: int, spent: int = 0) -> t
         raise ValueError
     raw = file.read(count * entry)
     (following,) = struct.unpack(order + word, file.read(struct.calcsize(word)))
+    length = file.tell() - at
     page: Page = {}
     for place in range(0, count * entry, entry):
         tag, kind, n = struct.unpack_from(order + "HH" + word, raw, place)
-        if tag not in USED:
+        if (rule := RULES.get(tag)) is None:
             continue
         if tag in page:  # libraries do not agree which of the two counts
             raise ValueError
-        spent += n * struct.calcsize("=" + _TYPES.get(kind, "B"))
-        budgets.TIFF_TAGS.check(spent, "the entries of the TIFF", form.size + (1 << 16))
         field = raw[place + 4 + struct.calcsize(word) : place + entry]
-        page[tag] = _values(file, order, kind, n, field)
-    return page, following, spent
+        _check(rule, kind, n, field)
+        spent += n * struct.calcsize("=" + _TYPES[kind])
+        budgets.TIFF_TAGS.check(spent, "the entries of the TIFF", form.size + (1 << 16))
+        page[tag] = _values(file, order, tag, kind, n, field)
+    return Directory(page, following, spent, length)
 
 
-def _values(file: BinaryIO, order: str, kind: int, count: int, field: bytes) -> tuple[Any, ...]:
-    """The values of an entry, in the entry itself or where it points."""
-    code = _TYPES.get(kind)
-    if code is None:
-        return ()  # of a type that no tag used here has
+def _check(rule: TagRule, kind: int, count: int, field: bytes) -> None:
+    """Refuse an entry whose type or number of values are not those of its tag, or not those that were written.
+
+    Raises
+    ------
+    InputError
+        With both.
+    """
+    is_known = kind in rule.types and 0 < count <= rule.most and (kind not in _OF_BIG_TIFF or len(field) == 8)
+    size = struct.calcsize("=" + _TYPES[kind]) * count if is_known else 0
+    # What an entry does not fill is zero: other bytes are of a longer value.
+    if not is_known or (size < len(field) and rule.types != _TEXT and any(field[size:])):
+        most = f"at most {rule.most} " if rule.most < ANY else ""
+        raise InputError(
+            f"the tag {rule.name} of the TIFF is damaged: {count} values of type {kind}, {most}of type "
+            f"{' or '.join(map(str, rule.types))} expected", TRUNCATED_HINT
+        )
+
+
+def _values(file: BinaryIO, order: str, tag: int, kind: int, count: int, field: bytes) -> tuple[Any, ...]:
+    """The values of an entry, in the entry itself or where it points; of a text also whether its end mark is there."""
+    code = "s" if RULES[tag].types == _TEXT else _TYPES[kind]
     size = struct.calcsize(order + code) * count
     if size > len(field):
         file.seek(struct.unpack(order + ("Q" if len(field) == 8 else "I"), field)[0])
         field = file.read(size)
     if code == "s":
-        return (field[:count].split(b"\0")[0].decode("utf-8", "replace"),)
-    return struct.unpack(order + code * count, field[:size])
+        text, mark, _ = field[:count].partition(b"\0")
+        return _decoded(text), bool(mark)
+    return struct.unpack(f"{order}{count * len(code)}{code[0]}", field[:size])
+
+
+def _decoded(text: bytes) -> str:
+    """A text in UTF-8; one that is none is in Latin-1, as ImageJ writes it: its micro sign is one byte."""
+    try:
+        return text.decode()
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
+
+
+def strips_of(page: Page) -> NDArray[np.int64]:
+    """Offset and length of the strips or tiles of a page.
+
+    Raises
+    ------
+    InputError
+        When they lie upon one another.
+    """
+    offsets, lengths = (TILES, TILE_BYTES) if TILES in page else (STRIPS, STRIP_BYTES)
+    strips = np.stack([np.array(page[offsets], np.int64), np.array(page[lengths], np.int64)], axis=1)
+    ordered = strips[np.argsort(strips[:, 0], kind="stable")]
+    if (ordered[1:, 0] - ordered[:-1, 0] < ordered[:-1, 1]).any():
+        raise InputError("strips or tiles of a page of the TIFF lie upon one another", TRUNCATED_HINT)
+    return strips

@@ -20,7 +20,6 @@ from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import headers, selection
-from accelsurf.io.formats import raster
 from accelsurf.io.formats.raster import TRUNCATED_HINT
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
 from accelsurf.io.formats.tiff import TiffHeader, header_of, samples_of
@@ -37,6 +36,7 @@ from accelsurf.io.formats.tiff_directories import (
 from accelsurf.io.formats.tiff_pages import TiffPages, library
 from accelsurf.io.formats.tiff_stack import TiffStack, stack_of
 from accelsurf.io.frame_times import FrameTimes
+from accelsurf.io.grey import to_grey
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout, VoxelSource
 from accelsurf.io.levels import checked_level
 from accelsurf.io.memory import check_memory
@@ -66,8 +66,6 @@ class TiffImage:
         Of the levels, finest first.
     level : int
         Which of them is read.
-    is_whole : bool
-        Whether it is a plain stack of all pages of the file, which ITK reads at once.
     metadata : dict of str to str
         As in `Volume`.
     options : ReadOptions
@@ -80,7 +78,6 @@ class TiffImage:
     samples: int
     grids: tuple[Geometry, ...]
     level: int
-    is_whole: bool
     metadata: dict[str, str]
     options: ReadOptions
 
@@ -124,9 +121,7 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
     try:
         with path.open("rb") as file:
             form, all_pages = read_pages(file)
-            pages = {at: page for at, page in all_pages.items() if not page.get(SUBFILE, (0,))[0] & 1}  # no thumbnails
-            if not pages:
-                raise InputError("the TIFF holds no page", hint=TRUNCATED_HINT)
+            pages = _without_thumbnails(all_pages)
             first = next(iter(pages.values()))
             samples = samples_of(first)
             stack = stack_of(first, len(pages), samples)
@@ -140,12 +135,28 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
         raise InputError("the TIFF header is cut short or damaged", hint=TRUNCATED_HINT) from None
     if any(part.decoder == "tifffile" for part in parts):
         library()  # one that is missing is said before anything is read
-    is_whole = (
-        len(parts) == samples == stack.time_points == stack.channels == 1 and parts[0].decoder == "ITK" and not level
-        and parts[0].shape[0] == len(all_pages) == stack.pages.size
-        and bool((stack.pages.ravel() == np.arange(stack.pages.size)).all())
-    )
-    return TiffImage(path, stack, parts, samples, grids, level, is_whole, metadata, options)
+    return TiffImage(path, stack, parts, samples, grids, level, metadata, options)
+
+
+def _without_thumbnails(all_pages: dict[int, Page]) -> dict[int, Page]:
+    """The pages that are not smaller versions of others.
+
+    Raises
+    ------
+    InputError
+        When there is none, or one is called smaller and is not.
+    """
+    pages = {at: page for at, page in all_pages.items() if not page.get(SUBFILE, (0,))[0] & 1}
+    if not pages:
+        raise InputError("the TIFF holds no page", hint=TRUNCATED_HINT)
+    first = next(iter(pages.values()))
+    full = first[HEIGHT][0] * first[WIDTH][0]
+    for number, (at, page) in enumerate(all_pages.items(), 1):
+        if at not in pages and page[HEIGHT][0] * page[WIDTH][0] >= full:
+            raise InputError(
+                f"page {number} of the TIFF is called a smaller version of another, and is none", TRUNCATED_HINT
+            )
+    return pages
 
 
 def _spacing(stack: TiffStack, options: ReadOptions) -> tuple[Spacing, dict[str, str]]:
@@ -160,11 +171,14 @@ def _spacing(stack: TiffStack, options: ReadOptions) -> tuple[Spacing, dict[str,
             notes.append(f"the voxels are {x:.6g} x {y:.6g} x {z:.6g} mm, as given; the file says {found} mm")
         spacing = (z, y, x)
     else:
-        spacing = stack.spacing
+        spacing, reason = stack.spacing, f" ({stack.reason})" if stack.reason else ""
         if is_stack and not stack.unit:
-            notes.append("the TIFF does not say how large a voxel is: 1 mm is taken; give --spacing")
+            notes.append(f"the TIFF does not say how large a voxel is{reason}: 1 mm is taken; give --spacing")
         elif is_stack and not stack.is_depth_known:
-            notes.append("the TIFF does not say how far apart its slices are: 1 mm is taken; give --spacing")
+            notes.append(f"the TIFF does not say how far apart its slices are{reason}: 1 mm is taken; give --spacing")
+        elif reason:
+            text = " x ".join(f"{h:.6g}" for h in spacing[::-1])
+            notes.append(f"the TIFF says the size of a voxel in an odd way{reason}: {text} mm are taken")
     metadata = with_warnings({}, *notes)
     if stack.unit in ("nm", "um"):
         metadata[UNIT_KEY] = stack.unit
@@ -333,14 +347,13 @@ def read_channels(path: Path, header: TiffImage, available: int) -> list[Volume]
 
 
 def _read(path: Path, image: TiffImage, place: tuple[int, int], available: int, count: int) -> Volume:
-    """A channel at a time point, whole; a plain stack by ITK at once.
-
-    ITK returns uninitialized memory for a stack with thumbnails among its pages: such a one is read page by page.
-    """
-    part = image.parts[0]
-    if image.is_whole:
-        found = raster.read(path, part, available)
-        return Volume(found.array, found.geometry, with_warnings(image.metadata, *found.metadata.values()), path)
-    check_memory(image.grids[image.level].size, part.pixel_bytes * count, available)
+    """A channel at a time point, whole."""
+    part, grid = image.parts[0], image.geometry
+    check_memory(grid.shape[::-1], part.pixel_bytes * count, available)
+    if part.stored is None and len(image.parts) == 1:
+        t, c = place
+        pages = TiffPages(part.of_pages(image.stack.pages[t, c].tolist()), 0)
+        array, note = to_grey(pages.read(whole_box(grid.shape)))
+        return Volume(array, grid, with_warnings(image.metadata, note), path)
     lazy = _opened(path, image, *place, 0)
     return Volume(lazy.voxels.read(whole_box(lazy.shape)), lazy.geometry, lazy.metadata, path)

@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
+from accelsurf.io.formats.lengths import length, mm_of, number, unit_name
 from accelsurf.io.formats.raster import TRUNCATED_HINT
 from accelsurf.io.formats.tiff_directories import DESCRIPTION, RES_UNIT, X_RES, Y_RES, Page
 from accelsurf.io.frame_times import TIMES_KEY, FrameTimes
 from accelsurf.settings import budgets
 
-_MM = {
-    **dict.fromkeys(("micron", "microns", "micrometer", "um", "\u00b5m", "\u03bcm", "\\u00b5m"), 1e-3),
-    **{"pm": 1e-9, "\u00c5": 1e-7, "nm": 1e-6, "nanometer": 1e-6, "mm": 1.0, "millimeter": 1.0},
-    **{"cm": 10.0, "dm": 100.0, "m": 1000.0},
-}
 #: Seconds of a unit of time in OME.
 _SECONDS = {"ms": 1e-3, "\u00b5s": 1e-6, "\u03bcs": 1e-6, "ns": 1e-9, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_SECONDS |= {"sec": 1.0, "msec": 1e-3}  # in ImageJ
+_CM = 3  # as unit of the resolution
+#: How texts begin that say what the pages are.
+_MARKS = ("ImageJ=", "<?xml", "<OME", '{"shape": [')
 _ONE_MM = (1.0, 1.0, 1.0)
 
 
@@ -55,6 +55,8 @@ class TiffStack:
         Whether the numbers of pages count thumbnails, too.
     times : FrameTimes or None
         Where each time point has its own.
+    reason : str
+        What the file says of lengths that are not known, or in another way than is right; empty where all is said.
     """
 
     pages: NDArray[np.int64]
@@ -66,6 +68,7 @@ class TiffStack:
     file_numbers: NDArray[np.int64] | None = None
     counts_all: bool = False
     times: FrameTimes | None = None
+    reason: str = ""
 
     @property
     def frame_times(self) -> FrameTimes | None:
@@ -101,14 +104,17 @@ def stack_of(page: Page, pages: int, samples: int) -> TiffStack:
     InputError
         When it says other than what is there; ValueError and others of damaged numbers.
     """
-    text = str(page.get(DESCRIPTION, ("",))[0])
+    text, is_ended = page.get(DESCRIPTION, ("", True))
+    if not is_ended and any(text.startswith(mark) or mark.startswith(text) for mark in _MARKS):
+        raise InputError("the description of the TIFF, which says what its pages are, has no end mark", TRUNCATED_HINT)
     if "<OME" in text[:4096] or "OME>" in text[-16:]:
         return _ome_stack(text, pages, samples)
     if text.startswith("ImageJ="):
         return _imagej_stack(text, page, pages)
     sizes = _tifffile_axes(text, pages, samples)
-    spacing, known = _resolution(page, 10.0 if page.get(RES_UNIT, (2,))[0] == 3 else 0.0, None)
-    return TiffStack(_table(sizes), spacing, "mm" if known else "", False)
+    y, x = _resolution(page)
+    mm = 10.0 if page.get(RES_UNIT, (2,))[0] == _CM else 0.0  # inches are of a screen or a printer, not of the object
+    return TiffStack(_table(sizes), *_said((0.0, y * mm, x * mm), "mm"))
 
 
 def _table(sizes: Sequence[tuple[str, int]]) -> NDArray[np.int64]:
@@ -143,21 +149,25 @@ def _tifffile_axes(text: str, pages: int, samples: int) -> list[tuple[str, int]]
     return sizes
 
 
-def _resolution(page: Page, unit: float, depth: float | None) -> tuple[tuple[float, float, float], bool]:
-    """Spacing in mm where it is given in a unit of length, mm, else 1; and whether it is.
+def _resolution(page: Page) -> tuple[float, float]:
+    """Size of a pixel (y, x) in the unit of the resolution; 0 where it is not said."""
+    (yn, yd), (xn, xd) = page.get(Y_RES, (0, 0)), page.get(X_RES, (0, 0))
+    return yd / yn if yn else 0.0, xd / xn if xn else 0.0
 
-    Inches are dots per inch, of a screen or a printer: they say nothing about the object.
+
+def _said(sizes: tuple[float, float, float], unit: str) -> tuple[tuple[float, float, float], str, bool]:
+    """Spacing (z, y, x) in mm, its unit, and whether the distance of the slices is said, of lengths that may be 0.
+
+    Where the size of a pixel is not known, a distance of the slices alone is of no use.
     """
-    (xn, xd), (yn, yd) = page.get(X_RES, (0, 0))[:2], page.get(Y_RES, (0, 0))[:2]
-    if not unit or not all((xn, xd, yn, yd)):
-        return _ONE_MM, False
-    z = 1.0 if depth is None else depth * unit
-    return (z if math.isfinite(z) and z > 0 else 1.0, unit * yd / yn, unit * xd / xn), True
+    z, y, x = sizes
+    return ((z or 1.0, y, x), unit, z > 0) if x and y else (_ONE_MM, "", False)
 
 
 def _imagej_stack(text: str, page: Page, pages: int) -> TiffStack:
     """By the lines that ImageJ writes; the channel runs fastest, then the slice."""
-    fields = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
+    pairs = (line.split("=", 1) for line in text.splitlines() if "=" in line)
+    fields = {key.strip(): value.strip() for key, value in pairs}
     images = int(fields.get("images", pages))
     # A stack beyond 4 GiB has one directory, and the other pages follow as they are.
     count = images if pages == 1 and images > 1 else pages
@@ -174,26 +184,33 @@ def _imagej_stack(text: str, page: Page, pages: int) -> TiffStack:
             hint="save the stack again with ImageJ",
         )
     budgets.TIFF_PLANES.check(count)
-    unit = fields.get("unit", "").lower()
-    mm = _MM.get(unit, 10.0 if page.get(RES_UNIT, (2,))[0] == 3 else 0.0)
-    depth = float(fields["spacing"]) if "spacing" in fields else None
-    spacing, known = _resolution(page, mm, depth)
-    seconds = float(fields.get("finterval", 0))
+    seconds = number(fields.get("finterval", "0"), "finterval") * _SECONDS.get(fields.get("tunit", "s"), 0.0)
+    spacing, unit, is_depth_known, reason = _imagej_spacing(fields, page)
     return TiffStack(
-        _table([("T", frames), ("Z", slices), ("C", channels)]), spacing, unit_name(mm) if known else "",
-        known and depth is not None, seconds if math.isfinite(seconds) and seconds > 0 else None,
+        _table([("T", frames), ("Z", slices), ("C", channels)]), spacing, unit, is_depth_known,
+        seconds if math.isfinite(seconds) and seconds > 0 else None, reason=reason,
     )
 
 
-def unit_name(mm: float) -> str:
-    """The unit in which lengths are shown, by the millimetres of the unit of a file.
+def _imagej_spacing(fields: dict[str, str], page: Page) -> tuple[tuple[float, float, float], str, bool, str]:
+    """Spacing (z, y, x) in mm, its unit, whether the distance of the slices is said, and what is said in vain.
 
-    Examples
-    --------
-    >>> unit_name(1e-3), unit_name(10.0), unit_name(1e-7)
-    ('um', 'mm', 'nm')
+    As in ImageJ, y and z have the unit of x where they have none, and a negative distance is that of slices in the
+    other order. Micro-Manager gives the unit um and pixels per cm.
     """
-    return "nm" if mm < 1e-4 else "um" if mm < 0.1 else "mm"
+    is_cm, unit = page.get(RES_UNIT, (2,))[0] == _CM, fields.get("unit", "")
+    units = [mm_of(fields.get(key) or unit) for key in ("zunit", "yunit", "unit")]
+    y, x = _resolution(page)
+    if is_cm and unit == "um":
+        y, x = 1e4 * y, 1e4 * x
+    if is_cm and not unit:
+        units = [units[0], 10.0, 10.0]
+    sizes = (number(fields.get("spacing", "0"), "spacing"), y, x)
+    z, y, x = (length(size, mm) for size, mm in zip(sizes, units, strict=True))
+    vain = [key for key in ("unit", "yunit", "zunit") if fields.get(key) and not mm_of(fields[key])]
+    vain += ["spacing"] if "spacing" in fields and not length(sizes[0], 1.0) else []
+    reason = ", ".join(f"{key}={fields[key][:40]}" for key in vain)
+    return *_said((z, y, x), unit_name(units[2])), reason
 
 
 class _OmeReader:
@@ -282,11 +299,11 @@ def _ome_stack(text: str, pages: int, samples: int) -> TiffStack:
     if min(times, channels, slices) < 1:
         raise ValueError
     budgets.TIFF_PLANES.check(times * channels * slices)
-    names, order = ["", ], fields.get("DimensionOrder", "XYZCT")[2:]
+    names, order = {"": 0}, fields.get("DimensionOrder", "XYZCT")[2:]
     if sorted(order) != ["C", "T", "Z"]:
         raise ValueError
     table = np.full((2, times, channels, slices), -1, np.int64)  # file, page
-    _assign(said, table, order, names, pages)
+    _assign(said, table, order, names)
     if (table[1] < 0).any():
         t, c, z = (int(n) for n in np.argwhere(table[1] < 0)[0])
         raise InputError(
@@ -296,27 +313,23 @@ def _ome_stack(text: str, pages: int, samples: int) -> TiffStack:
         raise InputError(
             f"the OME-TIFF announces page {int(table[1].max()) + 1}, and has {pages}", "export it again, as a whole"
         )
-    spacing, unit, known = _ome_spacing(fields)
-    seconds = float(fields.get("TimeIncrement", 0)) * _SECONDS.get(fields.get("TimeIncrementUnit", "s"), 0.0)
+    spacing, unit, known, reason = _ome_spacing(fields)
+    second = _SECONDS.get(fields.get("TimeIncrementUnit", "s"), 0.0)
+    seconds = number(fields.get("TimeIncrement", "0"), "TimeIncrement") * second
     return TiffStack(
         table[1], spacing, unit, known, seconds if math.isfinite(seconds) and seconds > 0 else None, tuple(names),
-        table[0], True, said.times(times),
+        table[0], True, said.times(times), reason,
     )
 
 
-def _assign(said: _OmeReader, table: NDArray[np.int64], order: str, names: list[str], pages: int) -> None:
-    """Fill the table (file and page by t, c, z) by the TiffData elements, and list their files."""
+def _assign(said: _OmeReader, table: NDArray[np.int64], order: str, names: dict[str, int]) -> None:
+    """Fill the table (file and page by t, c, z) by the TiffData elements, and number their files."""
     sizes = dict(zip("TCZ", table.shape[1:], strict=True))
     steps = {order[0]: 1, order[1]: sizes[order[0]], order[2]: sizes[order[0]] * sizes[order[1]]}
     planes = math.prod(sizes.values())
     flat = np.full((2, planes), -1, np.int64)  # in the order of the file
     for attributes, (name, uuid) in said.data or [({}, ["", ""])]:
-        if name and not (uuid and uuid == said.own):
-            if name not in names:
-                names.append(name)
-            file = names.index(name)
-        else:
-            file = 0
+        file = names.setdefault(name, len(names)) if name and not (uuid and uuid == said.own) else 0
         first = sum(int(attributes.get(f"First{axis}", 0)) * steps[axis] for axis in "TCZ")
         page = int(attributes.get("IFD", 0))
         count = int(attributes.get("PlaneCount", 1 if "IFD" in attributes else planes - first))
@@ -329,10 +342,12 @@ def _assign(said: _OmeReader, table: NDArray[np.int64], order: str, names: list[
     table[:] = flat.reshape(2, *shape).transpose(0, *(axis + 1 for axis in axes))
 
 
-def _ome_spacing(fields: dict[str, str]) -> tuple[tuple[float, float, float], str, bool]:
-    """Spacing (z, y, x) in mm, its unit, and whether the distance of the slices is said."""
-    units = [_MM.get(fields.get(f"PhysicalSize{a}Unit", "um").lower(), 0.0) for a in "ZYX"]
-    z, y, x = (float(fields.get(f"PhysicalSize{a}", 0)) * mm for a, mm in zip("ZYX", units, strict=True))
-    if not (min(x, y) > 0 and z >= 0 and all(map(math.isfinite, (x, y, z)))):
-        return _ONE_MM, "", False
-    return (z or 1.0, y, x), unit_name(units[2]), z > 0
+def _ome_spacing(fields: dict[str, str]) -> tuple[tuple[float, float, float], str, bool, str]:
+    """Spacing (z, y, x) in mm, its unit, whether the distance of the slices is said, and what is said wrongly."""
+    keys = [f"PhysicalSize{axis}" for axis in "ZYX"]
+    units = [mm_of(fields.get(f"{key}Unit", "um")) for key in keys]
+    values = [number(fields.get(key, "0"), key) for key in keys]
+    z, y, x = (length(value, mm) for value, mm in zip(values, units, strict=True))
+    wrong = [f"{key}={fields[key][:40]}" for key, n in zip(keys, values, strict=True) if key in fields and not n > 0]
+    wrong += [f"{key}Unit={fields[f'{key}Unit'][:40]}" for key, mm in zip(keys, units, strict=True) if not mm]
+    return *_said((z, y, x), unit_name(units[2])), ", ".join(wrong)
