@@ -102,6 +102,23 @@ NPZ = Budget(
     "an array of an .npz, unpacked", 1032, "bytes", "the file is damaged: save it again", "packed byte (and 1024)"
 )
 SLICES = Budget("the files of a folder of slices", 1 << 16, "files", "make one stack of them, as OME-Zarr")
+DICOM_FRAMES = Budget("the frames of a DICOM file", 1 << 16, "frames", "is its header damaged?")
+DICOM_DEFLATED = Budget(
+    "a deflated DICOM file, unpacked", 100, "bytes", "store it without the deflated transfer syntax",
+    "packed byte (and 1048576)",
+)
+DICOM_PACKED = Budget(
+    "a packed frame of a DICOM file", 4096, "bytes", "the header is damaged: copy or export it again",
+    "packed byte (and 4096)",
+)
+DICOM_ARCHIVE_FILES = Budget("files in an archive of DICOM", 1 << 16, "files", "unpack it, and give the folder")
+DICOM_ARCHIVE_BYTES = Budget(
+    "an archive of DICOM, unpacked", 1 << 35, "bytes", "unpack it, and give the folder of the scan"
+)
+DICOM_ARCHIVE = Budget(
+    "an archive of DICOM, unpacked", 100, "bytes", "unpack it, and give the folder of the scan",
+    "packed byte (and 1048576)",
+)
 ZARR_CHUNK = Budget("a chunk of a Zarr, unpacked", 1 << 30, "bytes", "store it in smaller chunks")
 MESH_FILE = Budget(
     "a mesh in memory while it is read", 1, "bytes", "simplify the mesh first", "byte of free memory"
@@ -136,6 +153,7 @@ STATE_UNPACKED = Budget(
 #: All of them, in the order of the reference page.
 BUDGETS = (
     CONFIG, EXPRESSION, PATH, PATH_VOXELS, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW,
-    PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, ZARR_CHUNK, MESH_FILE, MESH_UNPACKED, MESH_ROWS,
+    PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, DICOM_FRAMES, DICOM_DEFLATED, DICOM_PACKED,
+    DICOM_ARCHIVE_FILES, DICOM_ARCHIVE_BYTES, DICOM_ARCHIVE, ZARR_CHUNK, MESH_FILE, MESH_UNPACKED, MESH_ROWS,
     OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED, UPLOAD,
 )

@@ -14,6 +14,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io.dicom import pixels
 from accelsurf.io.dicom.cine import TIME_PHASES
 from accelsurf.io.dicom.frames import frames_of
+from accelsurf.io.dicom.kinds import HINTS
 from accelsurf.io.dicom.library import library
 from accelsurf.io.dicom.resampling import RegularGrid, regular_grid, resampled
 from accelsurf.io.dicom.slices import Slices, ordered
@@ -25,6 +26,7 @@ from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 #: Series that a message lists.
 _LISTED = 6
+_SERIES_HINT = "give the folder of a CT, MR or PET series"
 
 __all__ = ["DicomHeader", "holds_dicom", "is_anatomical", "is_dicom", "listing", "parse", "read"]
 
@@ -36,7 +38,6 @@ class DicomHeader:
     Attributes
     ----------
     files : SourceFiles
-        Unpacked files live as long as it does.
     slices : Slices
         In their order.
     grid : RegularGrid or None
@@ -71,15 +72,43 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader:
     GeometryError
         When the slices lie on no grid and are not to be put on one.
     """
+    files, contents, file = found_in(path)
+    volume = volume_of(contents, options, file)
+    refuse_lost(contents, volume.uid, options)
+    slices = ordered(volume, files.root, options.spacing)
+    return on_grid(files, slices, options, left_out(contents, volume.uid, file))
+
+
+def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
+    """The files of a path, what is in them, and the file itself where one was given that is no archive.
+
+    Raises
+    ------
+    InputError
+        When there is no DICOM, or the file that was given is damaged.
+    """
     library()
     files = files_of(path, available_memory())
-    alone = path.is_file() and not files.unpacked
-    if alone and has_several(path):
+    file = path if path.is_file() and not files.is_archive else None
+    if file is not None and len(frames_of(file)) > 1:
         files = SourceFiles(files.root, (path,))
-    contents = contents_of(files)
-    volume = volume_of(contents, options, path if alone else None)
-    slices = ordered(volume, files.root, options.spacing)
-    return on_grid(files, slices, options, [] if alone else skipped(contents))
+    return files, contents_of(files), file
+
+
+def refuse_lost(contents: Contents, series: str, options: ReadOptions) -> None:
+    """Refuse a series of which a file cannot be read: at an end no gap tells of it.
+
+    Raises
+    ------
+    InputError
+        With the names of the files; not where slices are put on a grid, as gaps are filled then.
+    """
+    lost = contents.lost_from(series)
+    if lost and not options.resample:
+        raise InputError(
+            f"a slice of the series is lost: {counted(lost)}",
+            "copy it again; to go on without it, take it out of the folder or add --resample",
+        )
 
 
 def on_grid(files: SourceFiles, slices: Slices, options: ReadOptions, notes: list[str]) -> DicomHeader:
@@ -100,29 +129,19 @@ def on_grid(files: SourceFiles, slices: Slices, options: ReadOptions, notes: lis
     return header
 
 
-def has_several(path: Path) -> bool:
-    """Whether a file has several slices."""
-    return len(frames_of(path)) > 1
-
-
 def volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> DicomVolume:
     """The volume that is meant."""
     volumes = contents.volumes
     if not volumes:
-        others = counted(contents.skipped)
-        damaged = f"{len(contents.damaged)} damaged, as {contents.damaged[0]}" if contents.damaged else ""
+        kinds_found = {left.kind for left in contents.left_out}
         raise InputError(
-            f"no image of a volume is in it, but {', '.join(part for part in (others, damaged) if part)}",
-            "give the folder of a CT, MR or PET series",
+            f"no image of a volume is in it, but {counted(contents.left_out) or 'nothing'}",
+            next((hint for kind, hint in HINTS.items() if kind in kinds_found), _SERIES_HINT),
         )
     if options.series is not None:
         return _by_name(volumes, options.series)
     if file is not None:
-        own = [one for one in volumes if any(frame.path == file for frame in one.frames)]
-        if not own:
-            raise InputError("this file has no image of a volume", "give the folder of a CT, MR or PET series")
-        of_file = [one for one in own if all(frame.path == file for frame in one.frames)]
-        volumes = tuple(of_file or own)
+        volumes = of_file(contents, file)
     if len(volumes) > 1:
         raise InputError(
             f"{len(volumes)} volumes are in it: {_short_list(contents, volumes)}",
@@ -130,6 +149,23 @@ def volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> Di
             + ("; accelsurf track takes all as frames" if _differ_in_time(volumes) else ""),
         )
     return volumes[0]
+
+
+def of_file(contents: Contents, file: Path) -> tuple[DicomVolume, ...]:
+    """The volumes that a file is of: those that are of it alone, else those with a slice of it.
+
+    Raises
+    ------
+    InputError
+        When it has no slice of a volume.
+    """
+    found = [volume for volume in contents.volumes if any(frame.path == file for frame in volume.frames)]
+    if not found:
+        said = [left for left in contents.left_out if left.file == file]
+        hint = HINTS.get(said[0].kind, _SERIES_HINT) if said else _SERIES_HINT
+        raise InputError(f"this file has no image of a volume, but {counted(said) or 'nothing'}", hint)
+    alone = [volume for volume in found if all(frame.path == file for frame in volume.frames)]
+    return tuple(alone or found)
 
 
 def _differ_in_time(volumes: tuple[DicomVolume, ...]) -> bool:
@@ -166,14 +202,13 @@ def _title(volume: DicomVolume) -> str:
     return f"{words} ({phase})" if phase else words
 
 
-def skipped(contents: Contents) -> list[str]:
-    notes = []
-    if contents.skipped:
-        notes.append(f"left out: {counted(contents.skipped)}")
-    if contents.damaged:
-        more = f" and {len(contents.damaged) - 1} more" if len(contents.damaged) > 1 else ""
-        notes.append(f"cannot be read: {contents.damaged[0]}{more}")
-    return notes
+def left_out(contents: Contents, series: str, file: Path | None) -> list[str]:
+    """What a person should know of files that are no part of a volume; beside a file only of damaged ones."""
+    told = [
+        left for left in contents.left_out
+        if file is None or (left.reason and (not left.series or left.is_of(series)))
+    ]
+    return [f"left out: {counted(told)}"] if told else []
 
 
 def read(path: Path, header: DicomHeader, available: int) -> Volume:
@@ -212,17 +247,17 @@ def listing(path: Path) -> list[dict[str, Any]]:
     InputError
         When there is no DICOM.
     """
-    library()
-    files = files_of(path, available_memory())
-    contents = contents_of(files)
-    entries = [_entry(number, one, files) for number, one in enumerate(contents.volumes, 1)]
-    if not entries:
+    files, contents, file = found_in(path)
+    if not contents.volumes:
         volume_of(contents, AS_IT_IS, None)  # says what there is
-    entries[0]["left_out"] = skipped(contents)
+    volumes = contents.volumes if file is None else of_file(contents, file)
+    numbered = [(number, volume) for number, volume in enumerate(contents.volumes, 1) if volume in volumes]
+    entries = [_entry(number, volume, files, contents) for number, volume in numbered]
+    entries[0]["left_out"] = left_out(contents, volumes[0].uid, file)
     return entries
 
 
-def _entry(number: int, volume: DicomVolume, files: SourceFiles) -> dict[str, Any]:
+def _entry(number: int, volume: DicomVolume, files: SourceFiles, contents: Contents) -> dict[str, Any]:
     entry: dict[str, Any] = {
         "number": number, "uid": volume.uid, "modality": volume.label("modality"),
         "description": volume.label("description"), "series_number": volume.label("number"), "phase": volume.phase,
@@ -237,7 +272,11 @@ def _entry(number: int, volume: DicomVolume, files: SourceFiles) -> dict[str, An
     entry["size"] = [first.columns, first.rows, len(slices.frames)]
     entry["spacing"] = [round(part, 6) for part in reversed(slices.spacing)]
     entry["orientation"] = orientation_words(slices)
-    entry["warnings"] = [fault.text for fault in slices.faults] + ([slices.note] if slices.note else [])
+    lost = contents.lost_from(volume.uid)
+    entry["warnings"] = [
+        *([f"a slice of the series is lost: {counted(lost)}"] if lost else []),
+        *(fault.text for fault in slices.faults), *([slices.note] if slices.note else []),
+    ]
     return entry
 
 
