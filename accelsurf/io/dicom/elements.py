@@ -8,6 +8,25 @@ from typing import Any
 Floats = tuple[float, ...]
 
 
+class Elements:
+    """A data set whose elements are looked up once: every frame asks for the same ones.
+
+    Parameters
+    ----------
+    dataset : pydicom.Dataset
+    """
+
+    def __init__(self, dataset: Any) -> None:
+        self.dataset = dataset
+        self._known: dict[str, Any] = {}
+
+    def get(self, name: str) -> Any:
+        """Return a value by its keyword; None where there is none."""
+        if name not in self._known:
+            self._known[name] = self.dataset.get(name)
+        return self._known[name]
+
+
 def text(dataset: Any, name: str) -> str:
     """An element as text; empty where there is none."""
     value = dataset.get(name)

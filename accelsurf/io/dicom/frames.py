@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import Any
 
 from accelsurf.errors import InputError
 from accelsurf.io.dicom import kinds, nuclear
-from accelsurf.io.dicom.elements import listed, number_of, numbers_of, text
+from accelsurf.io.dicom.elements import Elements, Floats, listed, number_of, numbers_of, text
 from accelsurf.io.dicom.library import PixelBytes, damage_of, library, read_dataset, read_header
 from accelsurf.io.dicom.sources import DicomFile
 from accelsurf.settings import budgets
-
-Floats = tuple[float, ...]
 
 _TAGS = [
     *("SOPClassUID", "SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID", "FrameOfReferenceUID", "Modality"),
@@ -122,15 +121,15 @@ def frames_of(path: DicomFile, of_segmentation: bool = False) -> list[Frame]:
     """
     dataset, pixels = read_header(path, _TAGS)
     with damage_of(path, "the header is damaged"):  # elements are converted where they are asked for
-        return _frames(path, dataset, pixels, of_segmentation)
+        return _frames(path, Elements(dataset), pixels, of_segmentation)
 
 
-def _frames(path: DicomFile, dataset: Any, pixels: PixelBytes | None, of_segmentation: bool) -> list[Frame]:
+def _frames(path: DicomFile, dataset: Elements, pixels: PixelBytes | None, of_segmentation: bool) -> list[Frame]:
     rows, columns = (int(dataset.get(name) or 0) for name in ("Rows", "Columns"))
     kind = kinds.kind_of(dataset)
     if kind and not (of_segmentation and kind == kinds.SEGMENTATION):
-        return [_frame(path, dataset, 0, 1, None, kind)]
-    if not any(name in dataset for name in ("SOPClassUID", "Modality", "Rows")):
+        return [_frame(path, dataset, 0, 1, None, _said(path, dataset), kind)]
+    if not any(dataset.get(name) for name in ("SOPClassUID", "Modality", "Rows")):
         raise InputError(f"{path.name}: its header says nothing; cut short?", "copy it again")
     if rows <= 0 or columns <= 0 or pixels is None:
         if pixels is not None or kinds.is_image(dataset):
@@ -142,22 +141,23 @@ def _frames(path: DicomFile, dataset: Any, pixels: PixelBytes | None, of_segment
         raise InputError(f"{path.name}: {columns} x {rows} pixels, {count} frames announced", "the header is damaged")
     budgets.DICOM_FRAMES.check(count, f"{path.name} announces")
     _check_pixels(path, dataset, pixels, rows * columns, count)
+    said = _said(path, dataset)
     if "MOSAIC" in listed(dataset.get("ImageType")):
         from accelsurf.io.dicom.mosaic import tiles_of
 
-        dataset = read_dataset(path, [*_TAGS, *_mosaic_tags()])
-        return [_frame(path, dataset, 0, 1, tile) for tile in tiles_of(path, dataset)]
-    return [_frame(path, dataset, number, count, None) for number in nuclear.order_of(dataset, count)]
+        tiles = tiles_of(path, read_dataset(path, [*_TAGS, *_mosaic_tags()]))
+        return [_frame(path, dataset, 0, 1, tile, said) for tile in tiles]
+    return [_frame(path, dataset, number, count, None, said) for number in nuclear.order_of(dataset, count)]
 
 
-def _check_pixels(path: DicomFile, dataset: Any, pixels: PixelBytes, size: int, count: int) -> None:
+def _check_pixels(path: DicomFile, dataset: Elements, pixels: PixelBytes, size: int, count: int) -> None:
     """Refuse a file that has less than its header announces, before anything is allocated for it."""
     bits, samples = int(dataset.get("BitsAllocated") or 16), int(dataset.get("SamplesPerPixel") or 1)
     if not 1 <= bits <= _MAX_BITS or not 1 <= samples <= 4:
         raise InputError(f"{path.name}: {samples} samples of {bits} bits for a pixel", "the header is damaged")
     if text(dataset, "PhotometricInterpretation") == _HALVED and pixels.announced is not None:
         samples = 2
-    syntax = getattr(dataset, "file_meta", {}).get("TransferSyntaxUID")
+    syntax = getattr(dataset.dataset, "file_meta", {}).get("TransferSyntaxUID")
     is_packed = syntax is not None and library("pydicom.uid").UID(syntax).is_encapsulated
     if is_packed != (pixels.announced is None):
         raise InputError(
@@ -187,7 +187,43 @@ def _mosaic_tags() -> list[Any]:
     return [_MOSAIC_COUNT, _MOSAIC_CREATOR, _MOSAIC_BLOCK, _BLOCK_CREATOR]
 
 
-def _frame(path: DicomFile, dataset: Any, number: int, count: int, tile: Any, kind: str = "") -> Frame:
+@dataclass(frozen=True)
+class _Said:
+    """What a file says of all its frames."""
+
+    size: tuple[int, int]
+    uids: tuple[str, str, str, str]
+    labels: dict[str, str]
+    image_type: tuple[str, ...]
+    pixel: tuple[int, int, bool, int, str]
+    padding: tuple[float, float] | None
+    elapsed: tuple[float, ...]
+
+
+def _said(path: DicomFile, dataset: Elements) -> _Said:
+    bits, is_signed = int(dataset.get("BitsAllocated") or 16), bool(dataset.get("PixelRepresentation") or 0)
+    names = {"modality": "Modality", "description": "SeriesDescription", "number": "SeriesNumber",
+             "class": "SOPClassUID"}
+    study, series, instance, world = (
+        text(dataset, f"{what}UID") for what in ("StudyInstance", "SeriesInstance", "SOPInstance", "FrameOfReference")
+    )
+    return _Said(
+        (int(dataset.get("Rows") or 0), int(dataset.get("Columns") or 0)),
+        (study, series, instance, world),
+        {what: text(dataset, name) for what, name in names.items()},
+        tuple(listed(dataset.get("ImageType"))),
+        (
+            int(dataset.get("BitsStored") or bits), bits, is_signed, int(dataset.get("SamplesPerPixel") or 1),
+            text(dataset, "PhotometricInterpretation"),
+        ),
+        _padding(path, dataset, bits, is_signed),
+        _elapsed(dataset),
+    )
+
+
+def _frame(
+    path: DicomFile, dataset: Elements, number: int, count: int, tile: Any, said: _Said, kind: str = ""
+) -> Frame:
     place = _group(dataset, number, "PlanePositionSequence")
     turn = _group(dataset, number, "PlaneOrientationSequence")
     size = _group(dataset, number, "PixelMeasuresSequence")
@@ -197,48 +233,31 @@ def _frame(path: DicomFile, dataset: Any, number: int, count: int, tile: Any, ki
     if slope == 0 and not table:
         raise InputError(f"{path.name}: its values are scaled by 0", "the header is damaged")
     spacing = numbers_of(size, "PixelSpacing", 2) or numbers_of(dataset, "ImagerPixelSpacing", 2)
-    thickness = number_of(size, "SpacingBetweenSlices") or number_of(size, "SliceThickness")
     position, orientation = nuclear.place_of(dataset, number) or (
         numbers_of(place, "ImagePositionPatient", 3), numbers_of(turn, "ImageOrientationPatient", 6)
     )
-    corner, rows, columns = None, int(dataset.get("Rows") or 0), int(dataset.get("Columns") or 0)
+    corner, (rows, columns) = None, said.size
     if tile is not None:
         corner, rows, columns, position = tile
-    image_type = tuple(listed(dataset.get("ImageType")))
-    pixel = (
-        int(dataset.get("BitsStored") or dataset.get("BitsAllocated") or 16),
-        int(dataset.get("BitsAllocated") or 16),
-        bool(dataset.get("PixelRepresentation") or 0),
-        int(dataset.get("SamplesPerPixel") or 1),
-        text(dataset, "PhotometricInterpretation"),
-    )
-    phase, times = _phase(path, dataset, number, count), _times(dataset, number)
+    phase, times = _phase(path, dataset, number, count), _times(dataset, number, said.elapsed)
     return Frame(
         path, number, count, corner, rows, columns, position, orientation,
         spacing if spacing is not None and min(spacing) > 0 else None,
-        thickness or None,
+        number_of(size, "SpacingBetweenSlices") or number_of(size, "SliceThickness") or None,
         1.0 if slope is None or table else slope,
         0.0 if intercept is None or table else intercept,
-        tuple(text(dataset, f"{what}UID") for what in  # type: ignore[arg-type]
-              ("StudyInstance", "SeriesInstance", "SOPInstance", "FrameOfReference")),
-        {
-            "modality": text(dataset, "Modality"),
-            "description": text(dataset, "SeriesDescription"),
-            "number": text(dataset, "SeriesNumber"),
-            "unit": _unit(dataset, scale, table),
-            "class": text(dataset, "SOPClassUID"),
-            "kind": kind,
-        },
-        image_type,
-        pixel,
+        said.uids,
+        {**said.labels, "unit": _unit(dataset, scale, table), "kind": kind},
+        said.image_type,
+        said.pixel,
         {name: value for name, value in phase.items() if value},
         {name: value for name, value in times.items() if value is not None and math.isfinite(value)},
         bool(table),
-        _padding(path, dataset, pixel[1], pixel[2]),
+        said.padding,
     )
 
 
-def _padding(path: DicomFile, dataset: Any, bits: int, is_signed: bool) -> tuple[float, float] | None:
+def _padding(path: DicomFile, dataset: Elements, bits: int, is_signed: bool) -> tuple[float, float] | None:
     """Lowest and highest of what is stored where there is no image."""
     for kind in ("", "Float", "DoubleFloat"):
         value = dataset.get(f"{kind}PixelPaddingValue")
@@ -296,7 +315,7 @@ def _phase(path: DicomFile, dataset: Any, number: int, count: int) -> dict[str, 
     }
 
 
-def _times(dataset: Any, number: int) -> dict[str, float | None]:
+def _times(dataset: Elements, number: int, elapsed: Floats) -> dict[str, float | None]:
     """Seconds: offset from the first, since the heart's trigger, in the file, of the day; and what gives the order."""
     content = _group(dataset, number, "FrameContentSequence")
     trigger = number_of(_group(dataset, number, "CardiacSynchronizationSequence"), "NominalCardiacTriggerDelayTime")
@@ -308,18 +327,25 @@ def _times(dataset: Any, number: int) -> dict[str, float | None]:
         "offset": None if offset is dataset else number_of(offset, "TemporalPositionTimeOffset"),
         "trigger": None if trigger is None else 1e-3 * trigger,
         "point": float(point) if point.isdigit() else None,
-        "frame": _time_in_file(dataset, number),
+        "frame": _time_in_file(dataset, number, elapsed),
         "acquisition": _seconds(text(content, "FrameAcquisitionDateTime") or text(dataset, "AcquisitionTime")),
         "content": _seconds(text(dataset, "ContentTime")),
         "number": None if instance is None else instance * budgets.DICOM_FRAMES.limit + number,
     }
 
 
-def _time_in_file(dataset: Any, number: int) -> float | None:
-    """Time of a frame of a loop, seconds from the first."""
+def _elapsed(dataset: Elements) -> tuple[float, ...]:
+    """Times of the frames of a loop, seconds from the first, where the file has a list of steps."""
     steps = dataset.get("FrameTimeVector")
-    if steps is not None and not isinstance(steps, (str, int, float)) and number < len(steps):
-        return 1e-3 * math.fsum(float(step) for step in list(steps)[1 : number + 1])
+    if steps is None or isinstance(steps, (str, int, float)):
+        return ()
+    return tuple(1e-3 * time for time in accumulate([0.0, *(float(step) for step in list(steps)[1:])]))
+
+
+def _time_in_file(dataset: Elements, number: int, elapsed: Floats) -> float | None:
+    """Time of a frame of a loop, seconds from the first."""
+    if number < len(elapsed):
+        return elapsed[number]
     step = number_of(dataset, "FrameTime")
     if step is not None and step > 0:
         return 1e-3 * step * number
@@ -336,7 +362,7 @@ def _seconds(value: str) -> float | None:
     return 3600.0 * hours + 60.0 * minutes + seconds
 
 
-def _unit(dataset: Any, scale: Any, table: Any) -> str:
+def _unit(dataset: Elements, scale: Any, table: Any) -> str:
     """The unit of the values as the file says it; HU of a CT that says nothing else."""
     said = text(table[0], "ModalityLUTType") if table else text(scale, "RescaleType")
     said = said or text(dataset, "Units")

@@ -90,9 +90,17 @@ def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
     library()
     files = files_of(path, available_memory())
     file = path if path.is_file() and not files.is_archive else None
-    if file is not None and len(frames_of(file)) > 1:
-        files = SourceFiles(files.root, (path,))
+    if file is not None and _has_several(file):
+        files = SourceFiles(files.root, (file,))
     return files, contents_of(files), file
+
+
+def _has_several(file: Path) -> bool:
+    """Whether the file that was given has several slices; its name is told already."""
+    try:
+        return len(frames_of(file)) > 1
+    except InputError as error:
+        raise InputError(error.message.removeprefix(f"{file.name}: "), error.hint) from error
 
 
 def refuse_lost(contents: Contents, series: str, options: ReadOptions) -> None:
