@@ -141,6 +141,9 @@ def _frames(path: DicomFile, dataset: Elements, pixels: PixelBytes | None, of_se
         raise InputError(f"{path.name}: {columns} x {rows} pixels, {count} frames announced", "the header is damaged")
     budgets.DICOM_FRAMES.check(count, f"{path.name} announces")
     _check_pixels(path, dataset, pixels, rows * columns, count)
+    groups = dataset.get("PerFrameFunctionalGroupsSequence")
+    if groups and len(groups) != count:
+        raise InputError(f"{path.name}: {count} frames announced, {len(groups)} described", "the header is damaged")
     said = _said(path, dataset)
     if "MOSAIC" in listed(dataset.get("ImageType")):
         from accelsurf.io.dicom.mosaic import tiles_of
@@ -170,6 +173,11 @@ def _check_pixels(path: DicomFile, dataset: Elements, pixels: PixelBytes, size: 
         if pixels.present < needed:
             raise InputError(f"{path.name}: {pixels.present} of {needed} bytes of its pixels are there; cut short?",
                              "copy it again")
+        if pixels.announced >= needed + size * samples * bits // 8 > needed:
+            raise InputError(
+                f"{path.name}: {count} frames announced, {pixels.announced} bytes of pixels in it, {needed} expected",
+                "the header is damaged",
+            )
         return
     if not pixels.is_whole:
         raise InputError(f"{path.name}: its packed pixels do not end; cut short?", "copy it again")

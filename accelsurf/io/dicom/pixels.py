@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -186,8 +189,27 @@ def _by_itk(dataset: Any, frame: Frame) -> NDArray[Any]:
     alone.PixelData = pydicom.encaps.encapsulate([packed])
     alone["PixelData"].is_undefined_length = True
     alone.file_meta = pydicom.dataset.FileMetaDataset()
-    alone.file_meta.TransferSyntaxUID = dataset.file_meta.TransferSyntaxUID
+    alone.file_meta.TransferSyntaxUID = syntax = dataset.file_meta.TransferSyntaxUID
+    content = io.BytesIO()
+    alone.save_as(content, enforce_file_format=True)
+    with _as_file(content.getvalue()) as path:
+        try:
+            return itk.array_of(path, "GDCMImageIO")[0]
+        except RuntimeError:  # of many lines
+            what = f"{frame.path.name}: its pixels cannot be unpacked as {syntax.name}"
+            raise InputError(what, "export it again") from None
+
+
+@contextmanager
+def _as_file(content: bytes) -> Iterator[Path]:
+    """A file for a moment, in memory where the system can: nothing of a patient stays after a kill."""
+    if hasattr(os, "memfd_create"):
+        with open(os.memfd_create("slice.dcm"), "wb") as file:
+            file.write(content)
+            file.flush()
+            yield Path(f"/proc/self/fd/{file.fileno()}")
+        return
     with tempfile.TemporaryDirectory(prefix="accelsurf-dicom-") as folder:
         path = Path(folder, "slice.dcm")
-        alone.save_as(path, enforce_file_format=True)
-        return itk.array_of(path, "GDCMImageIO")[0]
+        path.write_bytes(content)
+        yield path

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
+from types import MappingProxyType
 
 from accelsurf.errors import InputError
 from accelsurf.io.dicom.frames import Frame, frames_of
@@ -97,14 +98,14 @@ class Contents:
         return [left for left in self.left_out if left.is_of(series) and not left.has_image]
 
 
-def contents_of(files: SourceFiles) -> Contents:
-    """Read the headers of all files, and put their slices together."""
+def contents_of(files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingProxyType({})) -> Contents:
+    """Read the headers of all files but those whose slices are known, and put their slices together."""
     series: dict[tuple[str, ...], list[Frame]] = {}
     left: list[LeftOut] = []
     for path in files.paths:
         name = shown(path, files.root)
         try:
-            frames = frames_of(path)
+            frames = known[path] if isinstance(path, Path) and path in known else frames_of(path)
         except InputError as error:
             left.append(LeftOut(path, name, "", error.message.removeprefix(f"{path.name}: "), *series_of(path)))
             continue

@@ -13,7 +13,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io.dicom import pixels
 from accelsurf.io.dicom.cine import TIME_PHASES
-from accelsurf.io.dicom.frames import frames_of
+from accelsurf.io.dicom.frames import Frame, frames_of
 from accelsurf.io.dicom.kinds import HINTS
 from accelsurf.io.dicom.library import library
 from accelsurf.io.dicom.resampling import RegularGrid, regular_grid, resampled
@@ -90,15 +90,18 @@ def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
     library()
     files = files_of(path, available_memory())
     file = path if path.is_file() and not files.is_archive else None
-    if file is not None and _has_several(file):
+    if file is None:
+        return files, contents_of(files), None
+    frames = _frames_of(file)
+    if len(frames) > 1:
         files = SourceFiles(files.root, (file,))
-    return files, contents_of(files), file
+    return files, contents_of(files, {file: frames}), file
 
 
-def _has_several(file: Path) -> bool:
-    """Whether the file that was given has several slices; its name is told already."""
+def _frames_of(file: Path) -> list[Frame]:
+    """The slices of the file that was given; its name is told already."""
     try:
-        return len(frames_of(file)) > 1
+        return frames_of(file)
     except InputError as error:
         raise InputError(error.message.removeprefix(f"{file.name}: "), error.hint) from error
 
