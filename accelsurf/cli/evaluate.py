@@ -180,7 +180,8 @@ def _result(pair: Pair, asked: Asked) -> CaseResult:
         raise InputError(f"there is no {'prediction' if pair.pred is None else 'reference'} of this name")
     for path in (pair.pred.path, pair.ref.path):
         finish_killed_runs(path.parent)
-    pred, ref = (LabelMap(io.read_labels(side.path), side.ids) for side in (pair.pred, pair.ref))
+    volumes = io.on_one_grid(*(io.read_labels(side.path, ids=side.ids) for side in (pair.pred, pair.ref)))
+    pred, ref = (LabelMap(volume, side.ids) for volume, side in zip(volumes, (pair.pred, pair.ref), strict=True))
     if asked.labels is None:
         agreements = [evaluate_object(pred, ref, asked.tolerances)]
     else:

@@ -83,7 +83,7 @@ def read_values(frames: Sequence[Frame]) -> tuple[NDArray[Any], str]:
         dataset = read_dataset(path)
         for place in places:
             frame = frames[place]
-            array = _stored(path, dataset, frame)
+            array = stored_values(path, dataset, frame)
             stored, note = _grey(array, frame)
             if note:
                 notes[note] = None
@@ -147,8 +147,21 @@ def _grey(stored: NDArray[Any], frame: Frame) -> tuple[NDArray[Any], str]:
     return stored, inverse if kind == "MONOCHROME1" else ""
 
 
-def _stored(path: DicomFile, dataset: Any, frame: Frame) -> NDArray[Any]:
-    """The stored values of a slice, before they are scaled."""
+def stored_values(path: DicomFile, dataset: Any, frame: Frame) -> NDArray[Any]:
+    """Read the stored values of a slice, before they are scaled.
+
+    Parameters
+    ----------
+    path : Path or Member
+    dataset : pydicom.Dataset
+        All of the file.
+    frame : Frame
+
+    Raises
+    ------
+    InputError
+        When they cannot be read.
+    """
     pydicom = library()
     meta = getattr(dataset, "file_meta", None)
     syntax = None if meta is None else meta.get("TransferSyntaxUID")
@@ -164,12 +177,22 @@ def _stored(path: DicomFile, dataset: Any, frame: Frame) -> NDArray[Any]:
             dataset.file_meta = meta
         if syntax.is_encapsulated and syntax != pydicom.uid.RLELossless:
             array = _by_itk(dataset, frame)
+        elif frame.pixel[1] == 1 and syntax.is_little_endian and not syntax.is_encapsulated:
+            array = _bits(dataset.PixelData, frame)
         else:
             array = pydicom.pixels.pixel_array(dataset, index=frame.number if frame.frames > 1 else None)
     if frame.corner is not None:
         top, left = frame.corner
         array = array[top : top + frame.rows, left : left + frame.columns]
     return np.asarray(array)
+
+
+def _bits(content: bytes, frame: Frame) -> NDArray[np.uint8]:
+    """A slice of one bit a pixel: frames follow one another without a gap, which pydicom expects to find."""
+    size = frame.rows * frame.columns
+    first = frame.number * size
+    packed = np.frombuffer(content, np.uint8, (first + size + 7) // 8 - first // 8, first // 8)
+    return np.unpackbits(packed, bitorder="little")[first % 8 :][:size].reshape(frame.rows, frame.columns)
 
 
 def _by_itk(dataset: Any, frame: Frame) -> NDArray[Any]:

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from accelsurf.errors import GeometryError, InputError
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.io.dicom import pixels
+from accelsurf.io.dicom import pixels, segments
 from accelsurf.io.dicom.cine import TIME_PHASES
 from accelsurf.io.dicom.frames import Frame, frames_of
-from accelsurf.io.dicom.kinds import HINTS
+from accelsurf.io.dicom.kinds import HINTS, SEGMENTATION
 from accelsurf.io.dicom.library import library
 from accelsurf.io.dicom.resampling import RegularGrid, regular_grid, resampled
+from accelsurf.io.dicom.segments import Segments
 from accelsurf.io.dicom.slices import Slices, ordered
-from accelsurf.io.dicom.sources import SourceFiles, files_of, holds_dicom, is_dicom
+from accelsurf.io.dicom.sources import DicomFile, SourceFiles, files_of, holds_dicom, is_dicom
 from accelsurf.io.dicom.volumes import Contents, DicomVolume, contents_of, counted, shown
 from accelsurf.io.memory import available_memory, check_memory
-from accelsurf.io.metadata import DICOM_KEY, VALUE_UNIT_KEY, WARNING_KEY
+from accelsurf.io.metadata import DICOM_KEY, LABELS_KEY, VALUE_UNIT_KEY, ZERO_BEYOND_KEY, with_warnings
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 #: Series that a message lists.
@@ -62,8 +66,8 @@ class DicomHeader:
         return math.prod(self.geometry.shape)
 
 
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader:
-    """Choose a series, and prove that its slices lie on a grid.
+def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Segments:
+    """Choose a series, and prove that its slices lie on a grid; or the segmentation, where there is no series.
 
     Raises
     ------
@@ -73,6 +77,10 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader:
         When the slices lie on no grid and are not to be put on one.
     """
     files, contents, file = found_in(path)
+    if (segmentation := segmentation_of(contents)) is not None:
+        if options.given:
+            raise UsageError(f"{options.given[0]} was given, a DICOM segmentation has no such choice", "leave it out")
+        return segments.parse(segmentation, files.root)
     volume = volume_of(contents, options, file)
     refuse_lost(contents, volume.uid, options)
     slices = ordered(volume, files.root, options.spacing)
@@ -93,9 +101,25 @@ def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
     if file is None:
         return files, contents_of(files), None
     frames = _frames_of(file)
-    if len(frames) > 1:
+    if len(frames) > 1 or (frames and frames[0].labels["kind"] == SEGMENTATION):
         files = SourceFiles(files.root, (file,))
     return files, contents_of(files, {file: frames}), file
+
+
+def segmentation_of(contents: Contents) -> DicomFile | None:
+    """The segmentation that is meant where there is no image of a volume; None where there is an image, or none.
+
+    Raises
+    ------
+    InputError
+        When there are several.
+    """
+    found = [left for left in contents.left_out if left.kind == SEGMENTATION]
+    if contents.volumes or not found:
+        return None
+    if len(found) > 1:
+        raise InputError(f"several segmentations are in it: {counted(found)}", "give one of the files")
+    return found[0].file
 
 
 def _frames_of(file: Path) -> list[Frame]:
@@ -222,27 +246,54 @@ def left_out(contents: Contents, series: str, file: Path | None) -> list[str]:
     return [f"left out: {counted(told)}"] if told else []
 
 
-def read(path: Path, header: DicomHeader, available: int) -> Volume:
-    """Read the values of the series.
+def read(path: Path, header: DicomHeader | Segments, available: int) -> Volume:
+    """Read the values of the series, or the label map of a segmentation.
 
     Raises
     ------
     InputError
         When it is larger than the memory, or its values are damaged.
     """
+    if isinstance(header, Segments):
+        return read_labels(path, header, available)
     frames = header.slices.frames
     dtype = pixels.value_type(frames)
     check_memory(header.geometry.size, dtype.itemsize + (8 if header.grid is not None else 0), available)
     values, note = pixels.read_values(frames)
     if header.grid is not None:
         values = resampled(values, header.grid)
-    notes = [*header.notes, *([note] if note else [])]
-    metadata = {DICOM_KEY: frames[0].uids[1]}
-    if notes:
-        metadata[WARNING_KEY] = "; ".join(notes)
+    metadata = with_warnings({DICOM_KEY: frames[0].uids[1]}, *header.notes, note)
     if frames[0].labels["unit"]:
         metadata[VALUE_UNIT_KEY] = frames[0].labels["unit"]
     return Volume(values, header.geometry, metadata, path)
+
+
+def read_labels(
+    path: Path, header: DicomHeader | Segments, available: int, ids: Sequence[tuple[int, int]] = ()
+) -> Volume:
+    """Read a segmentation as a label map of the numbers of its segments; a series as `read` does.
+
+    Parameters
+    ----------
+    path : Path
+    header : DicomHeader or Segments
+    available : int
+        Bytes.
+    ids : sequence of (first, last)
+        Segments that are wanted; none for all.
+
+    Raises
+    ------
+    InputError
+        As `read`, and where segments overlap.
+    """
+    if isinstance(header, DicomHeader):
+        return read(path, header, available)
+    labels = segments.read(header, available, ids)
+    metadata = {
+        DICOM_KEY: header.frames[0].uids[1], LABELS_KEY: header.table.to_json(), ZERO_BEYOND_KEY: "yes",
+    }
+    return Volume(labels, header.geometry, with_warnings(metadata, header.note), path)
 
 
 def is_anatomical(metadata: Mapping[str, str]) -> bool:
@@ -259,6 +310,8 @@ def listing(path: Path) -> list[dict[str, Any]]:
         When there is no DICOM.
     """
     files, contents, file = found_in(path)
+    if (segmentation := segmentation_of(contents)) is not None:
+        return [_segmentation_entry(segments.parse(segmentation, files.root), files)]
     if not contents.volumes:
         volume_of(contents, AS_IT_IS, None)  # says what there is
     volumes = contents.volumes if file is None else of_file(contents, file)
@@ -269,12 +322,7 @@ def listing(path: Path) -> list[dict[str, Any]]:
 
 
 def _entry(number: int, volume: DicomVolume, files: SourceFiles, contents: Contents) -> dict[str, Any]:
-    entry: dict[str, Any] = {
-        "number": number, "uid": volume.uid, "modality": volume.label("modality"),
-        "description": volume.label("description"), "series_number": volume.label("number"), "phase": volume.phase,
-        "files": len({frame.path for frame in volume.frames}), "first_file": shown(volume.frames[0].path, files.root),
-        "size": None, "spacing": None, "orientation": None, "unit": volume.label("unit") or None, "warnings": [],
-    }
+    entry = _first_entry(number, volume, files)
     try:
         slices = ordered(volume, files.root)
     except GeometryError as error:
@@ -282,7 +330,7 @@ def _entry(number: int, volume: DicomVolume, files: SourceFiles, contents: Conte
     first = slices.frames[0]
     entry["size"] = [first.columns, first.rows, len(slices.frames)]
     entry["spacing"] = [round(part, 6) for part in reversed(slices.spacing)]
-    entry["orientation"] = orientation_words(slices)
+    entry["orientation"] = orientation_words(slices.axes)
     lost = contents.lost_from(volume.uid)
     entry["warnings"] = [
         *([f"a slice of the series is lost: {counted(lost)}"] if lost else []),
@@ -291,8 +339,29 @@ def _entry(number: int, volume: DicomVolume, files: SourceFiles, contents: Conte
     return entry
 
 
-def orientation_words(slices: Slices) -> str:
+def _first_entry(number: int, volume: DicomVolume, files: SourceFiles) -> dict[str, Any]:
+    """What is known of a volume before it is clear where it lies."""
+    return {
+        "number": number, "uid": volume.uid, "modality": volume.label("modality"),
+        "description": volume.label("description"), "series_number": volume.label("number"), "phase": volume.phase,
+        "files": len({frame.path for frame in volume.frames}), "first_file": shown(volume.frames[0].path, files.root),
+        "size": None, "spacing": None, "orientation": None, "unit": volume.label("unit") or None, "warnings": [],
+        "segments": [],
+    }
+
+
+def _segmentation_entry(found: Segments, files: SourceFiles) -> dict[str, Any]:
+    geometry = found.geometry
+    return {
+        **_first_entry(1, DicomVolume(found.frames), files),
+        "size": list(geometry.size), "spacing": [round(part, 6) for part in geometry.spacing_xyz],
+        "orientation": orientation_words(geometry.direction), "warnings": [found.note] if found.note else [],
+        "segments": [{"id": entry.id, "name": entry.name, "color": entry.hex} for entry in found.table], "left_out": [],
+    }
+
+
+def orientation_words(axes: NDArray[np.float64]) -> str:
     """Which plane of the patient the slices are: axial, coronal or sagittal, or oblique near one."""
-    normal = abs(slices.axes[:, 2])
+    normal = abs(axes[:, 2])
     name = ("sagittal", "coronal", "axial")[int(normal.argmax())]
     return name if normal.max() > 0.999 else f"oblique, near {name}"
