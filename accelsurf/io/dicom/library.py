@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any, BinaryIO
 
 from accelsurf.errors import InputError
-from accelsurf.io.dicom.sources import DicomFile
+from accelsurf.io.dicom.sources import DicomFile, Member
 from accelsurf.settings.budgets import DICOM_DEFLATED
 
 #: Those that send lines to stderr where nobody asked for logs.
@@ -141,13 +141,15 @@ def series_of(file: DicomFile) -> tuple[str, bool]:
     Empty where it cannot be read.
     """
     try:
-        found = _read(file, ["SeriesInstanceUID"], (_SERIES_UID + 1,))[0].get_item(_SERIES_UID)
+        found = _read(file, ["SeriesInstanceUID"], (_SERIES_UID + 1,), True)[0].get_item(_SERIES_UID)
         return found.value.decode("ascii").strip("\0 "), len(found.value) < found.length
     except Exception:  # it is damaged, in whatever way
         return "", False
 
 
-def _read(file: DicomFile, tags: Sequence[str | int] | None, stops: tuple[int, ...]) -> tuple[Any, PixelBytes | None]:
+def _read(
+    file: DicomFile, tags: Sequence[str | int] | None, stops: tuple[int, ...], is_damaged: bool = False
+) -> tuple[Any, PixelBytes | None]:
     """The elements, and where reading stopped at pixels what there is of them; the first of ``stops`` ends it, or what
     comes after.
     """
@@ -161,7 +163,8 @@ def _read(file: DicomFile, tags: Sequence[str | int] | None, stops: tuple[int, .
         return False
 
     wanted = None if tags is None else [pydicom.tag.Tag(tag) for tag in tags]
-    with damage_of(file, "no DICOM, or damaged"), _opened(file) as stream, _inflated(stream) as (data, meta):
+    damage = damage_of(file, "no DICOM, or damaged")
+    with damage, _opened(file, is_damaged) as stream, _inflated(stream) as (data, meta):
         dataset = pydicom.filereader.read_partial(data, stop if stops else None, force=True, specific_tags=wanted)
         if meta is not None:
             dataset.file_meta = meta
@@ -181,8 +184,10 @@ class _Bounded(io.BufferedReader):
         return super().read(size)
 
 
-def _opened(file: DicomFile) -> BinaryIO:
-    return _Bounded(file) if isinstance(file, os.PathLike) else io.BytesIO(file.content())
+def _opened(file: DicomFile, is_damaged: bool) -> BinaryIO:
+    if isinstance(file, Member):
+        return io.BytesIO(file.remains() if is_damaged else file.content())
+    return _Bounded(file)
 
 
 @contextmanager

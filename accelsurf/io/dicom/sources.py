@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from accelsurf.errors import InputError
 from accelsurf.settings import budgets
 
-SUFFIXES = (".dcm", ".ima", ".dicom")
+SUFFIXES, ARCHIVE = (".dcm", ".ima", ".dicom"), ".zip"
 #: Files that are looked at; a folder of more is another kind of folder.
 MAX_FILES = 200_000
 #: Files that are looked at to see whether a folder holds DICOM.
@@ -22,6 +22,8 @@ _MARK, _MARK_AT = b"DICM", 128
 #: First elements of files that have no mark: groups 0002 and 0008, in either byte order.
 _FIRST_GROUPS = (b"\x02\x00", b"\x08\x00", b"\x00\x08")
 _HINT = "unpack it, and give the folder"
+#: Bytes of a damaged member that are looked at, and of one read of them.
+_MAX_REMAINS, _BLOCK = 1 << 16, 1 << 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +52,7 @@ class Member:
     def __str__(self) -> str:
         return f"{self.info.header_offset:020d}"
 
-    def begin(self, count: int) -> bytes:
+    def first_bytes(self, count: int) -> bytes:
         """Return its first bytes.
 
         Raises
@@ -71,6 +73,17 @@ class Member:
         found = self._unpacked(self.info.file_size + 1)
         if len(found) != self.info.file_size:
             raise InputError(f"{self.name}: its size is not what the archive claims", "pack it again")
+        return found
+
+    def remains(self) -> bytes:
+        """Return what can be unpacked of its beginning, whatever is wrong with the rest."""
+        found = b""
+        try:
+            with self.archive.open(self.info) as packed:
+                while len(found) < _MAX_REMAINS and (block := packed.read(_BLOCK)):
+                    found += block
+        except _ZIP_ERRORS:
+            pass
         return found
 
     def _unpacked(self, count: int) -> bytes:
@@ -97,7 +110,7 @@ class SourceFiles:
     paths : tuple of Path or Member
         In the order of their names.
     strays : tuple of Path or Member
-        Files that have names as those and are no DICOM.
+        Files that have names as those and are no DICOM; archives.
     is_archive : bool
     """
 
@@ -112,7 +125,7 @@ def is_dicom(path: DicomFile) -> bool:
     count = _MARK_AT + len(_MARK)
     try:
         if isinstance(path, Member):
-            begin = path.begin(count)
+            begin = path.first_bytes(count)
         else:
             with path.open("rb") as file:
                 begin = file.read(count)
@@ -171,7 +184,8 @@ def _sorted_out(root: Path, paths: Iterable[DicomFile], nothing: str, is_archive
     if not found:
         raise InputError(nothing, "give the folder of the scan")
     suffixes = {_suffix(path) for path in found}
-    strays = tuple(path for path in others if _suffix(path) in suffixes or _suffix(path) in SUFFIXES)
+    suffixes |= {*SUFFIXES, ARCHIVE}
+    strays = tuple(path for path in others if _suffix(path) in suffixes)
     return SourceFiles(root, tuple(found), strays, is_archive)
 
 

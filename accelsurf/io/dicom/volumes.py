@@ -12,7 +12,7 @@ from types import MappingProxyType
 from accelsurf.errors import InputError
 from accelsurf.io.dicom.frames import Frame, frames_of
 from accelsurf.io.dicom.library import series_of
-from accelsurf.io.dicom.sources import DicomFile, Member, SourceFiles
+from accelsurf.io.dicom.sources import ARCHIVE, DicomFile, Member, SourceFiles
 
 #: Positions that differ by less are one place, mm.
 SAME_PLACE_MM = 0.01
@@ -116,7 +116,10 @@ def contents_of(files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingP
         else:
             for frame in frames:
                 series.setdefault(_series_key(frame), []).append(frame)
-    left += [LeftOut(path, shown(path, files.root), "", "no DICOM, or cut short") for path in files.strays]
+    for path in files.strays:
+        is_archive = path.name.lower().endswith(ARCHIVE)
+        said = ("archive", "") if is_archive else ("", "no DICOM, or cut short")
+        left.append(LeftOut(path, shown(path, files.root), *said))
     volumes = [volume for key in sorted(series, key=lambda key: _order(series[key])) for volume in _split(series[key])]
     places = [volume for volume in volumes if volume.frames[0].position is not None]
     if places:  # pictures of single planes beside scans
@@ -144,7 +147,7 @@ def counted(left: Iterable[LeftOut]) -> str:
         found, number = kinds[kind], len(kinds[kind])
         noun, *rest = re.split("(?= without | of )", kind, maxsplit=1)
         words_of_kind = "".join([noun, "s" if number > 1 else "", *rest])
-        names = [f"{one.name}: {one.reason}" if one.reason else one.name for one in found]
+        names = [f"{left.name}: {left.reason}" if left.reason else left.name for left in found]
         more = f" and {number - _NAMED} more" if number > _NAMED else ""
         words.append(f"{number} {words_of_kind if kind else 'that cannot be read'} ({', '.join(names[:_NAMED])}{more})")
     return ", ".join(words)

@@ -84,7 +84,11 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Segments
     volume = volume_of(contents, options, file)
     refuse_lost(contents, volume.uid, options)
     slices = ordered(volume, files.root, options.spacing)
-    return on_grid(files, slices, options, left_out(contents, volume.uid, file))
+    notes = left_out(contents, volume.uid, file)
+    try:
+        return on_grid(files, slices, options, notes)
+    except GeometryError as error:  # a file that cannot be read may be what is missing
+        raise GeometryError("; ".join((error.message, *notes)), error.hint) from error
 
 
 def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
@@ -239,11 +243,11 @@ def _title(volume: DicomVolume) -> str:
 
 def left_out(contents: Contents, series: str, file: Path | None) -> list[str]:
     """What a person should know of files that are no part of a volume; beside a file only of damaged ones."""
-    told = [
+    named = [
         left for left in contents.left_out
         if file is None or (left.reason and (not left.series or left.is_of(series)))
     ]
-    return [f"left out: {counted(told)}"] if told else []
+    return [f"left out: {counted(named)}"] if named else []
 
 
 def read(path: Path, header: DicomHeader | Segments, available: int) -> Volume:

@@ -35,7 +35,7 @@ def grid(seed):
 
 
 def objects(seed, overlap=False):
-    """Two masks, (7, 13, 11): on some slices, with an empty one between."""
+    """Two masks, (7, 13, 11): on some slices, with an empty slice between."""
     rng = np.random.default_rng(100 + seed)
     masks = np.zeros((2, 7, 13, 11), bool)
     masks[0, 1:4] = rng.random((3, 13, 11)) < 0.5
@@ -53,45 +53,46 @@ def label_map(masks, numbers):
 
 def by_hand(geometry, masks, numbers, order, spacing_is_said=True, kind="BINARY", full=100, names=("a", "b")):
     """A file of the form that dcmqi writes: a frame of each segment and slice that has a voxel, in any order."""
-    one = Dataset()
-    one.file_meta = FileMetaDataset()
-    one.file_meta.TransferSyntaxUID = "1.2.840.10008.1.2.1"
-    one.SOPClassUID, one.SOPInstanceUID, one.Modality = SEGMENTATION, "1.2.3.77", "SEG"
-    one.StudyInstanceUID, one.SeriesInstanceUID, one.FrameOfReferenceUID = "1.2.3.4", "1.2.3.4.9", "1.2.3.4.6"
-    one.SegmentationType, one.Rows, one.Columns = kind, *geometry.shape[1:]
-    one.SamplesPerPixel, one.PhotometricInterpretation, one.PixelRepresentation = 1, "MONOCHROME2", 0
+    dataset = Dataset()
+    dataset.file_meta = FileMetaDataset()
+    dataset.file_meta.TransferSyntaxUID = "1.2.840.10008.1.2.1"
+    dataset.SOPClassUID, dataset.SOPInstanceUID, dataset.Modality = SEGMENTATION, "1.2.3.77", "SEG"
+    dataset.StudyInstanceUID, dataset.SeriesInstanceUID = "1.2.3.4", "1.2.3.4.9"
+    dataset.FrameOfReferenceUID = "1.2.3.4.6"
+    dataset.SegmentationType, dataset.Rows, dataset.Columns = kind, *geometry.shape[1:]
+    dataset.SamplesPerPixel, dataset.PhotometricInterpretation, dataset.PixelRepresentation = 1, "MONOCHROME2", 0
     bits = 1 if kind == "BINARY" else 8
-    one.BitsAllocated = one.BitsStored = bits
-    one.HighBit = bits - 1
+    dataset.BitsAllocated = dataset.BitsStored = bits
+    dataset.HighBit = bits - 1
     if kind == "FRACTIONAL":
-        one.SegmentationFractionalType, one.MaximumFractionalValue = "PROBABILITY", full
-    one.SegmentSequence = []
+        dataset.SegmentationFractionalType, dataset.MaximumFractionalValue = "PROBABILITY", full
+    dataset.SegmentSequence = []
     for number, name in zip(numbers, names, strict=True):
         segment = Dataset()
         segment.SegmentNumber, segment.SegmentLabel = number, name
-        one.SegmentSequence.append(segment)
+        dataset.SegmentSequence.append(segment)
     shared, turn, size = Dataset(), Dataset(), Dataset()
     turn.ImageOrientationPatient = [f"{value:.10g}" for value in geometry.direction[:, :2].T.ravel()]
     size.PixelSpacing, size.SliceThickness = [f"{h:.10g}" for h in geometry.spacing[1:]], "0.1"
     if spacing_is_said:
         size.SpacingBetweenSlices = f"{geometry.spacing[0]:.10g}"
     shared.PlaneOrientationSequence, shared.PixelMeasuresSequence = [turn], [size]
-    one.SharedFunctionalGroupsSequence = [shared]
+    dataset.SharedFunctionalGroupsSequence = [shared]
     frames = [(n, k) for n in range(len(masks)) for k in range(geometry.shape[0]) if masks[n, k].any()]
     frames = [frames[n] for n in order.permutation(len(frames))]
-    one.PerFrameFunctionalGroupsSequence, pixels = [], []
+    dataset.PerFrameFunctionalGroupsSequence, pixels = [], []
     for n, k in frames:
         group, place, segment = Dataset(), Dataset(), Dataset()
         place.ImagePositionPatient = [f"{value:.10g}" for value in geometry.index_to_world((k, 0, 0))]
         segment.ReferencedSegmentNumber = numbers[n]
         group.PlanePositionSequence, group.SegmentIdentificationSequence = [place], [segment]
-        one.PerFrameFunctionalGroupsSequence.append(group)
+        dataset.PerFrameFunctionalGroupsSequence.append(group)
         pixels.append(masks[n, k])
-    one.NumberOfFrames = len(frames)
+    dataset.NumberOfFrames = len(frames)
     values = np.stack(pixels)
     content = np.packbits(values.ravel(), bitorder="little") if bits == 1 else values.astype(np.uint8)
-    one.PixelData = content.tobytes() + b"\0" * (content.size % 2)
-    return one
+    dataset.PixelData = content.tobytes() + b"\0" * (content.size % 2)
+    return dataset
 
 
 def save(dataset, path):
@@ -146,8 +147,8 @@ def test_ours_come_back(tmp_path, seed, as_labelmap):
 def test_frames_of_segments_in_any_order(tmp_path, seed):
     geometry, masks = grid(seed), objects(seed)
     numbers = ((1, 2), (2, 1), (5, 300))[seed % 3]
-    one = by_hand(geometry, masks, numbers, np.random.default_rng(seed), spacing_is_said=seed < 4)
-    check(save(one, tmp_path / "seg"), geometry, label_map(masks, numbers))
+    dataset = by_hand(geometry, masks, numbers, np.random.default_rng(seed), spacing_is_said=seed < 4)
+    check(save(dataset, tmp_path / "seg"), geometry, label_map(masks, numbers))
 
 
 @pytest.mark.parametrize("kind", ["BINARY", "FRACTIONAL", "LABELMAP"])
@@ -166,8 +167,8 @@ def test_fractions_count_from_a_half_on_and_that_is_said(tmp_path):
     geometry = grid(0)
     values = np.zeros((1, 7, 13, 11))
     values[0, 3, 2, :6] = (49, 50, 51, 99, 100, 1)
-    one = by_hand(geometry, values, (4,), np.random.default_rng(0), kind="FRACTIONAL", names=("a",))
-    path = save(one, tmp_path / "s")
+    dataset = by_hand(geometry, values, (4,), np.random.default_rng(0), kind="FRACTIONAL", names=("a",))
+    path = save(dataset, tmp_path / "s")
     found = io.read_labels(path, grid=geometry)
     assert found.array[3, 2, :6].tolist() == [0, 4, 4, 4, 4, 0]
     assert "at least half" in found.metadata["warning"]
@@ -185,8 +186,8 @@ def test_a_single_slice_and_one_between(tmp_path):
 @pytest.mark.parametrize("seed", range(3))
 def test_segments_that_overlap_are_refused_unless_one_is_named(tmp_path, seed):
     geometry, masks = grid(seed), objects(seed, overlap=True)
-    one = by_hand(geometry, masks, (2, 9), np.random.default_rng(seed), names=("liver", "cyst"))
-    path = save(one, tmp_path / "seg.dcm")
+    dataset = by_hand(geometry, masks, (2, 9), np.random.default_rng(seed), names=("liver", "cyst"))
+    path = save(dataset, tmp_path / "seg.dcm")
     with pytest.raises(InputError, match=r"segments (2 \(liver\) and 9 \(cyst\)|9 \(cyst\) and 2 \(liver\)) overlap"):
         io.read_labels(path)
     for mask, number in zip(masks, (2, 9), strict=True):
@@ -247,36 +248,38 @@ def test_a_start_an_evaluation_a_mask_and_info(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        (lambda one: one.PerFrameFunctionalGroupsSequence[1].SegmentIdentificationSequence[0].__setattr__(
-            "ReferencedSegmentNumber", 8), "is of segment 8, one of 1, 2 expected"),
-        (lambda one: delattr(one, "SegmentSequence"), "without segments"),
-        (lambda one: setattr(one, "PixelData", one.PixelData[:-20]), "bytes of its pixels are there"),
-        (lambda one: setattr(one, "NumberOfFrames", 3), "3 frames announced, 126 bytes"),
-        (lambda one: setattr(one, "NumberOfFrames", 10**9), "1000000000 frames"),
-        (lambda one: setattr(one, "TotalPixelMatrixRows", 1000), "whole-slide"),
-        (lambda one: setattr(one, "SegmentationType", "FRACTIONAL"), "without their largest value"),
-        (lambda one: setattr(one.PerFrameFunctionalGroupsSequence[1].PlanePositionSequence[0], "ImagePositionPatient",
-                             [1, 2, 3]), "shifted sideways|no multiples"),
-        (lambda one: one.PerFrameFunctionalGroupsSequence.__setitem__(1, one.PerFrameFunctionalGroupsSequence[0]),
-         "two frames of a segment"),
+        (lambda dataset: dataset.PerFrameFunctionalGroupsSequence[1].SegmentIdentificationSequence[0].__setattr__(
+            "ReferencedSegmentNumber", 8), "is of segment 8, dataset of 1, 2 expected"),
+        (lambda dataset: delattr(dataset, "SegmentSequence"), "without segments"),
+        (lambda dataset: setattr(dataset, "PixelData", dataset.PixelData[:-20]), "bytes of its pixels are there"),
+        (lambda dataset: setattr(dataset, "NumberOfFrames", 3), "3 frames announced, 126 bytes"),
+        (lambda dataset: setattr(dataset, "NumberOfFrames", 10**9), "1000000000 frames"),
+        (lambda dataset: setattr(dataset, "TotalPixelMatrixRows", 1000), "whole-slide"),
+        (lambda dataset: setattr(dataset, "SegmentationType", "FRACTIONAL"), "without their largest value"),
+        (lambda dataset: setattr(
+            dataset.PerFrameFunctionalGroupsSequence[1].PlanePositionSequence[0], "ImagePositionPatient", [1, 2, 3]
+        ), "shifted sideways|no multiples"),
+        (lambda dataset: dataset.PerFrameFunctionalGroupsSequence.__setitem__(
+            1, dataset.PerFrameFunctionalGroupsSequence[0]
+        ), "two frames of a segment"),
     ],
 )
 def test_damaged_ones_are_refused_in_one_line(tmp_path, damage, said):
-    one = by_hand(grid(1), objects(1), (1, 2), np.random.default_rng(1))
-    damage(one)
-    save(one, tmp_path / "seg.dcm")
+    dataset = by_hand(grid(1), objects(1), (1, 2), np.random.default_rng(1))
+    damage(dataset)
+    save(dataset, tmp_path / "seg.dcm")
     with pytest.raises((InputError, GeometryError), match=said):
         io.read_labels(tmp_path / "seg.dcm")
 
 
 def test_what_a_segmentation_is_not(tmp_path):
-    one = by_hand(grid(1), objects(1), (1, 2), np.random.default_rng(1))
-    save(one, tmp_path / "one" / "seg.dcm")
+    dataset = by_hand(grid(1), objects(1), (1, 2), np.random.default_rng(1))
+    save(dataset, tmp_path / "dataset" / "seg.dcm")
     with pytest.raises(UsageError, match="spacing: .*|spacing was given"):
-        io.read(tmp_path / "one", options=ReadOptions(spacing=(1, 1, 1)))
-    one.SOPInstanceUID = "1.2.3.78"
-    save(one, tmp_path / "one" / "more.dcm")
+        io.read(tmp_path / "dataset", options=ReadOptions(spacing=(1, 1, 1)))
+    dataset.SOPInstanceUID = "1.2.3.78"
+    save(dataset, tmp_path / "dataset" / "more.dcm")
     with pytest.raises(InputError, match=r"several segmentations are in it: 2 segmentations \(more.dcm, seg.dcm\)"):
-        io.read_labels(tmp_path / "one")
-    write_slices(tmp_path / "one", grid(1))
-    assert "2 segmentations" in io.read(tmp_path / "one").metadata["warning"]
+        io.read_labels(tmp_path / "dataset")
+    write_slices(tmp_path / "dataset", grid(1))
+    assert "2 segmentations" in io.read(tmp_path / "dataset").metadata["warning"]
