@@ -229,7 +229,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
     ),
     ImageFormat(
         "dcm",
-        "DICOM, a folder of slices, one of its files, or a zip archive; read only",
+        "DICOM, a folder of slices, one of its files, or a zip archive; a segmentation as a label map; read only",
         (".dcm", ".ima", ".zip"),
         f"{_FORMATS}.dicom:parse",
         f"{_FORMATS}.dicom:read",

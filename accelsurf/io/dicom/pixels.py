@@ -23,7 +23,7 @@ from accelsurf.io.grey import to_grey
 _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
 _COLOURS = 3
 #: What a packed image ends with, in all kinds of JPEG, and how many bytes may follow it.
-_END_OF_IMAGE, _TAIL = b"\xff\xd9", 16
+_END_OF_IMAGE, _TAIL = b"\xff\xd9", 1024
 
 
 def value_type(frames: Sequence[Frame]) -> np.dtype[Any]:
