@@ -80,7 +80,8 @@ def _dice(task: CaseTask, report: Mapping[str, Any], record: Mapping[str, Any]) 
         value = record["dice"]
         return None if value is None else float(value)
     (path,) = [one["path"] for one in report["outputs"] if one["kind"] == "labels"]
-    return dice_with(io.read_labels(task.folder / Path(path).name), io.read_labels(reference))
+    found = io.read_labels(task.folder / Path(path).name)
+    return dice_with(found, io.read_labels(reference, grid=found.geometry))
 
 
 def dice_with(found: Volume, truth: Volume) -> float | None:

@@ -82,7 +82,7 @@ def compare(
     with opened_set(folder, "compare", inputs) as files:
         refuse_existing(paths, overwrite, inputs)
         volume, *channels = read_channels(source, next(iter(configs.values())).reading)
-        truth = io.read_labels(reference) if reference is not None else None
+        truth = io.read_labels(reference, grid=volume.geometry) if reference is not None else None
         if truth is not None:
             check_reference(truth, volume)
         watcher = Watcher(display)

@@ -192,7 +192,8 @@ def _result(pair: Pair, asked: Asked) -> CaseResult:
         raise InputError(f"there is no {'prediction' if pair.pred is None else 'reference'} of this name")
     for path in (pair.pred.path, pair.ref.path):
         finish_killed_runs(path.parent)
-    pred, ref = (LabelMap(_read(side.path), side.ids) for side in (pair.pred, pair.ref))
+    volumes = io.on_one_grid(*(_read(side) for side in (pair.pred, pair.ref)))
+    pred, ref = (LabelMap(volume, side.ids) for volume, side in zip(volumes, (pair.pred, pair.ref), strict=True))
     if asked.labels is None:
         agreements = [evaluate_object(pred, ref, asked.tolerances)]
     else:
@@ -200,14 +201,14 @@ def _result(pair: Pair, asked: Asked) -> CaseResult:
     return CaseResult(pair.case, _written(pair.pred), _written(pair.ref), tuple(agreements))
 
 
-def _read(path: Path) -> Volume:
+def _read(side: LabelFile) -> Volume:
     """A label map; what there is to say of its file is said."""
     from accelsurf import io
     from accelsurf.cli.interrupts import say
 
-    labels = io.read_labels(path)
+    labels = io.read_labels(side.path, ids=side.ids)
     if note := labels.metadata.get(io.WARNING_KEY):
-        say(f"warning: {path}: {note}")
+        say(f"warning: {side.path}: {note}")
     return labels
 
 

@@ -79,11 +79,12 @@ class FirstImage:
         return partial(self._image, volumes)
 
     def _image(self, volumes: Future[list[Volume]]) -> OpenedImage:
-        from accelsurf.io import split_name
+        from accelsurf.io import on_grid, split_name
         from accelsurf.viewer.core.opening import OpenedImage
 
         truth = self._truth()
         volume, *more = volumes.result()
+        truth = None if truth is None else on_grid(truth, volume.geometry)
         return OpenedImage(volume, self.config, split_name(self.source)[0], self.source, tuple(more), truth)
 
     def _sequence(self) -> OpenedImage:

@@ -105,6 +105,8 @@ def _show_volumes(volumes: list[dict[str, Any]], as_json: bool) -> None:
             print(f"   {size} voxels of {voxel} mm, {entry['orientation']}, {entry['unit'] or 'no unit'}")
         print(f"   {entry['files']} file{'s' if entry['files'] > 1 else ''}, first {entry['first_file']}")
         print(f"   series {entry['uid'] or 'without a UID'}")
+        if entry["segments"]:
+            print("   segments " + ", ".join(f"{segment['id']} {segment['name']}" for segment in entry["segments"]))
         for warning in entry["warnings"]:
             print(f"   warning: {warning}")
     for note in volumes[0]["left_out"]:

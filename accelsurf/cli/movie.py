@@ -163,7 +163,7 @@ def _scene(volume: Volume, reference: Path | None, look: Look, size: tuple[int, 
     from accelsurf.viewer.scene.scene import Scene
 
     styles = given_styles(settings)
-    truth = None if reference is None else io.read_labels(reference)
+    truth = None if reference is None else io.read_labels(reference, grid=volume.geometry)
     scene = Scene(volume, theme=look.theme, reference=truth, size=size, window=parse_window(settings.window))
     scene.restyle(styles)
     scene.color_by(look.color)

@@ -112,7 +112,7 @@ def _labels(objects: str | Volume | NDArray[Any], geometry: Geometry) -> tuple[s
     name = "label map"
     if isinstance(objects, str):
         name, start = objects, starts.parse(f"label:{objects}")
-        objects, ids = io.read_labels(start.file), start.ids
+        objects, ids = io.read_labels(start.file, ids=start.ids, grid=geometry), start.ids
     return name, whole_numbers(name, array_on_grid(objects, geometry, f"objects {name}"), ids)
 
 

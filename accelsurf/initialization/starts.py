@@ -304,10 +304,10 @@ def _by_values(start: Start, geometry: Geometry, values: NDArray) -> NDArray[np.
 
 
 def _read_mask(start: Start, window: Window) -> NDArray[np.bool_]:
-    return start.mask_of(label_box(start.file, window, f"start label:{start.file}"))
+    return start.mask_of(label_box(start.file, window, f"start label:{start.file}", start.ids))
 
 
-def label_box(file: str, window: Window, name: str) -> NDArray[Any]:
+def label_box(file: str, window: Window, name: str, ids: Sequence[tuple[int, int]] = ()) -> NDArray[Any]:
     """Return a label map, or the part of it in a window.
 
     Raises
@@ -315,7 +315,9 @@ def label_box(file: str, window: Window, name: str) -> NDArray[Any]:
     InputError
         When it cannot be read; GeometryError when it lies on another grid.
     """
-    labels: Volume | io.LazyVolume = io.read_labels(file) if window.is_whole else io.open_volume(file)
+    labels: Volume | io.LazyVolume = (
+        io.read_labels(file, ids=ids, grid=window.geometry) if window.is_whole else io.open_volume(file)
+    )
     if not labels.geometry.matches(window.geometry):
         raise GeometryError(
             f"{name}: on another grid than the image: {labels.geometry.difference(window.geometry)}",

@@ -3,6 +3,7 @@
 from accelsurf.io.files import sha256
 from accelsurf.io.headers import is_stored, split_name
 from accelsurf.io.images import label_type, read, read_labels, write, write_labels
+from accelsurf.io.label_grid import on_grid, on_one_grid
 from accelsurf.io.label_store import LabelStore
 from accelsurf.io.lazy_volume import LazyVolume, open_volume
 from accelsurf.io.memory import available_memory
@@ -20,6 +21,8 @@ __all__ = [
     "image_suffixes",
     "is_stored",
     "label_type",
+    "on_grid",
+    "on_one_grid",
     "open_volume",
     "read",
     "read_labels",

@@ -8,12 +8,9 @@ from accelsurf.errors import InputError
 from accelsurf.grid.volume import Volume
 from accelsurf.io.dicom.cine import TIME_PHASES, frames_in_time, is_cine
 from accelsurf.io.dicom.frames import Frame
-from accelsurf.io.dicom.library import library
 from accelsurf.io.dicom.slices import ordered
-from accelsurf.io.dicom.sources import SourceFiles, files_of
-from accelsurf.io.dicom.volumes import Contents, DicomVolume, contents_of
+from accelsurf.io.dicom.volumes import Contents, DicomVolume
 from accelsurf.io.formats import dicom
-from accelsurf.io.memory import available_memory
 from accelsurf.io.sequence_sources import FileSequence
 from accelsurf.settings.reading import ReadOptions
 
@@ -23,17 +20,13 @@ class DicomFrames(FileSequence):
 
     def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
         super().__init__(path, options, memory_bytes)
-        library()
-        # Unpacked files live as long as it does.
-        self._files = files_of(path, available_memory())
-        alone = path.is_file() and not self._files.unpacked
-        if alone and dicom.has_several(path):
-            self._files = SourceFiles(self._files.root, (path,))
-        contents = contents_of(self._files)
-        frames = _frames_of(contents, options, path if alone else None)
+        self._files, contents, file = dicom.found_in(path)
+        frames = _frames_of(contents, options, file)
+        series = frames[0].uids[1]
+        dicom.refuse_lost(contents, series, options)
         self._parts, times = frames_in_time(frames, self._files.root)
         first = self._header(0)
-        self.place(first.geometry, times, [*([] if alone else dicom.skipped(contents)), *first.notes])
+        self.place(first.geometry, times, [*dicom.left_out(contents, series, file), *first.notes])
 
     def _header(self, number: int) -> dicom.DicomHeader:
         """Slices of a frame in their order, on a grid."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import SPACE_HINT, naming, staging
 from accelsurf.io.headers import split_name
+from accelsurf.io.label_grid import on_grid
 from accelsurf.io.memory import available_memory
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, label_formats
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
@@ -79,17 +81,41 @@ def read(
     return volume
 
 
-def read_labels(path: str | os.PathLike[str], *, memory_bytes: int | None = None) -> Volume:
+def read_labels(
+    path: str | os.PathLike[str],
+    *,
+    ids: Sequence[tuple[int, int]] = (),
+    grid: Geometry | None = None,
+    memory_bytes: int | None = None,
+) -> Volume:
     """Read a label map: as `read`, with values of an integer type.
+
+    Parameters
+    ----------
+    path : path-like
+    ids : sequence of (first, last), optional
+        Labels that are wanted, of a file whose labels may overlap (a DICOM segmentation); other files are read whole.
+    grid : Geometry, optional
+        Where a file stores only voxels near labels (a DICOM segmentation), they are put on this grid if they are voxels
+        of it; other files are left on their own.
+    memory_bytes : int, optional
+        As for `read`.
 
     Raises
     ------
     InputError
-        As `read`, and when a value is not a whole number.
+        As `read`, and when a value is not a whole number, or wanted labels overlap.
     """
-    volume = read(path, memory_bytes=memory_bytes)
-    with naming(Path(path)):
-        return Volume(_as_integers(volume.array), volume.geometry, volume.metadata, volume.source)
+    path = Path(path)
+    with naming(path):
+        form, header = headers.parse(path)
+        available = available_memory() if memory_bytes is None else memory_bytes
+        if form.read_labels is not None:
+            volume: Volume = load(form.read_labels)(path, header, available, ids)
+        else:
+            volume = load(form.read)(path, header, available)
+        labels = Volume(_as_integers(volume.array), volume.geometry, volume.metadata, volume.source)
+    return labels if grid is None else on_grid(labels, grid)
 
 
 def write(volume: Volume, path: str | os.PathLike[str]) -> None:

@@ -11,11 +11,15 @@ import os
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import unescape
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.io.files import naming
+from accelsurf.io.headers import split_name
+from accelsurf.settings.file_formats import image_format
 from accelsurf.settings.labels import MAX_NAME, Color, LabelEntry, LabelTable, colored, default_color
+from accelsurf.settings.registry import load
 
 #: Bytes of a table: beyond that it is none.
 _MAX_BYTES = 1 << 22
@@ -37,7 +41,7 @@ def read(path: str | os.PathLike[str]) -> LabelTable:
     path : path-like
         Label descriptions of ITK-SNAP (.txt, .label), a colour table of 3D Slicer (.ctbl), a table with columns index
         or id, name, and color or r, g, b (.tsv as of BIDS, .csv), the header of a .seg.nrrd, or the label table in that
-        of a .nii or .nii.gz.
+        of a .nii or .nii.gz, or the segments of a DICOM segmentation (.dcm).
 
     Raises
     ------
@@ -57,6 +61,8 @@ def read(path: str | os.PathLike[str]) -> LabelTable:
     with naming(path):
         if path.name.lower().endswith((".nii", ".nii.gz")) and path.is_file():
             return LabelTable({entry.id: entry for entry in _of_nifti(path)})
+        if path.is_file() and (form := image_format(split_name(path)[1])) is not None and form.listing is not None:
+            return _of_segments(load(form.listing)(path))
         if not path.is_file():
             raise InputError("there is no such file", "check the path of the label table")
         with path.open("rb") as file:
@@ -82,7 +88,8 @@ def _reader(path: Path) -> Callable[[str], Iterable[LabelEntry]]:
         return lambda text: _of_columns(text, "\t" if name.endswith(".tsv") else ",")
     if name.endswith((".txt", ".label")):
         return _of_itk_snap
-    raise InputError("unknown kind of label table, .txt, .label, .ctbl, .tsv, .csv or .seg.nrrd expected", "rename it")
+    known = ".txt, .label, .ctbl, .tsv, .csv, .seg.nrrd or .dcm"
+    raise InputError(f"unknown kind of label table, {known} expected", "rename it")
 
 
 def _entry(number: int, label: str, name: str, color: Color) -> LabelEntry:
@@ -172,6 +179,14 @@ def _of_seg_nrrd(text: str) -> Iterable[LabelEntry]:
         except (KeyError, ValueError, OverflowError):
             red, green, blue = default_color(int(label) if label.isdigit() else 1)
         yield _entry(int(number), label, keys.get("Name", f"Segment {number}"), (red, green, blue))
+
+
+def _of_segments(volumes: list[dict[str, Any]]) -> LabelTable:
+    """The segments of a DICOM segmentation."""
+    found = next((entry["segments"] for entry in volumes if entry["segments"]), None)
+    if found is None:
+        raise InputError("a DICOM series given, a segmentation expected", "give a file with names, or a table")
+    return LabelTable({row["id"]: LabelEntry(row["id"], row["name"], colored(row["color"])[1]) for row in found})
 
 
 def _of_nifti(path: Path) -> Iterable[LabelEntry]:

@@ -12,6 +12,9 @@ LABELS_KEY = "labels"
 DICOM_KEY = "dicom_series"
 """The UID of the series that an image was read from; absent where it was no DICOM."""
 
+ZERO_BEYOND_KEY = "zero_beyond"
+"""There where a label map's format stores only voxels near labels, as a DICOM segmentation: all beyond them are 0."""
+
 VALUE_UNIT_KEY = "value_unit"
 """The unit of the values, as HU, where the file says it."""
 

@@ -36,6 +36,10 @@ def source_of(result: Result) -> SourceImages:
         )
     with naming(path):
         header = dicom.parse(path, result.config.reading)
+        if not isinstance(header, dicom.DicomHeader):
+            raise UsageError(
+                "the image is a DICOM segmentation, and DICOM outputs refer to the slices of a scan", "give the scan"
+            )
         return read(header.slices.frames)
 
 

@@ -25,7 +25,7 @@ def table_of(config: RunConfig) -> LabelTable:
     known = LabelTable()
     if config.label_table is not None:
         known = label_tables.read(config.label_table)
-    elif config.objects is not None and config.objects.partition("@")[0].lower().endswith(".seg.nrrd"):
+    elif config.objects is not None and config.objects.partition("@")[0].lower().endswith((".seg.nrrd", ".dcm")):
         try:
             known = label_tables.read(Path(config.objects.partition("@")[0]))
         except InputError:

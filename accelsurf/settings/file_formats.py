@@ -47,6 +47,8 @@ class ImageFormat:
         As ``read``, returns a list of a Volume for each channel; None: the format has one channel.
     write_labels : str or callable, optional
         As ``write``, of a label map; None: the same.
+    read_labels : str or callable, optional
+        As ``read``, with ranges of the labels that are wanted: of a format whose labels may overlap; None: the same.
     open : str or callable, optional
         Of a Path, that header and an `accelsurf.io.lazy_volume.Opening`, returns a LazyVolume, which is read box by
         box; None: the format is packed as a whole.
@@ -95,6 +97,7 @@ class ImageFormat:
     read_channels: Function | None = None
     is_anatomical: Function | None = None
     write_labels: Function | None = None
+    read_labels: Function | None = None
     open: Function | None = None
     store: Function | None = None
     sequence: Function | None = None
@@ -227,11 +230,12 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
     ),
     ImageFormat(
         "dcm",
-        "DICOM, a folder of slices, one of its files, or a zip archive; read only",
+        "DICOM, a folder of slices, one of its files, or a zip archive; a segmentation as a label map; read only",
         (".dcm", ".ima", ".zip"),
         f"{_FORMATS}.dicom:parse",
         f"{_FORMATS}.dicom:read",
         options=("series", "resample", "spacing"),
+        read_labels=f"{_FORMATS}.dicom:read_labels",
         sequence="accelsurf.io.dicom_sequences:DicomFrames",
         is_anatomical=f"{_FORMATS}.dicom:is_anatomical",
         is_folder=f"{_FORMATS}.dicom:holds_dicom",

@@ -99,8 +99,8 @@ class OutputFields(ImageFields):
     )
     label_table: str | None = setting(
         None,
-        "Names and colours of objects: a file of ITK-SNAP (.txt), 3D Slicer (.ctbl, .seg.nrrd) or BIDS (.tsv), or a "
-        ".csv with columns id, name and color.",
+        "Names and colours of objects: a file of ITK-SNAP (.txt), 3D Slicer (.ctbl, .seg.nrrd), BIDS (.tsv) or DICOM "
+        "(a segmentation, .dcm), or a .csv with columns id, name and color.",
         entry=SettingEntry(FILES, metavar="FILE", fixed=True, viewer="elsewhere"),
     )
     also: Annotated[tuple[Annotated[str, OneOf(also_names)], ...], BeforeValidator(all_split)] = setting(

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
-from pathlib import Path
+from itertools import accumulate
 from typing import Any
 
 from accelsurf.errors import InputError
-from accelsurf.io.dicom.library import quiet, read_dataset
-
-Floats = tuple[float, ...]
+from accelsurf.io.dicom import kinds, nuclear
+from accelsurf.io.dicom.elements import Elements, Floats, listed, number_of, numbers_of, text
+from accelsurf.io.dicom.library import PixelBytes, damage_of, library, read_dataset, read_header
+from accelsurf.io.dicom.sources import DicomFile
+from accelsurf.settings import budgets
 
 _TAGS = [
     *("SOPClassUID", "SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID", "FrameOfReferenceUID", "Modality"),
@@ -22,15 +24,17 @@ _TAGS = [
     *("AcquisitionNumber", "AcquisitionTime", "ContentTime", "TemporalPositionIdentifier", "TriggerTime"),
     *("DiffusionBValue", "DiffusionGradientOrientation", "SharedFunctionalGroupsSequence"),
     *("PerFrameFunctionalGroupsSequence", "FrameTime", "FrameTimeVector", "CineRate", "RecommendedDisplayFrameRate"),
-    "TransferSyntaxUID",
+    *("ModalityLUTSequence", *(f"{kind}PixelPadding{part}" for kind in ("", "Float", "DoubleFloat")
+                               for part in ("Value", "RangeLimit"))),
+    *kinds.TAGS, *nuclear.TAGS,
 ]
+#: Samples of a pixel on average, where colours are stored for pairs of pixels.
+_HALVED = "YBR_FULL_422"
 #: The number of images in a mosaic and the block that says which way they follow (Siemens).
 _MOSAIC_COUNT, _MOSAIC_CREATOR, _MOSAIC_BLOCK, _BLOCK_CREATOR = (
     0x0019_100A, 0x0019_0010, 0x0029_1010, 0x0029_0010,
 )
-#: Frames of a file: beyond that its header is damaged.
-_MAX_FRAMES = 1 << 20
-_MAX_SIDE = 1 << 16
+_MAX_SIDE, _MAX_BITS = 1 << 16, 64
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Frame:
 
     Attributes
     ----------
-    path : Path
+    path : Path or Member
     number : int
         Of the frame in its file, from 0 on.
     frames : int
@@ -54,13 +58,13 @@ class Frame:
     spacing : tuple of float or None
         Between rows and between columns, mm.
     thickness : float or None
-        Distance to the next slice as the file says it, mm.
+        Distance to the next slice as the file says it, mm; negative where the next lies against the normal.
     slope, intercept : float
         Value = slope * stored + intercept.
     uids : tuple of str
         Of study, series, instance and frame of reference.
     labels : dict of str to str
-        modality, description, number, unit, transfer syntax.
+        modality, description, number, unit, class; kind: what it is if it is no slice of a volume, else empty.
     image_type : tuple of str
     pixel : tuple
         Bits stored, bits allocated, whether signed, samples per pixel, photometric interpretation.
@@ -68,9 +72,13 @@ class Frame:
         What may tell apart slices at one place.
     times : dict of str to float
         When it is, seconds, by what says so, and what else gives the order of slices at one place; see `_times`.
+    has_table : bool
+        Whether a table gives the values of what is stored, in place of slope and intercept.
+    padding : tuple of float or None
+        Lowest and highest of what is stored where there is no image.
     """
 
-    path: Path
+    path: DicomFile
     number: int
     frames: int
     corner: tuple[int, int] | None
@@ -88,115 +96,191 @@ class Frame:
     pixel: tuple[int, int, bool, int, str]
     phase: dict[str, str]
     times: dict[str, float] = field(default_factory=dict)
+    has_table: bool = False
+    padding: tuple[float, float] | None = None
 
 
-def frames_of(path: Path) -> list[Frame]:
+def frames_of(path: DicomFile, of_segmentation: bool = False) -> list[Frame]:
     """Read the slices of a file, without their values.
+
+    Parameters
+    ----------
+    path : Path or Member
+    of_segmentation : bool
+        Whether all frames of a segmentation are wanted: of what is no slice of a volume the first stands for all.
+
+    Returns
+    -------
+    list of Frame
+        Empty where the file has no image.
 
     Raises
     ------
     InputError
-        When the file is damaged; one without an image gives none.
+        When the file is damaged, or has less than its header announces.
     """
-    dataset = read_dataset(path, _TAGS)
-    try:
-        with quiet():  # elements are converted where they are asked for
-            return _frames(path, dataset)
-    except (InputError, OSError, MemoryError):
-        raise
-    except Exception as error:  # elements of a wrong kind, sequences too deep: what a damaged file can say has no end
-        reason = " ".join(str(error).split())[:160] or type(error).__name__
-        raise InputError(f"{path.name}: the header is damaged ({reason})", "copy it again") from error
+    dataset, pixels = read_header(path, _TAGS)
+    with damage_of(path, "the header is damaged"):  # elements are converted where they are asked for
+        return _frames(path, Elements(dataset), pixels, of_segmentation)
 
 
-def text(dataset: Any, name: str) -> str:
-    """An element as text; empty where there is none."""
-    value = dataset.get(name)
-    return "" if value is None else " ".join(str(value).split())[:120]
-
-
-def _numbers(dataset: Any, name: str, count: int) -> Floats | None:
-    """So many finite numbers; None where the element has others."""
-    value = None if dataset is None else dataset.get(name)
-    if value is None or value == "":
-        return None
-    parts = [value] if isinstance(value, (int, float, str)) else list(value)
-    found = tuple(float(part) for part in parts if part is not None)
-    return found if len(found) == count and all(map(math.isfinite, found)) else None
-
-
-def _number(dataset: Any, name: str) -> float | None:
-    found = _numbers(dataset, name, 1)
-    return None if found is None else found[0]
-
-
-def _frames(path: Path, dataset: Any) -> list[Frame]:
+def _frames(path: DicomFile, dataset: Elements, pixels: PixelBytes | None, of_segmentation: bool) -> list[Frame]:
     rows, columns = (int(dataset.get(name) or 0) for name in ("Rows", "Columns"))
-    if rows <= 0 or columns <= 0:
-        return []  # a report, a structure set, a state of display
+    kind = kinds.kind_of(dataset)
+    if kind and not (of_segmentation and kind == kinds.SEGMENTATION):
+        return [_frame(path, dataset, 0, 1, None, _said(path, dataset), kind)]
+    if not any(dataset.get(name) for name in ("SOPClassUID", "Modality", "Rows")):
+        raise InputError(f"{path.name}: its header says nothing; cut short?", "copy it again")
+    if rows <= 0 or columns <= 0 or pixels is None:
+        if pixels is not None or kinds.is_image(dataset):
+            what = "no pixels" if pixels is None else "no rows and columns"
+            raise InputError(f"{path.name}: {what} in it; cut short?", "copy it again")
+        return []
     count = int(dataset.get("NumberOfFrames") or 1)
-    if not 1 <= count <= _MAX_FRAMES or rows > _MAX_SIDE or columns > _MAX_SIDE:
+    if count < 1 or rows > _MAX_SIDE or columns > _MAX_SIDE:
         raise InputError(f"{path.name}: {columns} x {rows} pixels, {count} frames announced", "the header is damaged")
-    image_type = tuple(str(part).upper() for part in _listed(dataset.get("ImageType")))
-    if "MOSAIC" in image_type:
+    budgets.DICOM_FRAMES.check(count, f"{path.name} announces")
+    _check_pixels(path, dataset, pixels, rows * columns, count)
+    groups = dataset.get("PerFrameFunctionalGroupsSequence")
+    if groups and len(groups) != count:
+        raise InputError(f"{path.name}: {count} frames announced, {len(groups)} described", "the header is damaged")
+    said = _said(path, dataset)
+    if "MOSAIC" in listed(dataset.get("ImageType")):
         from accelsurf.io.dicom.mosaic import tiles_of
 
-        dataset = read_dataset(path, [*_TAGS, *_mosaic_tags()])
-        return [_frame(path, dataset, 0, 1, image_type, tile) for tile in tiles_of(path, dataset)]
-    return [_frame(path, dataset, number, count, image_type, None) for number in range(count)]
+        tiles = tiles_of(path, read_dataset(path, [*_TAGS, *_mosaic_tags()]))
+        return [_frame(path, dataset, 0, 1, tile, said) for tile in tiles]
+    return [_frame(path, dataset, number, count, None, said) for number in nuclear.order_of(dataset, count)]
+
+
+def _check_pixels(path: DicomFile, dataset: Elements, pixels: PixelBytes, size: int, count: int) -> None:
+    """Refuse a file that has less than its header announces, before anything is allocated for it."""
+    bits, samples = int(dataset.get("BitsAllocated") or 16), int(dataset.get("SamplesPerPixel") or 1)
+    if not 1 <= bits <= _MAX_BITS or not 1 <= samples <= 4:
+        raise InputError(f"{path.name}: {samples} samples of {bits} bits for a pixel", "the header is damaged")
+    if text(dataset, "PhotometricInterpretation") == _HALVED and pixels.announced is not None:
+        samples = 2
+    syntax = getattr(dataset.dataset, "file_meta", {}).get("TransferSyntaxUID")
+    is_packed = syntax is not None and library("pydicom.uid").UID(syntax).is_encapsulated
+    if is_packed != (pixels.announced is None):
+        raise InputError(
+            f"{path.name}: its pixels are {'plain' if is_packed else 'packed'}, its transfer syntax is "
+            f"{'of packed ones' if is_packed else 'of plain ones'} ({getattr(syntax, 'name', 'none')})",
+            "export it again",
+        )
+    if pixels.announced is not None:
+        needed = (size * count * samples * bits + 7) // 8
+        if pixels.present < needed:
+            raise InputError(f"{path.name}: {pixels.present} of {needed} bytes of its pixels are there; cut short?",
+                             "copy it again")
+        if pixels.announced >= needed + size * samples * bits // 8 > needed:
+            raise InputError(
+                f"{path.name}: {count} frames announced, {pixels.announced} bytes of pixels in it, {needed} expected",
+                "the header is damaged",
+            )
+        return
+    if not pixels.is_whole:
+        raise InputError(f"{path.name}: its packed pixels do not end; cut short?", "copy it again")
+    if pixels.pieces < count:
+        raise InputError(
+            f"{path.name}: {count} frames announced, {pixels.pieces} packed in it ({getattr(syntax, 'name', 'none')})",
+            "a video, or cut short: export the scan again",
+        )
+    budgets.DICOM_PACKED.check(
+        size * samples * bits // 8, f"{path.name} announces for each frame", pixels.present // count + 4096
+    )
 
 
 def _mosaic_tags() -> list[Any]:
     return [_MOSAIC_COUNT, _MOSAIC_CREATOR, _MOSAIC_BLOCK, _BLOCK_CREATOR]
 
 
-def _listed(value: Any) -> list[Any]:
-    return [] if value is None else [value] if isinstance(value, str) else list(value)
+@dataclass(frozen=True)
+class _Said:
+    """What a file says of all its frames."""
+
+    size: tuple[int, int]
+    uids: tuple[str, str, str, str]
+    labels: dict[str, str]
+    image_type: tuple[str, ...]
+    pixel: tuple[int, int, bool, int, str]
+    padding: tuple[float, float] | None
+    elapsed: tuple[float, ...]
 
 
-def _frame(path: Path, dataset: Any, number: int, count: int, image_type: tuple[str, ...], tile: Any) -> Frame:
+def _said(path: DicomFile, dataset: Elements) -> _Said:
+    bits, is_signed = int(dataset.get("BitsAllocated") or 16), bool(dataset.get("PixelRepresentation") or 0)
+    names = {"modality": "Modality", "description": "SeriesDescription", "number": "SeriesNumber",
+             "class": "SOPClassUID"}
+    study, series, instance, world = (
+        text(dataset, f"{what}UID") for what in ("StudyInstance", "SeriesInstance", "SOPInstance", "FrameOfReference")
+    )
+    return _Said(
+        (int(dataset.get("Rows") or 0), int(dataset.get("Columns") or 0)),
+        (study, series, instance, world),
+        {what: text(dataset, name) for what, name in names.items()},
+        tuple(listed(dataset.get("ImageType"))),
+        (
+            int(dataset.get("BitsStored") or bits), bits, is_signed, int(dataset.get("SamplesPerPixel") or 1),
+            text(dataset, "PhotometricInterpretation"),
+        ),
+        _padding(path, dataset, bits, is_signed),
+        _elapsed(dataset),
+    )
+
+
+def _frame(
+    path: DicomFile, dataset: Elements, number: int, count: int, tile: Any, said: _Said, kind: str = ""
+) -> Frame:
     place = _group(dataset, number, "PlanePositionSequence")
     turn = _group(dataset, number, "PlaneOrientationSequence")
     size = _group(dataset, number, "PixelMeasuresSequence")
     scale = _group(dataset, number, "PixelValueTransformationSequence")
-    slope, intercept = _number(scale, "RescaleSlope"), _number(scale, "RescaleIntercept")
-    if slope == 0:
+    slope, intercept = number_of(scale, "RescaleSlope"), number_of(scale, "RescaleIntercept")
+    table = scale.get("ModalityLUTSequence")
+    if slope == 0 and not table:
         raise InputError(f"{path.name}: its values are scaled by 0", "the header is damaged")
-    spacing = _numbers(size, "PixelSpacing", 2) or _numbers(dataset, "ImagerPixelSpacing", 2)
-    thickness = _number(size, "SpacingBetweenSlices") or _number(size, "SliceThickness")
-    corner, rows, columns, position = None, int(dataset.Rows), int(dataset.Columns), _numbers(
-        place, "ImagePositionPatient", 3
+    spacing = numbers_of(size, "PixelSpacing", 2) or numbers_of(dataset, "ImagerPixelSpacing", 2)
+    position, orientation = nuclear.place_of(dataset, number) or (
+        numbers_of(place, "ImagePositionPatient", 3), numbers_of(turn, "ImageOrientationPatient", 6)
     )
+    corner, (rows, columns) = None, said.size
     if tile is not None:
         corner, rows, columns, position = tile
-    kind = _frame_type(dataset, number)
+    phase, times = _phase(path, dataset, number, count), _times(dataset, number, said.elapsed)
     return Frame(
-        path, number, count, corner, rows, columns, position,
-        _numbers(turn, "ImageOrientationPatient", 6),
+        path, number, count, corner, rows, columns, position, orientation,
         spacing if spacing is not None and min(spacing) > 0 else None,
-        abs(thickness) if thickness else None,
-        1.0 if slope is None else slope,
-        0.0 if intercept is None else intercept,
-        tuple(text(dataset, f"{one}UID") for one in  # type: ignore[arg-type]
-              ("StudyInstance", "SeriesInstance", "SOPInstance", "FrameOfReference")),
-        {
-            "modality": text(dataset, "Modality"),
-            "description": text(dataset, "SeriesDescription"),
-            "number": text(dataset, "SeriesNumber"),
-            "unit": _unit(dataset, scale),
-            "class": text(dataset, "SOPClassUID"),
-        },
-        image_type,
-        (
-            int(dataset.get("BitsStored") or dataset.get("BitsAllocated") or 16),
-            int(dataset.get("BitsAllocated") or 16),
-            bool(dataset.get("PixelRepresentation") or 0),
-            int(dataset.get("SamplesPerPixel") or 1),
-            text(dataset, "PhotometricInterpretation"),
-        ),
-        {name: value for name, value in _phase(path, dataset, number, count, kind).items() if value},
-        {name: value for name, value in _times(dataset, number).items() if value is not None and math.isfinite(value)},
+        number_of(size, "SpacingBetweenSlices") or number_of(size, "SliceThickness") or None,
+        1.0 if slope is None or table else slope,
+        0.0 if intercept is None or table else intercept,
+        said.uids,
+        {**said.labels, "unit": _unit(dataset, scale, table), "kind": kind},
+        said.image_type,
+        said.pixel,
+        {name: value for name, value in phase.items() if value},
+        {name: value for name, value in times.items() if value is not None and math.isfinite(value)},
+        bool(table),
+        said.padding,
     )
+
+
+def _padding(path: DicomFile, dataset: Elements, bits: int, is_signed: bool) -> tuple[float, float] | None:
+    """Lowest and highest of what is stored where there is no image."""
+    for kind in ("", "Float", "DoubleFloat"):
+        value = dataset.get(f"{kind}PixelPaddingValue")
+        if value is None or value == "":
+            continue
+        limit = dataset.get(f"{kind}PixelPaddingRangeLimit")
+        ends = [float(end) for end in (value, value if limit is None or limit == "" else limit)]
+        if not all(map(math.isfinite, ends)):
+            raise InputError(f"{path.name}: the value of its padding is no number", "the header is damaged")
+        if not kind:  # some write it without the sign that their pixels have, or with one that they have not
+            whole = 1 << bits
+            ends = [end - whole if is_signed and end >= whole // 2 else end for end in ends]
+            ends = [end + whole if not is_signed and end < 0 else end for end in ends]
+        return min(ends), max(ends)
+    return None
 
 
 def _group(dataset: Any, number: int, name: str) -> Any:
@@ -212,19 +296,21 @@ def _frame_type(dataset: Any, number: int) -> str:
     for name in ("MRImageFrameTypeSequence", "CTImageFrameTypeSequence", "PETFrameTypeSequence"):
         group = _group(dataset, number, name)
         if group is not dataset:
-            return "\\".join(map(str, _listed(group.get("FrameType"))))
-    return ""
+            return "\\".join(listed(group.get("FrameType")))
+    return "\\".join(listed(dataset.get("ImageType")))
 
 
-def _phase(path: Path, dataset: Any, number: int, count: int, kind: str) -> dict[str, str]:
+def _phase(path: DicomFile, dataset: Any, number: int, count: int) -> dict[str, str]:
     """What may tell apart slices at one place, most telling first."""
     content = _group(dataset, number, "FrameContentSequence")
     echo = _group(dataset, number, "MREchoSequence")
     diffusion = _group(dataset, number, "MRDiffusionSequence")
     gradient = _group(diffusion, 0, "DiffusionGradientDirectionSequence") if diffusion is not dataset else dataset
+    segment = _group(dataset, number, "SegmentIdentificationSequence")
     return {
+        "segment": text(segment, "ReferencedSegmentNumber"),
         "stack": text(content, "StackID"),
-        "type": kind or "\\".join(map(str, _listed(dataset.get("ImageType")))),
+        "type": _frame_type(dataset, number),
         "echo time": text(echo, "EffectiveEchoTime") or text(dataset, "EchoTime"),
         "time point": text(content, "TemporalPositionIndex") or text(dataset, "TemporalPositionIdentifier"),
         "trigger time": text(dataset, "TriggerTime"),
@@ -232,38 +318,46 @@ def _phase(path: Path, dataset: Any, number: int, count: int, kind: str) -> dict
         "gradient": text(gradient, "DiffusionGradientOrientation"),
         "acquisition": text(dataset, "AcquisitionNumber"),
         "acquisition time": text(content, "FrameAcquisitionDateTime") or text(dataset, "AcquisitionTime"),
+        **nuclear.phase_of(dataset, number),
         "file": path.name if count > 1 else "",
     }
 
 
-def _times(dataset: Any, number: int) -> dict[str, float | None]:
+def _times(dataset: Elements, number: int, elapsed: Floats) -> dict[str, float | None]:
     """Seconds: offset from the first, since the heart's trigger, in the file, of the day; and what gives the order."""
     content = _group(dataset, number, "FrameContentSequence")
-    trigger = _number(_group(dataset, number, "CardiacSynchronizationSequence"), "NominalCardiacTriggerDelayTime")
-    trigger = _number(dataset, "TriggerTime") if trigger is None else trigger
+    trigger = number_of(_group(dataset, number, "CardiacSynchronizationSequence"), "NominalCardiacTriggerDelayTime")
+    trigger = number_of(dataset, "TriggerTime") if trigger is None else trigger
     offset = _group(dataset, number, "TemporalPositionSequence")
     point = text(content, "TemporalPositionIndex") or text(dataset, "TemporalPositionIdentifier")
-    instance = _number(dataset, "InstanceNumber")
+    instance = number_of(dataset, "InstanceNumber")
     return {
-        "offset": None if offset is dataset else _number(offset, "TemporalPositionTimeOffset"),
+        "offset": None if offset is dataset else number_of(offset, "TemporalPositionTimeOffset"),
         "trigger": None if trigger is None else 1e-3 * trigger,
         "point": float(point) if point.isdigit() else None,
-        "frame": _time_in_file(dataset, number),
+        "frame": _time_in_file(dataset, number, elapsed),
         "acquisition": _seconds(text(content, "FrameAcquisitionDateTime") or text(dataset, "AcquisitionTime")),
         "content": _seconds(text(dataset, "ContentTime")),
-        "number": None if instance is None else instance * _MAX_FRAMES + number,
+        "number": None if instance is None else instance * budgets.DICOM_FRAMES.limit + number,
     }
 
 
-def _time_in_file(dataset: Any, number: int) -> float | None:
-    """Time of a frame of a loop, seconds from the first."""
+def _elapsed(dataset: Elements) -> tuple[float, ...]:
+    """Times of the frames of a loop, seconds from the first, where the file has a list of steps."""
     steps = dataset.get("FrameTimeVector")
-    if steps is not None and not isinstance(steps, (str, int, float)) and number < len(steps):
-        return 1e-3 * math.fsum(float(step) for step in list(steps)[1 : number + 1])
-    step = _number(dataset, "FrameTime")
+    if steps is None or isinstance(steps, (str, int, float)):
+        return ()
+    return tuple(1e-3 * time for time in accumulate([0.0, *(float(step) for step in list(steps)[1:])]))
+
+
+def _time_in_file(dataset: Elements, number: int, elapsed: Floats) -> float | None:
+    """Time of a frame of a loop, seconds from the first."""
+    if number < len(elapsed):
+        return elapsed[number]
+    step = number_of(dataset, "FrameTime")
     if step is not None and step > 0:
         return 1e-3 * step * number
-    rate = _number(dataset, "CineRate") or _number(dataset, "RecommendedDisplayFrameRate")
+    rate = number_of(dataset, "CineRate") or number_of(dataset, "RecommendedDisplayFrameRate")
     return number / rate if rate is not None and rate > 0 else None
 
 
@@ -276,9 +370,10 @@ def _seconds(value: str) -> float | None:
     return 3600.0 * hours + 60.0 * minutes + seconds
 
 
-def _unit(dataset: Any, scale: Any) -> str:
+def _unit(dataset: Elements, scale: Any, table: Any) -> str:
     """The unit of the values as the file says it; HU of a CT that says nothing else."""
-    own = text(scale, "RescaleType") or text(dataset, "Units")
+    said = text(table[0], "ModalityLUTType") if table else text(scale, "RescaleType")
+    said = said or text(dataset, "Units")
     if text(dataset, "Modality") == "CT":
-        return "HU" if own.upper() in ("", "HU", "US") else own
-    return "" if own.upper() in ("US", "NONE") else own
+        return "HU" if said.upper() in ("", "HU", "US") else said
+    return "" if said.upper() in ("US", "NONE") else said

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from accelsurf.errors import InputError
 from accelsurf.io.dicom.library import quiet
+from accelsurf.io.dicom.sources import DicomFile
 
 #: First row and column, rows, columns, position.
 Tile = tuple[tuple[int, int], int, int, tuple[float, ...]]
 _COUNT = 0x0019_100A
 
 
-def tiles_of(path: Path, dataset: Any) -> list[Tile]:
+def tiles_of(path: DicomFile, dataset: Any) -> list[Tile]:
     """Where each slice of a mosaic lies in the picture and in the patient.
 
     The file says where the whole picture would lie if it were a slice with the middle of the first one; the slices

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +16,14 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.io import itk
 from accelsurf.io.dicom.frames import Frame
-from accelsurf.io.dicom.library import library, quiet, read_dataset
+from accelsurf.io.dicom.library import damage_of, library, read_dataset
+from accelsurf.io.dicom.sources import DicomFile
 from accelsurf.io.grey import to_grey
 
 _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
 _COLOURS = 3
+#: What a packed image ends with, in all kinds of JPEG, and how many bytes may follow it.
+_END_OF_IMAGE, _TAIL = b"\xff\xd9", 1024
 
 
 def value_type(frames: Sequence[Frame]) -> np.dtype[Any]:
@@ -27,7 +33,7 @@ def value_type(frames: Sequence[Frame]) -> np.dtype[Any]:
     ----------
     frames : sequence of Frame
     """
-    if any(frame.pixel[3] == _COLOURS or frame.slope != 1.0 or frame.intercept % 1.0 for frame in frames):
+    if any(_is_fraction(frame) for frame in frames):
         return np.dtype(np.float32)
     lows, highs = [], []
     for frame in frames:
@@ -41,6 +47,11 @@ def value_type(frames: Sequence[Frame]) -> np.dtype[Any]:
         if np.iinfo(name).min <= min(lows) and max(highs) <= np.iinfo(name).max:
             return np.dtype(name)
     return np.dtype(np.float32)
+
+
+def _is_fraction(frame: Frame) -> bool:
+    """Whether the values of a slice may have fractions, or any size."""
+    return frame.pixel[3] == _COLOURS or frame.has_table or frame.slope != 1.0 or bool(frame.intercept % 1.0)
 
 
 def read_values(frames: Sequence[Frame]) -> tuple[NDArray[Any], str]:
@@ -63,24 +74,56 @@ def read_values(frames: Sequence[Frame]) -> tuple[NDArray[Any], str]:
     """
     dtype = value_type(frames)
     out = np.empty((len(frames), frames[0].rows, frames[0].columns), dtype)
+    padding = np.zeros(out.shape, np.bool_) if any(frame.padding for frame in frames) else None
     notes: dict[str, None] = {}
-    by_file: dict[Path, list[int]] = {}
+    by_file: dict[DicomFile, list[int]] = {}
     for place, frame in enumerate(frames):
         by_file.setdefault(frame.path, []).append(place)
     for path, places in by_file.items():
         dataset = read_dataset(path)
         for place in places:
             frame = frames[place]
-            stored, note = _grey(_stored(path, dataset, frame), frame)
+            array = stored_values(path, dataset, frame)
+            stored, note = _grey(array, frame)
             if note:
                 notes[note] = None
             if stored.shape != out.shape[1:]:
                 raise InputError(f"{path.name}: {stored.shape} pixels, {out.shape[1:]} announced", "copy it again")
-            if frame.slope == 1.0 and frame.intercept == 0.0:
-                out[place] = stored
-            else:
-                out[place] = stored * frame.slope + frame.intercept
+            if frame.padding is not None and padding is not None and array.ndim == 2:
+                padding[place] = (stored >= frame.padding[0]) & (stored <= frame.padding[1])
+            out[place] = _scaled(stored, dataset, frame)
+    if padding is not None and padding.any():
+        notes[_fill(out, padding, any(frame.pixel[4] == "MONOCHROME1" for frame in frames))] = None
     return _narrowed(out), "; ".join(notes)
+
+
+def _scaled(stored: NDArray[Any], dataset: Any, frame: Frame) -> NDArray[Any]:
+    """The values of what is stored: by a table, or by slope and intercept."""
+    if frame.has_table:
+        with damage_of(frame.path, "its table of values cannot be read"):
+            first = dataset.ModalityLUTSequence[0].LUTDescriptor[1]
+            if first > np.iinfo(stored.dtype).max:
+                raise InputError(f"{frame.path.name}: its table of values begins at {first}, beyond its pixels",
+                                 "export it again")
+            # Of 64 bits: it looks up differences, and compares with the length of the table.
+            return np.asarray(library("pydicom.pixels").apply_modality_lut(stored.astype(np.int64), dataset))
+    if frame.slope == 1.0 and frame.intercept == 0.0:
+        return stored
+    return stored * frame.slope + frame.intercept
+
+
+def _fill(values: NDArray[Any], padding: NDArray[np.bool_], is_inverse: bool) -> str:
+    """Give padding, where there is no image, the image's darkest value, in place; return what was done."""
+    count = int(padding.sum())
+    if count == padding.size:
+        raise InputError("all its values are padding, no image is in it", "is it the right series?")
+    first = values[np.unravel_index(np.argmin(padding), padding.shape)]
+    darkest = (values.max if is_inverse else values.min)(where=~padding, initial=first)
+    was = values[padding]
+    low, high = was.min(), was.max()
+    values[padding] = darkest
+    text = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+    return f"{count} voxels of padding ({text}), where there is no image, got its darkest value, {darkest:g}"
 
 
 def _narrowed(values: NDArray[Any]) -> NDArray[Any]:
@@ -104,45 +147,60 @@ def _grey(stored: NDArray[Any], frame: Frame) -> tuple[NDArray[Any], str]:
     return stored, inverse if kind == "MONOCHROME1" else ""
 
 
-def _stored(path: Path, dataset: Any, frame: Frame) -> NDArray[Any]:
-    """The stored values of a slice, before they are scaled."""
+def stored_values(path: DicomFile, dataset: Any, frame: Frame) -> NDArray[Any]:
+    """Read the stored values of a slice, before they are scaled.
+
+    Parameters
+    ----------
+    path : Path or Member
+    dataset : pydicom.Dataset
+        All of the file.
+    frame : Frame
+
+    Raises
+    ------
+    InputError
+        When they cannot be read.
+    """
     pydicom = library()
     meta = getattr(dataset, "file_meta", None)
     syntax = None if meta is None else meta.get("TransferSyntaxUID")
-    try:
-        with quiet():
-            if syntax is None:
-                meta = pydicom.dataset.FileMetaDataset() if meta is None else meta
-                implicit, little = dataset.original_encoding
-                uid = pydicom.uid
-                meta.TransferSyntaxUID = syntax = (
-                    uid.ImplicitVRLittleEndian if implicit
-                    else uid.ExplicitVRLittleEndian if little else uid.ExplicitVRBigEndian
-                )
-                dataset.file_meta = meta
-            if syntax.is_compressed and syntax != pydicom.uid.RLELossless and not _deflated(syntax):
-                array = _by_itk(dataset, frame)
-            else:
-                array = pydicom.pixels.pixel_array(dataset, index=frame.number if frame.frames > 1 else None)
-    except (InputError, OSError, MemoryError):
-        raise
-    except Exception as error:  # pydicom and its decoders raise errors of many kinds about damaged files
-        reason = " ".join(str(error).split())[:160] or type(error).__name__
-        raise InputError(f"{path.name}: its pixels cannot be read ({reason})", "copy it again") from error
+    with damage_of(path, "its pixels cannot be read"):
+        if syntax is None:
+            meta = pydicom.dataset.FileMetaDataset() if meta is None else meta
+            implicit, little = dataset.original_encoding
+            uid = pydicom.uid
+            meta.TransferSyntaxUID = syntax = (
+                uid.ImplicitVRLittleEndian if implicit
+                else uid.ExplicitVRLittleEndian if little else uid.ExplicitVRBigEndian
+            )
+            dataset.file_meta = meta
+        if syntax.is_encapsulated and syntax != pydicom.uid.RLELossless:
+            array = _by_itk(dataset, frame)
+        elif frame.pixel[1] == 1 and syntax.is_little_endian and not syntax.is_encapsulated:
+            array = _bits(dataset.PixelData, frame)
+        else:
+            array = pydicom.pixels.pixel_array(dataset, index=frame.number if frame.frames > 1 else None)
     if frame.corner is not None:
         top, left = frame.corner
         array = array[top : top + frame.rows, left : left + frame.columns]
     return np.asarray(array)
 
 
-def _deflated(syntax: Any) -> bool:
-    return str(syntax) == "1.2.840.10008.1.2.1.99"
+def _bits(content: bytes, frame: Frame) -> NDArray[np.uint8]:
+    """A slice of one bit a pixel: frames follow one another without a gap, which pydicom expects to find."""
+    size = frame.rows * frame.columns
+    first = frame.number * size
+    packed = np.frombuffer(content, np.uint8, (first + size + 7) // 8 - first // 8, first // 8)
+    return np.unpackbits(packed, bitorder="little")[first % 8 :][:size].reshape(frame.rows, frame.columns)
 
 
 def _by_itk(dataset: Any, frame: Frame) -> NDArray[Any]:
     """A compressed slice, unpacked by ITK from a file that has it alone, without scales and places."""
     pydicom = library()
     packed = pydicom.encaps.get_frame(dataset.PixelData, frame.number, number_of_frames=frame.frames)
+    if _END_OF_IMAGE not in packed[-_TAIL:]:  # its decoders fill what is missing with grey
+        raise InputError(f"{frame.path.name}: its packed pixels do not end; cut short?", "copy it again")
     alone = pydicom.Dataset()
     for name in (
         "Rows", "Columns", "BitsAllocated", "BitsStored", "HighBit", "PixelRepresentation", "SamplesPerPixel",
@@ -154,8 +212,27 @@ def _by_itk(dataset: Any, frame: Frame) -> NDArray[Any]:
     alone.PixelData = pydicom.encaps.encapsulate([packed])
     alone["PixelData"].is_undefined_length = True
     alone.file_meta = pydicom.dataset.FileMetaDataset()
-    alone.file_meta.TransferSyntaxUID = dataset.file_meta.TransferSyntaxUID
+    alone.file_meta.TransferSyntaxUID = syntax = dataset.file_meta.TransferSyntaxUID
+    content = io.BytesIO()
+    alone.save_as(content, enforce_file_format=True)
+    with _as_file(content.getvalue()) as path:
+        try:
+            return itk.array_of(path, "GDCMImageIO")[0]
+        except RuntimeError:  # of many lines
+            what = f"{frame.path.name}: its pixels cannot be unpacked as {syntax.name}"
+            raise InputError(what, "export it again") from None
+
+
+@contextmanager
+def _as_file(content: bytes) -> Iterator[Path]:
+    """A file for a moment, in memory where the system can: nothing of a patient stays after a kill."""
+    if hasattr(os, "memfd_create"):
+        with open(os.memfd_create("slice.dcm"), "wb") as file:
+            file.write(content)
+            file.flush()
+            yield Path(f"/proc/self/fd/{file.fileno()}")
+        return
     with tempfile.TemporaryDirectory(prefix="accelsurf-dicom-") as folder:
         path = Path(folder, "slice.dcm")
-        alone.save_as(path, enforce_file_format=True)
-        return itk.array_of(path, "GDCMImageIO")[0]
+        path.write_bytes(content)
+        yield path

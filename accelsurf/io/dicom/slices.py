@@ -136,7 +136,7 @@ def ordered(volume: DicomVolume, root: Path, spacing: tuple[float, float, float]
     note = "" if alike[0].spacing else "the files do not say the size of a pixel: 1 mm is assumed"
     step = (float((positions[-1] - positions[0]) @ axes[:, 2]) / (len(alike) - 1)) if len(alike) > 1 else 0.0
     if len(alike) == 1:
-        step = alike[0].thickness or 1.0
+        step = abs(alike[0].thickness or 1.0)
     found = Slices(tuple(alike), axes, (step, rows, columns), positions, (), note)
     if len(alike) > 1:
         faults += _place_faults(found, root)
@@ -150,12 +150,15 @@ def _pictures(frames: Sequence[Frame], spacing: tuple[float, float, float] | Non
     if spacing is None:
         note += "" if first.spacing else "; nor the size of a pixel: 1 mm is assumed"
         rows, columns = first.spacing or (1.0, 1.0)
-        spacing = (columns, rows, first.thickness or 1.0)
+        spacing = (columns, rows, abs(first.thickness or 1.0))
     odd = [frame for frame in frames if (frame.rows, frame.columns) != (first.rows, first.columns)]
     if odd:
         raise GeometryError("pictures of several sizes were given with --spacing", "give those of one size")
     positions = np.zeros((len(frames), 3))
     positions[:, 2] = np.arange(len(frames)) * spacing[2]
+    if (first.thickness or 0.0) < 0 and len(frames) > 1:  # the sign says the way, also where nothing says the place
+        frames, positions = frames[::-1], -positions[::-1]
+        note += "; they follow against the axis z, as the sign of their distance says"
     return Slices(tuple(frames), np.eye(3), (spacing[2], spacing[1], spacing[0]), positions, (), note)
 
 

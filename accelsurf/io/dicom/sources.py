@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import os
-import shutil
 import stat
-import tempfile
-import weakref
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from accelsurf.errors import InputError
+from accelsurf.settings import budgets
 
-SUFFIXES = (".dcm", ".ima", ".dicom")
+SUFFIXES, ARCHIVE = (".dcm", ".ima", ".dicom"), ".zip"
 #: Files that are looked at; a folder of more is another kind of folder.
 MAX_FILES = 200_000
 #: Files that are looked at to see whether a folder holds DICOM.
@@ -23,6 +21,82 @@ _TRIED = 64
 _MARK, _MARK_AT = b"DICM", 128
 #: First elements of files that have no mark: groups 0002 and 0008, in either byte order.
 _FIRST_GROUPS = (b"\x02\x00", b"\x08\x00", b"\x00\x08")
+_HINT = "unpack it, and give the folder"
+#: Bytes of a damaged member that are looked at, and of one read of them.
+_MAX_REMAINS, _BLOCK = 1 << 16, 1 << 10
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """A file of a zip archive. It is read into memory; nothing is unpacked onto the disk.
+
+    Attributes
+    ----------
+    archive : ZipFile
+    info : ZipInfo
+    """
+
+    archive: zipfile.ZipFile
+    info: zipfile.ZipInfo
+
+    @property
+    def name(self) -> str:
+        """The last part of its name."""
+        return PurePosixPath(self.shown).name
+
+    @property
+    def shown(self) -> str:
+        """Its name in the archive, for messages."""
+        return self.info.filename.replace("\\", "/")[-80:]
+
+    def __str__(self) -> str:
+        return f"{self.info.header_offset:020d}"
+
+    def first_bytes(self, count: int) -> bytes:
+        """Return its first bytes.
+
+        Raises
+        ------
+        InputError
+            When they cannot be unpacked.
+        """
+        return self._unpacked(count)
+
+    def content(self) -> bytes:
+        """Return its bytes, no more than the archive claims.
+
+        Raises
+        ------
+        InputError
+            When they cannot be unpacked, or are more.
+        """
+        found = self._unpacked(self.info.file_size + 1)
+        if len(found) != self.info.file_size:
+            raise InputError(f"{self.name}: its size is not what the archive claims", "pack it again")
+        return found
+
+    def remains(self) -> bytes:
+        """Return what can be unpacked of its beginning, whatever is wrong with the rest."""
+        found = b""
+        try:
+            with self.archive.open(self.info) as packed:
+                while len(found) < _MAX_REMAINS and (block := packed.read(_BLOCK)):
+                    found += block
+        except _ZIP_ERRORS:
+            pass
+        return found
+
+    def _unpacked(self, count: int) -> bytes:
+        try:
+            with self.archive.open(self.info) as packed:
+                return packed.read(count)
+        except _ZIP_ERRORS as error:
+            raise InputError(f"{self.name}: damaged in the archive, or locked ({error})", _HINT) from error
+
+
+_ZIP_ERRORS = (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, zlib.error, ValueError)
+#: A file on the disk or in an archive.
+DicomFile = Path | Member
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,28 +106,34 @@ class SourceFiles:
     Attributes
     ----------
     root : Path
-        The folder that messages name them from.
-    paths : tuple of Path
+        The folder that messages name them from, or the archive.
+    paths : tuple of Path or Member
         In the order of their names.
-    unpacked : bool
-        Whether they were unpacked there; then the folder goes with this record.
+    strays : tuple of Path or Member
+        Files that have names as those and are no DICOM; archives.
+    is_archive : bool
     """
 
     root: Path
-    paths: tuple[Path, ...]
-    unpacked: bool = False
+    paths: tuple[DicomFile, ...]
+    strays: tuple[DicomFile, ...] = ()
+    is_archive: bool = False
 
 
-def is_dicom(path: Path) -> bool:
+def is_dicom(path: DicomFile) -> bool:
     """Whether a file begins as a DICOM does."""
+    count = _MARK_AT + len(_MARK)
     try:
-        with path.open("rb") as file:
-            begin = file.read(_MARK_AT + len(_MARK))
-    except OSError:
+        if isinstance(path, Member):
+            begin = path.first_bytes(count)
+        else:
+            with path.open("rb") as file:
+                begin = file.read(count)
+    except (OSError, InputError):
         return False
     if begin[_MARK_AT:] == _MARK:
         return True
-    return path.suffix.lower() in SUFFIXES and begin[:2] in _FIRST_GROUPS
+    return _suffix(path) in SUFFIXES and begin[:2] in _FIRST_GROUPS
 
 
 def holds_dicom(folder: Path) -> bool:
@@ -73,33 +153,46 @@ def files_of(path: Path, available: int) -> SourceFiles:
     ----------
     path : Path
     available : int
-        Bytes that an archive may unpack to.
+        Bytes that a member of an archive may unpack to.
 
     Raises
     ------
     InputError
-        When there are none, too many, or the archive cannot be unpacked.
+        When there are none, too many, or the archive is damaged.
     """
     if path.is_dir():
-        return SourceFiles(path, _dicom_files(path))
-    if zipfile.is_zipfile(path):
-        return _unpacked(path, available)
+        paths = []
+        for found in _walk(path):
+            paths.append(found)
+            if len(paths) > MAX_FILES:
+                raise InputError(f"a folder of more than {MAX_FILES} files given", "give the folder of one study")
+        return _sorted_out(path, sorted(paths), f"none of {len(paths)} files in this folder is DICOM")
     if not is_dicom(path):
+        if zipfile.is_zipfile(path):
+            return _of_archive(path, available)
         raise InputError("this is not a DICOM file or an archive of them", "is it the right one?")
-    beside = (one for one in path.parent.iterdir() if one.is_file() and not one.is_symlink() and is_dicom(one))
-    return SourceFiles(path.parent, tuple(sorted({path, *beside})))
+    beside = (other for other in path.parent.iterdir() if other.is_file() and not other.is_symlink())
+    return _sorted_out(path.parent, sorted({path, *beside}), "")
 
 
-def _dicom_files(folder: Path) -> tuple[Path, ...]:
-    paths = []
-    for path in _walk(folder):
-        paths.append(path)
-        if len(paths) > MAX_FILES:
-            raise InputError(f"a folder of more than {MAX_FILES} files given", "give the folder of one study")
-    found = tuple(sorted(path for path in paths if is_dicom(path)))
+def _sorted_out(root: Path, paths: Iterable[DicomFile], nothing: str, is_archive: bool = False) -> SourceFiles:
+    """Part files into DICOM and those that only have names as they have."""
+    found: list[DicomFile] = []
+    others: list[DicomFile] = []
+    for path in paths:
+        (found if is_dicom(path) else others).append(path)
     if not found:
-        raise InputError(f"none of {len(paths)} files in this folder is DICOM", "give the folder of the scan")
-    return found
+        raise InputError(nothing, "give the folder of the scan")
+    suffixes = {_suffix(path) for path in found}
+    suffixes |= {*SUFFIXES, ARCHIVE}
+    strays = tuple(path for path in others if _suffix(path) in suffixes)
+    return SourceFiles(root, tuple(found), strays, is_archive)
+
+
+def _suffix(path: DicomFile) -> str:
+    """The ending of a name; none where it is a number, as the last part of an identifier."""
+    suffix = PurePosixPath(path.name).suffix.lower()
+    return "" if suffix[1:].isdigit() else suffix
 
 
 def _walk(folder: Path) -> Iterator[Path]:
@@ -112,55 +205,30 @@ def _walk(folder: Path) -> Iterator[Path]:
                 yield path
 
 
-def _unpacked(path: Path, available: int) -> SourceFiles:
-    """Unpack an archive into a folder of its own that goes when nobody needs it."""
-    root = Path(tempfile.mkdtemp(prefix="accelsurf-dicom-"))
+def _of_archive(path: Path, available: int) -> SourceFiles:
+    """The members of an archive, after it is clear what they cost."""
     try:
-        _unpack_all(path, root, available)
-        found = tuple(one for one in sorted(root.rglob("*")) if one.is_file() and is_dicom(one))
-        if not found:
-            raise InputError("no DICOM file is in the archive", "is it the right one?")
-    except BaseException:
-        shutil.rmtree(root, ignore_errors=True)
-        raise
-    files = SourceFiles(root, found, True)
-    weakref.finalize(files, shutil.rmtree, root, True)
-    return files
+        archive = zipfile.ZipFile(path)
+    except _ZIP_ERRORS as error:
+        raise InputError(f"the archive is damaged ({error})", _HINT) from error
+    infos = [info for info in archive.infolist() if not info.is_dir()]
+    budgets.DICOM_ARCHIVE_FILES.check(len(infos))
+    for info in infos:
+        if stat.S_ISLNK(info.external_attr >> 16):
+            raise InputError(f"the archive has a link, {info.filename[:80]}", _HINT)
+    claimed, stored = sum(info.file_size for info in infos), path.stat().st_size
+    budgets.DICOM_ARCHIVE_BYTES.check(claimed)
+    budgets.DICOM_ARCHIVE.check(claimed, factor=stored + (1 << 20))
+    largest = max((info.file_size for info in infos), default=0)
+    if largest > available:
+        raise InputError(f"a file of {largest} bytes in the archive, {available} are available", _HINT)
+    members = [Member(archive, info) for info in infos if _is_seen(info)]
+    return _sorted_out(path, members, "no DICOM file is in the archive", True)
 
 
-def _unpack_all(path: Path, root: Path, available: int) -> None:
-    limit = min(available, shutil.disk_usage(root).free // 2)
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = [one for one in archive.infolist() if not one.is_dir()]
-            claimed = sum(one.file_size for one in members)
-            if len(members) > MAX_FILES or claimed > limit:
-                raise InputError(
-                    f"an archive of {len(members)} files and {claimed / 1e9:.3g} GB given, at most {MAX_FILES} and "
-                    f"{limit / 1e9:.3g} GB expected",
-                    "unpack it, and give the folder of the scan",
-                )
-            for number, member in enumerate(members):
-                _unpack(archive, member, root / f"{number:06d}" / _safe_name(member))
-    except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, zlib.error) as error:
-        raise InputError(f"the archive is damaged or locked ({error})", "unpack it, and give the folder") from error
-
-
-def _safe_name(member: zipfile.ZipInfo) -> str:
-    """The last part of a member's name: whatever it says, its file lies in the folder made for it."""
-    if stat.S_ISLNK(member.external_attr >> 16):
-        raise InputError(f"the archive has a link, {member.filename[:80]}", "unpack it, and give the folder")
-    name = PurePosixPath(member.filename.replace("\\", "/")).name
-    return name if name not in ("", ".", "..") else "file"
-
-
-def _unpack(archive: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path) -> None:
-    """Unpack a member, no more of it than the archive claims."""
-    target.parent.mkdir()
-    with archive.open(member) as packed, target.open("wb") as file:
-        left = member.file_size
-        while block := packed.read(min(1 << 20, left + 1)):
-            left -= len(block)
-            if left < 0:
-                raise InputError(f"{member.filename[:80]} is larger than the archive claims", "pack it again")
-            file.write(block)
+def _is_seen(info: zipfile.ZipInfo) -> bool:
+    """Whether a member is looked at, as files in a folder are."""
+    parts = PurePosixPath(info.filename.replace("\\", "/")).parts
+    return bool(parts) and not any(p.startswith(".") and p not in ("..", ".") for p in parts[-1:]) and (
+        parts[-1].upper() != "DICOMDIR" and parts[0] != "__MACOSX"
+    )

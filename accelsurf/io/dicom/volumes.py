@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
+from types import MappingProxyType
 
 from accelsurf.errors import InputError
 from accelsurf.io.dicom.frames import Frame, frames_of
-from accelsurf.io.dicom.sources import SourceFiles
+from accelsurf.io.dicom.library import series_of
+from accelsurf.io.dicom.sources import ARCHIVE, DicomFile, Member, SourceFiles
 
 #: Positions that differ by less are one place, mm.
 SAME_PLACE_MM = 0.01
-#: Kinds of objects that are no images of a volume, by the first part of the name of their class.
-_CLASSES = {
-    "1.2.840.10008.5.1.4.1.1.66.4": "segmentation",
-    "1.2.840.10008.5.1.4.1.1.66.7": "segmentation",
-    "1.2.840.10008.5.1.4.1.1.481.2": "dose",
-}
-_MODALITIES = {
-    "SR": "report", "DOC": "report", "PR": "display state", "KO": "selection", "RTSTRUCT": "structure set",
-    "RTPLAN": "plan", "RTDOSE": "dose", "SEG": "segmentation", "REG": "registration", "FID": "fiducials",
-}
+#: Files of a kind that a message names.
+_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -51,6 +45,40 @@ class DicomVolume:
 
 
 @dataclass(frozen=True)
+class LeftOut:
+    """A file that is no part of a volume.
+
+    Attributes
+    ----------
+    file : Path or Member
+    name : str
+        As messages say it.
+    kind : str
+        What it is; empty for a damaged one.
+    reason : str
+        Why a damaged one cannot be read.
+    series : str
+        The UID of the series that it says it is of; empty where it does not.
+    is_series_cut : bool
+        Whether the file ends within that UID.
+    has_image : bool
+        Whether it is a whole image of another kind, as a localizer.
+    """
+
+    file: DicomFile
+    name: str
+    kind: str
+    reason: str = ""
+    series: str = ""
+    is_series_cut: bool = False
+    has_image: bool = False
+
+    def is_of(self, series: str) -> bool:
+        """Whether it says that it is of a series, as far as it can be read."""
+        return bool(self.series) and (series == self.series or (self.is_series_cut and series.startswith(self.series)))
+
+
+@dataclass(frozen=True)
 class Contents:
     """What a folder holds.
 
@@ -58,59 +86,77 @@ class Contents:
     ----------
     volumes : tuple of DicomVolume
         In the order of the numbers of their series; their own numbers count from 1.
-    skipped : dict of str to int
-        How many files are something else, by kind.
-    damaged : tuple of str
-        Names of files that cannot be read.
+    left_out : tuple of LeftOut
+        In the order of the files.
     """
 
     volumes: tuple[DicomVolume, ...]
-    skipped: dict[str, int]
-    damaged: tuple[str, ...]
+    left_out: tuple[LeftOut, ...]
+
+    def lost_from(self, series: str) -> list[LeftOut]:
+        """Files that say they are of a series and have no image that can be read."""
+        return [left for left in self.left_out if left.is_of(series) and not left.has_image]
 
 
-def contents_of(files: SourceFiles) -> Contents:
-    """Read the headers of all files, and put their slices together."""
+def contents_of(files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingProxyType({})) -> Contents:
+    """Read the headers of all files but those whose slices are known, and put their slices together."""
     series: dict[tuple[str, ...], list[Frame]] = {}
-    skipped: Counter[str] = Counter()
-    damaged: list[str] = []
+    left: list[LeftOut] = []
     for path in files.paths:
+        name = shown(path, files.root)
         try:
-            frames = frames_of(path)
-        except InputError:
-            damaged.append(shown(path, files.root))
+            frames = known[path] if isinstance(path, Path) and path in known else frames_of(path)
+        except InputError as error:
+            left.append(LeftOut(path, name, "", error.message.removeprefix(f"{path.name}: "), *series_of(path)))
             continue
-        kind = _kind(frames)
-        if kind:
-            skipped[kind] += 1
-            continue
-        for frame in frames:
-            series.setdefault(_series_key(frame), []).append(frame)
+        if not frames:
+            left.append(LeftOut(path, name, "object without an image", "", *series_of(path)))
+        elif kind := frames[0].labels["kind"]:
+            left.append(LeftOut(path, name, kind, "", frames[0].uids[1], has_image=True))
+        else:
+            for frame in frames:
+                series.setdefault(_series_key(frame), []).append(frame)
+    for path in files.strays:
+        is_archive = path.name.lower().endswith(ARCHIVE)
+        said = ("archive", "") if is_archive else ("", "no DICOM, or cut short")
+        left.append(LeftOut(path, shown(path, files.root), *said))
     volumes = [volume for key in sorted(series, key=lambda key: _order(series[key])) for volume in _split(series[key])]
     places = [volume for volume in volumes if volume.frames[0].position is not None]
     if places:  # pictures of single planes beside scans
-        skipped["picture without a place"] += sum(len(one.frames) for one in volumes if one not in places)
+        for frame in (frame for volume in volumes if volume not in places for frame in volume.frames):
+            picture = "picture without a place"
+            left.append(LeftOut(frame.path, names_of([frame], files.root), picture, "", frame.uids[1], has_image=True))
         volumes = places
-    return Contents(tuple(volumes), {kind: n for kind, n in sorted(skipped.items()) if n}, tuple(damaged))
+    return Contents(tuple(volumes), tuple(left))
 
 
-def counted(skipped: Mapping[str, int]) -> str:
-    """How many of each kind, as a person says it.
+def counted(left: Iterable[LeftOut]) -> str:
+    """How many of each kind, which, and why, as a person says it.
 
     Examples
     --------
-    >>> counted({"localizer": 2, "object without an image": 1})
-    '2 localizers, 1 object without an image'
+    >>> scouts = [LeftOut(Path(name), name, "localizer") for name in ("a", "b")]
+    >>> counted([*scouts, LeftOut(Path("c"), "c", "", "cut short")])
+    '2 localizers (a, b), 1 that cannot be read (c: cut short)'
     """
+    kinds: dict[str, list[LeftOut]] = {}
+    for file in left:
+        kinds.setdefault(file.kind, []).append(file)
     words = []
-    for kind, number in skipped.items():
-        noun, _, rest = kind.partition(" without ")
-        words.append(f"{number} {noun}{'s' if number > 1 else ''}" + (f" without {rest}" if rest else ""))
+    for kind in sorted(kinds, key=lambda kind: (not kind, kind)):
+        found, number = kinds[kind], len(kinds[kind])
+        noun, *rest = re.split("(?= without | of )", kind, maxsplit=1)
+        words_of_kind = "".join([noun, "s" if number > 1 else "", *rest])
+        names = [f"{left.name}: {left.reason}" if left.reason else left.name for left in found]
+        more = f" and {number - _NAMED} more" if number > _NAMED else ""
+        words.append(f"{number} {words_of_kind if kind else 'that cannot be read'} ({', '.join(names[:_NAMED])}{more})")
     return ", ".join(words)
 
 
-def shown(path: Path, root: Path) -> str:
-    """A file's name from the folder that was given."""
+def shown(path: DicomFile, root: Path) -> str:
+    """A file's name from the folder that was given, or in the archive."""
+    if isinstance(path, Member):
+        return path.shown
     return path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
 
 
@@ -121,18 +167,6 @@ def names_of(frames: Iterable[Frame], root: Path, limit: int = 3) -> str:
     ))
     more = f" and {len(found) - limit} more" if len(found) > limit else ""
     return ", ".join(found[:limit]) + more
-
-
-def _kind(frames: Sequence[Frame]) -> str:
-    """What a file is if it is no image of a volume; empty for those that are."""
-    if not frames:
-        return "object without an image"
-    first = frames[0]
-    if (known := _CLASSES.get(first.labels["class"]) or _MODALITIES.get(first.labels["modality"])) is not None:
-        return known
-    if "LOCALIZER" in first.image_type:
-        return "localizer"
-    return ""
 
 
 def _series_key(frame: Frame) -> tuple[str, ...]:

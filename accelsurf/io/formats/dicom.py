@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from accelsurf.errors import GeometryError, InputError
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.io.dicom import pixels
+from accelsurf.io.dicom import pixels, segments
 from accelsurf.io.dicom.cine import TIME_PHASES
-from accelsurf.io.dicom.frames import frames_of
+from accelsurf.io.dicom.frames import Frame, frames_of
+from accelsurf.io.dicom.kinds import HINTS, SEGMENTATION
 from accelsurf.io.dicom.library import library
 from accelsurf.io.dicom.resampling import RegularGrid, regular_grid, resampled
+from accelsurf.io.dicom.segments import Segments
 from accelsurf.io.dicom.slices import Slices, ordered
-from accelsurf.io.dicom.sources import SourceFiles, files_of, holds_dicom, is_dicom
+from accelsurf.io.dicom.sources import DicomFile, SourceFiles, files_of, holds_dicom, is_dicom
 from accelsurf.io.dicom.volumes import Contents, DicomVolume, contents_of, counted, shown
 from accelsurf.io.memory import available_memory, check_memory
-from accelsurf.io.metadata import DICOM_KEY, VALUE_UNIT_KEY, WARNING_KEY
+from accelsurf.io.metadata import DICOM_KEY, LABELS_KEY, VALUE_UNIT_KEY, ZERO_BEYOND_KEY, with_warnings
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 #: Series that a message lists.
 _LISTED = 6
+_SERIES_HINT = "give the folder of a CT, MR or PET series"
 
 __all__ = ["DicomHeader", "holds_dicom", "is_anatomical", "is_dicom", "listing", "parse", "read"]
 
@@ -36,7 +42,6 @@ class DicomHeader:
     Attributes
     ----------
     files : SourceFiles
-        Unpacked files live as long as it does.
     slices : Slices
         In their order.
     grid : RegularGrid or None
@@ -61,8 +66,8 @@ class DicomHeader:
         return math.prod(self.geometry.shape)
 
 
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader:
-    """Choose a series, and prove that its slices lie on a grid.
+def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Segments:
+    """Choose a series, and prove that its slices lie on a grid; or the segmentation, where there is no series.
 
     Raises
     ------
@@ -71,15 +76,78 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader:
     GeometryError
         When the slices lie on no grid and are not to be put on one.
     """
+    files, contents, file = found_in(path)
+    if (segmentation := segmentation_of(contents)) is not None:
+        if options.given:
+            raise UsageError(f"{options.given[0]} was given, a DICOM segmentation has no such choice", "leave it out")
+        return segments.parse(segmentation, files.root)
+    volume = volume_of(contents, options, file)
+    refuse_lost(contents, volume.uid, options)
+    slices = ordered(volume, files.root, options.spacing)
+    notes = left_out(contents, volume.uid, file)
+    try:
+        return on_grid(files, slices, options, notes)
+    except GeometryError as error:  # a file that cannot be read may be what is missing
+        raise GeometryError("; ".join((error.message, *notes)), error.hint) from error
+
+
+def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
+    """The files of a path, what is in them, and the file itself where one was given that is no archive.
+
+    Raises
+    ------
+    InputError
+        When there is no DICOM, or the file that was given is damaged.
+    """
     library()
     files = files_of(path, available_memory())
-    alone = path.is_file() and not files.unpacked
-    if alone and has_several(path):
-        files = SourceFiles(files.root, (path,))
-    contents = contents_of(files)
-    volume = volume_of(contents, options, path if alone else None)
-    slices = ordered(volume, files.root, options.spacing)
-    return on_grid(files, slices, options, [] if alone else skipped(contents))
+    file = path if path.is_file() and not files.is_archive else None
+    if file is None:
+        return files, contents_of(files), None
+    frames = _frames_of(file)
+    if len(frames) > 1 or (frames and frames[0].labels["kind"] == SEGMENTATION):
+        files = SourceFiles(files.root, (file,))
+    return files, contents_of(files, {file: frames}), file
+
+
+def segmentation_of(contents: Contents) -> DicomFile | None:
+    """The segmentation that is meant where there is no image of a volume; None where there is an image, or none.
+
+    Raises
+    ------
+    InputError
+        When there are several.
+    """
+    found = [left for left in contents.left_out if left.kind == SEGMENTATION]
+    if contents.volumes or not found:
+        return None
+    if len(found) > 1:
+        raise InputError(f"several segmentations are in it: {counted(found)}", "give one of the files")
+    return found[0].file
+
+
+def _frames_of(file: Path) -> list[Frame]:
+    """The slices of the file that was given; its name is told already."""
+    try:
+        return frames_of(file)
+    except InputError as error:
+        raise InputError(error.message.removeprefix(f"{file.name}: "), error.hint) from error
+
+
+def refuse_lost(contents: Contents, series: str, options: ReadOptions) -> None:
+    """Refuse a series of which a file cannot be read: at an end no gap tells of it.
+
+    Raises
+    ------
+    InputError
+        With the names of the files; not where slices are put on a grid, as gaps are filled then.
+    """
+    lost = contents.lost_from(series)
+    if lost and not options.resample:
+        raise InputError(
+            f"a slice of the series is lost: {counted(lost)}",
+            "copy it again; to go on without it, take it out of the folder or add --resample",
+        )
 
 
 def on_grid(files: SourceFiles, slices: Slices, options: ReadOptions, notes: list[str]) -> DicomHeader:
@@ -100,29 +168,19 @@ def on_grid(files: SourceFiles, slices: Slices, options: ReadOptions, notes: lis
     return header
 
 
-def has_several(path: Path) -> bool:
-    """Whether a file has several slices."""
-    return len(frames_of(path)) > 1
-
-
 def volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> DicomVolume:
     """The volume that is meant."""
     volumes = contents.volumes
     if not volumes:
-        others = counted(contents.skipped)
-        damaged = f"{len(contents.damaged)} damaged, as {contents.damaged[0]}" if contents.damaged else ""
+        kinds_found = {left.kind for left in contents.left_out}
         raise InputError(
-            f"no image of a volume is in it, but {', '.join(part for part in (others, damaged) if part)}",
-            "give the folder of a CT, MR or PET series",
+            f"no image of a volume is in it, but {counted(contents.left_out) or 'nothing'}",
+            next((hint for kind, hint in HINTS.items() if kind in kinds_found), _SERIES_HINT),
         )
     if options.series is not None:
         return _by_name(volumes, options.series)
     if file is not None:
-        own = [one for one in volumes if any(frame.path == file for frame in one.frames)]
-        if not own:
-            raise InputError("this file has no image of a volume", "give the folder of a CT, MR or PET series")
-        of_file = [one for one in own if all(frame.path == file for frame in one.frames)]
-        volumes = tuple(of_file or own)
+        volumes = of_file(contents, file)
     if len(volumes) > 1:
         raise InputError(
             f"{len(volumes)} volumes are in it: {_short_list(contents, volumes)}",
@@ -130,6 +188,23 @@ def volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> Di
             + ("; accelsurf track takes all as frames" if _differ_in_time(volumes) else ""),
         )
     return volumes[0]
+
+
+def of_file(contents: Contents, file: Path) -> tuple[DicomVolume, ...]:
+    """The volumes that a file is of: those that are of it alone, else those with a slice of it.
+
+    Raises
+    ------
+    InputError
+        When it has no slice of a volume.
+    """
+    found = [volume for volume in contents.volumes if any(frame.path == file for frame in volume.frames)]
+    if not found:
+        said = [left for left in contents.left_out if left.file == file]
+        hint = HINTS.get(said[0].kind, _SERIES_HINT) if said else _SERIES_HINT
+        raise InputError(f"this file has no image of a volume, but {counted(said) or 'nothing'}", hint)
+    alone = [volume for volume in found if all(frame.path == file for frame in volume.frames)]
+    return tuple(alone or found)
 
 
 def _differ_in_time(volumes: tuple[DicomVolume, ...]) -> bool:
@@ -166,37 +241,63 @@ def _title(volume: DicomVolume) -> str:
     return f"{words} ({phase})" if phase else words
 
 
-def skipped(contents: Contents) -> list[str]:
-    notes = []
-    if contents.skipped:
-        notes.append(f"left out: {counted(contents.skipped)}")
-    if contents.damaged:
-        more = f" and {len(contents.damaged) - 1} more" if len(contents.damaged) > 1 else ""
-        notes.append(f"cannot be read: {contents.damaged[0]}{more}")
-    return notes
+def left_out(contents: Contents, series: str, file: Path | None) -> list[str]:
+    """What a person should know of files that are no part of a volume; beside a file only of damaged ones."""
+    named = [
+        left for left in contents.left_out
+        if file is None or (left.reason and (not left.series or left.is_of(series)))
+    ]
+    return [f"left out: {counted(named)}"] if named else []
 
 
-def read(path: Path, header: DicomHeader, available: int) -> Volume:
-    """Read the values of the series.
+def read(path: Path, header: DicomHeader | Segments, available: int) -> Volume:
+    """Read the values of the series, or the label map of a segmentation.
 
     Raises
     ------
     InputError
         When it is larger than the memory, or its values are damaged.
     """
+    if isinstance(header, Segments):
+        return read_labels(path, header, available)
     frames = header.slices.frames
     dtype = pixels.value_type(frames)
     check_memory(header.geometry.size, dtype.itemsize + (8 if header.grid is not None else 0), available)
     values, note = pixels.read_values(frames)
     if header.grid is not None:
         values = resampled(values, header.grid)
-    notes = [*header.notes, *([note] if note else [])]
-    metadata = {DICOM_KEY: frames[0].uids[1]}
-    if notes:
-        metadata[WARNING_KEY] = "; ".join(notes)
+    metadata = with_warnings({DICOM_KEY: frames[0].uids[1]}, *header.notes, note)
     if frames[0].labels["unit"]:
         metadata[VALUE_UNIT_KEY] = frames[0].labels["unit"]
     return Volume(values, header.geometry, metadata, path)
+
+
+def read_labels(
+    path: Path, header: DicomHeader | Segments, available: int, ids: Sequence[tuple[int, int]] = ()
+) -> Volume:
+    """Read a segmentation as a label map of the numbers of its segments; a series as `read` does.
+
+    Parameters
+    ----------
+    path : Path
+    header : DicomHeader or Segments
+    available : int
+        Bytes.
+    ids : sequence of (first, last)
+        Segments that are wanted; none for all.
+
+    Raises
+    ------
+    InputError
+        As `read`, and where segments overlap.
+    """
+    if isinstance(header, DicomHeader):
+        return read(path, header, available)
+    labels = segments.read(header, available, ids)
+    metadata = {
+        DICOM_KEY: header.frames[0].uids[1], LABELS_KEY: header.table.to_json(), ZERO_BEYOND_KEY: "yes",
+    }
+    return Volume(labels, header.geometry, with_warnings(metadata, header.note), path)
 
 
 def is_anatomical(metadata: Mapping[str, str]) -> bool:
@@ -212,23 +313,20 @@ def listing(path: Path) -> list[dict[str, Any]]:
     InputError
         When there is no DICOM.
     """
-    library()
-    files = files_of(path, available_memory())
-    contents = contents_of(files)
-    entries = [_entry(number, one, files) for number, one in enumerate(contents.volumes, 1)]
-    if not entries:
+    files, contents, file = found_in(path)
+    if (segmentation := segmentation_of(contents)) is not None:
+        return [_segmentation_entry(segments.parse(segmentation, files.root), files)]
+    if not contents.volumes:
         volume_of(contents, AS_IT_IS, None)  # says what there is
-    entries[0]["left_out"] = skipped(contents)
+    volumes = contents.volumes if file is None else of_file(contents, file)
+    numbered = [(number, volume) for number, volume in enumerate(contents.volumes, 1) if volume in volumes]
+    entries = [_entry(number, volume, files, contents) for number, volume in numbered]
+    entries[0]["left_out"] = left_out(contents, volumes[0].uid, file)
     return entries
 
 
-def _entry(number: int, volume: DicomVolume, files: SourceFiles) -> dict[str, Any]:
-    entry: dict[str, Any] = {
-        "number": number, "uid": volume.uid, "modality": volume.label("modality"),
-        "description": volume.label("description"), "series_number": volume.label("number"), "phase": volume.phase,
-        "files": len({frame.path for frame in volume.frames}), "first_file": shown(volume.frames[0].path, files.root),
-        "size": None, "spacing": None, "orientation": None, "unit": volume.label("unit") or None, "warnings": [],
-    }
+def _entry(number: int, volume: DicomVolume, files: SourceFiles, contents: Contents) -> dict[str, Any]:
+    entry = _first_entry(number, volume, files)
     try:
         slices = ordered(volume, files.root)
     except GeometryError as error:
@@ -236,13 +334,38 @@ def _entry(number: int, volume: DicomVolume, files: SourceFiles) -> dict[str, An
     first = slices.frames[0]
     entry["size"] = [first.columns, first.rows, len(slices.frames)]
     entry["spacing"] = [round(part, 6) for part in reversed(slices.spacing)]
-    entry["orientation"] = orientation_words(slices)
-    entry["warnings"] = [fault.text for fault in slices.faults] + ([slices.note] if slices.note else [])
+    entry["orientation"] = orientation_words(slices.axes)
+    lost = contents.lost_from(volume.uid)
+    entry["warnings"] = [
+        *([f"a slice of the series is lost: {counted(lost)}"] if lost else []),
+        *(fault.text for fault in slices.faults), *([slices.note] if slices.note else []),
+    ]
     return entry
 
 
-def orientation_words(slices: Slices) -> str:
+def _first_entry(number: int, volume: DicomVolume, files: SourceFiles) -> dict[str, Any]:
+    """What is known of a volume before it is clear where it lies."""
+    return {
+        "number": number, "uid": volume.uid, "modality": volume.label("modality"),
+        "description": volume.label("description"), "series_number": volume.label("number"), "phase": volume.phase,
+        "files": len({frame.path for frame in volume.frames}), "first_file": shown(volume.frames[0].path, files.root),
+        "size": None, "spacing": None, "orientation": None, "unit": volume.label("unit") or None, "warnings": [],
+        "segments": [],
+    }
+
+
+def _segmentation_entry(found: Segments, files: SourceFiles) -> dict[str, Any]:
+    geometry = found.geometry
+    return {
+        **_first_entry(1, DicomVolume(found.frames), files),
+        "size": list(geometry.size), "spacing": [round(part, 6) for part in geometry.spacing_xyz],
+        "orientation": orientation_words(geometry.direction), "warnings": [found.note] if found.note else [],
+        "segments": [{"id": entry.id, "name": entry.name, "color": entry.hex} for entry in found.table], "left_out": [],
+    }
+
+
+def orientation_words(axes: NDArray[np.float64]) -> str:
     """Which plane of the patient the slices are: axial, coronal or sagittal, or oblique near one."""
-    normal = abs(slices.axes[:, 2])
+    normal = abs(axes[:, 2])
     name = ("sagittal", "coronal", "axial")[int(normal.argmax())]
     return name if normal.max() > 0.999 else f"oblique, near {name}"

@@ -258,7 +258,7 @@ def read_reference(path: Path, geometry: Geometry) -> Volume:
     InputError
         When they cannot be read, or are on another grid.
     """
-    labels = io.read_labels(path)
+    labels = io.read_labels(path, grid=geometry)
     with naming(path):
         if not geometry.matches(labels.geometry):
             raise InputError(
