@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -50,7 +51,7 @@ class StepRecord(NamedTuple):
     removed_components : int
         Components removed as smaller than the grid resolves.
     seconds : float
-        Wall time of the step.
+        Wall time of the step; 0 for one that was read from the file of a state, which has no times.
     edits : int
         Edits applied right before this step; see `accelsurf.settings.edits`.
     returned : bool
@@ -89,6 +90,11 @@ class StepRecord(NamedTuple):
     edits: int = 0
     returned: bool = False
     extra: tuple[tuple[str, float], ...] = ()
+
+
+def without_seconds(history: Iterable[StepRecord]) -> list[StepRecord]:
+    """The records as a file of a state has them: the same steps have the same bytes, however long they took."""
+    return [record._replace(seconds=0.0) for record in history]
 
 
 class Stop(NamedTuple):

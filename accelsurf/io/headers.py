@@ -11,6 +11,7 @@ from typing import Any
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, image_suffixes
+from accelsurf.settings.input_file import check_readable
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.registry import load
 
@@ -163,8 +164,7 @@ def format_of(path: Path) -> ImageFormat:
             f"unknown file type, one of {', '.join(image_suffixes())} expected",
             hint="convert the image to one of them first",
         )
-    if not path.is_file():
-        raise InputError("this is no file but a pipe or a device", hint="give an image file")
+    check_readable(path)
     if path.stat().st_size == 0:
         raise InputError("the file is empty", hint="copy or export it again")
     return form

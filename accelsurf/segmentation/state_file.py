@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from accelsurf import __version__
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.evolution.multilevel import LevelSummary
-from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.evolution.records import StepRecord, Stop, without_seconds
 from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.grid.boxes import Corner, box_at, corner_of
 from accelsurf.grid.pyramid import Level
+from accelsurf.io.files import bytes_within
 from accelsurf.segmentation.rest_points import RestPoint
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run_state import BoxMask
@@ -132,8 +133,8 @@ def state_bytes(result: Result, image: str) -> bytes:
     assert result.state is not None
     objects = tuple(
         ObjectFile(
-            one.id, _packed_surface(one.psi, corner_of(one.box)), tuple(one.history), one.stop,
-            tuple(RestFile(*rest[:-1], _packed(rest.labels > 0)) for rest in one.rests),
+            one.id, _packed_surface(one.psi, corner_of(one.box)), tuple(without_seconds(one.history)),
+            one.stop, tuple(RestFile(*rest[:-1], _packed(rest.labels > 0)) for rest in one.rests),
         )
         for one in result.objects
     )
@@ -157,12 +158,7 @@ def read_state(path: Path) -> StateFile:
     InputError
         When the file cannot be read, is damaged or of another kind, or is larger than its image allows.
     """
-    try:
-        size = path.stat().st_size
-        budgets.STATE_FILE.check(size, f"{path}: the state")
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: the state cannot be read ({error.strerror or error})", "check the path") from None
+    content = bytes_within(path, budgets.STATE_FILE)
     try:
         header, state = from_bytes(content, TYPES)
         if not isinstance(header, dict) or not isinstance(state, StateFile):

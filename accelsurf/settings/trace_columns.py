@@ -74,7 +74,7 @@ TRACE_COLUMNS: Registry[TraceColumn] = Registry(
     ),
     TraceColumn("restarted", "", "1 when momentum was set to zero before the step"),
     TraceColumn("removed_components", "", "components removed because they are smaller than the grid resolves"),
-    TraceColumn("seconds", "s", "wall time of the step"),
+    TraceColumn("seconds", "s", "wall time of the step; 0 of steps before a resumed run or a correction"),
     TraceColumn("edits", "", "edits applied right before the step"),
     TraceColumn(
         "returned",
