@@ -82,7 +82,7 @@ def bytes_within(path: str | os.PathLike[str], budget: Budget) -> bytes:
     with naming(path):
         with path.open("rb") as file:
             budget.check(os.fstat(file.fileno()).st_size)
-            return file.read(budget.limit + 1)
+            return file.read()
 
 
 def read_json(path: str | os.PathLike[str]) -> Any:

@@ -65,6 +65,8 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any
     data = getattr(header, "data", path)
     if data != path and not _OUTSIDE_DATA.get():
         _check_data_folder(path, data)
+    if hasattr(header, "check_claims"):
+        header.check_claims()
     return form, header
 
 

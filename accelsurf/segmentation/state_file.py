@@ -6,6 +6,7 @@ file and checked. Of psi there are the values in the band, and one bit for each 
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -281,8 +282,8 @@ def _unpacked(packed: PackedArray) -> NDArray[Any]:
     ValueError
         When it is damaged.
     """
-    kind, count = np.dtype(packed.kind), int(np.prod(packed.shape, dtype=np.int64))
-    if kind.hasobject or count < 0:
+    kind, count = np.dtype(packed.kind), math.prod(packed.shape)
+    if kind.hasobject or min(packed.shape, default=0) < 0 or packed.packed.ndim != 1:
         raise ValueError(f"it has an array of {packed.kind}")
     size = -(-count // 8) if kind == np.bool_ else count * kind.itemsize
     budgets.STATE_UNPACKED.check(size, "its arrays", factor=len(packed.packed) + 1024)

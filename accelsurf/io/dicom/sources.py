@@ -8,12 +8,12 @@ import stat
 import tempfile
 import weakref
 import zipfile
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from accelsurf.errors import InputError
+from accelsurf.io.files import library_named
 
 SUFFIXES = (".dcm", ".ima", ".dicom")
 #: Files that are looked at; a folder of more is another kind of folder.
@@ -130,7 +130,7 @@ def _unpacked(path: Path, available: int) -> SourceFiles:
 
 def _unpack_all(path: Path, root: Path, available: int) -> None:
     limit = min(available, shutil.disk_usage(root).free // 2)
-    try:
+    with library_named("the archive is damaged or locked", "unpack it, and give the folder"):
         with zipfile.ZipFile(path) as archive:
             members = [one for one in archive.infolist() if not one.is_dir()]
             claimed = sum(one.file_size for one in members)
@@ -142,8 +142,6 @@ def _unpack_all(path: Path, root: Path, available: int) -> None:
                 )
             for number, member in enumerate(members):
                 _unpack(archive, member, root / f"{number:06d}" / _safe_name(member))
-    except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, zlib.error) as error:
-        raise InputError(f"the archive is damaged or locked ({error})", "unpack it, and give the folder") from error
 
 
 def _safe_name(member: zipfile.ZipInfo) -> str:
