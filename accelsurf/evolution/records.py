@@ -45,7 +45,8 @@ class StepRecord(NamedTuple):
     diffusion : float
         Velocity diffusion used, mm2 per unit time.
     band_cells, cells_visited : int
-        Size of the band, and the number of cells that all passes of the step visited: its cost on any machine.
+        Size of the band, and the number of cells that all passes of the step visited: its cost on any machine; 0 as
+        ``seconds``.
     restarted : bool
         True when momentum was set to zero before this step.
     removed_components : int
@@ -92,9 +93,12 @@ class StepRecord(NamedTuple):
     extra: tuple[tuple[str, float], ...] = ()
 
 
-def without_seconds(history: Iterable[StepRecord]) -> list[StepRecord]:
-    """The records as a file of a state has them: the same steps have the same bytes, however long they took."""
-    return [record._replace(seconds=0.0) for record in history]
+def without_costs(history: Iterable[StepRecord]) -> list[StepRecord]:
+    """The records as a file of a state has them: the same steps have the same bytes, whatever they took.
+
+    Of the cells that a step visited, the first one after a restored state has more.
+    """
+    return [record._replace(seconds=0.0, cells_visited=0) for record in history]
 
 
 class Stop(NamedTuple):

@@ -66,7 +66,10 @@ def from_bytes(content: bytes, types: Mapping[str, type]) -> Any:
     """
     try:
         arrays = _arrays(content)
-        about = json.loads(arrays.pop(_TREE).tobytes().decode())
+        tree = arrays.pop(_TREE)
+        if (tree.ndim, tree.dtype) != (1, np.uint8):
+            raise ValueError("its tree is none")
+        about = json.loads(tree.tobytes().decode())
         found, layout = about["format"], about["records"]
     except Exception as error:  # whatever zipfile, numpy and json make of damaged bytes
         raise InputError(f"the checkpoint is damaged ({error})", "run from the start again") from None

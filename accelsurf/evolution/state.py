@@ -11,7 +11,7 @@ import numpy as np
 
 from accelsurf.evolution.energy_budget import EnergyBudget
 from accelsurf.evolution.lowest import LowestState
-from accelsurf.evolution.records import StepFields, StepRecord, Stop, without_seconds
+from accelsurf.evolution.records import StepFields, StepRecord, Stop, without_costs
 from accelsurf.evolution.rests import RestWatch
 from accelsurf.levelset import Snapshot, SurfaceState
 
@@ -114,9 +114,9 @@ class Checkpoint(NamedTuple):
     stop: Stop | None = None
 
     @property
-    def without_seconds(self) -> Checkpoint:
-        """It as a file has it: without the wall times of the steps."""
-        return self._replace(loop=replace(self.loop, history=without_seconds(self.loop.history)))
+    def without_costs(self) -> Checkpoint:
+        """It as a file has it: without what the steps took."""
+        return self._replace(loop=replace(self.loop, history=without_costs(self.loop.history)))
 
     @property
     def nbytes(self) -> int:

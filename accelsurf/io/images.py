@@ -27,6 +27,7 @@ from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_fo
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.registry import load
 
+
 def read(
     path: str | os.PathLike[str],
     *,

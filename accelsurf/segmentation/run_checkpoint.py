@@ -157,7 +157,7 @@ def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: Checkpo
     TypeError
         When the state of an energy of one's own is not made of numbers and arrays.
     """
-    objects = tuple(one._replace(evolution=one.evolution.without_seconds) for one in checkpoint.objects)
+    objects = tuple(one._replace(evolution=one.evolution.without_costs) for one in checkpoint.objects)
     settings: Any = checkpoint.settings.model_dump(mode="json")
     state = checkpoint._replace(objects=objects, settings=settings)
     write_bytes(Path(path), to_bytes((header, state), TYPES))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from accelsurf import __version__
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.evolution.multilevel import LevelSummary
-from accelsurf.evolution.records import StepRecord, Stop, without_seconds
+from accelsurf.evolution.records import StepRecord, Stop, without_costs
 from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.grid.boxes import Corner, box_at, corner_of
 from accelsurf.grid.pyramid import Level
@@ -134,7 +134,7 @@ def state_bytes(result: Result, image: str) -> bytes:
     assert result.state is not None
     objects = tuple(
         ObjectFile(
-            one.id, _packed_surface(one.psi, corner_of(one.box)), tuple(without_seconds(one.history)),
+            one.id, _packed_surface(one.psi, corner_of(one.box)), tuple(without_costs(one.history)),
             one.stop, tuple(RestFile(*rest[:-1], _packed(rest.labels > 0)) for rest in one.rests),
         )
         for one in result.objects

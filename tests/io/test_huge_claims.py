@@ -1,7 +1,7 @@
 """Headers that announce up to 10^18 of something: each reader refuses them in no time and next to no memory.
 
-Valid files are made small, one size in their headers is changed at a time, and every reader is asked for the result. All
-is done in one process that may have little more memory than it has after its imports.
+Valid files are made small, one size in their headers is changed at a time, and every reader is asked for the result.
+All is done in one process that may have little more memory than it has after its imports.
 """
 
 import json
@@ -21,9 +21,9 @@ MAX_SECONDS, MORE_BYTES = 5.0, 1 << 30
 #: Formats whose claims other tests change.
 ELSEWHERE = {"ome.zarr", "png", "tif", "dcm", "slices"}
 KINDS = (
-    "nii", "nii2", "nii.gz", "nii2.gz", "nrrd", "nrrd text", "nrrd gzip", "nrrd hex", "nrrd 4D", "nhdr", "mha", "mha 4D",
-    "mha packed", "mhd", "mgz", "mgh", "gipl", "npy", "npy 4D", "npz", "long files", "state", "checkpoint", "tables",
-    "label tables", "texts",
+    "nii", "nii2", "nii.gz", "nii2.gz", "nrrd", "nrrd text", "nrrd gzip", "nrrd hex", "nrrd 4D", "nhdr", "mha",
+    "mha 4D", "mha packed", "mhd", "mgz", "mgh", "gipl", "npy", "npy 4D", "npz", "long files", "state", "checkpoint",
+    "tables", "label tables", "texts",
 )  # fmt: skip
 
 
@@ -40,7 +40,7 @@ def told(tmp_path_factory):
 
 
 def test_every_format_is_among_them():
-    assert {name for name in IMAGE_FORMATS} - ELSEWHERE <= set(KINDS)
+    assert set(IMAGE_FORMATS) - ELSEWHERE <= set(KINDS)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -200,7 +200,7 @@ def files(folder):
         with path.open("r+b") as file:
             file.truncate(length)
         for read in (io.read, io.open_volume, io.read_sequence, channels.read):
-            yield "long files", f"{name} {read.__name__}", lambda: read(path)
+            yield "long files", f"{name} {read.__name__}", lambda read=read: read(path)
 
     many = bytearray(second)
     for n, length in enumerate((1, 1, 10**9)):
@@ -265,7 +265,8 @@ def tables(made, small):
             )  # fmt: skip
         for suffix, text in (
             (".csv", f"id,name\n{size},a\n"), (".tsv", f"index\tname\n{size}\ta\n"), (".ctbl", f"{size} a 1 2 3 4\n"),
-            (".ctbl", f"1 a {size} 2 3 4\n"), (".txt", f'{size} 1 2 3 1 1 1 "a"\n'), (".txt", f'1 {size} 2 3 1 1 1 "a"\n'),
+            (".ctbl", f"1 a {size} 2 3 4\n"), (".txt", f'{size} 1 2 3 1 1 1 "a"\n'),
+            (".txt", f'1 {size} 2 3 1 1 1 "a"\n'),
             (".csv", f"id,name,r,g,b\n1,a,{size},0,0\n"), (".seg.nrrd", f"NRRD0004\nSegment{size}_Name:=a\n\n"),
             (".seg.nrrd", f"NRRD0004\nSegment0_Name:=a\nSegment0_LabelValue:={size}\n\n"),
         ):  # fmt: skip

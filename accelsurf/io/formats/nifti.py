@@ -300,10 +300,6 @@ def parse(raw: bytes) -> NiftiHeader:
             f"the header gives spacing (x,y,z) = ({p1:g}, {p2:g}, {p3:g}), three positive numbers expected",
             hint="correct pixdim[1..3] in the header",
         )
-    # As in ITK: what is not finite is not there, and a slope of 0 is none.
-    slope, intercept = (v if math.isfinite(v) else 0.0 for v in (number("scl_slope"), number("scl_inter")))
-    if intercept == 0 and abs(slope - 1) < _SLOPE_ROUNDING:  # whole numbers stay what they are
-        slope = 1.0
     # Zero is what some writers leave in vox_offset; the voxels of a single file cannot start before its header ends.
     offset = max(int(vox_offset), HEADER_BYTES[version] + 4)
     grid = NiftiGrid(
@@ -317,7 +313,15 @@ def parse(raw: bytes) -> NiftiHeader:
     )
     place = size, header.get_data_dtype(), offset
     is_vector = int(header["intent_code"]) in _VECTORS
-    return NiftiHeader(version, *place, slope or 1.0, intercept, grid, is_vector, *_time_step(header))
+    return NiftiHeader(version, *place, *_scaling(header), grid, is_vector, *_time_step(header))
+
+
+def _scaling(header: Any) -> tuple[float, float]:
+    """Slope and intercept; as in ITK what is not finite is not there, and a slope of 0 is none."""
+    slope, intercept = (float(header[key]) for key in ("scl_slope", "scl_inter"))
+    slope, intercept = (v if math.isfinite(v) else 0.0 for v in (slope, intercept))
+    # Whole numbers stay what they are.
+    return 1.0 if slope == 0 or (intercept == 0 and abs(slope - 1) < _SLOPE_ROUNDING) else slope, intercept
 
 
 def _time_step(header: Any) -> tuple[float | None, bool]:

@@ -12,7 +12,7 @@ from accelsurf.io.frame_times import TIMES_KEY
 
 #: Seconds of a unit of time.
 SECONDS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
-#: Kinds of an axis of space, of time points, and of none that is said; of the others the values of a voxel lie along it.
+#: Kinds of an axis of space, of time points, and of none that is said; along the others lie the values of a voxel.
 _SPACE, _TIME, _SAYS_NOTHING = ("domain", "space"), ("time",), ("", "???", "none", "list")
 _NUMBER = re.compile(r"[0-9.eE+-]{1,30}")
 
@@ -39,7 +39,7 @@ def fourth_axis(fields: Mapping[str, str], lines: Sequence[str], sizes: Sequence
     if len(sizes) != 4:
         return {}
     kinds = [*fields.get("kinds", "").lower().split(), *[""] * 4][:4]
-    place = _place(kinds, fields.get("space directions", ""))
+    place, is_without = _place(kinds, fields.get("space directions", ""))
     kind = kinds[place]
     if place == 0 and kind in _TIME:
         raise InputError(
@@ -51,6 +51,13 @@ def fourth_axis(fields: Mapping[str, str], lines: Sequence[str], sizes: Sequence
             "last one expected",
             "save that axis first (channels) or last (time points)",
         )
+    if is_without and kind in ("", "???", "none", *_SPACE, *_TIME):
+        raise InputError(
+            f"a 4D NRRD of {sizes[place]} volumes given, along an axis without a direction whose kind is "
+            f"{kind or 'not said'}: list expected, else ITK does not read it",
+            "write list for that axis in the line kinds of the header; then --time-index N takes one volume, and "
+            "accelsurf track follows all",
+        )
     said = {key.strip().lower(): value.strip() for key, _, value in (line.partition(":=") for line in lines)}
     times = said.get(TIMES_KEY, "").lower() or _times_of_slicer(said, fields, sizes[place])
     if place == 3:
@@ -61,12 +68,14 @@ def fourth_axis(fields: Mapping[str, str], lines: Sequence[str], sizes: Sequence
     return {name: sizes[0], "is_interleaved": True, "times_text": times}
 
 
-def _place(kinds: Sequence[str], directions: str) -> int:
-    """Number of the axis that is none of space; the last where nothing tells them apart."""
+def _place(kinds: Sequence[str], directions: str) -> tuple[int, bool]:
+    """Number of the axis that is none of space, the last where nothing tells; whether it is given no direction."""
     vectors = re.findall(r"none|\([^)]*\)", directions.lower())
     without = [place for place, vector in enumerate(vectors[:4]) if vector == "none" or "nan" in vector]
     other = [place for place, kind in enumerate(kinds) if kind not in (*_SPACE, "")]
-    return without[0] if len(without) == 1 else other[0] if len(other) == 1 else 3
+    if len(without) == 1:
+        return without[0], True
+    return (other[0] if len(other) == 1 else 3), False
 
 
 def _times_of_slicer(said: Mapping[str, str], fields: Mapping[str, str], count: int) -> str:

@@ -187,9 +187,7 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
             "this is not a MetaImage: NDims, DimSize or ElementDataFile is missing or out of order",
             hint="is it the right file, and whole?",
         )
-    for flag in _META_FLAGS:
-        if fields.get(flag) == "":
-            raise InputError(f"the MetaImage header has no value for {flag}", hint="give it True or False")
+    _check_meta_flags(fields)
     try:
         sizes = _whole(fields["DimSize"])
         item = _META_BYTES[fields["ElementType"].removesuffix("_ARRAY")]
@@ -225,6 +223,12 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     return RawHeader(
         data, offset, encoding, METAIMAGE_ITK_NAME, count, stored, {}, numbers, position, order, **axis, asked=options
     )
+
+
+def _check_meta_flags(fields: Mapping[str, str]) -> None:
+    for flag in _META_FLAGS:
+        if fields.get(flag) == "":
+            raise InputError(f"the MetaImage header has no value for {flag}", hint="give it True or False")
 
 
 def _meta_fourth_axis(channels: int, sizes: Sequence[int]) -> dict[str, Any]:
