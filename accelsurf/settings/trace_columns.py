@@ -70,7 +70,8 @@ TRACE_COLUMNS: Registry[TraceColumn] = Registry(
     TraceColumn("diffusion", "mm2 per unit of flow time", "velocity diffusion used in the step"),
     TraceColumn("band_cells", "", "cells of the narrow band"),
     TraceColumn(
-        "cells_visited", "", "cells that all passes of the step visited: its cost, the same on any machine; 0 as the seconds"
+        "cells_visited", "",
+        "cells that all passes of the step visited: its cost, the same on any machine; 0 as the seconds",
     ),
     TraceColumn("restarted", "", "1 when momentum was set to zero before the step"),
     TraceColumn("removed_components", "", "components removed because they are smaller than the grid resolves"),
