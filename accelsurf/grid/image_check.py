@@ -89,7 +89,6 @@ class ImageCheck:
                 hint="object and background have the same value; is this the right file?",
             )
 
-
     def _refuse_indistinct(self) -> None:
         """Refuse an image whose values are nearly the same in single precision, in which it is computed.
 
@@ -98,7 +97,9 @@ class ImageCheck:
         low, high = self.low, self.high
         step = float(np.spacing(np.float32(max(abs(float(low)), abs(float(high))))))
         span = int(high) - int(low) if low.dtype.kind in "ui" else float(high) - float(low)
-        if low.dtype.itemsize >= 4 and low.dtype != np.float32 and 0 < span < MIN_STEPS * step:
+        is_single = low.dtype.kind == "f" and low.dtype.itemsize <= 4
+        is_exact = is_single or step <= 1 and all(float(np.float32(value)) == float(value) for value in (low, high))
+        if not is_exact and 0 < span < MIN_STEPS * step:
             raise InputError(
                 f"the image has values from {low} to {high}: computed in single precision, it would have "
                 f"{int(span / step) + 1} different values",

@@ -118,8 +118,14 @@ def test_whole_numbers_that_single_precision_does_not_tell_apart(tmp_path, capfd
     assert accelsurf.segment(volume, start="ball:4,3,3,2", max_steps=2).history
 
 
-@pytest.mark.parametrize("dtype", ["u1", "i2", "u2", "i4", "f4", "f8"])
-def test_plain_images_of_two_values_are_none_of_these(dtype):
-    values = np.zeros(SHAPE, dtype)
-    values[2:4, 2:5, 2:5] = 1
+@pytest.mark.parametrize(
+    ("dtype", "low"),
+    [
+        ("u1", 0), ("i2", -1000), ("u2", 65000), ("i4", 10**7), ("f4", 1e6), ("f4", 16777214), ("f8", 1e6),
+        ("i8", -(10**7)),
+    ],  # fmt: skip
+)
+def test_plain_images_of_two_values_are_none_of_these(dtype, low):
+    values = np.full(SHAPE, low, dtype)
+    values[2:4, 2:5, 2:5] = low + 1
     assert accelsurf.segment(Volume.from_array(values), start="ball:3,3,3,2", max_steps=2).history
