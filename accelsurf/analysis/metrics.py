@@ -249,7 +249,7 @@ def _object(volume: Volume) -> Mask:
     array = volume.array
     if array.dtype.kind == "f" and np.isnan(array).any():
         name = f"{volume.source}: " if volume.source else ""
-        raise InputError(f"{name}{int(np.isnan(array).sum())} labels are NaN, whole numbers expected")
+        raise InputError(f"{name}{int(np.isnan(array).sum())} labels are NaN, whole numbers expected", "make them 0")
     return np.ascontiguousarray(array > 0)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from accelsurf.analysis.track_graph import Stretch, stretches
 from accelsurf.analysis.tracking_scores import TrackedLabels, TrackingScores, score
 from accelsurf.errors import InputError
+from accelsurf.grid.label_values import as_labels
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.io.challenge import ChallengeFolder, is_challenge, open_challenge
 from accelsurf.io.files import naming
@@ -124,13 +125,10 @@ def _outlines(reference: TrackedFile) -> Iterator[tuple[int, NDArray[Any]]]:
 
 def _as_labels(sequence: ImageSequence, number: int) -> NDArray[Any]:
     """A frame as whole numbers."""
-    array = sequence.frame(number).array
-    if array.dtype.kind in "uib":
-        return array
-    whole = array.astype(np.int64)
-    if not np.array_equal(whole, array):
-        raise InputError(f"{sequence.source}: frame {number} has values that are no whole numbers, labels expected")
-    return whole
+    try:
+        return as_labels(sequence.frame(number).array)
+    except InputError as error:
+        raise InputError(f"{sequence.source}: frame {number}: {error.message}", error.hint) from None
 
 
 def _frames_shown(sequence: ImageSequence) -> dict[int, list[int]]:

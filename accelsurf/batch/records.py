@@ -6,7 +6,6 @@ name, and the Dice. Cases whose result somebody has corrected since, by ``accels
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,9 +13,9 @@ from typing import Any
 
 from accelsurf import io
 from accelsurf.batch.outcome import CaseTask, Outcome, of_report
-from accelsurf.errors import AccelsurfError
+from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.grid.volume import Volume
-from accelsurf.io.files import write_bytes
+from accelsurf.io.files import read_json, write_bytes
 from accelsurf.report.document import to_json
 from accelsurf.report.inputs import named_files
 from accelsurf.report.result_sets import is_of, is_output, load_report, report_name
@@ -98,7 +97,7 @@ def _checksum_of_labels(report: Mapping[str, Any]) -> str | None:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        found = read_json(path)
+    except InputError:
         return {}
     return found if isinstance(found, dict) else {}

@@ -43,7 +43,7 @@ app = App(
     name="accelsurf",
     help="Surfaces of objects in 3D images, by level sets with momentum.",
     help_epilogue="Every command takes --help, --debug to show the full traceback of an error, and "
-    "--allow-outside-data to read data files that a header (.mhd, .nrrd) names in other folders than its own.",
+    "--allow-outside-data to read data files that a header (.mhd, .nhdr) names in other folders than its own.",
     version=__version__,
     help_format="plaintext",
     suppress_keyboard_interrupt=False,  # it would end the process without a line

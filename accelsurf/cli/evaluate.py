@@ -184,6 +184,7 @@ def _try(pair: Pair, asked: Asked) -> CaseResult:
 
 def _result(pair: Pair, asked: Asked) -> CaseResult:
     """Compare a pair."""
+    from accelsurf import io
     from accelsurf.analysis.label_metrics import LabelMap, evaluate_labels, evaluate_object
     from accelsurf.io.file_set import finish_killed_runs
     from accelsurf.report.evaluation import CaseResult

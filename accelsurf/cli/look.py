@@ -84,7 +84,7 @@ def look(
     print(f"size     {_said_of(volumes)}" + (f", {len(volumes)} channels" if len(volumes) > 1 else ""))
     for number, volume in enumerate(volumes, 1):
         which = f" of channel {number}" if len(volumes) > 1 else ""
-        print(f"values   {volume.array.min():.6g} to {volume.array.max():.6g}{which}")
+        print(f"values   {_values(volume.array)}{which}")
     print(f"picture  {path.absolute()}")
     return 0
 
@@ -97,6 +97,22 @@ def _say_notes(volumes: list[Volume]) -> None:
     for note in dict.fromkeys(volume.metadata.get(WARNING_KEY, "") for volume in volumes):
         if note:
             say(f"warning: {note}")
+
+
+def _values(array: NDArray[Any]) -> str:
+    """From where to where the values go, and how many are none."""
+    import numpy as np
+
+    if array.dtype.kind != "f":
+        return f"{array.min()} to {array.max()}"
+    finite = np.isfinite(array)
+    nans = int(np.isnan(array).sum())
+    others = {"NaN": nans, "infinite": int(array.size - finite.sum()) - nans}
+    said = [f"{count} voxel{'s are' if count > 1 else ' is'} {what}" for what, count in others.items() if count]
+    if finite.any():
+        known = array[finite]
+        said.insert(0, f"{known.min():.6g} to {known.max():.6g}")
+    return ", ".join(said)
 
 
 def _said_of(volumes: list[Volume]) -> str:
@@ -151,7 +167,7 @@ def _labels(path: Path, geometry: Geometry) -> NDArray[Any]:
     """
     from accelsurf import io
 
-    known = io.read(path)
+    known = io.read_labels(path)
     if not known.geometry.matches(geometry):
         difference = known.geometry.difference(geometry)
         raise InputError(f"{path}: on another grid than the image ({difference})", "give labels of this image")

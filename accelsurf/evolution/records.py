@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -44,13 +45,14 @@ class StepRecord(NamedTuple):
     diffusion : float
         Velocity diffusion used, mm2 per unit time.
     band_cells, cells_visited : int
-        Size of the band, and the number of cells that all passes of the step visited: its cost on any machine.
+        Size of the band, and the number of cells that all passes of the step visited: its cost on any machine; 0 as
+        ``seconds``.
     restarted : bool
         True when momentum was set to zero before this step.
     removed_components : int
         Components removed as smaller than the grid resolves.
     seconds : float
-        Wall time of the step.
+        Wall time of the step; 0 for one that was read from the file of a state, which has no times.
     edits : int
         Edits applied right before this step; see `accelsurf.settings.edits`.
     returned : bool
@@ -89,6 +91,14 @@ class StepRecord(NamedTuple):
     edits: int = 0
     returned: bool = False
     extra: tuple[tuple[str, float], ...] = ()
+
+
+def without_costs(history: Iterable[StepRecord]) -> list[StepRecord]:
+    """The records as a file of a state has them: the same steps have the same bytes, whatever they took.
+
+    Of the cells that a step visited, the first one after a restored state has more.
+    """
+    return [record._replace(seconds=0.0, cells_visited=0) for record in history]
 
 
 class Stop(NamedTuple):

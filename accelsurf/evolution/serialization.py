@@ -1,24 +1,33 @@
 """States as bytes: nested tuples, dictionaries and named records of numbers and arrays, exact to the last bit.
 
-Nothing that is read can run code: only types that the caller names are made, and arrays hold no objects.
+Nothing that is read can run code: only types that the caller names are made, and arrays hold no objects. What is read
+has the digest that was written with it, and each field of a record the type that the record declares.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import io
 import json
+import math
+import types as kinds
 import zipfile
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
+from functools import cache
+from numbers import Integral, Real
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from accelsurf.errors import InputError
 
 #: Version of the format; raised when it changes, or the fields of a record or the state of a flow do.
-FORMAT = 2
+FORMAT = 3
 _TREE = "tree"
+_END = ".npy"
+#: What a field of a plain type may hold.
+_PLAIN: dict[Any, Any] = {int: Integral, float: Real, bool: (bool, np.bool_), str: str, type(None): type(None)}
 
 
 def to_bytes(value: Any, types: Mapping[str, type]) -> bytes:
@@ -39,7 +48,9 @@ def to_bytes(value: Any, types: Mapping[str, type]) -> bytes:
     """
     arrays: dict[str, np.ndarray] = {}
     names = {kind: name for name, kind in types.items()}
-    tree = json.dumps({"format": FORMAT, "records": _layout(types), "state": _encode(value, arrays, names)})
+    state = _encode(value, arrays, names)
+    about = {"format": FORMAT, "records": _layout(types), "digest": _digest(state, arrays), "state": state}
+    tree = json.dumps(about)
     stream = io.BytesIO()
     np.savez(stream, **{_TREE: np.frombuffer(tree.encode(), np.uint8)}, **arrays)  # type: ignore[arg-type]
     return stream.getvalue()
@@ -54,29 +65,65 @@ def from_bytes(content: bytes, types: Mapping[str, type]) -> Any:
         When the content is damaged, or of another format.
     """
     try:
-        _check_members(content)
-        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-            tree = json.loads(arrays[_TREE].tobytes().decode())
-            if tree["format"] != FORMAT:
-                raise InputError(
-                    f"a checkpoint of format {tree['format']} was given, expected {FORMAT}", "run from the start again"
-                )
-            if tree["records"] != _layout(types):
-                raise InputError("a checkpoint of another version of accelsurf was given", "run from the start again")
-            return _decode(tree["state"], lambda name: arrays[name], types)
-    except InputError:
-        raise
-    except Exception as error:  # whatever numpy and zipfile make of damaged bytes
+        arrays = _arrays(content)
+        tree = arrays.pop(_TREE)
+        if (tree.ndim, tree.dtype) != (1, np.uint8):
+            raise ValueError("its tree is none")
+        about = json.loads(tree.tobytes().decode())
+        found, layout = about["format"], about["records"]
+    except Exception as error:  # whatever zipfile, numpy and json make of damaged bytes
+        raise InputError(f"the checkpoint is damaged ({error})", "run from the start again") from None
+    if found != FORMAT:
+        raise InputError(f"a checkpoint of format {found} was given, expected {FORMAT}", "run from the start again")
+    if layout != _layout(types):
+        raise InputError("a checkpoint of another version of accelsurf was given", "run from the start again")
+    if about.get("digest") != _digest(about.get("state"), arrays):
+        raise InputError("the checkpoint is damaged (its digest is another)", "run from the start again")
+    try:
+        return _decode(about["state"], arrays, types)
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise InputError(f"the checkpoint is damaged ({error})", "run from the start again") from None
 
 
-def _check_members(content: bytes) -> None:
-    """Refuse packed arrays, which `to_bytes` never writes: a few bytes of them could fill the memory."""
+def _arrays(content: bytes) -> dict[str, np.ndarray]:
+    """The members of a file by name; an error of any kind where one is no array, or longer than the file.
+
+    `numpy.load` would allocate what a header announces before it looks how much there is.
+    """
+    arrays: dict[str, np.ndarray] = {}
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         members = archive.infolist()
-    packed = any(one.compress_type != zipfile.ZIP_STORED for one in members)
-    if packed or sum(one.file_size for one in members) > len(content):
-        raise ValueError("its arrays are packed, or longer than the file")
+        # Packed ones are never written: a few bytes of them could fill the memory.
+        packed = any(member.compress_type != zipfile.ZIP_STORED for member in members)
+        if packed or sum(member.file_size for member in members) > len(content):
+            raise ValueError("its arrays are packed, or longer than the file")
+        for member in members:
+            name = member.filename.removesuffix(_END)
+            if name in arrays or name == member.filename:
+                raise ValueError(f"its member {member.filename[:40]} is none")
+            arrays[name] = _array(bytearray(archive.read(member)))
+    return arrays
+
+
+def _array(raw: bytearray) -> np.ndarray:
+    """The array of a member; it lies in the bytes that are given."""
+    head = io.BytesIO(raw[: 1 << 14])
+    if np.lib.format.read_magic(head) != (1, 0):
+        raise ValueError("an array of another version")
+    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(head)
+    if dtype.hasobject or head.tell() + math.prod(shape) * dtype.itemsize != len(raw):
+        raise ValueError(f"an array of {dtype} and shape {shape} is longer or shorter than it says")
+    return np.ndarray(shape, dtype, raw, head.tell(), order="F" if is_fortran else "C")
+
+
+def _digest(state: Any, arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 of a tree and of the arrays that it names."""
+    sha = hashlib.sha256(json.dumps(state).encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        sha.update(f"{name} {array.dtype.str} {arrays[name].shape} ".encode())
+        sha.update(array.data if array.size else b"")
+    return sha.hexdigest()
 
 
 def _encode(value: Any, arrays: dict[str, np.ndarray], names: Mapping[type, str]) -> Any:
@@ -116,16 +163,51 @@ def _values(record: Any) -> list[Any]:
     return list(record)
 
 
-def _decode(tree: Any, array: Callable[[str], np.ndarray], types: Mapping[str, type]) -> Any:
+def _decode(tree: Any, arrays: Mapping[str, np.ndarray], types: Mapping[str, type]) -> Any:
     if not isinstance(tree, dict):
         return tree
     if "array" in tree:
-        return array(tree["array"])
+        return arrays[tree["array"]]
     if "number" in tree:
-        return array(tree["number"])[()]
+        return arrays[tree["number"]][()]
     if "record" in tree:
-        return types[tree["record"]](*(_decode(item, array, types) for item in tree["fields"]))
+        kind = types[tree["record"]]
+        record = kind(*(_decode(item, arrays, types) for item in tree["fields"]))
+        for (name, declared), value in zip(_declared(kind).items(), _values(record), strict=True):
+            if not _is_of(value, declared, types):
+                raise ValueError(f"{name} of {tree['record']} is of another type")
+        return record
     if "dict" in tree:
-        return {_decode(key, array, types): _decode(item, array, types) for key, item in tree["dict"]}
-    items = [_decode(item, array, types) for item in tree["tuple" if "tuple" in tree else "list"]]
+        return {_decode(key, arrays, types): _decode(item, arrays, types) for key, item in tree["dict"]}
+    items = [_decode(item, arrays, types) for item in tree["tuple" if "tuple" in tree else "list"]]
     return tuple(items) if "tuple" in tree else items
+
+
+@cache
+def _declared(kind: type) -> dict[str, Any]:
+    """The types of a record's fields."""
+    return get_type_hints(kind)
+
+
+def _is_of(value: Any, declared: Any, types: Mapping[str, type]) -> bool:
+    """Whether a value is of the type that a field declares. Types that nobody named are left to the caller."""
+    if declared in _PLAIN:
+        return isinstance(value, _PLAIN[declared])
+    origin, inner = get_origin(declared), get_args(declared)
+    if origin in (Union, kinds.UnionType):
+        return any(_is_of(value, kind, types) for kind in inner)
+    if origin is Literal:
+        return value in inner
+    if origin is tuple and inner[-1] is not Ellipsis:
+        fits = isinstance(value, tuple) and len(value) == len(inner)
+        return fits and all(_is_of(item, kind, types) for item, kind in zip(value, inner, strict=True))
+    if origin in (tuple, list):
+        return isinstance(value, origin) and all(_is_of(item, inner[0], types) for item in value)
+    if origin is dict:
+        return isinstance(value, dict) and all(
+            _is_of(key, inner[0], types) and _is_of(item, inner[1], types) for key, item in value.items()
+        )
+    if np.ndarray in (declared, origin):
+        kind = get_args(inner[1])[0] if inner else Any  # of NDArray[kind]
+        return isinstance(value, np.ndarray) and value.ndim > 0 and (kind is Any or value.dtype == kind)
+    return isinstance(value, declared) if declared in types.values() else True

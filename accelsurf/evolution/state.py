@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from accelsurf.evolution.energy_budget import EnergyBudget
 from accelsurf.evolution.lowest import LowestState
-from accelsurf.evolution.records import StepFields, StepRecord, Stop
+from accelsurf.evolution.records import StepFields, StepRecord, Stop, without_costs
 from accelsurf.evolution.rests import RestWatch
 from accelsurf.levelset import Snapshot, SurfaceState
 
@@ -112,6 +112,11 @@ class Checkpoint(NamedTuple):
     flow: dict[str, Any]
     energy: Any
     stop: Stop | None = None
+
+    @property
+    def without_costs(self) -> Checkpoint:
+        """It as a file has it: without what the steps took."""
+        return self._replace(loop=replace(self.loop, history=without_costs(self.loop.history)))
 
     @property
     def nbytes(self) -> int:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Corner
 
+#: An image has so many values in single precision, unless it has fewer itself.
+MIN_STEPS = 256
 MAX_VALUE, MIN_RANGE = 1e30, 1e-30
 """Values beyond the first mean "no value" in many files, and their squares are beyond 32-bit floats; so is the inverse
 of a range below the second."""
@@ -55,7 +57,8 @@ class ImageCheck:
         if count:
             raise InputError(
                 f"{self._nonfinite} not finite ({self._nans} NaN, {count - self._nans} infinite)",
-                hint="replace them first, e.g. volume.with_array(numpy.nan_to_num(volume.array, posinf=0, neginf=0))",
+                hint=f"accelsurf look IMAGE --at {self._nonfinite.at} shows the first; replace them by numbers, in "
+                "Python: volume.with_array(numpy.nan_to_num(volume.array, posinf=0, neginf=0))",
             )
 
     def refuse(self) -> None:
@@ -79,10 +82,28 @@ class ImageCheck:
                 f"the image has values from {low:g} to {high:g}, a range of at least {MIN_RANGE:g} expected",
                 hint="rescale the image, e.g. divide it by its largest value",
             )
+        self._refuse_indistinct()
         if low == high:
             raise InputError(
                 f"the image is constant: every voxel is {low}",
                 hint="object and background have the same value; is this the right file?",
+            )
+
+    def _refuse_indistinct(self) -> None:
+        """Refuse an image whose values are nearly the same in single precision, in which it is computed.
+
+        Taking an offset away unasked would make bounds and results speak of other numbers than the file has.
+        """
+        low, high = self.low, self.high
+        step = float(np.spacing(np.float32(max(abs(float(low)), abs(float(high))))))
+        span = int(high) - int(low) if low.dtype.kind in "ui" else float(high) - float(low)
+        is_single = low.dtype.kind == "f" and low.dtype.itemsize <= 4
+        is_exact = is_single or step <= 1 and all(float(np.float32(value)) == float(value) for value in (low, high))
+        if not is_exact and 0 < span < MIN_STEPS * step:
+            raise InputError(
+                f"the image has values from {low} to {high}: computed in single precision, it would have "
+                f"{int(span / step) + 1} different values",
+                f"subtract {low} from all voxels first, in Python: volume.with_array(volume.array - {low})",
             )
 
 
@@ -106,6 +127,12 @@ class Places:
             z, y, x = (int(i) + c for i, c in zip(np.unravel_index(int(bad.argmax()), bad.shape), corner, strict=True))
             self._first = z, y, x
         self.count += int(bad.sum())
+
+    @property
+    def at(self) -> str:
+        """The first place, as --at of accelsurf look takes it."""
+        z, y, x = self._first
+        return f"{x},{y},{z}vox"
 
     def __str__(self) -> str:
         """'3 voxels are', with the first place in the order people type it, x first."""

@@ -85,7 +85,7 @@ def _click_of_row(line: dict[str, str], number: int, vox: bool, geometry: Geomet
         own = float(line.get("id") or "")
     except ValueError:
         own = -1.0
-    if own != int(own) or not 0 <= own <= MAX_ID:
+    if not 0 <= own <= MAX_ID or own != int(own):
         raise InputError(f"line {number}: id {line.get('id')} was given, expected a whole number from 0 on", _FORM)
     side, numbers = one_object.stroke_row(line, number, vox, "inside")
     name, id = f"line {number}", int(own)

@@ -21,6 +21,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, meeting, shared, widened
 from accelsurf.grid.distances import ball_distance
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.label_values import as_labels
 from accelsurf.grid.volume import Volume, array_on_grid
 from accelsurf.initialization import starts
 from accelsurf.io.files import naming
@@ -132,9 +133,10 @@ def whole_numbers(name: str, labels: NDArray[Any], ids: Sequence[tuple[int, int]
     InputError
         When one is no whole number.
     """
-    if labels.dtype.kind == "f" and not np.array_equal(labels, np.rint(labels)):
-        raise InputError(f"objects {name}: a label is no whole number", "give a label map, not a probability")
-    labels = labels.astype(np.int64 if labels.dtype.kind in "fb" else labels.dtype, copy=False)
+    try:
+        labels = as_labels(labels)
+    except InputError as error:
+        raise InputError(f"objects {name}: {error.message}", error.hint) from None
     if ids:
         wanted = np.zeros(labels.shape, np.bool_)
         for first, last in ids:

@@ -19,6 +19,7 @@ from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.distances import ball_distance
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.label_values import as_labels
 from accelsurf.grid.slabs import slabs
 from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import Window
@@ -323,7 +324,7 @@ def label_box(file: str, window: Window, name: str, ids: Sequence[tuple[int, int
             f"{name}: on another grid than the image: {labels.geometry.difference(window.geometry)}",
             "resample it to the image's grid first",
         )
-    return labels.array if isinstance(labels, Volume) else labels.read(window.box)
+    return labels.array if isinstance(labels, Volume) else as_labels(labels.read(window.box))
 
 
 def psi_of_mask(mask: NDArray[np.bool_], geometry: Geometry) -> NDArray[np.float32]:

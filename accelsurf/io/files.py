@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import json
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any
 
 from accelsurf.errors import AccelsurfError, InputError, OutputError
 from accelsurf.io.file_set import FileSet, opened
+from accelsurf.settings import budgets
+from accelsurf.settings.budgets import Budget
+from accelsurf.settings.input_file import check_readable
 
 SPACE_HINT = "is there space on the disk?"
 _BLOCK = 1 << 20  # bytes that are compared at once
@@ -20,8 +25,9 @@ _BLOCK = 1 << 20  # bytes that are compared at once
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Turn whatever goes wrong while reading a file into one line that starts with its name."""
+    """Turn whatever goes wrong while reading a file into one line that starts with its name; refuse pipes at once."""
     try:
+        check_readable(path)
         yield
     except AccelsurfError as error:
         raise type(error)(f"{path}: {error.message}", hint=error.hint) from error.__cause__
@@ -36,6 +42,62 @@ def naming(path: Path) -> Iterator[None]:
         ) from error
     except MemoryError as error:
         raise InputError(f"{path}: does not fit into memory", hint="crop or downsample the image") from error
+
+
+@contextmanager
+def library_named(what: str, hint: str) -> Iterator[None]:
+    """Turn whatever a library raises about damaged content into one line; to be put around its calls alone.
+
+    Parameters
+    ----------
+    what : str
+        What is damaged.
+    hint : str
+        What to do.
+    """
+    try:
+        yield
+    except (AccelsurfError, MemoryError, OSError) as error:
+        # What is damaged is no matter of the disk; gzip says it by an OSError without a number.
+        if not isinstance(error, OSError) or error.errno is not None:
+            raise
+        raise InputError(f"{what} ({_one_line(error)})", hint) from error
+    except Exception as error:  # zlib, lzma, zipfile, gzip, struct, numpy, nibabel: each has its own kinds
+        raise InputError(f"{what} ({_one_line(error)})", hint) from error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+def bytes_within(path: str | os.PathLike[str], budget: Budget) -> bytes:
+    """All bytes of a file that is no larger than a budget.
+
+    Raises
+    ------
+    InputError
+        When it is larger, cannot be read, or is a pipe, a device or a folder.
+    """
+    path = Path(path)
+    with naming(path):
+        with path.open("rb") as file:
+            budget.check(os.fstat(file.fileno()).st_size)
+            return file.read()
+
+
+def read_json(path: str | os.PathLike[str]) -> Any:
+    """What a JSON file holds.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, is none, or is larger than a report may be.
+    """
+    content = bytes_within(path, budgets.REPORT)
+    try:
+        return json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not JSON ({_one_line(error)})", "is it the right file?") from None
 
 
 def _itk_reason(error: RuntimeError) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.sequence import check_times
+from accelsurf.settings import budgets
 
 TimeUnit = Literal["s", "frame"]
 #: Under which name files hold the line of text of `FrameTimes.text`.
@@ -58,7 +59,14 @@ class FrameTimes:
 
     @classmethod
     def regular(cls, count: int, seconds: float | None) -> FrameTimes:
-        """Frames from time 0 on, so many seconds apart; or where that is not known, counted."""
+        """Frames from time 0 on, so many seconds apart; or where that is not known, counted.
+
+        Raises
+        ------
+        InputError
+            When there are more than an axis of time may have.
+        """
+        budgets.AXIS.check(count, "the time points of the sequence")
         if seconds is None:
             return cls(tuple(float(n) for n in range(count)))
         return cls(tuple(n * seconds for n in range(count)), "s")

@@ -12,6 +12,7 @@ from typing import Any
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, image_suffixes
+from accelsurf.settings.input_file import check_readable
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.registry import load
 
@@ -67,6 +68,8 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any
     data = getattr(header, "data", path)
     if data != path and not _OUTSIDE_DATA.get():
         _check_data_folder(path, data)
+    if hasattr(header, "check_claims"):
+        header.check_claims()
     return form, header
 
 
@@ -168,8 +171,7 @@ def format_of(path: Path) -> ImageFormat:
             f"unknown file type, one of {', '.join(image_suffixes())} expected",
             hint="convert the image to one of them first",
         )
-    if not path.is_file():
-        raise InputError("this is no file but a pipe or a device", hint="give an image file")
+    check_readable(path)
     if path.stat().st_size == 0:
         raise InputError("the file is empty", hint="copy or export it again")
     return form

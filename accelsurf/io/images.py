@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.label_values import as_labels
 from accelsurf.grid.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import SPACE_HINT, naming, staging
@@ -114,7 +115,7 @@ def read_labels(
             volume: Volume = load(form.read_labels)(path, header, available, ids)
         else:
             volume = load(form.read)(path, header, available)
-        labels = Volume(_as_integers(volume.array), volume.geometry, volume.metadata, volume.source)
+        labels = Volume(as_labels(volume.array), volume.geometry, volume.metadata, volume.source)
     return labels if grid is None else on_grid(labels, grid)
 
 
@@ -173,7 +174,7 @@ def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
     InputError
         When a value is not a whole number from 0 to 4294967295; else as `write`.
     """
-    values = _as_integers(volume.array)
+    values = as_labels(volume.array)
     low, high = int(values.min()), int(values.max())
     if low < 0 or high > 2**32 - 1:
         raise InputError(f"labels from {low} to {high} given, 0 to {2**32 - 1} expected", hint="renumber the labels")
@@ -251,20 +252,3 @@ def _check_writable(array: NDArray[Any], form: ImageFormat, suffix: str) -> None
             f"values of type {array.dtype} given, a {suffix} holds {', '.join(form.types)}",
             "convert them first, or write a volume format",
         )
-
-
-def _as_integers(array: NDArray[Any]) -> NDArray[Any]:
-    """The same values in an integer type."""
-    if array.dtype.kind in "ui":
-        return array
-    if array.dtype.kind == "b":
-        return array.astype(np.uint8)
-    with np.errstate(invalid="ignore"):  # some bytes are a NaN that signals
-        whole = np.isfinite(array) & (array == np.floor(array)) & (np.abs(array) < 2.0**31)
-    if not whole.all():
-        value = array[~whole].flat[0]
-        raise InputError(
-            f"labels must be whole numbers, {int((~whole).sum())} voxels are not (the first is {value:g})",
-            hint="is this an image, or a label map resampled with interpolation? resample with nearest neighbour",
-        )
-    return array.astype(np.int32)

@@ -15,20 +15,24 @@ from typing import Any
 from xml.sax.saxutils import unescape
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.io.files import naming
+from accelsurf.io.files import library_named, naming
 from accelsurf.io.headers import split_name
 from accelsurf.settings.file_formats import image_format
 from accelsurf.settings.labels import MAX_NAME, Color, LabelEntry, LabelTable, colored, default_color
 from accelsurf.settings.registry import load
+from accelsurf.settings.wording import shown
 
 #: Bytes of a table: beyond that it is none.
 _MAX_BYTES = 1 << 22
 _MAX_ID = 2**32 - 1
-_ITK_SNAP = re.compile(r'\s*(\d+)\s+(\d+)\s+(\d+)\s+(\d+)\s+([\d.eE+-]+)\s+([01])\s+([01])\s+"(.*)"\s*')
+_WHOLE = re.compile(r"[0-9]{1,10}")
+_ITK_SNAP = re.compile(
+    r'\s*([0-9]{1,10})\s+([0-9]{1,10})\s+([0-9]{1,10})\s+([0-9]{1,10})\s+([0-9.eE+-]+)\s+([01])\s+([01])\s+"(.*)"\s*'
+)
 _CARET = 30
 _CARET_LABEL = re.compile(r"<Label ([^>]{1,400})>(.{0,400}?)</Label>", re.DOTALL)
 _ATTRIBUTE = re.compile(r'(\w+)="([^"]*)"')
-_SEGMENT = re.compile(r"Segment(\d+)_(Name|Color|LabelValue)\s*:?=\s*(.*)")
+_SEGMENT = re.compile(r"Segment([0-9]{1,10})_(Name|Color|LabelValue)\s*:?=\s*(.*)")
 _ID_COLUMNS, _NAME_COLUMNS = ("index", "id", "label", "labelvalue"), ("name", "label_name")
 _HEAD = "################################################\n# ITK-SnAP Label Description File\n"
 
@@ -59,7 +63,7 @@ def read(path: str | os.PathLike[str]) -> LabelTable:
     """
     path = Path(path)
     with naming(path):
-        if path.name.lower().endswith((".nii", ".nii.gz")) and path.is_file():
+        if split_name(path)[1].startswith(".nii") and path.is_file():
             return LabelTable({entry.id: entry for entry in _of_nifti(path)})
         if path.is_file() and (form := image_format(split_name(path)[1])) is not None and form.listing is not None:
             return _of_segments(load(form.listing)(path))
@@ -67,7 +71,7 @@ def read(path: str | os.PathLike[str]) -> LabelTable:
             raise InputError("there is no such file", "check the path of the label table")
         with path.open("rb") as file:
             content = file.read(_MAX_BYTES + 1)
-        if path.name.lower().endswith((".seg.nrrd", ".nrrd")):
+        if _reader(path) is _of_seg_nrrd:
             content = content.partition(b"\n\n")[0]
         if len(content) > _MAX_BYTES:
             raise InputError(f"a file of more than {_MAX_BYTES} bytes given, a table expected", "is it another file?")
@@ -80,7 +84,7 @@ def read(path: str | os.PathLike[str]) -> LabelTable:
 
 def _reader(path: Path) -> Callable[[str], Iterable[LabelEntry]]:
     name = path.name.lower()
-    if name.endswith(".nrrd"):
+    if name.endswith((".nrrd", ".nhdr")):
         return _of_seg_nrrd
     if name.endswith(".ctbl"):
         return _of_color_table
@@ -95,13 +99,19 @@ def _reader(path: Path) -> Callable[[str], Iterable[LabelEntry]]:
 def _entry(number: int, label: str, name: str, color: Color) -> LabelEntry:
     """An entry; the number is that of its line."""
     label, name = label.strip(), " ".join(name.split())
-    if not label.isdigit() or not 0 <= int(label) <= _MAX_ID:
+    if not _is_whole(label) or int(label) > _MAX_ID:
         raise InputError(f"line {number}: label {label[:40]!r}, a whole number expected", "correct the table")
     if not name or len(name) > MAX_NAME or not name.isprintable():
         raise InputError(f"line {number}: a name of 1 to {MAX_NAME} letters expected", "correct the table")
     if not all(0 <= part <= 255 for part in color):
-        raise InputError(f"line {number}: colour {color}, numbers of 0 to 255 expected", "correct the table")
+        message = f"line {number}: colour {shown(str(color))}, numbers of 0 to 255 expected"
+        raise InputError(message, "correct the table")
     return LabelEntry(int(label), name, color)
+
+
+def _is_whole(text: str) -> bool:
+    """Whether a text is a whole number without a sign, of a length that can be meant."""
+    return _WHOLE.fullmatch(text) is not None
 
 
 def _lines(text: str) -> Iterable[tuple[int, str]]:
@@ -123,7 +133,7 @@ def _of_itk_snap(text: str) -> Iterable[LabelEntry]:
 def _of_color_table(text: str) -> Iterable[LabelEntry]:
     for number, line in _lines(text):
         parts = line.split()
-        if len(parts) != 6 or not all(part.isdigit() for part in (parts[0], *parts[2:])):
+        if len(parts) != 6 or not all(map(_is_whole, (parts[0], *parts[2:]))):
             raise InputError(f"line {number}: ID NAME R G B A expected", "is this a colour table of 3D Slicer?")
         if int(parts[0]) > 0:
             red, green, blue = map(int, parts[2:5])
@@ -131,8 +141,9 @@ def _of_color_table(text: str) -> Iterable[LabelEntry]:
 
 
 def _of_columns(text: str, delimiter: str) -> Iterable[LabelEntry]:
-    rows = csv.reader(io.StringIO(text), delimiter=delimiter)
-    head = [cell.strip().lower() for cell in next(rows, [])]
+    with library_named("the table is damaged", "save it as CSV again"):
+        first, *rows = [*csv.reader(io.StringIO(text), delimiter=delimiter)] or [[]]
+    head = [cell.strip().lower() for cell in first]
     label = next((name for name in _ID_COLUMNS if name in head), None)
     name = next((name for name in _NAME_COLUMNS if name in head), None)
     if label is None or name is None:
@@ -156,12 +167,12 @@ def _color_of(number: int, cells: dict[str, str], label: str) -> Color:
         except UsageError:
             raise InputError(f"line {number}: colour {text[:40]}, #rrggbb expected", "correct the table") from None
     parts = [cells.get(name, "").strip() for name in ("r", "g", "b")]
-    if all(part.isdigit() for part in parts):
+    if all(map(_is_whole, parts)):
         red, green, blue = map(int, parts)
         return red, green, blue
     if any(parts):
         raise InputError(f"line {number}: r, g, b {', '.join(parts)[:40]}, whole numbers expected", "correct the table")
-    return default_color(int(label) if label.strip().isdigit() else 1)
+    return default_color(int(label) if _is_whole(label.strip()) else 1)
 
 
 def _of_seg_nrrd(text: str) -> Iterable[LabelEntry]:
@@ -177,7 +188,7 @@ def _of_seg_nrrd(text: str) -> Iterable[LabelEntry]:
         try:
             red, green, blue = (round(255 * float(part)) for part in keys["Color"].split())
         except (KeyError, ValueError, OverflowError):
-            red, green, blue = default_color(int(label) if label.isdigit() else 1)
+            red, green, blue = default_color(int(label) if _is_whole(label) else 1)
         yield _entry(int(number), label, keys.get("Name", f"Segment {number}"), (red, green, blue))
 
 
@@ -191,16 +202,12 @@ def _of_segments(volumes: list[dict[str, Any]]) -> LabelTable:
 
 def _of_nifti(path: Path) -> Iterable[LabelEntry]:
     """The label table that Connectome Workbench and accelsurf put into the header."""
-    import nibabel
+    from accelsurf.io.formats.nifti import extensions_of
 
-    try:
-        found = [one for one in nibabel.load(path).header.extensions if one.get_code() == _CARET]  # type: ignore[attr-defined]
-        text = found[0].content if found else b""
-    except Exception as error:  # nibabel raises errors of many kinds about damaged files
-        raise InputError("the header is damaged", "save it again") from error
-    if not found:
+    text = next((content for code, content in extensions_of(path) if code == _CARET), None)
+    if text is None:
         raise InputError("no label table is in the header of this NIfTI", "give one with names, or a table")
-    for number, match in enumerate(_CARET_LABEL.finditer(text.decode("utf-8", "replace")), 1):
+    for number, match in enumerate(_CARET_LABEL.finditer(text), 1):
         keys = dict(_ATTRIBUTE.findall(match.group(1)))
         if keys.get("Key") == "0":
             continue

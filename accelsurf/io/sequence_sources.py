@@ -250,7 +250,8 @@ def times_of_names(names: Sequence[str]) -> tuple[FrameTimes, str]:
     found = columns[0]
     step = math.gcd(*(b - a for a, b in zip(found, found[1:], strict=False)))
     values = tuple(float((n - found[0]) // step) for n in found)
-    gaps = [n for n in range(found[0], found[-1], step) if n not in set(found)] if values[-1] < 1e7 else []
+    known = set(found)
+    gaps = [n for n in range(found[0], found[-1], step) if n not in known] if values[-1] < 1e6 else []
     if not gaps:
         return FrameTimes(values), ""
     text = ", ".join(map(str, gaps[:_MAX_SHOWN])) + (" ..." if len(gaps) > _MAX_SHOWN else "")

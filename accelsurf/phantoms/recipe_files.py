@@ -11,6 +11,8 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from accelsurf.errors import InputError, UsageError
+from accelsurf.settings import budgets
+from accelsurf.settings.input_file import check_readable
 
 #: Of recipes in `checked`.
 Kind = TypeVar("Kind", bound=BaseModel)
@@ -62,14 +64,18 @@ def read_recipe(recipe: str | Path) -> tuple[Path, dict[str, Any]]:
         if str(recipe) not in known:
             raise UsageError(f"no recipe is called {str(recipe)!r}", hint=f"there are: {', '.join(known)}")
         path = recipe_folder() / ("" if str(recipe) in recipe_names() else SEQUENCES) / f"{recipe}.toml"
+    check_readable(path, f"{path}: the recipe: ")
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            content = file.read(budgets.CONFIG.limit + 1)
+        budgets.CONFIG.check(len(content), f"{path}: the recipe")
+        values = tomllib.loads(content.decode())
     except OSError as error:
         raise InputError(
             f"{path}: the recipe cannot be read ({error.strerror})",
             hint=f"give a TOML file, or a name out of: {', '.join(known)}",
         ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, nested too deeply
         raise InputError(f"{path}: the recipe is not TOML ({error})") from error
     return path, {"name": path.stem} | values
 

@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.errors import InputError
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import Box
 from accelsurf.io.file_set import sync
+from accelsurf.io.files import read_json
 from accelsurf.io.set_journals import sync_folder
 from accelsurf.report import object_files
 from accelsurf.report.document import describe_object, describe_window
@@ -127,7 +129,7 @@ def write_near(folder: Path, ids: Sequence[int]) -> None:
 def read_group(folder: Path) -> GroupRecord | None:
     """Return what a group has left; None where there is nothing, or something that is none of ours."""
     try:
-        found = json.loads((folder / _RECORD).read_text(encoding="utf-8"))
+        found = read_json(folder / _RECORD)
         if found["near"]:
             nothing = np.empty((0, 3), np.int64)
             return GroupRecord(folder, tuple(found["near"]), [], [], nothing, nothing, [], [], {})
@@ -135,7 +137,7 @@ def read_group(folder: Path) -> GroupRecord | None:
         low, high = np.array(found["low"], np.int64), np.array(found["high"], np.int64)
         stops = [Stop(*one) for one in found["stops"]]
         return GroupRecord(folder, (), found["rows"], boxes, low, high, stops, found["meshes"], found["facts"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (InputError, ValueError, KeyError, TypeError):
         return None
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from accelsurf.errors import AccelsurfError
+from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.io import is_stored, sha256
+from accelsurf.io.files import read_json
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
@@ -47,8 +47,8 @@ def is_output(path: Path) -> bool:
 def load_report(path: Path) -> dict[str, Any] | None:
     """Return the report in a file; None where there is none, or where it is none of accelsurf."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        document = read_json(path)
+    except InputError:
         return None
     return document if isinstance(document, dict) and "status" in document and "outputs" in document else None
 

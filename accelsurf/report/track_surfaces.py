@@ -18,9 +18,10 @@ from accelsurf import io
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.grid.sequence import ImageSequence
-from accelsurf.io.files import write_bytes
+from accelsurf.io.files import read_json, write_bytes
 from accelsurf.report.track_frames import DrawnObject, FrameStore, TrackSet
 from accelsurf.settings.file_formats import IMAGE_FORMATS
+from accelsurf.settings.input_file import check_readable
 from accelsurf.tracking.records import SurfacePiece
 
 #: What is in the folder, and its version.
@@ -117,6 +118,7 @@ class SavedTracks:
 def _read_centroids(path: Path) -> dict[int, dict[int, tuple[float, float, float]]]:
     """Of each frame the centroids by id, from the table of tracks."""
     found: dict[int, dict[int, tuple[float, float, float]]] = {}
+    check_readable(path, f"{path}: ")
     try:
         with path.open(newline="", encoding="utf-8") as file:
             for line in csv.DictReader(file):
@@ -141,9 +143,9 @@ def _label_maps(folder: Path, name: str) -> ImageSequence:
 
 def _check_about(folder: Path, sequence: ImageSequence) -> None:
     try:
-        about = json.loads((folder / MARK).read_text(encoding="utf-8"))
+        about = read_json(folder / MARK)
         version, frames, shape = about["version"], int(about["frames"]), tuple(about["shape"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{folder}: {MARK} cannot be read ({error})", _TRACK) from None
     if version != VERSION or (frames, shape) != (len(sequence), sequence.geometry.shape):
         raise InputError(f"{folder}: is of another sequence, or of another version", _TRACK)

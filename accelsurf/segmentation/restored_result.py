@@ -84,7 +84,7 @@ def _replayed(state: StateFile, base: Result) -> tuple[ObjectModels, dict[int, S
     assert base.state is not None
     try:
         masks = masks_of(state)
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         raise InputError(f"the state is damaged ({error})", "run accelsurf segment again") from None
     ended = dataclasses.replace(base, config=state.config, edits_done=state.edits_done)
     models = ObjectModels(base.state, frozen_settings(ended))
@@ -154,7 +154,7 @@ def _object(one: ObjectFile, known: SegmentedObject, base: Result, has_ids: bool
     """An object as the state has it; what it shows of the image is that of the run."""
     try:
         psi, rests = surface_of(one), rests_of(one)
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         raise InputError(f"the state is damaged ({error})", "run accelsurf segment again") from None
     box = box_of(one)
     if not has_ids:

@@ -23,7 +23,7 @@ from accelsurf.evolution.state import Checkpoint, LoopState
 from accelsurf.flows import EnergyRates
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
-from accelsurf.io.files import write_bytes
+from accelsurf.io.files import bytes_within, write_bytes
 from accelsurf.kernels.host import compiler_version, processor_name
 from accelsurf.levelset import Snapshot, SurfaceState
 from accelsurf.segmentation.late_growth import GrowthState
@@ -157,7 +157,9 @@ def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: Checkpo
     TypeError
         When the state of an energy of one's own is not made of numbers and arrays.
     """
-    state = checkpoint._replace(settings=checkpoint.settings.model_dump(mode="json"))  # type: ignore[arg-type]
+    objects = tuple(one._replace(evolution=one.evolution.without_costs) for one in checkpoint.objects)
+    settings: Any = checkpoint.settings.model_dump(mode="json")
+    state = checkpoint._replace(objects=objects, settings=settings)
     write_bytes(Path(path), to_bytes((header, state), TYPES))
 
 
@@ -169,12 +171,7 @@ def read_checkpoint(path: str | Path) -> tuple[CheckpointHeader, RunCheckpoint]:
     InputError
         When the file cannot be read or is damaged.
     """
-    try:
-        size = Path(path).stat().st_size
-        budgets.STATE_FILE.check(size, f"{path}: the checkpoint")
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})", "check the path") from None
+    content = bytes_within(path, budgets.STATE_FILE)
     try:
         header, state = from_bytes(content, TYPES)
         if not isinstance(header, CheckpointHeader) or not isinstance(state, RunCheckpoint):

@@ -6,6 +6,7 @@ file and checked. Of psi there are the values in the band, and one bit for each 
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,10 +18,11 @@ from numpy.typing import NDArray
 from accelsurf import __version__
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.evolution.multilevel import LevelSummary
-from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.evolution.records import StepRecord, Stop, without_costs
 from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.grid.boxes import Corner, box_at, corner_of
 from accelsurf.grid.pyramid import Level
+from accelsurf.io.files import bytes_within
 from accelsurf.segmentation.rest_points import RestPoint
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run_state import BoxMask
@@ -132,8 +134,8 @@ def state_bytes(result: Result, image: str) -> bytes:
     assert result.state is not None
     objects = tuple(
         ObjectFile(
-            one.id, _packed_surface(one.psi, corner_of(one.box)), tuple(one.history), one.stop,
-            tuple(RestFile(*rest[:-1], _packed(rest.labels > 0)) for rest in one.rests),
+            one.id, _packed_surface(one.psi, corner_of(one.box)), tuple(without_costs(one.history)),
+            one.stop, tuple(RestFile(*rest[:-1], _packed(rest.labels > 0)) for rest in one.rests),
         )
         for one in result.objects
     )
@@ -157,12 +159,7 @@ def read_state(path: Path) -> StateFile:
     InputError
         When the file cannot be read, is damaged or of another kind, or is larger than its image allows.
     """
-    try:
-        size = path.stat().st_size
-        budgets.STATE_FILE.check(size, f"{path}: the state")
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: the state cannot be read ({error.strerror or error})", "check the path") from None
+    content = bytes_within(path, budgets.STATE_FILE)
     try:
         header, state = from_bytes(content, TYPES)
         if not isinstance(header, dict) or not isinstance(state, StateFile):
@@ -285,8 +282,8 @@ def _unpacked(packed: PackedArray) -> NDArray[Any]:
     ValueError
         When it is damaged.
     """
-    kind, count = np.dtype(packed.kind), int(np.prod(packed.shape, dtype=np.int64))
-    if kind.hasobject or count < 0:
+    kind, count = np.dtype(packed.kind), math.prod(packed.shape)
+    if kind.hasobject or min(packed.shape, default=0) < 0 or packed.packed.ndim != 1:
         raise ValueError(f"it has an array of {packed.kind}")
     size = -(-count // 8) if kind == np.bool_ else count * kind.itemsize
     budgets.STATE_UNPACKED.check(size, "its arrays", factor=len(packed.packed) + 1024)

@@ -79,12 +79,15 @@ BALLS = Budget(
 )
 REPORT = Budget("a report", 1 << 26, "bytes", "is it the report of a run?")
 TEXT_HEADER = Budget("the header of an NRRD or MetaImage", 1 << 20, "bytes", "is it the right file?")
+AXIS = Budget(
+    "an axis of an image, or of time", 1 << 20, "places", "the header is damaged: copy or export the file again"
+)
 #: Some writers pad their streams.
 SLACK = Budget(
     "packed voxels beyond those that the header announces", 1 << 20, "bytes", "the header is damaged or of another file"
 )
 DEFLATE = Budget(
-    "voxels packed by gzip after bytes to skip, or as hexadecimal digits", 1032, "bytes",
+    "voxels packed by gzip, or as hexadecimal digits", 1032, "bytes",
     "the file is damaged: copy or export it again", "packed byte",
 )
 LZW = Budget(
@@ -154,8 +157,8 @@ STATE_UNPACKED = Budget(
 
 #: All of them, in the order of the reference page.
 BUDGETS = (
-    CONFIG, EXPRESSION, PATH, PATH_VOXELS, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, SLACK, DEFLATE, LZW,
-    PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, DICOM_FRAMES, DICOM_DEFLATED, DICOM_PACKED,
+    CONFIG, EXPRESSION, PATH, PATH_VOXELS, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, AXIS, SLACK, DEFLATE,
+    LZW, PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, DICOM_FRAMES, DICOM_DEFLATED, DICOM_PACKED,
     DICOM_ARCHIVE_FILES, DICOM_ARCHIVE_BYTES, DICOM_ARCHIVE, ZARR_CHUNK, ZARR_METADATA, ZARR_LEVELS, MESH_FILE,
     MESH_UNPACKED, MESH_ROWS, OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED, UPLOAD,
 )

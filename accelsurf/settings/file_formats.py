@@ -162,6 +162,19 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         is_anatomical=f"{_FORMATS}.nrrd_metaimage:is_anatomical",
         open=f"{_FORMATS}.itk_volumes:open_lazily",
     ),
+    ImageFormat(
+        "nhdr",
+        "NRRD, a header that names its data file; read only",
+        (".nhdr",),
+        f"{_FORMATS}.nrrd_metaimage:parse_nrrd",
+        f"{_FORMATS}.itk_volumes:read",
+        None,
+        _PARTS,
+        sequence="accelsurf.io.packed_sequences:ItkFrames",
+        read_channels=f"{_FORMATS}.itk_volumes:read_channels",
+        is_anatomical=f"{_FORMATS}.nrrd_metaimage:is_anatomical",
+        open=f"{_FORMATS}.itk_volumes:open_lazily",
+    ),
     *(
         ImageFormat(
             name,
@@ -334,7 +347,7 @@ def input_help() -> str:
     Examples
     --------
     >>> input_help()
-    '.nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .png, .tif, .dcm, .mgz, .gipl, .npy or .npz'
+    '.nii.gz, .nii, .nrrd, .nhdr, .mha, .mhd, .ome.zarr, .png, .tif, .dcm, .mgz, .gipl, .npy or .npz'
     """
     # .tiff is known where .tif is.
     *others, last = (form.suffixes[0] for form in IMAGE_FORMATS.values() if form.suffixes)

@@ -13,6 +13,7 @@ from typing import Any
 
 from accelsurf.errors import UsageError
 from accelsurf.settings import budgets
+from accelsurf.settings.input_file import check_readable
 
 
 def read(path: str | Path) -> dict[str, Any]:
@@ -29,6 +30,7 @@ def read(path: str | Path) -> dict[str, Any]:
         When the file is missing, unreadable or not TOML.
     """
     try:
+        check_readable(path, f"{path}: the configuration: ", UsageError)
         with open(path, "rb") as file:
             content = file.read(budgets.CONFIG.limit + 1)
         budgets.CONFIG.check(len(content), f"{path}: the configuration", kind=UsageError)

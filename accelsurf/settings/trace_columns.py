@@ -70,11 +70,12 @@ TRACE_COLUMNS: Registry[TraceColumn] = Registry(
     TraceColumn("diffusion", "mm2 per unit of flow time", "velocity diffusion used in the step"),
     TraceColumn("band_cells", "", "cells of the narrow band"),
     TraceColumn(
-        "cells_visited", "", "cells that all passes of the step visited: its cost, the same on any machine"
+        "cells_visited", "",
+        "cells that all passes of the step visited: its cost, the same on any machine; 0 as the seconds",
     ),
     TraceColumn("restarted", "", "1 when momentum was set to zero before the step"),
     TraceColumn("removed_components", "", "components removed because they are smaller than the grid resolves"),
-    TraceColumn("seconds", "s", "wall time of the step"),
+    TraceColumn("seconds", "s", "wall time of the step; 0 of steps before a resumed run or a correction"),
     TraceColumn("edits", "", "edits applied right before the step"),
     TraceColumn(
         "returned",

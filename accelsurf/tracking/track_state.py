@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.grid.sequence import ImageSequence
-from accelsurf.io.files import write_bytes
+from accelsurf.io.files import bytes_within, write_bytes
 from accelsurf.segmentation.run_checkpoint import FREE, digest_of, versions
 from accelsurf.settings import budgets
 from accelsurf.settings.track_config import TrackConfig
@@ -96,11 +96,7 @@ def read(path: Path) -> tuple[Header, TrackState]:
     InputError
         When the file cannot be read or is damaged.
     """
-    try:
-        budgets.STATE_FILE.check(path.stat().st_size, f"{path}: the state")
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})", "check the path") from None
+    content = bytes_within(path, budgets.STATE_FILE)
     try:
         header, state = from_bytes(content, TYPES)
         if not isinstance(header, Header) or not isinstance(state, TrackState) or header.version != VERSION:

@@ -98,7 +98,7 @@ def _images(folder: Path):
     text = " ".join(map(str, VALUES.ravel())).encode() + b"\n"
     yield Input("image", ".nrrd", "mixed", nrrd.format("raw", "").encode() + VALUES.tobytes())
     yield Input("image", ".nrrd", "mixed", nrrd.format("ascii", "").encode() + text)
-    yield Input("image", ".nrrd", "text", nrrd.format("raw", f"data file: {DATA_FILE}\n").encode())
+    yield Input("image", ".nhdr", "text", nrrd.format("raw", f"data file: {DATA_FILE}\n").encode())
     meta = (
         "ObjectType = Image\nNDims = 3\nBinaryData = {}\nBinaryDataByteOrderMSB = False\nElementSpacing = 1 2 3\n"
         "DimSize = 6 5 4\nElementType = MET_SHORT\nElementDataFile = {}\n"

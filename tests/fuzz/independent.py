@@ -163,5 +163,6 @@ def _tiff(content: bytes, data: bytes):
 
 
 _LOOKS = {
-    **{".nii": _nifti, ".nii.gz": _nifti, ".nrrd": _nrrd, ".mha": _meta, ".mhd": _meta, ".png": _png, ".tif": _tiff},
+    **{".nii": _nifti, ".nii.gz": _nifti, ".nrrd": _nrrd, ".nhdr": _nrrd, ".mha": _meta, ".mhd": _meta},
+    **{".png": _png, ".tif": _tiff},
 }

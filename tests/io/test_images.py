@@ -272,8 +272,7 @@ def test_an_image_larger_than_memory_is_refused_with_the_estimate(tmp_path, suff
 def test_a_huge_image_is_refused_before_anything_is_allocated(tmp_path, suffix):
     """The header claims 27 terabytes; nothing but the header is there."""
     path = huge(tmp_path, suffix)
-    error = refuse(path, r"30000 x 30000 x 30000 voxels needs about 352039\.93 GiB of memory, \d+\.\d\d GiB are")
-    assert "crop" in error.hint
+    refuse(path, r"the header announces .*54000000000\d{3}")
 
 
 def huge(tmp_path, suffix):

@@ -60,21 +60,27 @@ def read_channels(path: Path, header: RawHeader, available: int) -> list[Volume]
 def _read_some(path: Path, header: RawHeader, numbers: Sequence[int], available: int) -> list[Volume]:
     """Read some of the components or volumes."""
     reader, count = itk.open_reader(path, header.itk_name), header.channels * header.time_points
-    itk.check_kind(reader, count, header.is_interleaved)
+    by_voxel = is_by_voxel(reader, header)
+    itk.check_kind(reader, count, by_voxel)
     needed = itk.voxel_type(reader).itemsize + 4 * len(numbers) * (count > 1)
-    check_memory(reader.GetSize(), needed * (count if header.is_interleaved else 1), available)
+    check_memory(reader.GetSize(), needed * (count if by_voxel else 1), available)
     header.check_complete()
     image = itk.execute(reader)
     geometry = itk.geometry_of(image)
     if count == 1:
         return [Volume(sitk.GetArrayFromImage(image), geometry, header.metadata, path)]
     metadata = {} if header.seconds is None else {FRAME_KEY: repr(header.seconds)}
-    if header.is_interleaved:
+    if by_voxel:
         arrays = (sitk.GetArrayFromImage(sitk.VectorIndexSelectionCast(image, n)) for n in numbers)
     else:
         every = sitk.GetArrayViewFromImage(image)
         arrays = (every[n].copy() for n in numbers)
     return [Volume(array, geometry, dict(metadata), path) for array in arrays]
+
+
+def is_by_voxel(reader: sitk.ImageFileReader, header: RawHeader) -> bool:
+    """Whether ITK gives volumes as values of a voxel: those of an axis of NRRD without a direction also at its end."""
+    return header.is_interleaved or (header.time_points + header.channels > 2 and reader.GetNumberOfComponents() > 1)
 
 
 def open_lazily(path: Path, header: RawHeader, opening: Opening) -> LazyVolume:
@@ -96,7 +102,8 @@ def open_lazily(path: Path, header: RawHeader, opening: Opening) -> LazyVolume:
     """
     reader = itk.open_reader(path, header.itk_name)
     numbers = header.selected()
-    itk.check_kind(reader, header.channels * header.time_points if len(numbers) == 1 else 1, header.is_interleaved)
+    count = header.channels * header.time_points if len(numbers) == 1 else 1
+    itk.check_kind(reader, count, is_by_voxel(reader, header))
     if header.position is None or not header.order or header.is_interleaved:
         raise InputError(
             "the voxels are packed, are text, have several values, or begin after lines to skip: a box of them cannot "
@@ -105,7 +112,7 @@ def open_lazily(path: Path, header: RawHeader, opening: Opening) -> LazyVolume:
         )
     geometry, stored = itk.geometry_of(reader), itk.voxel_type(reader).newbyteorder(header.order)
     volume_bytes = math.prod(geometry.shape) * stored.itemsize
-    needed = volume_bytes * header.time_points
+    needed = volume_bytes * header.channels * header.time_points
     if needed != header.claimed_bytes:
         raise InputError(
             f"the header announces {header.claimed_bytes} bytes of voxels, its grid has {needed}", "save it again"

@@ -25,8 +25,9 @@ from accelsurf.io import selection
 from accelsurf.io.formats.deflate import GZIP_START, TRUNCATED_HINT, first_bytes, inflate
 from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
-from accelsurf.io.formats.sequence_files import times_text_in
+from accelsurf.io.formats.sequence_files import extensions_in, times_text_in
 from accelsurf.io.frame_times import single_precision
+from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 ITK_NAME = "NiftiImageIO"
@@ -47,6 +48,8 @@ _REAL = (2, 4, 8, 16, 64, 256, 512, 768, 1024, 1280)  # type codes: integers of 
 _VECTORS = frozenset((1004, 1005, 1006, 1007, 2003, 2004))
 #: Seconds of the units of time; the other units of the fourth axis are of spectra.
 _SECONDS = {8: 1.0, 16: 1e-3, 24: 1e-6}
+#: A slope this near to 1 is 1, rounded by who wrote it: two steps of single precision.
+_SLOPE_ROUNDING = 3e-7
 _NOT_REAL = {32: "complex", 1792: "complex", 2048: "complex", 128: "colour (RGB)", 2304: "colour (RGBA)"}
 
 
@@ -213,8 +216,7 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
             file.seek(0)
             start = first_bytes(file, max(HEADER_BYTES.values()))
         header = parse(start)
-        extension = _extensions(file, header, compressed) if len(header.size) > 3 else b""
-    times_text = times_text_in(extension, _BEGINNINGS[start[:4]][1])
+        times_text = times_text_in(_extensions(file, header, compressed)) if len(header.size) > 3 else ""
     if times_text:  # frames that are counted have no unit, but times
         header = replace(header, says_time=True)
     header.grid.check_forms()
@@ -227,13 +229,27 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
     )
 
 
-def _extensions(file: BinaryIO, header: NiftiHeader, compressed: bool) -> bytes:
-    """What lies between the header with its flags and the voxels; nothing where that is longer than our own line."""
+def extensions_of(path: Path) -> list[tuple[int, str]]:
+    """Code and text of each extension of a file's header.
+
+    Raises
+    ------
+    InputError
+        As `read_header`.
+    """
+    found = read_header(path, compressed=path.suffix.lower() == ".gz")
+    with path.open("rb") as file:
+        return _extensions(file, found.nifti, found.encoding == "deflate")
+
+
+def _extensions(file: BinaryIO, header: NiftiHeader, compressed: bool) -> list[tuple[int, str]]:
+    """The extensions between the header with its flags and the voxels; none where they are very long."""
     begin, end = HEADER_BYTES[header.version] + 4, header.data_offset
     if not begin < end <= _MAX_EXTENSION:
-        return b""
+        return []
     file.seek(0)
-    return (first_bytes(file, end) if compressed else file.read(end))[begin:]
+    raw = first_bytes(file, end) if compressed else file.read(end)
+    return list(extensions_in(raw[begin:], _BEGINNINGS[raw[:4]][1]))
 
 
 read_plain_header = partial(read_header, compressed=False)
@@ -284,8 +300,6 @@ def parse(raw: bytes) -> NiftiHeader:
             f"the header gives spacing (x,y,z) = ({p1:g}, {p2:g}, {p3:g}), three positive numbers expected",
             hint="correct pixdim[1..3] in the header",
         )
-    # As in ITK: what is not finite is not there, and a slope of 0 is none.
-    slope, intercept = (v if math.isfinite(v) else 0.0 for v in (number("scl_slope"), number("scl_inter")))
     # Zero is what some writers leave in vox_offset; the voxels of a single file cannot start before its header ends.
     offset = max(int(vox_offset), HEADER_BYTES[version] + 4)
     grid = NiftiGrid(
@@ -299,7 +313,15 @@ def parse(raw: bytes) -> NiftiHeader:
     )
     place = size, header.get_data_dtype(), offset
     is_vector = int(header["intent_code"]) in _VECTORS
-    return NiftiHeader(version, *place, slope or 1.0, intercept, grid, is_vector, *_time_step(header))
+    return NiftiHeader(version, *place, *_scaling(header), grid, is_vector, *_time_step(header))
+
+
+def _scaling(header: Any) -> tuple[float, float]:
+    """Slope and intercept; as in ITK what is not finite is not there, and a slope of 0 is none."""
+    slope, intercept = (float(header[key]) for key in ("scl_slope", "scl_inter"))
+    slope, intercept = (v if math.isfinite(v) else 0.0 for v in (slope, intercept))
+    # Whole numbers stay what they are.
+    return 1.0 if slope == 0 or (intercept == 0 and abs(slope - 1) < _SLOPE_ROUNDING) else slope, intercept
 
 
 def _time_step(header: Any) -> tuple[float | None, bool]:
@@ -322,6 +344,7 @@ def _real_size(size: tuple[int, ...], datatype: int) -> tuple[int, ...]:
             f"a {len(size)}D image ({' x '.join(map(str, size))}) given, 3D expected",
             hint="add a slice axis of size 1, or use Volume.from_array in Python",
         )
+    budgets.AXIS.check(max(size), "an axis of the image")
     if datatype in _NOT_REAL:
         raise InputError(
             f"a {_NOT_REAL[datatype]} image given, one real number per voxel expected",

@@ -15,6 +15,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from accelsurf.errors import GeometryError, InputError
+from accelsurf.io.formats.nrrd_fourth_axis import SECONDS, fourth_axis
 from accelsurf.io.formats.raw_header import ByteOrder, Encoding, RawHeader
 from accelsurf.io.frame_times import TIMES_KEY
 from accelsurf.settings import budgets
@@ -48,10 +49,9 @@ _META_BYTES = {
 }
 
 
-#: Seconds of a unit of time.
-_SECONDS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 _MAX_LENGTH = 1e12  # mm
 _MAX_FIELD = 1000
+_MAX_AXES = 16
 
 _NOT_PACKED = (
     "the voxels are compressed without a CompressedDataSize, or with a HeaderSize: ITK cannot read that",
@@ -92,7 +92,7 @@ def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
         sizes = _whole(fields["sizes"])
         item = _NRRD_BYTES[fields["type"].lower()]
         encoding = fields["encoding"].lower()
-        if _whole(fields["dimension"]) != [len(sizes)] or min(sizes) < 1:
+        if _whole(fields["dimension"]) != [len(sizes)] or min(sizes) < 1 or len(sizes) > _MAX_AXES:
             raise ValueError
     except (LookupError, ValueError):
         raise InputError(
@@ -100,10 +100,11 @@ def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
             f"encoding {fields.get('encoding')}",
             hint="copy or export the file again",
         ) from None
+    budgets.AXIS.check(max(sizes), "an axis of the image")
     _check_nrrd_axes(fields, len(sizes))
-    axis = _nrrd_fourth_axis(fields, lines, sizes)
+    axis = fourth_axis(fields, lines, sizes)
     said = " ".join(fields.get(key, "") for key in ("space units", "units")).replace('"', " ").split()
-    _check_units([unit for unit in said if unit not in _SECONDS])
+    _check_units([unit for unit in said if unit not in SECONDS])
     data = path
     if detached := fields.get("data file") or fields.get("datafile"):
         data, offset = _detached(path, detached), 0
@@ -121,42 +122,6 @@ def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
         data, offset, coding, NRRD_ITK_NAME, numbers * item, None, metadata, numbers, position, order, **axis,
         asked=options,
     )
-
-
-def _nrrd_fourth_axis(fields: Mapping[str, str], lines: Sequence[str], sizes: Sequence[int]) -> dict[str, Any]:
-    """What the fourth axis of an NRRD is: values of a voxel, or time points, as arguments of `RawHeader`.
-
-    A list of 3D Slicer may be a sequence; a line of its own says so. An axis that says nothing and runs slowest is
-    time, since channels run fastest.
-    """
-    if len(sizes) != 4:
-        return {}
-    kinds = [*fields.get("kinds", "").lower().split(), *[""] * 4][:4]
-    if kinds[0] == "time":
-        raise InputError(
-            "the time axis of the NRRD comes first, before those of space", "save it last, or as an axis of kind list"
-        )
-    said = {key.strip().lower(): value.strip().lower() for key, _, value in (line.partition(":=") for line in lines)}
-    times = said.get(TIMES_KEY, "")
-    if kinds[0] in ("", "domain", "space"):
-        return {"time_points": sizes[3], "seconds": _nrrd_seconds(fields), "times_text": times}
-    is_time = said.get("axis 0 index type") == "time" or "multivolume.framelabels" in said
-    return {"time_points" if is_time else "channels": sizes[0], "is_interleaved": True, "times_text": times}
-
-
-def _nrrd_seconds(fields: Mapping[str, str]) -> float | None:
-    """Seconds along the fourth axis, by its spacing, or in a space of four axes by its direction."""
-    steps, units = fields.get("spacings", "").split(), re.findall(r'"([^"]*)"', fields.get("units", ""))
-    if not steps and "space units" in fields:
-        last = fields.get("space directions", "").rpartition("(")[2].rstrip(") ").split(",")
-        steps, units = [""] * 3 + last[-1:], re.findall(r'"([^"]*)"', fields["space units"])
-    if len(steps) != 4 or len(units) != 4 or re.fullmatch(r"[0-9.eE+-]{1,30}", steps[3].strip()) is None:
-        return None
-    try:
-        seconds = float(steps[3]) * _SECONDS.get(units[3], 0.0)
-    except ValueError:
-        return None
-    return seconds if math.isfinite(seconds) and seconds > 0 else None
 
 
 def _nrrd_position(fields: dict[str, str], coding: Encoding, offset: int) -> int | None:
@@ -222,16 +187,14 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
             "this is not a MetaImage: NDims, DimSize or ElementDataFile is missing or out of order",
             hint="is it the right file, and whole?",
         )
-    for flag in _META_FLAGS:
-        if fields.get(flag) == "":
-            raise InputError(f"the MetaImage header has no value for {flag}", hint="give it True or False")
+    _check_meta_flags(fields)
     try:
         sizes = _whole(fields["DimSize"])
         item = _META_BYTES[fields["ElementType"].removesuffix("_ARRAY")]
-        numbers = math.prod(sizes) * math.prod(_whole(fields.get("ElementNumberOfChannels", "1")))
+        (channels,) = _whole(fields.get("ElementNumberOfChannels", "1"))
         (skip,) = _whole(fields.get("HeaderSize", "0"))
         stored = _whole(fields["CompressedDataSize"])[0] if "CompressedDataSize" in fields else None
-        if _whole(fields["NDims"]) != [len(sizes)] or min(sizes) < 1 or numbers < 1:
+        if _whole(fields["NDims"]) != [len(sizes)] or min(sizes) < 1 or len(sizes) > _MAX_AXES or channels < 1:
             raise ValueError
     except (LookupError, ValueError):
         raise InputError(
@@ -239,6 +202,8 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
             f"ElementType {fields.get('ElementType')}",
             hint="copy or export the file again",
         ) from None
+    budgets.AXIS.check(max(*sizes, channels), "an axis of the image")
+    numbers = math.prod(sizes) * channels
     _check_meta_axes(fields, len(sizes))
     _check_units([fields["DistanceUnits"]] if "DistanceUnits" in fields else [])
     data, offset = (path, offset) if name.upper() == "LOCAL" else (_detached(path, name), 0)
@@ -254,10 +219,16 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     offset = max(skip, offset)  # a positive one counts from the start of the file
     position = None if encoding != "raw" else -1 if skip < 0 else offset
     count, order = numbers * item, _meta_order(fields)
-    axis = _meta_fourth_axis(numbers // math.prod(sizes), sizes) | {"times_text": fields.get(TIMES_KEY, "")}
+    axis = _meta_fourth_axis(channels, sizes) | {"times_text": fields.get(TIMES_KEY, "")}
     return RawHeader(
         data, offset, encoding, METAIMAGE_ITK_NAME, count, stored, {}, numbers, position, order, **axis, asked=options
     )
+
+
+def _check_meta_flags(fields: Mapping[str, str]) -> None:
+    for flag in _META_FLAGS:
+        if fields.get(flag) == "":
+            raise InputError(f"the MetaImage header has no value for {flag}", hint="give it True or False")
 
 
 def _meta_fourth_axis(channels: int, sizes: Sequence[int]) -> dict[str, Any]:

@@ -7,12 +7,10 @@ compare what a header claims with the size of its file.
 from __future__ import annotations
 
 import ast
+import io
 import math
 import struct
 import zipfile
-import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -23,6 +21,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.io.files import library_named
 from accelsurf.io.formats.deflate import TRUNCATED_HINT
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
 from accelsurf.io.lazy_volume import LazyVolume, Opening
@@ -34,6 +33,7 @@ from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 _MAGIC = b"\x93NUMPY"
 _MAX_HEADER_BYTES = 1 << 16
+_DAMAGED = "the .npz is damaged, or is none", TRUNCATED_HINT
 _NOTE = "an array of numpy does not say how large a voxel is: 1 mm is taken; give --spacing"
 
 
@@ -116,7 +116,7 @@ def parse_archive(path: Path, options: ReadOptions = AS_IT_IS) -> ArrayHeader:
     path, name = split_member(path)
     if not zipfile.is_zipfile(path):
         raise InputError("this is not a NumPy archive, or it is cut short", "is it the right file, and whole?")
-    with _damage_named(), zipfile.ZipFile(path) as archive:
+    with library_named(*_DAMAGED), zipfile.ZipFile(path) as archive:
         arrays = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         listed = ", ".join(sorted(arrays)[:10])
         if name and name not in arrays:
@@ -126,7 +126,8 @@ def parse_archive(path: Path, options: ReadOptions = AS_IT_IS) -> ArrayHeader:
         info = arrays[name] if name else next(iter(arrays.values()))
         budgets.NPZ.check(info.file_size - 1024, "an array of the .npz", max(info.compress_size, 1))
         with archive.open(info) as file:
-            return _header(path, info.filename, file, info.file_size, options)
+            begin = io.BytesIO(file.read(_MAX_HEADER_BYTES + 12))
+    return _header(path, info.filename, begin, info.file_size, options)
 
 
 def split_member(path: Path) -> tuple[Path, str]:
@@ -143,16 +144,6 @@ def split_member(path: Path) -> tuple[Path, str]:
     return path.with_name(path.name[:at]), path.name[at + 1 :]
 
 
-@contextmanager
-def _damage_named() -> Iterator[None]:
-    """Name what is wrong with an archive."""
-    try:
-        yield
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, struct.error) as error:
-        message = " ".join(str(error).split())[:200]
-        raise InputError(f"the .npz is damaged, or is none ({message})", TRUNCATED_HINT) from error
-
-
 def _header(path: Path, member: str, file: Any, size: int, options: ReadOptions) -> ArrayHeader:
     """The header of an array, from the start of what holds it."""
     dtype, shape, is_fortran, offset = _fields(file)
@@ -167,6 +158,9 @@ def _header(path: Path, member: str, file: Any, size: int, options: ReadOptions)
     needed = offset + math.prod(shape) * dtype.itemsize
     if needed > size:
         raise InputError(f"the header announces {needed} bytes, the array has {size}", TRUNCATED_HINT)
+    budgets.AXIS.check(max(shape), "an axis of the array")
+    if member:  # which is unpacked as a whole
+        budgets.SLACK.check(size - needed, f"the header announces {needed} bytes, the array goes on beyond them")
     x, y, z = options.spacing or (1.0, 1.0, 1.0)
     nz, ny, nx = (*[1] * (3 - len(shape)), *shape[-3:])
     geometry = Geometry((nz, ny, nx), (z, y, x))
@@ -216,7 +210,7 @@ def read(path: Path, header: ArrayHeader, available: int) -> Volume:
             file.seek(header.image_offset())
             flat = np.fromfile(file, header.stored, count)
     else:
-        with _damage_named(), zipfile.ZipFile(header.data) as archive, archive.open(header.member) as member:
+        with library_named(*_DAMAGED), zipfile.ZipFile(header.data) as archive, archive.open(header.member) as member:
             raw = member.read()  # to its end, so that its checksum counts
         flat = np.frombuffer(raw, header.stored, count, header.offset)
     array = flat.reshape(header.shape[-3:], order="F" if header.is_fortran else "C").reshape(header.geometry.shape)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import math
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -12,17 +11,22 @@ from typing import IO, Any
 import numpy as np
 
 from accelsurf.errors import InputError
-from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.geometry import MAX_ORIGIN, Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import itk
+from accelsurf.io.files import library_named
+from accelsurf.io.formats.deflate import TRUNCATED_HINT
 from accelsurf.io.memory import check_memory
+from accelsurf.settings import budgets
 
 _GIPL_HEADER, _GIPL_MAGIC_AT = 256, 252
 _MGH_HEADER, _MGH_VERSION = 284, b"\0\0\0\1"
 _GIPL_MAGICS = (b"\xef\xff\xe9\xb0", b"\x2a\xe3\x89\xb8")
 #: From RAS, as FreeSurfer has it, to LPS.
 _TO_LPS = np.diag([-1.0, -1.0, 1.0])
-_MAX_VALUES = 1 << 40
+#: Type codes; others are of FreeSurfer's own kinds, or none.
+_MGH_TYPES = {0: "uint8", 4: "int16", 1: "int32", 3: "float32", 10: "uint16"}
+_AGAIN = "copy or export it again"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,16 +61,14 @@ def parse_gipl(path: Path) -> VolumeHeader:
         begin = file.read(_GIPL_HEADER)
     if len(begin) < _GIPL_HEADER or begin[_GIPL_MAGIC_AT:] not in _GIPL_MAGICS:
         raise InputError("this is not a GIPL file", "is it the right one?")
-    try:
+    with library_named("the header is damaged", _AGAIN):
         reader = itk.open_reader(path, "GiplImageIO")
-    except RuntimeError as error:
-        raise InputError("the header is damaged", "copy or export it again") from error
     itk.check_kind(reader)
     dtype, geometry = itk.voxel_type(reader), itk.geometry_of(reader)
     needed = _GIPL_HEADER + math.prod(geometry.shape) * dtype.itemsize
     if path.stat().st_size < needed:
         raise InputError(
-            f"the header announces {needed} bytes, the file has {path.stat().st_size}", "copy or export it again"
+            f"the header announces {needed} bytes, the file has {path.stat().st_size}", _AGAIN
         )
     return VolumeHeader(geometry, dtype)
 
@@ -91,23 +93,39 @@ def parse_mgh(path: Path) -> VolumeHeader:
     InputError
         When it is none, or has several frames.
     """
-    head = _mgh(path)
-    shape = tuple(int(n) for n in head["dims"])
-    frames = math.prod(shape[3:])
-    if min(shape) < 1 or math.prod(shape) > _MAX_VALUES:
-        raise InputError(f"a header of shape {shape} given, a volume expected", "copy it again")
-    if frames > 1:
-        raise InputError(f"a volume of {frames} frames given, one expected", "extract one frame first")
+    head = _mgh_header(path)
+    shape, code = tuple(int(n) for n in head["dims"]), int(head["type"])
+    if min(shape) < 1:
+        raise InputError(f"a header of shape {shape} given, a volume expected", _AGAIN)
+    budgets.AXIS.check(max(shape), "an axis of the image")
+    if shape[3] > 1:
+        raise InputError(f"a volume of {shape[3]} frames given, one expected", "extract one frame first")
+    if code not in _MGH_TYPES:
+        known = ", ".join(f"{number} ({name})" for number, name in _MGH_TYPES.items())
+        raise InputError(f"an MGH of type {code} given, {known} expected", "convert it to float first")
+    header = VolumeHeader(_mgh_geometry(head, shape), np.dtype(_MGH_TYPES[code]))
+    needed = header.values * header.dtype.itemsize
+    present = max(path.stat().st_size - (0 if _is_packed(path) else _MGH_HEADER), 0)
+    if _is_packed(path):
+        budgets.DEFLATE.check(needed, "the header announces voxels", present)
+    elif present < needed:
+        raise InputError(f"the header announces {needed} bytes of voxels, the file holds {present}", TRUNCATED_HINT)
+    return header
+
+
+def _mgh_geometry(head: Any, shape: tuple[int, ...]) -> Geometry:
+    """The grid that a header of MGH describes; where it says that it describes none, voxels of 1 mm as FreeSurfer."""
+    numbers = np.concatenate([head[key].ravel() for key in ("delta", "Mdc", "Pxyz_c")])
+    if not (np.abs(numbers) < MAX_ORIGIN).all():
+        raise InputError("the header does not describe a grid", _AGAIN)
     affine = np.asarray(head.get_affine(), np.float64)
     steps = _TO_LPS @ affine[:3, :3]
-    if not np.isfinite(affine).all() or not (spacing := np.linalg.norm(steps, axis=0)).all():
-        raise InputError("the header does not describe a grid", "copy it again")
-    origin = _TO_LPS @ affine[:3, 3]
-    geometry = Geometry(
+    if not (spacing := np.linalg.norm(steps, axis=0)).all():
+        raise InputError("the header does not describe a grid", _AGAIN)
+    return Geometry(
         (shape[2], shape[1], shape[0]), tuple(map(float, spacing[::-1])),  # type: ignore[arg-type]
-        tuple(map(float, origin)), steps / spacing,  # type: ignore[arg-type]
+        tuple(map(float, _TO_LPS @ affine[:3, 3])), steps / spacing,  # type: ignore[arg-type]
     )
-    return VolumeHeader(geometry, np.dtype(head.get_data_dtype()).newbyteorder("="))
 
 
 def read_mgh(path: Path, header: VolumeHeader, available: int) -> Volume:
@@ -119,13 +137,11 @@ def read_mgh(path: Path, header: VolumeHeader, available: int) -> Volume:
         When it is damaged, or larger than the memory.
     """
     check_memory(header.geometry.size, 2 * header.dtype.itemsize, available)
-    try:
+    with library_named("the voxels are incomplete or damaged", _AGAIN):
         with _opened(path) as file:
             file.seek(_MGH_HEADER)
             content = file.read(header.values * header.dtype.itemsize)
         stored = np.frombuffer(content, header.dtype.newbyteorder(">")).reshape(header.geometry.shape)
-    except (OSError, EOFError, ValueError, zlib.error) as error:
-        raise InputError("the voxels are incomplete or damaged", "copy it again") from error
     return Volume(stored.astype(header.dtype), header.geometry, {"mgh": "scanner"}, path)
 
 
@@ -136,20 +152,20 @@ def is_anatomical(metadata: dict[str, str]) -> bool:
 
 def _opened(path: Path) -> IO[bytes]:
     """The file, unpacked where its name says that it is packed."""
-    return gzip.open(path) if path.suffix.lower() == ".mgz" else path.open("rb")  # type: ignore[return-value]
+    return gzip.open(path) if _is_packed(path) else path.open("rb")  # type: ignore[return-value]
 
 
-def _mgh(path: Path) -> Any:
-    """The header by nibabel."""
+def _is_packed(path: Path) -> bool:
+    return path.suffix.lower() == ".mgz"
+
+
+def _mgh_header(path: Path) -> Any:
+    """The header by nibabel, which would repair it and print about that."""
     from nibabel.freesurfer.mghformat import MGHHeader
 
-    try:
-        with _opened(path) as file:
-            if file.read(len(_MGH_VERSION)) != _MGH_VERSION:
-                raise InputError("this is not an MGH file", "is it the right one?")
-            file.seek(0)
-            return MGHHeader.from_header(MGHHeader(file.read(_MGH_HEADER).ljust(_MGH_HEADER, b"\0")))
-    except InputError:
-        raise
-    except Exception as error:  # nibabel, gzip and zlib raise errors of many kinds about damaged files
-        raise InputError("this is not an MGH file, or damaged", "is it the right one?") from error
+    with library_named("this is not an MGH file, or damaged", "is it the right file?"), _opened(path) as file:
+        begin = file.read(_MGH_HEADER)
+    if begin[: len(_MGH_VERSION)] != _MGH_VERSION:
+        raise InputError("this is not an MGH file", "is it the right one?")
+    with library_named("the header is damaged", _AGAIN):
+        return MGHHeader(begin.ljust(_MGH_HEADER, b"\0"), check=False)

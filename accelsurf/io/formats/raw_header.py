@@ -108,6 +108,23 @@ class RawHeader:
         places = selection.selected(self.channels, self.time_points, self.asked)
         return [time * self.channels + channel for time, channel in places]
 
+    def check_claims(self) -> None:
+        """Refuse a header that claims more than its file can hold, before anything is done that often.
+
+        Raises
+        ------
+        InputError
+            With both numbers.
+        """
+        budgets.AXIS.check(self.channels * self.time_points, "the channels and time points of the image")
+        present = max(self.data.stat().st_size - self.offset, 0)
+        if self.encoding == "raw":
+            self.check_present(present)
+        elif self.encoding == "text":
+            self._check_count(-(-present // 2))
+        else:
+            budgets.DEFLATE.check(self.claimed_bytes, "the header announces voxels", present)
+
     def check_complete(self) -> None:
         """Refuse a file that holds fewer voxels than its header claims.
 
@@ -122,8 +139,7 @@ class RawHeader:
         if self.encoding == "text":
             self._check_numbers()
             return
-        if self.encoding == "other":
-            budgets.DEFLATE.check(self.claimed_bytes, "the header announces voxels", present)
+        if self.encoding == "other":  # the reader counts
             return
         if self.encoding == "deflate":
             if present < (self.stored_bytes or 0):
@@ -159,6 +175,9 @@ class RawHeader:
                 # A word that goes on from the piece before was counted there.
                 found += len(piece.split()) - (inside and not piece[:1].isspace())
                 inside = not piece[-1:].isspace()
+        self._check_count(found)
+
+    def _check_count(self, found: int) -> None:
         if found < (self.numbers or 0):
             raise InputError(
                 f"the header announces {self.numbers} numbers, the file holds {found}", hint=TRUNCATED_HINT

@@ -57,7 +57,8 @@ class RawLayout:
     @property
     def end(self) -> int:
         """Bytes from the start of the file to the end of the voxels."""
-        return max(map(self.plane, range(self.shape[0]))) + math.prod(self.shape[1:]) * self.stored.itemsize
+        last = self.plane(self.shape[0] - 1) if self.planes is None else int(self.planes.max())
+        return last + math.prod(self.shape[1:]) * self.stored.itemsize
 
     def plane(self, z: int) -> int:
         """Bytes before a plane."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,26 +80,30 @@ def _extension(text: str) -> bytes:
     return struct.pack("<2i", size, _COMMENT) + content.ljust(size - 8, b"\0")
 
 
-def times_text_in(extensions: bytes, order: str) -> str:
-    """The line with the times among the extensions of a NIfTI; empty where none has it.
+def extensions_in(raw: bytes, order: str) -> Iterator[tuple[int, str]]:
+    """Code and text of each extension of a NIfTI.
 
     Parameters
     ----------
-    extensions : bytes
-        Those between the header with its four flags and the voxels.
+    raw : bytes
+        What lies between the header with its four flags and the voxels.
     order : str
         Byte order of the header.
     """
     at = 0
-    while at + 8 <= len(extensions):
-        size, code = struct.unpack_from(f"{order}2i", extensions, at)
-        if size < 16 or at + size > len(extensions):
+    while at + 8 <= len(raw):
+        size, code = struct.unpack_from(f"{order}2i", raw, at)
+        if size < 16 or at + size > len(raw):
             break
-        text = extensions[at + 8 : at + size].rstrip(b"\0").decode("utf-8", errors="replace")
-        if code == _COMMENT and text.startswith(f"{TIMES_KEY}: "):
-            return text.partition(": ")[2]
+        yield code, raw[at + 8 : at + size].rstrip(b"\0").decode("utf-8", errors="replace")
         at += size
-    return ""
+
+
+def times_text_in(extensions: Iterable[tuple[int, str]]) -> str:
+    """The line with the times among the extensions of a NIfTI; empty where none has it."""
+    begin = f"{TIMES_KEY}: "
+    found = (text.removeprefix(begin) for code, text in extensions if code == _COMMENT and text.startswith(begin))
+    return next(found, "")
 
 
 def write_nrrd(path: Path, frames: FrameStack) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Callable, Iterator
@@ -12,10 +11,10 @@ from pathlib import Path
 from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import StepRecord
+from accelsurf.io.files import read_json
 from accelsurf.report import result_sets
 from accelsurf.report.movies import MAX_SIDE, MIN_SIDE, Picture
 from accelsurf.segmentation.run import Run
-from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, histories_of_run
 from accelsurf.viewer.scene.scene import SIZE, Scene
@@ -134,14 +133,13 @@ def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
         found = "no report (NAME_report.json)" if not reports else f"{len(reports)} reports"
         raise InputError(f"{folder}: {found} there, expected one", "give the image and its settings instead")
     path = reports[0]
-    budgets.REPORT.check(path.stat().st_size, f"{path}: the report")
+    document = read_json(path)
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
         settings, source = document["config"], document["input"]
         image, checksum = Path(source["path"]), source["sha256"]
         if not isinstance(settings, dict):
             raise TypeError
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         message = f"{path}: not the report of a run that can be repeated"
         raise InputError(message, "run accelsurf segment again") from None
     if str(settings.get("energy", "")).startswith("custom: "):

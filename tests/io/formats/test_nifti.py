@@ -345,7 +345,7 @@ def test_nifti_2_that_is_none_or_too_large(tmp_path):
         io.read(save(tmp_path / "a.nii", struct.pack("<i", 540) + bytes(1000)))
     raw = bytearray(second(nifti()))
     struct.pack_into("<3q", raw, 24, 10**6, 10**6, 10**6)
-    with pytest.raises(InputError, match="1000000 x 1000000 x 1000000 voxels needs about"):
+    with pytest.raises(InputError, match="announces 20{15}\\d{3} bytes of voxels, the file holds 664"):
         io.read(save(tmp_path / "a.nii", bytes(raw)))
     with pytest.raises(InputError, match="needs about"):
         io.read(save(tmp_path / "a.nii", second(nifti())), memory_bytes=60 * (2 + 2 + 12) - 1)
