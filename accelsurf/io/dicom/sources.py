@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import lzma
 import os
 import stat
 import zipfile
@@ -94,7 +95,9 @@ class Member:
             raise InputError(f"{self.name}: damaged in the archive, or locked ({error})", _HINT) from error
 
 
-_ZIP_ERRORS = (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, zlib.error, ValueError)
+_ZIP_ERRORS = (
+    zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError, zlib.error, lzma.LZMAError, ValueError
+)
 #: A file on the disk or in an archive.
 DicomFile = Path | Member
 
