@@ -66,7 +66,7 @@ def prepared(folder: Path) -> dict[str, Command]:
     segment = ["segment", str(image), "--max-steps", "15", *run, "--keep-state", "yes", "-o"]
     click = ["--inside", "point:17,12,10"]
     track = ["track", str(sequence), *run, "--mesh", "ply"]
-    movie = ["movie", str(image), *run, "--size", "160x120", "--hold", "0", "--overwrite"]
+    movie = ["movie", str(image), *run, "--size", "160x160", "--hold", "0", "--overwrite"]
     return {
         "refine": Command(lambda out: [[*segment, str(out)]], lambda out: ["refine", str(out), *click]),
         "track": Command(

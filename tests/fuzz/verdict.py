@@ -62,6 +62,7 @@ def judge(given: Input, folder: Path) -> Verdict:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
+            warnings.simplefilter("ignore", ResourceWarning)  # what Python does by default; nobody sees it
             if given.kind in judges.JUDGES:
                 note = judges.JUDGES[given.kind](given, where)
             else:
