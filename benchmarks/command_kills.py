@@ -29,7 +29,7 @@ SHAPE = (20, 24, 28)
 #: Files that tell seconds: their names must be the same; their checksums of the other files are compared.
 TOLD = (".json", ".html")
 #: What a tracking goes on from after it was killed: neither old nor new files.
-TRACK_STATE = ("*_track_state.npz", "*_track_frames", "*_checkpoint.npz")
+TRACK_STATE = ("*_frames", "*_checkpoint.npz")
 #: Every so many trials the command is repeated to its end.
 EVERY = 4
 #: How long after the first draft a command may be killed: its files are written, synced and put in place meanwhile.

@@ -208,8 +208,12 @@ def _sleep(given: Input, path: Path) -> None:
     time.sleep(60)
 
 
+def _reserve(given: Input, path: Path) -> None:
+    np.zeros(5 << 26, np.float64)  # 2.5 GiB, of which nothing is used
+
+
 _JUDGES = {
-    **{"crash": _crash, "sleep": _sleep, "sequence": _sequence},
+    **{"crash": _crash, "sleep": _sleep, "reserve": _reserve, "sequence": _sequence},
     **{"image": _image, "channels": _channels, "mesh": _mesh, "energy": _energy, "start": _start, "edit": _edit},
     **{"toml": _toml, "argv": _argv, "table": _table, "run": _run, "checkpoint": _checkpoint},
 }
