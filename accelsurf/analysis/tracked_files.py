@@ -157,7 +157,8 @@ def _read_table(path: Path) -> tuple[dict[int, list[int]], dict[int, tuple[int, 
                 return _tracks_in(lines.fieldnames or (), lines)
             except (csv.Error, ValueError, TypeError):  # TypeError: a line with fewer cells
                 raise InputError(
-                    f"line {lines.line_num}: no line of a table of tracks, whole numbers expected: frame, id, parent",
+                    f"line {lines.line_num}: not a line of a table of tracks, whole numbers of frame, id and parent "
+                    "expected",
                     "correct it, or write the table again with accelsurf track",
                 ) from None
 
