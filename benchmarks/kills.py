@@ -9,6 +9,7 @@ change from run to run, so that old and new files differ, and so do their names.
 * resumed: SIGKILL at random moments of a run that writes its state; repeated with ``--resume`` it must end with the
   files of one that was not killed (`benchmarks.resumed`).
 * batch: the same for batches of several workers: all processes, the parent, or one worker (`benchmarks.batch_kills`).
+* refine, track, movie: SIGKILL of commands that replace an earlier result (`benchmarks.command_kills`).
 
 After each the files must be those that one report names, by their checksums: all old or all new. Whatever is hidden
 must go with the next run. ``python -m benchmarks.kills --help`` lists the options; the table in
@@ -34,9 +35,8 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf import io
-from accelsurf.io.file_set import recover
 from accelsurf.phantoms import recipes
-from benchmarks import batch_kills, resumed
+from benchmarks import batch_kills, command_kills, resumed
 from benchmarks.case_files import fault_of
 
 NAME = "ball"
@@ -178,7 +178,11 @@ def kill(bench: Bench, outcome: Outcome) -> None:
     program.communicate()
     if not bench.report():
         outcome.count("killed between two renames, finished by the next reader")
-    recover(bench.results)
+    if bench.hidden():
+        outcome.count("left to the next command")
+        command_kills.look_at(bench.results)
+        if left := bench.hidden():
+            outcome.faults.append(f"kill {moment}: left after the next command: {', '.join(map(str, left))}")
     if fault := fault_of(bench.results):
         outcome.faults.append(f"kill {moment}: {fault}")
     outcome.count("old files" if bench.report() == before else "new files")
@@ -255,25 +259,41 @@ def run_trials(bench: Bench, counts: dict[str, int], every: int = 5) -> dict[str
     return found
 
 
+#: What is killed, and its share of the kills.
+SHARES = {"segment": 0.3, "refine": 0.2, "track": 0.2, "movie": 0.15, "batch": 0.15}
+
+
+def shared_out(kills: int) -> dict[str, int]:
+    """So many kills among the commands; what is left over is of the first."""
+    counts = {name: int(share * kills) for name, share in SHARES.items()}
+    return {**counts, "segment": counts["segment"] + kills - sum(counts.values())}
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="scripts/kills", description="Kill runs, and check their files.")
-    parser.add_argument("--runs", type=int, default=200, help="runs that are killed, default 200")
-    parser.add_argument("--interrupts", type=int, default=40, help="runs with Ctrl-C, default 40")
-    parser.add_argument("--disks", type=int, default=50, help="runs on a full disk, default 50")
-    parser.add_argument("--resumed", type=int, default=50, help="runs that are killed and go on, default 50")
-    parser.add_argument("--batch", type=int, default=20, help="batches that are killed and go on, default 20")
+    shares = ", ".join(f"{share:.0%} {name}".replace("%", "%%") for name, share in SHARES.items())
+    parser.add_argument("--runs", type=int, default=100, help=f"kills, default 100: {shares}")
+    parser.add_argument("--interrupts", type=int, default=0, help="runs with Ctrl-C, default 0")
+    parser.add_argument("--disks", type=int, default=0, help="runs on a full disk, default 0")
+    parser.add_argument("--resumed", type=int, default=0, help="runs that are killed and go on, default 0")
     parser.add_argument("--seed", type=int, default=0, help="of the moments and sizes, default 0")
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results" / "kills.json")
     given = parser.parse_args(argv)
-    counts = {"kills": given.runs, "interrupts": given.interrupts, "full disks": given.disks}
-    with tempfile.TemporaryDirectory(prefix="accelsurf-kills-") as folder:
-        bench = Bench.prepared(Path(folder), given.seed)
+    kills, began = shared_out(given.runs), time.perf_counter()
+    counts = {"kills": kills["segment"], "interrupts": given.interrupts, "full disks": given.disks}
+    with tempfile.TemporaryDirectory(prefix="accelsurf-kills-") as base:
+        folder = Path(base)
+        os.environ["XDG_STATE_HOME"] = str(folder / "state")
+        bench = Bench.prepared(folder, given.seed)
         found = {"seed": given.seed, "seconds_of_a_run": round(bench.seconds, 2), **run_trials(bench, counts)}
-        found["resumed"] = resumed.trials(Path(folder) / "resumed", given.resumed, given.seed)
-        found["batch"] = batch_kills.trials(Path(folder) / "batch", given.batch, given.seed)
+        found["resumed"] = resumed.trials(folder / "resumed", given.resumed, given.seed)
+        found["batch"] = batch_kills.trials(folder / "batch", kills["batch"], given.seed)
+        commands = {name: kills[name] for name in ("refine", "track", "movie")}
+        found |= command_kills.trials(folder / "commands", commands, given.seed)
+    found["seconds"] = round(time.perf_counter() - began)
     given.output.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     print(json.dumps(found, indent=2))
-    return 1 if any(found[kind]["faults"] for kind in (*counts, "resumed", "batch")) else 0
+    return 1 if any(entry["faults"] for entry in found.values() if isinstance(entry, dict)) else 0
 
 
 if __name__ == "__main__":

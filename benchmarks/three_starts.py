@@ -1,8 +1,11 @@
-"""Three starts on a noisy cube: do they end on the same surface? Momentum against descent, same step control.
+"""Three starts on a noisy cube: how near do they come to one surface? Momentum against descent, same step control.
+
+Both have the same few steps. Descent is not at rest after the default 400, so its rows say how far it has come:
+``--max-steps 2000`` lets it go on.
 
 The paper's claim (its figures 2 and 3) in 3D: contrast 1, noise sigma 1 per voxel, no smoothing of the result. Shown
 beside it is what helps descent as well: the same diffusion of its speeds, the limiter of the default settings (it
-lets the fastest twentieth of the surface set no limit, and so carries descent over small traps), an area weight,
+lets the fastest twentieth of the surface set no limit, and makes descent faster), an area weight,
 presmoothing.
 """
 

@@ -82,11 +82,15 @@ def compare(result: TrackedFile, reference: TrackedFile) -> TrackingScores:
     if result.labels.frames != reference.labels.frames:
         raise InputError(
             f"{result.path} has {result.labels.frames} frames, {reference.path} has {reference.labels.frames}: as many "
-            "expected"
+            "expected",
+            "give the result and the reference of the same sequence",
         )
     shape, wanted = result.labels.labels(0).shape, reference.labels.labels(0).shape
     if shape != wanted:
-        raise InputError(f"{result.path} has frames of {shape} voxels (z, y, x), {reference.path} of {wanted}")
+        raise InputError(
+            f"{result.path} has frames of {shape} voxels (z, y, x), {reference.path} of {wanted}",
+            "give the result and the reference of the same sequence",
+        )
     return score(result.labels, reference.labels, _outlines(reference) if reference.outlines else None)
 
 
@@ -149,8 +153,12 @@ def _read_table(path: Path) -> tuple[dict[int, list[int]], dict[int, tuple[int, 
             lines = csv.DictReader(file, strict=True)
             try:
                 return _tracks_in(lines.fieldnames or (), lines)
-            except (csv.Error, UnicodeDecodeError, ValueError) as error:
-                raise InputError(f"line {lines.line_num}: not a line of a table of tracks ({error})") from None
+            except (csv.Error, ValueError, TypeError):  # TypeError: a line with fewer cells
+                raise InputError(
+                    f"line {lines.line_num}: not a line of a table of tracks, whole numbers of frame, id and parent "
+                    "expected",
+                    "correct it, or write the table again with accelsurf track",
+                ) from None
 
 
 def _tracks_in(

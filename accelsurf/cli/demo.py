@@ -11,12 +11,12 @@ from accelsurf.cli.options import Display, OutputFolder, Overwrite
 
 #: Small ball inside the cube, off its centre: most of the object has to be found.
 START = "ball:9,-7,6,10"
-#: Descent and momentum, the pair that the README shows.
+#: Descent and momentum.
 FLOWS = ("gradient", "constant-density")
 MAX_STEPS = 250
-#: The largest speed sets the time step, for both flows: with the default percentile descent jumps over many of the
-#: local minima that the demo is about. So do a coarser grid, where noise is averaged, and the area that noise asks
-#: for.
+#: The largest speed sets the time step, for both flows: with the default percentile descent comes close to
+#: momentum within these steps. So it does on a coarser grid, where noise is averaged, and with the area that noise
+#: asks for.
 FIXED: dict[str, Any] = {"percentile": 100.0, "levels": 1, "energy": "chan-vese:area=0"}
 
 

@@ -19,6 +19,7 @@ from accelsurf.io.images import read_labels
 from accelsurf.settings import budgets
 
 _TABLES = ("res_track.txt", "man_track.txt")
+_TABLE_HINT = "correct the table of tracks"
 _FRAME = re.compile(r"(?:mask|man_track)([0-9]+)\.tiff?", re.IGNORECASE)
 _OUTLINE = re.compile(r"man_seg_?([0-9]+)\.tiff?", re.IGNORECASE)
 _SLICE = re.compile(r"man_seg_?[0-9]+_[0-9]+\.tiff?", re.IGNORECASE)
@@ -107,12 +108,15 @@ def _read_tracks(table: Path) -> tuple[ChallengeTrack, ...]:
             one = ChallengeTrack(*(int(word) for word in line.split()))
         except (TypeError, ValueError):
             raise InputError(
-                f"line {number}: {line[:40]!r} given, expected four whole numbers: label, first and last frame, parent"
+                f"line {number}: {line[:40]!r} given, expected four whole numbers: label, first and last frame, parent",
+                _TABLE_HINT,
             ) from None
         if not (0 < one.label < 2**32 and 0 <= one.first <= one.last and one.parent >= 0):
-            raise InputError(f"line {number}: {line[:40]!r} given, expected a label above 0, and first <= last frame")
+            raise InputError(
+                f"line {number}: {line[:40]!r} given, expected a label above 0, and first <= last frame", _TABLE_HINT
+            )
         if one.label in tracks:
-            raise InputError(f"line {number}: a second track with the label {one.label}")
+            raise InputError(f"line {number}: a second track with the label {one.label}", _TABLE_HINT)
         tracks[one.label] = one
     return tuple(tracks.values())
 

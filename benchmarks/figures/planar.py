@@ -46,7 +46,7 @@ def square(output: Path) -> None:
 
 
 def rectangle(output: Path) -> None:
-    """Three starts under descent: three different minima of the noise."""
+    """Three starts under descent, at most 600 steps: two are cut off."""
     three(output, "rectangle", {"flow": "gradient"}, "Descent from three starts")
 
 

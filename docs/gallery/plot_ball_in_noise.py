@@ -2,8 +2,8 @@
 A ball in noise, with and without momentum
 ==========================================
 
-The image is a ball in noise as strong as its contrast, so that the energy has many local minima. Descent follows the
-noise and leaves holes in the object. Momentum carries the surface past them.
+The image is a ball in noise as strong as its contrast, so that the energy has many local minima. Under
+equal conditions descent fills the object more slowly: when its steps end, holes are left that momentum has closed.
 """
 
 import matplotlib.pyplot as plt
@@ -22,7 +22,7 @@ start = "ball:14,16,18,5vox"
 
 # %%
 # Both flows get the same step control. ``percentile=100`` turns the speed limiter off, and ``levels=1`` stays on the
-# image's own grid: limiter and coarse grids also help against local minima, and would hide the difference.
+# image's own grid: limiter and coarse grids make descent faster as well, and would hide the difference.
 
 results = {
     flow: accelsurf.segment(image, start=start, flow=flow, cfl=0.25, percentile=100, levels=1, max_steps=300)

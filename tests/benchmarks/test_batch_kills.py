@@ -1,4 +1,4 @@
-"""Killed batches: what their trials would call a fault, without a batch; ``scripts/kills --batch`` has the trials."""
+"""Killed batches: what their trials would call a fault, without a batch; ``scripts/kills`` has the trials."""
 
 import random
 import subprocess

@@ -139,10 +139,15 @@ def test_a_table_that_lacks_a_column_is_refused(tmp_path, reference, said):
                            np.uint16) as writer:  # fmt: skip
         for number in range(3):
             writer.write(number, TWO)
-    for text, message in (("frame,name\n0,1\n", "no column id"), ("frame,id\n0,x\n", "line 2: not a line of a table")):
-        (tmp_path / "a_tracks.csv").write_text(text)
+    no_line = "not a line of a table of tracks, whole numbers of frame, id and parent expected\nhint: "
+    tables = [("frame,name\n0,1\n", "no column id")]
+    # No number, a cell too few, one of 5000 digits, a quote that never ends: nothing that Python says of them is said.
+    for number, lines in ((2, "0,x"), (2, "0"), (3, "0,1\n0," + "1" * 5000), (1, '0,"1'), (2, "0,\u00b2")):
+        tables.append((f"frame,id\n{lines}\n", f"line {number}: {no_line}"))
+    for text, message in tables:
+        (tmp_path / "a_tracks.csv").write_text(text, encoding="utf-8")
         code, _, err = said(tmp_path / "a_labels.nrrd", reference)
-        assert (code, message in err) == (3, True)
+        assert (code, message in err) == (3, True), err
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,9 @@ from collections import Counter
 from pathlib import Path
 
 from tests.fuzz import corpus
-from tests.fuzz.corpus import Input, input_of
-from tests.fuzz.workers import Judged, judged, warm_up
+from tests.fuzz.corpus import input_of
+from tests.fuzz.inputs import Input
+from tests.fuzz.workers import ADDRESS_BYTES, SECONDS, Judged, Limits, judged, warm_up
 
 
 def main() -> int:
@@ -25,27 +26,46 @@ def main() -> int:
     parser.add_argument(
         "--output", type=Path, default=Path("fuzz-faults"), help="folder for faulty inputs and result.json"
     )
+    parser.add_argument("--kind", nargs="+", default=[], help="only inputs of these kinds")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="for an input, default %(default)g")
+    parser.add_argument(
+        "--limit",
+        type=float,
+        default=ADDRESS_BYTES / (1 << 30),
+        help="GiB that a process may map (RLIMIT_AS) beyond what its libraries map when imported, default %(default)g",
+    )
     parser.add_argument("--replay", type=Path, nargs="+", help="judge these saved inputs again")
     options = parser.parse_args()
+    limits = Limits(options.seconds, int(options.limit * (1 << 30)))
     if options.replay:
-        return _replay(options.replay)
+        return _replay(options.replay, limits)
+    inputs = corpus.chosen_seeds(options.kind)
+    if not inputs:
+        parser.error(f"no such kind; there are {', '.join(sorted({given.kind for given in corpus.seeds()}))}")
     count = options.count or (None if options.minutes else 10_000)
     end = time.monotonic() + 60 * options.minutes if options.minutes else float("inf")
     numbers = iter(range(options.first, options.first + count)) if count else itertools.count(options.first)
-    warm_up()
+    warm_up(inputs)
     began, outcomes, faults, slowest = time.monotonic(), Counter(), [], 0.0
-    for one in judged(numbers, options.seed, options.processes, lambda: time.monotonic() < end):
-        given = input_of(options.seed, one.number)
-        checked = one.verdict.text.partition(" ")[0] if one.verdict.outcome == "read" else ""
-        outcome = f"read, {checked}" if checked.endswith("verified") else one.verdict.outcome
+    results = judged(
+        numbers, options.seed, options.processes, lambda: time.monotonic() < end, inputs, limits=limits
+    )  # fmt: skip
+    for result in results:
+        given = input_of(options.seed, result.number, inputs)
+        verdict = result.verdict
+        checked = verdict.text.partition(" ")[0] if verdict.outcome == "read" else ""
+        outcome = f"read, {checked}" if checked.endswith("verified") else verdict.outcome
         outcomes[f"{given.kind}: {outcome}"] += 1
-        slowest = max(slowest, one.seconds)
-        if one.verdict.is_fault:
-            faults.append(_saved(one, given, options))
-            print(f"{one.number} {given.kind}{given.suffix} {one.verdict.outcome}: {one.verdict.text}", flush=True)
+        slowest = max(slowest, result.seconds)
+        if verdict.is_fault:
+            faults.append(_saved(result, given, options))
+            what = f"{given.kind} {given.case} {given.name or given.suffix}"
+            print(f"{result.number} {what} {verdict.outcome}: {verdict.text}", flush=True)
     total, seconds = sum(outcomes.values()), time.monotonic() - began
-    result = {
+    found = {
         "seed": options.seed,
+        "seconds_for_an_input": limits.seconds,
+        "mapped_bytes_beyond_imports": limits.address_bytes,
         "first": options.first,
         "inputs": total,
         "faults": faults,
@@ -55,28 +75,42 @@ def main() -> int:
         "outcomes": dict(sorted(outcomes.items())),
     }
     options.output.mkdir(parents=True, exist_ok=True)
-    (options.output / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    (options.output / "result.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     print(f"{total} inputs, {len(faults)} faults, {total / seconds:.0f} a second, slowest {slowest:.1f} s")
     return 1 if faults else 0
 
 
-def _saved(one: Judged, given: Input, options: argparse.Namespace) -> dict[str, object]:
-    options.output.mkdir(parents=True, exist_ok=True)
-    name = f"{given.kind}-{options.seed}-{one.number}{given.suffix}"
-    (options.output / name).write_bytes(given.content)
-    return {"input": name, "outcome": one.verdict.outcome, "text": one.verdict.text, "seconds": round(one.seconds, 2)}
+def _saved(result: Judged, given: Input, options: argparse.Namespace) -> dict[str, object]:
+    """Save an input: a file, or a folder with all files of a case."""
+    name = f"{given.kind}+{given.case}+{options.seed}-{result.number}" + ("" if given.case else given.suffix)
+    base = options.output / name if given.case else options.output
+    for path, content in given.written().items():
+        place = base / path if given.case else base / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(content)
+    verdict = result.verdict
+    return {"input": name, "outcome": verdict.outcome, "text": verdict.text, "seconds": round(result.seconds, 2)}
 
 
-def _replay(paths: list[Path]) -> int:
-    suffixes = sorted({one.suffix for one in corpus.seeds()}, key=len, reverse=True)
-    inputs = tuple(
-        Input(path.name.split("-")[0], next(s for s in suffixes if path.name.endswith(s)), "binary", path.read_bytes())
-        for path in paths
-    )
+def replayed(path: Path) -> Input:
+    """An input that was saved."""
+    kind, case, _ = path.name.split("+", 2)
+    if not case:
+        suffixes = sorted({given.suffix for given in corpus.seeds()}, key=len, reverse=True)
+        return Input(kind, next(s for s in suffixes if path.name.endswith(s)), "binary", path.read_bytes())
+    valid = [given for given in corpus.seeds() if (given.kind, given.case) == (kind, case)]
+    changed = [given for given in valid if (path / given.name).read_bytes() != given.content]
+    given = (changed or valid)[0]
+    files = tuple((name, (path / name).read_bytes()) for name, _ in given.files)
+    return given._replace(content=(path / given.name).read_bytes(), files=files)
+
+
+def _replay(paths: list[Path], limits: Limits) -> int:
+    inputs = tuple(replayed(path) for path in paths)
     bad = 0
-    for one in judged(iter(range(len(inputs))), 0, 1, lambda: True, inputs):
-        print(f"{paths[one.number]}: {one.verdict.outcome} {one.verdict.text} ({one.seconds:.2f} s)")
-        bad += one.verdict.is_fault
+    for result in judged(iter(range(len(inputs))), 0, 1, lambda: True, inputs, True, limits):
+        print(f"{paths[result.number]}: {result.verdict.outcome} {result.verdict.text} ({result.seconds:.2f} s)")
+        bad += result.verdict.is_fault
     return 1 if bad else 0
 
 

@@ -7,8 +7,8 @@ import json
 import struct
 import tempfile
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from pydicom.uid import RLELossless
@@ -18,44 +18,39 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io.formats import glb, surface_files, three_mf
 from accelsurf.settings.run_config import RunConfig
-from tests.fuzz import mutators
+from tests.fuzz import folders, mutators, runs
+from tests.fuzz.inputs import DATA_FILE, SHAPE, VALUES, Input
 from tests.support import dicom_series
-
-#: Beside each image: what a header may name as its data file.
-DATA_FILE = "voxels.raw"
-SHAPE = (4, 5, 6)
-VALUES = np.arange(120, dtype=np.int16).reshape(SHAPE)
-ZARR_VOLUME = Volume(VALUES, Geometry(SHAPE, (3.0, 0.5, 0.75), (-12.5, 4.0, 100.25)))
-
-
-class Input(NamedTuple):
-    """An input: the ``kind`` says what reads it, ``suffix`` the ending of its file, ``mode`` how it is mutated."""
-
-    kind: str
-    suffix: str
-    mode: str
-    content: bytes
 
 
 @functools.cache
 def seeds() -> tuple[Input, ...]:
     with tempfile.TemporaryDirectory() as folder:
-        return (*_images(Path(folder)), *_meshes(), *_texts(), *_runs(), *_states(Path(folder)))
+        return (*_images(Path(folder)), *_meshes(), *_texts(), *_runs(), *_states(), *folders.every(), *runs.every())
 
 
-def input_of(seed: int, number: int) -> Input:
-    """The input of a number, the same for the same seed."""
+def chosen_seeds(kinds: Iterable[str] = ()) -> tuple[Input, ...]:
+    """The valid inputs of some kinds; of all without any."""
+    wanted = set(kinds)
+    return tuple(given for given in seeds() if not wanted or given.kind in wanted)
+
+
+def input_of(seed: int, number: int, among: tuple[Input, ...] = ()) -> Input:
+    """The input of a number, the same for the same seed and the same valid inputs; by default `seeds`."""
     rng = np.random.default_rng([seed, number])
-    all_seeds = seeds()
-    kinds = sorted({one.kind for one in all_seeds})
+    among = among or seeds()
+    kinds = sorted({given.kind for given in among})
     # Images first: they have the most ways to be wrong.
-    kind = "image" if rng.random() < 0.5 else kinds[int(rng.integers(len(kinds)))]
-    some = [one for one in all_seeds if one.kind == kind]
+    is_image = "image" in kinds and rng.random() < 0.3
+    kind = "image" if is_image else kinds[int(rng.integers(len(kinds)))]
+    some = [given for given in among if given.kind == kind]
     chosen = some[int(rng.integers(len(some)))]
-    others = [one.content for one in some if one.suffix == chosen.suffix]
+    others = [given.content for given in some if given.suffix == chosen.suffix]
     content = chosen.content
-    if content[:2] == b"\x1f\x8b" and rng.random() < 0.8:
-        inner = mutators.mutated(gzip.decompress(content), chosen.mode, rng, [gzip.decompress(o) for o in others])
+    # A packed chunk is the input itself; of a packed file rather what is in it.
+    if (inner := _unpacked(content)) is not None and rng.random() < (0.2 if kind == "zarr" else 0.8):
+        unpacked = [found for other in others if (found := _unpacked(other)) is not None]
+        inner = mutators.mutated(inner, chosen.mode, rng, unpacked)
         return chosen._replace(content=gzip.compress(inner, 1, mtime=0))
     content = mutators.mutated(content, chosen.mode, rng, others)
     if chosen.suffix == ".png" and rng.random() < 0.8:
@@ -63,11 +58,19 @@ def input_of(seed: int, number: int) -> Input:
     return chosen._replace(content=content)
 
 
+def _unpacked(content: bytes) -> bytes | None:
+    """What is packed by gzip; None where nothing is."""
+    try:
+        return gzip.decompress(content) if content[:2] == b"\x1f\x8b" else None
+    except (OSError, EOFError, zlib.error):  # several, as in a shard
+        return None
+
+
 def _slices():
     """DICOM: one slice, plain and packed, and a file of several."""
     series = dicom_series.Series().stacked(3)
     packed = series.dataset(0)
-    packed.compress(RLELossless)
+    packed.compress(RLELossless, generate_instance_uid=False)
     for one in (series.dataset(0), packed, dicom_series.enhanced(series)):
         content = io.BytesIO()
         one.save_as(content, enforce_file_format=True)
@@ -109,7 +112,7 @@ def _images(folder: Path):
     yield from _tiffs()
     yield from _hyperstacks()
     yield from _arrays()
-    yield from _zarrs(folder)
+    yield from _read_only()
     import nibabel
 
     four = nibabel.Nifti1Image(np.stack([VALUES.T, VALUES.T], axis=-1), np.eye(4))
@@ -187,17 +190,24 @@ def _arrays():
         stream = io.BytesIO()
         np.save(stream, values)
         yield Input("sequence", ".npy", "mixed", stream.getvalue())
+        yield Input("image", ".npy", "mixed", stream.getvalue())
         stream = io.BytesIO()
         np.savez_compressed(stream, image=values)
-        yield Input("sequence", ".npz", "binary", stream.getvalue())
+        yield Input("sequence", ".npz", "zip", stream.getvalue())
 
 
-def _zarrs(folder: Path):
-    """The files of an OME-Zarr, each by its path: `tests.fuzz.verdict` puts it into the store it is from."""
-    path = folder / "a.ome.zarr"
-    files.write(ZARR_VOLUME, path)
-    for name, mode in (("zarr.json", "text"), ("0/zarr.json", "text"), ("0/c/0/0/0", "binary")):
-        yield Input("zarr", f"@{name.replace('/', '-')}", mode, (path / name).read_bytes())
+def _read_only():
+    """MGH, MGZ and GIPL."""
+    import nibabel
+
+    for kind in ("uint8", "int16", "int32", "float32"):
+        content = nibabel.MGHImage(VALUES.T.astype(kind), np.diag([0.75, 0.5, 3.0, 1.0])).to_bytes()
+        yield Input("image", ".mgh", "binary", content)
+        yield Input("image", ".mgz", "binary", gzip.compress(content, 1, mtime=0))
+    head = bytearray(256)
+    struct.pack_into(">4HH4f", head, 0, 6, 5, 4, 1, 15, 0.75, 0.5, 3.0, 1.0)
+    struct.pack_into(">I", head, 252, 719555000)
+    yield Input("image", ".gipl", "binary", bytes(head) + VALUES.astype(">i2").tobytes())
 
 
 def _png_with_checksums(content: bytes) -> bytes:
@@ -221,7 +231,7 @@ def _meshes():
         content = getattr(surface_files, f"{name}_bytes")(points, triangles, "LPS")
         yield Input("mesh", f".{name}", {"obj": "text", "vtp": "mixed", "ply": "mixed"}.get(name, "binary"), content)
     yield Input("mesh", ".glb", "mixed", glb.write(points, triangles, "LPS"))
-    yield Input("mesh", ".3mf", "binary", three_mf.write(points, triangles, "LPS"))
+    yield Input("mesh", ".3mf", "zip", three_mf.write(points, triangles, "LPS"))
     import trimesh
 
     cube = trimesh.Trimesh(points, triangles, process=False)
@@ -317,11 +327,9 @@ def _runs():
                 yield Input("run", ".json", "text", text.encode())
 
 
-def _states(folder: Path):
+def _states():
     from accelsurf.evolution.serialization import to_bytes
     from tests.fuzz.verdict import CHECKPOINT_TYPES, Point
 
     state = ({"accelsurf": "0", "run": "x"}, Point(np.arange(6.0), (1, 2.5, None, "text", [np.float32(2), True])))
     yield Input("checkpoint", ".npz", "binary", to_bytes(state, CHECKPOINT_TYPES))
-    report = {"status": "failed", "config": {"energy": "chan-vese"}, "input": {"path": DATA_FILE, "sha256": None}}
-    yield Input("report", ".json", "text", json.dumps(report, indent=1).encode())

@@ -162,7 +162,25 @@ def _tiff(content: bytes, data: bytes):
         return (np.asarray(image)[np.newaxis], None) if image.mode in ("L", "I;16") and len(pages) == 1 else None
 
 
+def _mgh(content: bytes, data: bytes):
+    import nibabel
+
+    if content[:2] == b"\x1f\x8b":
+        content = zlib.decompressobj(31).decompress(content)
+    if struct.unpack_from(">h", content, 28)[0] != 1:
+        return None  # no place is given: accelsurf and nibabel differ in what they take for it
+    image = nibabel.MGHImage.from_bytes(content)
+    values = np.asanyarray(image.dataobj)
+    return (values.T, tuple(float(h) for h in image.header.get_zooms()[:3])) if values.ndim == 3 else None
+
+
+def _npy(content: bytes, data: bytes):
+    values = np.load(io.BytesIO(content), allow_pickle=False)
+    return (values, None) if values.ndim == 3 else None
+
+
 _LOOKS = {
     **{".nii": _nifti, ".nii.gz": _nifti, ".nrrd": _nrrd, ".nhdr": _nrrd, ".mha": _meta, ".mhd": _meta},
     **{".png": _png, ".tif": _tiff},
+    **{".mgh": _mgh, ".mgz": _mgh, ".npy": _npy},
 }

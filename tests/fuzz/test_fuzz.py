@@ -1,41 +1,56 @@
 """The fast part of the fuzzer: some hundred mutated inputs, none of which may be a fault; and that it finds faults."""
 
-import itertools
+import argparse
+import io as stream
+import re
+import struct
 import subprocess
 import sys
+import zipfile
+from collections import Counter
 
 import numpy as np
 import pytest
 
 from accelsurf import io
 from accelsurf.errors import InputError
+from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from tests.fuzz import corpus, verdict, workers
-from tests.fuzz.corpus import Input
+from tests.fuzz import __main__ as main
+from tests.fuzz import corpus, folders, headers, judges, mutators, verdict, workers
+from tests.fuzz.inputs import VALUES, VOLUME, Input
 
 SEED, COUNT = 15, 300
 
 
 def test_mutated_inputs_are_read_as_they_are_or_refused_in_one_line():
     # Runs compile kernels, which takes longer than an input may: they belong to scripts/fuzz.
-    numbers = (n for n in itertools.count() if corpus.input_of(SEED, n).kind != "run")
-    judged = list(workers.judged(itertools.islice(numbers, COUNT), SEED, 2, lambda: True))
-    faults = [one for one in judged if one.verdict.is_fault]
+    inputs = tuple(given for given in corpus.seeds() if given.kind not in workers.COMPILED)
+    judged = list(workers.judged(iter(range(COUNT)), SEED, 2, lambda: True, inputs))
+    faults = [(corpus.input_of(SEED, each.number, inputs)[:1], each) for each in judged if each.verdict.is_fault]
     assert len(judged) == COUNT and not faults, faults
-    outcomes = [one.verdict.outcome for one in judged]
+    outcomes = [each.verdict.outcome for each in judged]
     assert outcomes.count("read") > COUNT // 10 and outcomes.count("refused") > COUNT // 4
 
 
-def test_every_valid_input_is_what_the_independent_look_says(tmp_path):
-    verified = 0
-    for number, one in enumerate(corpus.seeds()):
-        if one.kind == "image":
-            folder = tmp_path / str(number)
-            folder.mkdir()
-            found = verdict.judge(one, folder)
-            assert found.outcome == "read" or "4 channels given" in found.text, (one.suffix, found)
-            verified += found.text == "verified"
-    assert verified > 40
+#: Valid texts whose files are not there, and an image of several channels.
+REFUSED = "there is no such file|4 channels given"
+
+
+def test_every_valid_input_is_read_and_is_what_the_independent_look_says(tmp_path):
+    verified = Counter()
+    for number, given in enumerate(corpus.seeds()):
+        if given.kind == "run":
+            continue
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        found = verdict.judge(given, folder)
+        assert found.outcome == "read" or re.search(REFUSED, found.text), (given.kind, given.case, given.suffix, found)
+        verified[given.kind] += found.text == "verified"
+    kinds = {given.kind for given in corpus.seeds()}
+    assert set(judges.JUDGES) <= kinds
+    least = {"image": 55, "zarr": 40, "dicom": 11, "frames": 10, "paired": 6, "evaluate": 1}
+    assert all(verified[kind] >= count for kind, count in least.items()), verified
 
 
 def test_the_same_number_gives_the_same_input():
@@ -44,22 +59,84 @@ def test_the_same_number_gives_the_same_input():
 
 
 def test_a_wrong_grid_is_a_fault(tmp_path, monkeypatch):
-    one = next(one for one in corpus.seeds() if one.suffix == ".nii")
+    one = next(one for one in corpus.seeds() if (one.kind, one.suffix) == ("image", ".nii"))
     other = Volume.from_array(np.zeros((4, 5, 6), np.uint8), 2.0)
     monkeypatch.setattr(io, "read", lambda path, **options: other)
     assert verdict.judge(one, tmp_path).outcome == "wrong"
 
 
-def test_dead_and_late_processes_are_faults_and_are_replaced():
-    replays = (
-        Input("crash", ".txt", "text", b""),
-        Input("sleep", ".txt", "text", b""),
-        Input("energy", ".txt", "text", b"x"),
-    )
-    found = {
-        one.number: one.verdict for one in workers.judged(iter((0, 1, 2)), 0, 1, lambda: True, replays, seconds=1.0)
-    }
-    assert [found[n].outcome for n in range(3)] == ["crash", "hang", "refused"] and found[0].text == "SIGABRT"
+def first(kind, case, end):
+    return next(g for g in corpus.seeds() if (g.kind, g.case) == (kind, case) and g.name.endswith(end))
+
+
+@pytest.mark.parametrize("case", [case for case in folders.codecs() if case != "3-none" and case != "2-none"])
+def test_a_chunk_with_other_values_than_its_codec_gives_is_a_fault(tmp_path, monkeypatch, case):
+    given = first("zarr", case, "0/0/0")
+    damaged = given._replace(content=given.content[:-1])
+    for number, values in enumerate((VALUES + 1, np.zeros_like(VALUES))):
+        (tmp_path / str(number)).mkdir()
+        other = Volume(values, VOLUME.geometry)
+        monkeypatch.setattr(io, "read", lambda path, other=other, **options: other)
+        monkeypatch.setattr(judges, "check_boxes", lambda path, volume: None)
+        assert verdict.judge(damaged, tmp_path / str(number)).outcome == "wrong"
+
+
+@pytest.mark.parametrize(("keep", "outcome"), [(slice(0, 4), "read"), (slice(0, 3), "wrong"), (slice(1, 4), "wrong")])
+def test_a_series_that_has_lost_a_slice_without_a_word_is_a_fault(tmp_path, monkeypatch, keep, outcome):
+    given = first("dicom", "plain", "003.dcm")
+    whole = io.read
+    monkeypatch.setattr(io, "read", lambda path, **options: cropped(whole(path, **options), keep))
+    assert verdict.judge(given, tmp_path).outcome == outcome
+
+
+def cropped(volume, keep):
+    here = volume.geometry
+    origin = here.index_to_world((keep.start, 0, 0))
+    array = volume.array[keep]
+    return Volume(array, Geometry(array.shape, here.spacing, tuple(origin), here.direction))
+
+
+def test_dead_late_and_large_processes_are_faults_and_are_replaced():
+    """The last of these reserves 2.5 GiB."""
+    kinds = ("crash", "sleep", "reserve", "energy")
+    inputs = tuple(Input(kind, ".txt", "text", b"x") for kind in kinds)
+    limits = workers.Limits(seconds=2.0)
+    judged = workers.judged(iter(range(4)), 0, 1, lambda: True, inputs, True, limits)
+    found = [each.verdict for each in sorted(judged, key=lambda each: each.number)]
+    assert [each.outcome for each in found] == ["crash", "hang", "traceback", "refused"]
+    assert found[0].text == "SIGABRT" and "MemoryError" in found[2].text or "ArrayMemoryError" in found[2].text
+
+
+@pytest.mark.parametrize("suffix", [".nii", ".tif", ".mgh", ".gipl", ".dcm", ".stl", ".glb"])
+def test_numbers_of_binary_headers_are_found(suffix):
+    """Each is within the file, and a change of one is a change of its bytes alone."""
+    given = next(g for g in corpus.seeds() if g.suffix == suffix and g.mode != "text")
+    found = headers.fields(given.content)
+    assert len(found) >= 4
+    for number, (at, kind) in enumerate(found):
+        size = struct.calcsize(kind)
+        changed = mutators._field(bytearray(given.content), (at, kind), np.random.default_rng(number))
+        assert changed[:at] == given.content[:at] and changed[at + size :] == given.content[at + size :]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_archives_stay_archives_when_a_member_is_mutated(seed):
+    for given in corpus.seeds():
+        if given.mode == "zip":
+            packed = mutators._member(given.content, np.random.default_rng(seed), [given.content])
+            with zipfile.ZipFile(stream.BytesIO(packed)) as archive:
+                assert archive.testzip() is None and packed != given.content
+
+
+@pytest.mark.parametrize("number", range(40))
+def test_a_saved_input_is_judged_again_as_it_was(tmp_path, number):
+    kinds = ("zarr", "dicom", "frames", "image", "labels")
+    given = corpus.input_of(SEED, number, corpus.chosen_seeds(kinds))
+    result = workers.Judged(number, verdict.Verdict("wrong", ""), 0.0)
+    saved = main._saved(result, given, argparse.Namespace(output=tmp_path, seed=SEED))
+    again = main.replayed(tmp_path / saved["input"])
+    assert (again.kind, again.case) == (given.kind, given.case)
+    assert again.written() == given.written() if given.case else again.content == given.content
 
 
 @pytest.mark.slow
@@ -77,7 +154,7 @@ def nifti(dtype, change):
 
     import nibabel
 
-    content = bytearray(nibabel.Nifti1Image(corpus.VALUES.T.astype(dtype), np.eye(4)).to_bytes())
+    content = bytearray(nibabel.Nifti1Image(VALUES.T.astype(dtype), np.eye(4)).to_bytes())
     change(content, struct)
     return bytes(content)
 
@@ -94,14 +171,14 @@ def test_a_tiny_slope_of_a_nifti_counts(tmp_path):
     """ITK took it for none."""
     path = tmp_path / "a.nii"
     path.write_bytes(nifti("int16", lambda c, s: s.pack_into("<f", c, 112, 1e-18)))
-    np.testing.assert_allclose(io.read(path).array, corpus.VALUES * 1e-18, rtol=1e-6)
+    np.testing.assert_allclose(io.read(path).array, VALUES * 1e-18, rtol=1e-6)
 
 
 def test_a_voxel_offset_below_one_of_a_nifti(tmp_path):
     """ITK read the header as voxels."""
     path = tmp_path / "a.nii"
     path.write_bytes(nifti("int16", lambda c, s: s.pack_into("<f", c, 108, 1e-40)))
-    np.testing.assert_array_equal(io.read(path).array, corpus.VALUES)
+    np.testing.assert_array_equal(io.read(path).array, VALUES)
 
 
 @pytest.mark.parametrize(
@@ -118,7 +195,7 @@ def test_a_voxel_offset_below_one_of_a_nifti(tmp_path):
 )
 def test_headers_that_libraries_read_in_another_way(tmp_path, kind, name, change, words):
     """Long fields ended the process; of keys said twice each library took another; 2_0 is 20 for Python alone."""
-    one = next(one for one in corpus.seeds() if (one.kind, one.suffix) == (kind, name) and change[0] in one.content)
+    one = next(g for g in corpus.seeds() if (g.kind, g.suffix) == (kind, name) and change[0] in g.content)
     path = tmp_path / f"a{name}"
     path.write_bytes(one.content.replace(*change))
     with pytest.raises(InputError, match=words):

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import time
 import warnings
 from pathlib import Path
@@ -18,15 +17,11 @@ from accelsurf.evolution.serialization import from_bytes
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import object_starts, starts
 from accelsurf.io import channels, meshes
-from accelsurf.report import result_sets
 from accelsurf.settings import edits, energy_expression
 from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.run_config import RunConfig
-from tests.fuzz import independent
-from tests.fuzz.corpus import DATA_FILE, VALUES, ZARR_VOLUME, Input
-
-#: Memory that readers may plan with, bytes.
-MEMORY = 256 << 20
+from tests.fuzz import independent, judges
+from tests.fuzz.inputs import DATA_FILE, VALUES, Input, Wrong
 
 
 class Point(NamedTuple):
@@ -37,10 +32,6 @@ class Point(NamedTuple):
 
 
 CHECKPOINT_TYPES = {"Point": Point}
-
-
-class Wrong(Exception):
-    """Something was read that the file does not say."""
 
 
 class Verdict(NamedTuple):
@@ -54,22 +45,28 @@ class Verdict(NamedTuple):
         return self.outcome not in ("read", "refused")
 
 
-def judge(one: Input, folder: Path) -> Verdict:
+def judge(given: Input, folder: Path) -> Verdict:
     """Give an input to what reads it.
 
     Parameters
     ----------
-    one : Input
+    given : Input
     folder : Path
         An empty one, for its file.
     """
-    path = folder / f"input{one.suffix}"
-    path.write_bytes(one.content)
-    (folder / DATA_FILE).write_bytes(VALUES.tobytes())
+    where = folder / (given.case or "")
+    for name, content in {DATA_FILE: VALUES.tobytes(), **given.written()}.items():
+        (where / name).parent.mkdir(parents=True, exist_ok=True)
+        if name != DATA_FILE or not given.case or name in dict(given.files):
+            (where / name).write_bytes(content)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            note = _JUDGES[one.kind](one, path)
+            warnings.simplefilter("ignore", ResourceWarning)  # what Python does by default; nobody sees it
+            if given.kind in judges.JUDGES:
+                note = judges.JUDGES[given.kind](given, where)
+            else:
+                note = _JUDGES[given.kind](given, where / f"input{given.suffix}")
     except AccelsurfError as error:
         return _of_refusal(error)
     except Wrong as error:
@@ -92,70 +89,19 @@ def _of_refusal(error: AccelsurfError) -> Verdict:
     return Verdict("refused", error.message[:300])
 
 
-def _image(one: Input, path: Path) -> str:
-    volume = io.read(path, memory_bytes=MEMORY)
-    seen = independent.look(one.content, one.suffix, VALUES.tobytes())
-    geometry = volume.geometry
-    if volume.array.shape != geometry.shape or not all(0 < h < np.inf for h in geometry.spacing):
-        raise Wrong(f"shape {volume.array.shape}, grid {geometry}")
-    _check_boxes(path, volume)
-    if seen is None:
-        return "unverified"
-    values, spacing = seen
-    if values.shape != volume.array.shape:
-        raise Wrong(f"shape {volume.array.shape}, the file says {values.shape}")
-    if not _same(values, volume.array):
-        raise Wrong(f"values {volume.array.ravel()[:4]}, the file says {values.ravel()[:4]}")
-    if spacing is not None and not np.allclose(geometry.spacing[::-1], spacing, rtol=2e-3, atol=0):
-        raise Wrong(f"spacing {geometry.spacing[::-1]}, the file says {spacing}")
-    return "verified"
+def _image(given: Input, path: Path) -> str:
+    volume = io.read(path, memory_bytes=judges.MEMORY)
+    seen = independent.look(given.content, given.suffix, VALUES.tobytes())
+    judges.check_grid(volume)
+    judges.check_boxes(path, volume)
+    return judges.check_look(volume, seen)
 
 
-def _check_boxes(path: Path, volume: Volume) -> None:
-    """Compare an image with itself when it is read box by box, where its format can be."""
-    try:
-        lazy = io.open_volume(path)
-    except AccelsurfError as error:
-        if "is packed or" in error.message or "are packed" in error.message or "colour" in error.message:
-            return
-        raise Wrong(f"read as a whole, but box by box: {error.message[:200]}") from error
-    found = lazy.read(tuple(slice(0, n) for n in lazy.shape))
-    if lazy.geometry.difference(volume.geometry) or found.dtype != volume.array.dtype:
-        raise Wrong(f"read as {volume.array.dtype} on {volume.geometry}, box by box {lazy}")
-    if not np.array_equal(found, volume.array, equal_nan=found.dtype.kind == "f"):
-        raise Wrong("other values are read box by box")
-
-
-def _zarr(one: Input, path: Path) -> str:
-    """One file of a store is the input, the others are good."""
-    store = path.parent / "a.ome.zarr"
-    if store.exists():
-        shutil.rmtree(store)
-    io.write(ZARR_VOLUME, store)
-    name = one.suffix.removeprefix("@").replace("-", "/")
-    (store / name).write_bytes(one.content)
-    volume = io.read(store, memory_bytes=MEMORY)
-    _check_boxes(store, volume)
-    if name.endswith("0/0/0") and not np.array_equal(volume.array, ZARR_VOLUME.array):
-        raise Wrong("a damaged chunk was read")
-    return ""
-
-
-def _same(expected: np.ndarray, found: np.ndarray) -> bool:
-    if expected.dtype.kind != "f" and found.dtype.kind != "f":
-        return np.array_equal(expected, found)
-    with np.errstate(all="ignore"):
-        a, b = expected.astype(np.float64), found.astype(np.float64)
-        a = np.where(np.abs(a) > np.finfo(np.float32).max, np.sign(a) * np.inf, a) if found.itemsize == 4 else a
-        near = np.isclose(a, b, rtol=1e-5, atol=1e-30 + 1e-6 * np.nanmax(np.abs(a[np.isfinite(a)]), initial=0.0))
-    return bool((near | (np.isnan(a) & np.isnan(b)) | (a == b)).all())
-
-
-def _channels(one: Input, path: Path) -> None:
+def _channels(given: Input, path: Path) -> None:
     channels.read(path)
 
 
-def _sequence(one: Input, path: Path) -> None:
+def _sequence(given: Input, path: Path) -> None:
     """Each of the ways in which a file of several channels, time points and levels is asked for."""
     every = [ReadOptions(), ReadOptions(spacing=(1.0, 2.0, 3.0))]
     if path.suffix == ".tif":
@@ -172,7 +118,7 @@ def _sequence(one: Input, path: Path) -> None:
             raise Wrong(f"shapes {[volume.array.shape for volume in found]}")
 
 
-def _mesh(one: Input, path: Path) -> None:
+def _mesh(given: Input, path: Path) -> None:
     points, triangles = meshes.read(path)
     if not np.isfinite(points).all() or triangles.min() < 0 or triangles.max() >= len(points):
         raise Wrong(f"{len(points)} points, triangles {triangles.min()} to {triangles.max()}")
@@ -183,36 +129,36 @@ def _volume() -> Volume:
     return Volume.from_array(VALUES.astype(np.float32))
 
 
-def _text(one: Input) -> str:
-    return one.content.decode("utf-8", "surrogateescape")
+def _text(given: Input) -> str:
+    return given.content.decode("utf-8", "surrogateescape")
 
 
-def _energy(one: Input, path: Path) -> None:
-    RunConfig(energy=_text(one))
-    energy_expression.parse(_text(one))
+def _energy(given: Input, path: Path) -> None:
+    RunConfig(energy=_text(given))
+    energy_expression.parse(_text(given))
 
 
-def _start(one: Input, path: Path) -> None:
-    psi = starts.build([_text(one)], _volume())
+def _start(given: Input, path: Path) -> None:
+    psi = starts.build([_text(given)], _volume())
     if not np.isfinite(psi).all():
         raise Wrong("psi is not finite")
 
 
-def _edit(one: Input, path: Path) -> None:
-    edits.edits_of([_text(one)])
-    RunConfig(edit=[_text(one)])
+def _edit(given: Input, path: Path) -> None:
+    edits.edits_of([_text(given)])
+    RunConfig(edit=[_text(given)])
 
 
-def _toml(one: Input, path: Path) -> None:
+def _toml(given: Input, path: Path) -> None:
     config = RunConfig.from_toml(path)
     path.write_text(config.to_toml(), encoding="utf-8")
     if RunConfig.from_toml(path) != config:
         raise Wrong("the configuration is not the one written")
 
 
-def _argv(one: Input, path: Path) -> None:
+def _argv(given: Input, path: Path) -> None:
     """Options of a run as the command line has them."""
-    words = _text(one).split("\n")
+    words = _text(given).split("\n")
     given: dict[str, Any] = {}
     for word, value in zip(words[::2], words[1::2], strict=False):
         key = word.removeprefix("--").replace("-", "_")
@@ -222,18 +168,18 @@ def _argv(one: Input, path: Path) -> None:
     run_config(Settings(**given))
 
 
-def _table(one: Input, path: Path) -> None:
+def _table(given: Input, path: Path) -> None:
     for start in object_starts.read(str(path), _volume().geometry, 2):
         if not np.isfinite(start.psi).all():
             raise Wrong(f"psi of object {start.id} is not finite")
 
 
-def _run(one: Input, path: Path) -> None:
+def _run(given: Input, path: Path) -> None:
     """A run of three steps with settings and values as they are written."""
     from accelsurf import segment
 
     try:
-        table = json.loads(_text(one))
+        table = json.loads(_text(given))
         values = {key: str(value) for key, value in table["values"].items()}
         settings = {str(key): str(value) for key, value in table["settings"].items()}
         numbers = [float(values.get(key, "0")) for key in ("scale", "offset", "voxel", "spacing")]
@@ -249,29 +195,25 @@ def _run(one: Input, path: Path) -> None:
         raise Wrong("psi is not finite")
 
 
-def _checkpoint(one: Input, path: Path) -> None:
-    from_bytes(one.content, CHECKPOINT_TYPES)
+def _checkpoint(given: Input, path: Path) -> None:
+    from_bytes(given.content, CHECKPOINT_TYPES)
 
 
-def _report(one: Input, path: Path) -> None:
-    from accelsurf.viewer.frontends.movie_file import run_of_folder
-
-    result_sets.is_failure_report(path)
-    os.replace(path, path.with_name("a_report.json"))
-    run_of_folder(path.parent)
-
-
-def _crash(one: Input, path: Path) -> None:
+def _crash(given: Input, path: Path) -> None:
     """What the watching processes are tested with."""
     os.abort()
 
 
-def _sleep(one: Input, path: Path) -> None:
+def _sleep(given: Input, path: Path) -> None:
     time.sleep(60)
 
 
+def _reserve(given: Input, path: Path) -> None:
+    np.zeros(5 << 26, np.float64)  # 2.5 GiB, of which nothing is used
+
+
 _JUDGES = {
-    **{"crash": _crash, "sleep": _sleep, "zarr": _zarr, "sequence": _sequence},
+    **{"crash": _crash, "sleep": _sleep, "reserve": _reserve, "sequence": _sequence},
     **{"image": _image, "channels": _channels, "mesh": _mesh, "energy": _energy, "start": _start, "edit": _edit},
-    **{"toml": _toml, "argv": _argv, "table": _table, "run": _run, "checkpoint": _checkpoint, "report": _report},
+    **{"toml": _toml, "argv": _argv, "table": _table, "run": _run, "checkpoint": _checkpoint},
 }

@@ -1,5 +1,7 @@
 """Processes that judge inputs: each lives on from input to input, is watched, and is replaced when it dies or hangs."""
 
+import contextlib
+import importlib
 import multiprocessing as mp
 import os
 import resource
@@ -13,12 +15,22 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.fuzz.corpus import Input, input_of, seeds
+from tests.fuzz.corpus import input_of, seeds
+from tests.fuzz.inputs import Input
 from tests.fuzz.verdict import Verdict, judge
 
-SECONDS, RSS_BYTES = 10.0, 1 << 30
-#: What a process may map; well above what it may use, so that the machine survives what is being looked for.
-ADDRESS_BYTES = 6 << 30
+#: Seconds for an input, and what a process may have of memory at the most.
+SECONDS, RSS_BYTES = 20.0, 1 << 30
+#: What a process may map (RLIMIT_AS) beyond what the libraries map when they are imported.
+ADDRESS_BYTES = 2 << 30
+#: Libraries that readers import when they need them.
+LIBRARIES = (
+    *("SimpleITK", "nibabel", "tifffile", "zarr", "numcodecs", "pydicom", "highdicom", "trimesh", "lxml.etree", "PIL"),
+    *("PIL.Image", "scipy.ndimage", "scipy.spatial", "numba", "skimage.measure", "fast_simplification"),
+    *("accelsurf.segmentation.api", "accelsurf.tracking.track", "accelsurf.viewer.frontends.movie_file"),
+)
+#: Kinds whose judging compiles kernels, which takes longer than an input may.
+COMPILED = frozenset({"run", "state", "checkpoint-file"})
 
 
 class Judged(NamedTuple):
@@ -29,9 +41,33 @@ class Judged(NamedTuple):
     seconds: float
 
 
-def _work(pipe: Connection, seed: int, replays: tuple[Input, ...]) -> None:
+class Limits(NamedTuple):
+    """Of one process: seconds for an input, and bytes that it may map beyond what its libraries do."""
+
+    seconds: float = SECONDS
+    address_bytes: int = ADDRESS_BYTES
+
+
+LIMITS = Limits()
+
+
+def mapped_bytes() -> int:
+    """Bytes that this process maps."""
+    return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+
+
+def _limit(beyond: int) -> None:
+    """Import what readers import, and limit what is mapped from here on."""
+    for name in LIBRARIES:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(name)
+    limit = mapped_bytes() + beyond
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+
+
+def _work(pipe: Connection, seed: int, inputs: tuple[Input, ...], is_replay: bool, address_bytes: int) -> None:
     """Judge inputs as their numbers come in; of replays the number is a place in the list."""
-    resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_BYTES, ADDRESS_BYTES))
+    _limit(address_bytes)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with tempfile.TemporaryDirectory() as base, tempfile.TemporaryFile() as said:
         for stream in (1, 2):  # libraries in C print there
@@ -42,8 +78,8 @@ def _work(pipe: Connection, seed: int, replays: tuple[Input, ...]) -> None:
                 return
             folder = Path(base) / "input"
             folder.mkdir()
-            one = replays[number] if replays else input_of(seed, number)
-            verdict = judge(one, folder)
+            given = inputs[number] if is_replay else input_of(seed, number, inputs)
+            verdict = judge(given, folder)
             shutil.rmtree(folder)
             sys.stderr.flush()
             if size := os.lseek(said.fileno(), 0, os.SEEK_END):
@@ -65,14 +101,16 @@ def _work(pipe: Connection, seed: int, replays: tuple[Input, ...]) -> None:
 class _Worker:
     """One process, its pipe, and the number that it is at."""
 
-    def __init__(self, context: mp.context.BaseContext, seed: int, replays: tuple[Input, ...], seconds: float) -> None:
-        self._seconds = seconds
-        self._make = lambda: self._started(context, seed, replays)
+    def __init__(
+        self, context: mp.context.BaseContext, seed: int, inputs: tuple[Input, ...], is_replay: bool, limits: Limits
+    ) -> None:
+        self._seconds = limits.seconds
+        self._make = lambda: self._started(context, (seed, inputs, is_replay, limits.address_bytes))
         self._make()
 
-    def _started(self, context: mp.context.BaseContext, seed: int, replays: tuple[Input, ...]) -> None:
+    def _started(self, context: mp.context.BaseContext, arguments: tuple) -> None:
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_work, args=(theirs, seed, replays), daemon=True)
+        self.process = context.Process(target=_work, args=(theirs, *arguments), daemon=True)
         self.process.start()
         theirs.close()
         self.number, self.began = -1, 0.0
@@ -106,18 +144,18 @@ class _Worker:
         self.process.join()
 
 
-def warm_up() -> None:
-    """Judge the valid inputs once, in a process of its own without a limit: kernels are compiled and stored then."""
-    process = mp.get_context("spawn").Process(target=_warm)
+def warm_up(inputs: tuple[Input, ...]) -> None:
+    """Judge the valid runs once, in a process of its own without a limit: kernels are compiled and stored then."""
+    process = mp.get_context("spawn").Process(target=_warm, args=(inputs,))
     process.start()
     process.join()
 
 
-def _warm() -> None:
-    for one in seeds():
-        if one.kind == "run":
+def _warm(inputs: tuple[Input, ...]) -> None:
+    for given in inputs:
+        if given.kind in COMPILED:
             with tempfile.TemporaryDirectory() as folder:
-                judge(one, Path(folder))
+                judge(given, Path(folder))
 
 
 def judged(
@@ -125,13 +163,27 @@ def judged(
     seed: int,
     processes: int,
     go_on: Callable[[], bool],
-    replays: tuple[Input, ...] = (),
-    seconds: float = SECONDS,
+    inputs: tuple[Input, ...] = (),
+    is_replay: bool = False,
+    limits: Limits = LIMITS,
 ) -> Iterator[Judged]:
-    """Judge the inputs of these numbers, in whatever order they are done."""
+    """Judge the inputs of these numbers, in whatever order they are done.
+
+    Parameters
+    ----------
+    numbers : iterator of int
+    seed, processes : int
+    go_on : callable
+        Whether another input is to be judged.
+    inputs : tuple of Input, optional
+        The valid ones to mutate, by default all; or with ``is_replay`` those to judge as they are, by their places.
+    is_replay : bool, optional
+    limits : Limits, optional
+    """
     context = mp.get_context("forkserver")
-    context.set_forkserver_preload(["tests.fuzz.verdict", "tests.fuzz.corpus"])
-    workers = [_Worker(context, seed, replays, seconds) for _ in range(processes)]
+    context.set_forkserver_preload(["tests.fuzz.verdict", "tests.fuzz.corpus", *LIBRARIES])
+    inputs = inputs or seeds()
+    workers = [_Worker(context, seed, inputs, is_replay, limits) for _ in range(processes)]
     busy: list[_Worker] = []
     try:
         for worker in workers:
