@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.descent import DescentWithMemory, descent_plan
+from accelsurf.flows.descent import Descent, descent_plan, stable_dt
 from accelsurf.flows.protocol import StepInput, StepLimits, StepPlan
-from accelsurf.flows.step_limits import curvature_bound, voxel_rates
+from accelsurf.flows.step_limits import voxel_rates
 from accelsurf.levelset import LevelSet
 
 
-class HeavyBall(DescentWithMemory):
+class HeavyBall(Descent):
     """Step s_n = (1 - omega) dt f + omega s_(n-1), redistanced after each (Andersson, Läthén, Lenz, Borga 2013).
 
     The last step is a field on the surface, extended along normals as all fields are. There is no mass, no time
@@ -46,9 +46,8 @@ class HeavyBall(DescentWithMemory):
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
         """Step with the bounds of plain descent; a step beyond the limit is clipped before it becomes the last one."""
         force = np.asarray(now.force, np.float32)
-        dt = cfl_dt = self.cfl_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
-        if now.alpha > 0:
-            dt = min(dt, curvature_bound(now.surface) / now.alpha)
+        cfl_dt = self.cfl_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
+        dt = min(stable_dt(now, cfl_dt), limits.dt_max)
         if not math.isfinite(dt):
             return StepPlan.none(now.surface)
         speed = np.float32(1.0 - self.blend) * force + np.float32(self.blend / dt) * self._last

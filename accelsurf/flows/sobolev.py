@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from accelsurf.flows.descent import DescentWithMemory, descent_plan
+from accelsurf.flows.descent import Descent, descent_plan
 from accelsurf.flows.protocol import StepInput, StepLimits, StepPlan
 from accelsurf.flows.step_limits import voxel_rates
 from accelsurf.kernels import tube
@@ -21,7 +21,7 @@ TOLERANCE = 1e-3
 MAX_ITERATIONS = 200
 
 
-class Sobolev(DescentWithMemory):
+class Sobolev(Descent):
     """psi_t = g |grad psi| with (1 - ell^2 Lap_S) g = f: descent in the H1 metric of the surface.
 
     On a sphere of radius r a spherical harmonic of degree l comes out divided by 1 + ell^2 l (l + 1)/r^2. The step
@@ -40,18 +40,17 @@ class Sobolev(DescentWithMemory):
         self.length = length
 
     def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
-        """Step with beta = g, dt <= cfl/|g|."""
+        """Step with beta = g, dt <= cfl/|g|, and `resting_dt`."""
         surface = now.surface
         length = LENGTH * surface.smallest_spacing if self.length is None else self.length
         speed = h1_gradient(surface, now.force, length, self._last)
         inner = surface.front(1.0)
         surface.extend_outwards(speed, inner)
-        dt = self.cfl_dt(voxel_rates(surface, inner, speed)[inner], surface, limits)
+        cfl_dt = self.cfl_dt(voxel_rates(surface, inner, speed)[inner], surface, limits)
+        dt = self.resting_dt(now, speed, min(cfl_dt, limits.dt_max))
         if not math.isfinite(dt):
             return StepPlan.none(surface)
-        move = descent_plan(now, speed, dt, limits, dt)
-        self._last = move.speed
-        return move
+        return self.remember(descent_plan(now, speed, dt, limits, cfl_dt))
 
 
 def h1_gradient(surface: LevelSet, force: np.ndarray, length: float, guess: np.ndarray) -> np.ndarray:
