@@ -1,4 +1,4 @@
-"""Does redistancing move what is thin? Slabs, cylinders and balls at rest and on the move, in ten orientations.
+"""Does redistancing move what is thin? Slabs, cylinders and balls at rest and on the move, in eleven orientations.
 
 Each case starts from the exact distance at the voxel centres. The displacement is free of the measure's own bias: at
 every grid edge that the exact surface crosses, the error of psi, which is a distance, at the edge's two ends is
@@ -9,6 +9,7 @@ from the border, which slabs and cylinders cross.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -24,19 +25,26 @@ UNIT = (1.0, 1.0, 1.0)
 #: Normals of the slabs and axes of the cylinders, z y x: along axes, faces' and space diagonals, and oblique.
 DIRECTIONS = np.array([
     (1, 0, 0), (0, 0, 1), (0, 1, 1), (1, 1, 0), (1, 1, 1), (1, 2, 0), (1, 2, 3), (3, 1, 1), (0.31, 0.74, 0.6),
-    (0.9, 0.2, -0.39),
+    (0.9, 0.2, -0.39), (3, 1, 0),
 ])
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1)[:, None]
 #: Where the centre lies between voxel centres, of each orientation.
 OFFSETS = np.array([
     (0, 0, 0), (0.5, 0.5, 0.5), (0.25, 0.4, 0.1), (0.37, 0.11, 0.72), (0.13, 0.81, 0.46), (0.5, 0, 0.25),
     (0.05, 0.6, 0.33), (0.71, 0.29, 0.9), (0.62, 0.18, 0.47), (0.33, 0.33, 0.8),
+    (0.5, 0.17, 0.29),
 ])
-#: Widths of slabs and radii of cylinders and balls, mm, for spacing (1, 1, 1) and (2, 1, 1).
+#: Widths of slabs and radii of cylinders and balls, mm, by spacing. With unequal spacings slabs are from 1.5 voxels of
+#: the coarsest axis on.
 SIZES = {
     UNIT: {"slab": (1.5, 2.0, 3.0), "cylinder": (1.0, 1.5, 2.0, 3.0), "ball": (2.5, 4.0, 8.0)},
-    (2.0, 1.0, 1.0): {"slab": (3.0, 4.0), "cylinder": (2.0, 3.0), "ball": (3.0, 5.0)},
+    (2.0, 1.0, 1.0): {"slab": (3.0, 3.5, 4.0), "cylinder": (2.0, 3.0), "ball": (3.0, 5.0)},
+    (1.0, 3.0, 1.0): {"slab": (4.5, 6.0), "cylinder": (3.0, 4.5), "ball": (4.5,)},
+    (3.0, 1.5, 1.0): {"slab": (4.5, 6.0), "cylinder": (3.0,), "ball": (4.5,)},
+    (4.0, 1.0, 1.0): {"slab": (6.0, 8.0), "cylinder": (4.0,), "ball": (6.0,)},
 }
+#: Spacings of what moves.
+CARRIED = UNIT, (2.0, 1.0, 1.0), (3.0, 1.5, 1.0)
 
 
 def main() -> None:
@@ -51,11 +59,11 @@ def main() -> None:
                 for sign in (1, -1):
                     found = [rested(kind, size, k, spacing, sign, options.count) for k in range(len(DIRECTIONS))]
                     rows.append(row("at rest", kind, size, spacing, found, sign=sign))
-    for step in (0.05, 0.2):
+    for step, spacing in itertools.product((0.05, 0.2), CARRIED):
         for kind in ("slab", "cylinder"):
-            for size in SIZES[UNIT][kind]:
-                found = [carried(kind, size, k, step, options.count) for k in range(len(DIRECTIONS))]
-                rows.append(row(f"velocity, {step:g} voxel a step", kind, size, UNIT, found))
+            for size in SIZES[spacing][kind]:
+                found = [carried(kind, size, k, step, options.count, spacing) for k in range(len(DIRECTIONS))]
+                rows.append(row(f"velocity, {step:g} voxel a step", kind, size, spacing, found))
     for first, last in ((3.0, 1.0), (1.0, 3.0)):
         found = [resized(first, last, k, options.count) for k in range(len(DIRECTIONS))]
         rows.append(row(f"speed, radius from {first:g} to {last:g}", "cylinder", last, UNIT, found))
@@ -78,7 +86,7 @@ def row(
         "means": [round(mean, 4) for mean in means],
     }
     print(
-        f"{case:26s} {kind:9s}{size:5.1f} spacing {spacing[0]:g} {'gap' if sign < 0 else '   '} mean "
+        f"{case:26s} {kind:9s}{size:5.1f} spacing {' '.join(f'{h:g}' for h in spacing):7s} {'gap' if sign < 0 else '   '} mean "
         f"{min(means):+.3f} .. {max(means):+.3f}, largest {out['largest']:.3f}", flush=True,
     )
     return out
@@ -132,17 +140,19 @@ def rested(
     return displacement(exact, sign * surface.psi, spacing, 2 if kind == "ball" else MARGIN)
 
 
-def carried(kind: str, size: float, number: int, step: float, count: int) -> tuple[Floats, int]:
+def carried(
+    kind: str, size: float, number: int, step: float, count: int, spacing: tuple[float, ...] = UNIT
+) -> tuple[Floats, int]:
     """`displacement` after ``count`` steps of ``step`` mm under a constant velocity, across the object."""
     direction = DIRECTIONS[number]
     velocity = direction if kind == "slab" else np.cross(direction, (0.48, 0.6, 0.64))
     velocity = velocity / np.linalg.norm(velocity)
     way = 0.5 * count * step * velocity
-    surface = LevelSet(exact_distance(kind, size, number, shift=-way), UNIT)
+    surface = LevelSet(exact_distance(kind, size, number, spacing, -way), spacing)
     for _ in range(count):
         surface.advect(np.tile(np.float32(velocity), (surface.size, 1)), step)
         surface.redistance()
-    return displacement(exact_distance(kind, size, number, shift=way), surface.psi, UNIT, MARGIN)
+    return displacement(exact_distance(kind, size, number, spacing, way), surface.psi, spacing, MARGIN)
 
 
 def resized(first: float, last: float, number: int, count: int) -> tuple[Floats, int]:

@@ -11,8 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.grid import unravel
+from accelsurf.kernels.grid import BATCH, unravel
 from accelsurf.kernels.interpolate import value_and_gradient
+from accelsurf.kernels.limited import LEVELS, enter_point, four_nodes, limited_in_vectors, limited_memory
 from accelsurf.kernels.simd.cubic import cubic_value
 from accelsurf.kernels.stages import Stage
 
@@ -22,6 +23,10 @@ MIN_RESIDUE = 3e-4
 #: Largest residue, voxels. What is more counts less, and nothing from twice as much on: large residues are of noise, or
 #: of points that are not on the surface any more.
 MAX_RESIDUE = 0.1
+#: With unequal spacings a voxel is as large as it is across the surface where the limited interpolant is within this
+#: part of it from 0: it errs by less where both sides of a sheet of 1.5 voxels are among its nodes. Elsewhere a voxel
+#: is as large as along the finest axis.
+MAX_LIMITED = 0.05
 #: Distance from the surface, voxels, within which cells have a residue of their own. Others have that of the cell
 #: nearest their foot: their feet then lie on the same surface as those beside it.
 OWN_RESIDUE = 1.0
@@ -80,6 +85,21 @@ def is_at_surface(psi, grid, pz, py, px):
     return 0 < inside < 8
 
 
+@kernel
+def largest_residue(psi, grid, point, memory):
+    """Largest residue (mm) that counts in full at an index position ``point`` z, y, x, see `MAX_LIMITED`.
+
+    ``memory`` = (first (`BATCH`,) int64, `limited_memory`).
+    """
+    first, lines = memory
+    first[0] = enter_point(np.uint64(0), grid, *point, lines)
+    limited_in_vectors(1, psi, grid, first, lines)
+    level, gz, gy, gx = four_nodes(lines, LEVELS)
+    z, y, x = grid.hz * gz, grid.hy * gy, grid.hx * gx
+    voxel = np.sqrt((z * z + y * y + x * x) / max(gz * gz + gy * gy + gx * gx, 1e-30))
+    return MAX_RESIDUE * (voxel if abs(level) <= MAX_LIMITED * voxel else min(grid.hz, min(grid.hy, grid.hx)))
+
+
 @kernel(stage=Stage.CLOSEST_POINTS)
 def own_residues(start, stop, psi, grid, band, motion, out):
     """Residue (mm) of every cell within `OWN_RESIDUE`; 0 elsewhere, and beside no surface.
@@ -91,6 +111,8 @@ def own_residues(start, stop, psi, grid, band, motion, out):
     w = np.empty(24)
     h = min(grid.hz, min(grid.hy, grid.hx))
     least, most = MIN_RESIDUE * h, MAX_RESIDUE * h
+    equal = grid.hz == grid.hy == grid.hx
+    lines, first = limited_memory(grid), np.zeros(BATCH, np.int64)
     furthest = 1.01 * OWN_RESIDUE * max(grid.hz, max(grid.hy, grid.hx))
     sy, sz = grid.nx, grid.ny * grid.nx
     for s in range(np.uint64(start), np.uint64(stop)):
@@ -107,7 +129,10 @@ def own_residues(start, stop, psi, grid, band, motion, out):
             value = cubic_value(psi, at, sy, sz, np.float32(pz - bz), np.float32(py - by), np.float32(px - bx))
         else:
             value, _, _, _ = value_and_gradient(psi, grid, pz, py, px, w)
-        size = min(abs(value) - least, 2.0 * most - abs(value))
+        size = abs(value) - least
+        if size > most:
+            largest = most if equal else largest_residue(psi, grid, (pz, py, px), (first, lines))
+            size = min(size, 2.0 * largest - abs(value))
         if size > 0.0 and is_at_surface(psi, grid, pz, py, px):
             residue[s] = size if value > 0.0 else -size
 

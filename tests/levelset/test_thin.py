@@ -27,6 +27,32 @@ def test_thin_objects_and_gaps_stay_where_they_are(kind, size, sign):
         assert flipped == 0
 
 
+def drawn_sheet(seed, ratio):
+    """Exact distance of a sheet of 1.5 to 2 voxels along or nearly along the coarsest axis, and the spacing."""
+    draw = np.random.default_rng([seed, int(2 * ratio)])
+    spacing = draw.permutation([ratio, draw.uniform(1, ratio) if draw.random() < 0.5 else 1.0, 1.0])
+    normal = np.where(spacing == ratio, 1.0, draw.uniform(-0.5, 0.5, 3) * draw.integers(0, 2))
+    at = lattice((28, 28, 28), tuple(spacing), draw.random(3))
+    across = np.tensordot(normal / np.linalg.norm(normal), at, 1)
+    return np.float32(np.abs(across) - 0.5 * draw.uniform(1.5, 2) * ratio), tuple(map(float, spacing))
+
+
+@pytest.mark.parametrize("ratio", [1.5, 2, 3, 4])
+def test_thin_sheets_across_thick_slices_stay_where_they_are(ratio):
+    """Voxels of the coarsest axis, of which sheets of 1.5 grew by up to 0.6."""
+    for seed in range(6):
+        exact, spacing = drawn_sheet(seed, ratio)
+        sign = 1 if seed % 2 else -1
+        surface = LevelSet(sign * exact, spacing)
+        for _ in range(30):
+            surface.redistance()
+        moved, flipped = displacement(exact, sign * surface.psi, spacing, 8)
+        moved *= min(spacing) / ratio
+        assert abs(moved.mean()) < 0.03
+        assert np.abs(moved).max() < 0.08
+        assert flipped == 0
+
+
 @pytest.mark.parametrize(("size", "most"), [(2.5, 0.03), (4, 0.02), (8, 0.01)])
 def test_balls_stay_where_they_are(size, most):
     for number in (1, 4):
