@@ -1,7 +1,6 @@
 """A label map in the ``labels`` group of its image, an OME-Zarr 0.5. The image itself is never touched.
 
-The label map is complete under a hidden name before it gets its own, and the group's list names it last: a reader never
-finds a name without its label map.
+Label map and list of the group are one set of files, the list last: a reader never finds a name without its label map.
 """
 
 from __future__ import annotations
@@ -9,13 +8,13 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.volume import Volume
+from accelsurf.io.file_set import opened, refuse_links
 from accelsurf.io.files import write_bytes
 from accelsurf.io.formats import ome_zarr
 from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
@@ -63,6 +62,7 @@ def check(image: Path, name: str, overwrite: bool) -> Path:
         )
     group = header.folder / _GROUP
     check_within_store(image, group)
+    refuse_links(group)
     if not os.access(group if group.is_dir() else header.folder, os.W_OK):
         raise OutputError(f"{group}: cannot be written to", "may the store be written to?")
     if (group / name).exists() and not overwrite:
@@ -92,31 +92,26 @@ def put(image: Path, labels: Volume, name: str, overwrite: bool) -> Path:
     """
     check(image, name, overwrite)
     group = ome_zarr.parse(image).folder / _GROUP
-    draft, old = group / f".{name}.accelsurf", group / f".{name}.old.accelsurf"
     try:
         group.mkdir(exist_ok=True)
-        for path in (draft, old):
-            shutil.rmtree(path, ignore_errors=True)
-        pyramid = ZarrPyramid(draft, labels.geometry, labels.array.dtype, labels.metadata, name, True, "../../")
-        for first in range(0, labels.array.shape[0], CHUNK):
-            box = (slice(first, min(first + CHUNK, labels.array.shape[0])), *whole_box(labels.array.shape)[1:])
-            pyramid.write(box, labels.array[box])
-        pyramid.finish()
-        if (group / name).exists():
-            (group / name).rename(old)
-        draft.rename(group / name)
-        shutil.rmtree(old, ignore_errors=True)
-        _list(group, name)
+        with opened(group, name) as files:
+            pyramid = ZarrPyramid(
+                files.drafts / name, labels.geometry, labels.array.dtype, labels.metadata, name, True, "../../"
+            )
+            for first in range(0, labels.array.shape[0], CHUNK):
+                box = (slice(first, min(first + CHUNK, labels.array.shape[0])), *whole_box(labels.array.shape)[1:])
+                pyramid.write(box, labels.array[box])
+            pyramid.finish()
+            write_bytes(files.drafts / _MARK, _listing(group / _MARK, name))
+            files.commit(last=_MARK)
     except OSError as error:
-        shutil.rmtree(draft, ignore_errors=True)
         reason = error.strerror or str(error)
         raise OutputError(f"{group / name}: cannot be written ({reason})", "is there space on the disk?") from error
     return group / name
 
 
-def _list(group: Path, name: str) -> None:
-    """Name a label map in the list of its group."""
-    mark = group / _MARK
+def _listing(mark: Path, name: str) -> bytes:
+    """The list of a group with a label map in it."""
     node: dict[str, Any] = {"zarr_format": 3, "node_type": "group", "attributes": {}}
     if mark.is_file():
         try:
@@ -124,6 +119,6 @@ def _list(group: Path, name: str) -> None:
         except ValueError as error:
             raise OutputError(f"{mark}: is damaged", "repair the store") from error
     ome = node.setdefault("attributes", {}).setdefault("ome", {"version": _VERSION})
-    known = [one for one in ome.get("labels", []) if isinstance(one, str)]
+    known = [known for known in ome.get("labels", []) if isinstance(known, str)]
     ome["labels"] = known if name in known else [*known, name]
-    write_bytes(mark, (json.dumps(node, indent=2) + "\n").encode())
+    return (json.dumps(node, indent=2) + "\n").encode()
