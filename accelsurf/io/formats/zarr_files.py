@@ -20,6 +20,7 @@ from accelsurf.errors import InputError
 from accelsurf.io.chunk_cache import ChunkCache
 from accelsurf.io.formats.zarr_codecs import ChunkFormat, format_of, format_of_v2
 from accelsurf.io.headers import check_within_store, is_outside_data_allowed, outside_data_allowed
+from accelsurf.settings import budgets
 
 #: In the attribute of accelsurf of a group: for each array that it wrote, the files of the chunks, as `runs_of`.
 STORED_KEY = "stored"
@@ -81,6 +82,7 @@ class ChunkFiles:
             raise InputError(f"shards with an index packed with {', '.join(index)[:80]} given", "write the array anew")
         self._index = format_of((*parts, 2), np.dtype("u8"), sharding["index_codecs"])
         self._index_bytes = self._index.value_bytes + 4 * (len(index) - 1)
+        budgets.ZARR_CHUNK.check(self._index_bytes, "the index of a shard of the Zarr")
         self._checked, self._at_start = len(index) > 1, sharding["index_location"] == "start"
         return format_of(array.chunks, dtype, sharding["codecs"])
 
