@@ -22,6 +22,8 @@ from accelsurf.io.grey import to_grey
 
 _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
 _COLOURS = 3
+#: Markers of the frame headers of JPEG and JPEG-LS.
+_FRAME_HEADERS = {*range(0xC0, 0xD0), 0xF7} - {0xC4, 0xC8, 0xCC}
 #: What a packed image ends with, in all kinds of JPEG, and how many bytes may follow it.
 _END_OF_IMAGE, _TAIL = b"\xff\xd9", 1024
 
@@ -91,10 +93,24 @@ def read_values(frames: Sequence[Frame]) -> tuple[NDArray[Any], str]:
                 raise InputError(f"{path.name}: {stored.shape} pixels, {out.shape[1:]} announced", "copy it again")
             if frame.padding is not None and padding is not None and array.ndim == 2:
                 padding[place] = (stored >= frame.padding[0]) & (stored <= frame.padding[1])
-            out[place] = _scaled(stored, dataset, frame)
+            values = _scaled(stored, dataset, frame)
+            _check_fits(values, dtype, frame)
+            out[place] = values
     if padding is not None and padding.any():
         notes[_fill(out, padding, any(frame.pixel[4] == "MONOCHROME1" for frame in frames))] = None
     return _narrowed(out), "; ".join(notes)
+
+
+def _check_fits(values: NDArray[Any], dtype: np.dtype[Any], frame: Frame) -> None:
+    """Refuse values that the type does not hold, which follows from the bits that are announced."""
+    if dtype.kind not in "iu":
+        return
+    low, high, known = values.min(), values.max(), np.iinfo(dtype)
+    if low < known.min or high > known.max:
+        raise InputError(
+            f"{frame.path.name}: values of {low:g} to {high:g}, {frame.pixel[0]} bits announced",
+            "the header is damaged",
+        )
 
 
 def _scaled(stored: NDArray[Any], dataset: Any, frame: Frame) -> NDArray[Any]:
@@ -201,6 +217,7 @@ def _by_itk(dataset: Any, frame: Frame) -> NDArray[Any]:
     packed = pydicom.encaps.get_frame(dataset.PixelData, frame.number, number_of_frames=frame.frames)
     if _END_OF_IMAGE not in packed[-_TAIL:]:  # its decoders fill what is missing with grey
         raise InputError(f"{frame.path.name}: its packed pixels do not end; cut short?", "copy it again")
+    _check_packed(packed, frame, (int(dataset.Rows), int(dataset.Columns)))
     alone = pydicom.Dataset()
     for name in (
         "Rows", "Columns", "BitsAllocated", "BitsStored", "HighBit", "PixelRepresentation", "SamplesPerPixel",
@@ -221,6 +238,33 @@ def _by_itk(dataset: Any, frame: Frame) -> NDArray[Any]:
         except RuntimeError:  # of many lines
             what = f"{frame.path.name}: its pixels cannot be unpacked as {syntax.name}"
             raise InputError(what, "export it again") from None
+
+
+def _check_packed(packed: bytes, frame: Frame, size: tuple[int, int]) -> None:
+    """Refuse packed values that have more rows or bits than the header announces, or a sign: decoders cut them off."""
+    found = library("pydicom.pixels.utils").get_j2k_parameters(packed)  # empty for other kinds
+    bits, *packed_size = (found["precision"], *size) if found else _header_of_jpeg(packed)
+    if all(packed_size) and tuple(packed_size) != size:
+        text = " x ".join(map(str, packed_size[::-1]))
+        raise InputError(f"{frame.path.name}: {size[1]} x {size[0]} pixels announced, {text} packed", "export it again")
+    has_sign = bool(found.get("is_signed"))
+    stored, allocated, is_signed = frame.pixel[:3]
+    if bits > min(allocated, -(-stored // 8) * 8) or (has_sign and not is_signed):
+        raise InputError(
+            f"{frame.path.name}: {stored} bits {'with' if is_signed else 'without'} a sign announced, "
+            f"{bits} {'with' if has_sign else 'without'} one packed", "export it again",
+        )
+
+
+def _header_of_jpeg(packed: bytes) -> tuple[int, int, int]:
+    """Bits of a value, rows and columns as the frame header of a JPEG or JPEG-LS says them; 0 where it does not."""
+    place = 2
+    while place + 4 < len(packed) and packed[place] == 0xFF:
+        if packed[place + 1] in _FRAME_HEADERS:
+            sides = packed[place + 5 : place + 9]
+            return packed[place + 4], int.from_bytes(sides[:2], "big"), int.from_bytes(sides[2:], "big")
+        place += 2 + int.from_bytes(packed[place + 2 : place + 4], "big")
+    return 0, 0, 0
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import lzma
 import os
+import re
 import stat
 import zipfile
 import zlib
@@ -188,7 +189,10 @@ def _sorted_out(root: Path, paths: Iterable[DicomFile], nothing: str, is_archive
         raise InputError(nothing, "give the folder of the scan")
     suffixes = {_suffix(path) for path in found}
     suffixes |= {*SUFFIXES, ARCHIVE}
-    strays = tuple(path for path in others if _suffix(path) in suffixes)
+    # Slices without an ending have numbers in their names; README has none.
+    strays = tuple(
+        path for path in others if (suffix := _suffix(path)) in suffixes and (suffix or re.search("[0-9]", path.name))
+    )
     return SourceFiles(root, tuple(found), strays, is_archive)
 
 

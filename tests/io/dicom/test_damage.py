@@ -157,7 +157,7 @@ def test_a_damaged_file_of_another_series_is_named_and_no_more(tmp_path):
 
 def test_files_of_other_kinds_are_not_named(tmp_path):
     series, names, files = series_of(1)
-    found = io.read(write(tmp_path / "scan", {**files, "notes.txt": b"text", "a.json": b"{}"}))
+    found = io.read(write(tmp_path / "scan", {**files, "notes.txt": b"text", "README": b"text"}))
     assert "warning" not in found.metadata
 
 

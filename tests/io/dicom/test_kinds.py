@@ -1,8 +1,12 @@
 """What is stored in ways of its own: tables of values, padding, slices of nuclear medicine, tiles of microscopy."""
 
 import numpy as np
+import pydicom
 import pytest
+import SimpleITK as sitk
 from pydicom.dataset import Dataset
+from pydicom.encaps import encapsulate
+from pydicom.uid import JPEG2000Lossless, JPEGBaseline8Bit, JPEGLSLossless, RLELossless
 
 from accelsurf import cli, io
 from accelsurf.errors import InputError
@@ -146,6 +150,60 @@ def test_without_a_place_the_sign_still_says_the_way(tmp_path, step):
     for k in range(4):
         z = volume.geometry.world_to_index((0, 0, k * step))[0]
         np.testing.assert_array_equal(volume.array[round(z)], planes[k])
+
+
+def packed(kind, values, path):
+    """A slice of these values as JPEG 2000 or JPEG-LS."""
+    dataset = Series(rows=values.shape[0], columns=values.shape[1]).stacked(1).dataset(0)
+    if kind == "JPEG 2000":
+        writer = sitk.ImageFileWriter()
+        writer.SetFileName(str(path))
+        writer.SetImageIO("GDCMImageIO")
+        writer.UseCompressionOn()
+        writer.SetCompressor("JPEG2000")
+        writer.Execute(sitk.GetImageFromArray(values))
+        made = pydicom.dcmread(path)
+        content, dataset.file_meta.TransferSyntaxUID = made.PixelData, made.file_meta.TransferSyntaxUID
+    else:
+        content = encapsulate([bytes(pytest.importorskip("jpeg_ls").encode_array(values))])
+        dataset.file_meta.TransferSyntaxUID = JPEGLSLossless
+    dataset.PixelData = content
+    dataset["PixelData"].is_undefined_length = True
+    bits = 8 * values.dtype.itemsize
+    dataset.BitsAllocated = dataset.BitsStored = bits
+    dataset.HighBit, dataset.PixelRepresentation = bits - 1, int(values.dtype.kind == "i")
+    return dataset
+
+
+@pytest.mark.parametrize("kind", ["JPEG 2000", "JPEG-LS"])
+@pytest.mark.parametrize("sort", ["uint8", "uint16", "int16"])
+def test_packed_values_are_whole_or_refused(tmp_path, kind, sort):
+    """Bits and sign in the header, and the transfer syntax, against those of what is packed."""
+    if (kind, sort) == ("JPEG-LS", "int16"):
+        pytest.skip("it has no sign")
+    low, high = {"uint8": (0, 250), "uint16": (0, 3000), "int16": (-500, 3000)}[sort]
+    values = np.random.default_rng(7).integers(low, high, (20, 24)).astype(sort)
+    bits, read = 8 * values.dtype.itemsize, []
+    changes = [
+        {}, {"BitsStored": 8, "HighBit": 7}, {"BitsStored": min(12, bits), "HighBit": min(12, bits) - 1},
+        {"BitsAllocated": 24 - bits, "BitsStored": 24 - bits, "HighBit": 23 - bits}, {"Rows": 19}, {"Columns": 25},
+        {"Rows": 24, "Columns": 20},
+        # What was packed without a sign has the one of the header, by common practice.
+        *([{"PixelRepresentation": 1 - int(sort == "int16")}] if sort != "uint8" else []),
+        *({"syntax": syntax} for syntax in (JPEG2000Lossless, JPEGLSLossless, JPEGBaseline8Bit, RLELossless)),
+    ]
+    for number, change in enumerate(changes):
+        dataset = packed(kind, values, tmp_path / "packed.dcm")
+        for name, value in change.items():
+            setattr(*((dataset.file_meta, "TransferSyntaxUID") if name == "syntax" else (dataset, name)), value)
+        save(dataset, tmp_path / f"{number}" / "a.dcm")
+        try:
+            found = io.read(tmp_path / f"{number}")
+        except InputError:
+            continue
+        np.testing.assert_array_equal(found.array[0], values)
+        read.append(number)
+    assert read[0] == 0 and 2 in read and not {4, 5, 6} & set(read)
 
 
 @pytest.mark.parametrize("how", ["class", "modality", "tiled", "matrix"])

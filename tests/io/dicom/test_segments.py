@@ -249,7 +249,7 @@ def test_a_start_an_evaluation_a_mask_and_info(tmp_path, capsys):
     ("damage", "said"),
     [
         (lambda dataset: dataset.PerFrameFunctionalGroupsSequence[1].SegmentIdentificationSequence[0].__setattr__(
-            "ReferencedSegmentNumber", 8), "is of segment 8, dataset of 1, 2 expected"),
+            "ReferencedSegmentNumber", 8), "is of segment 8, one of 1, 2 expected"),
         (lambda dataset: delattr(dataset, "SegmentSequence"), "without segments"),
         (lambda dataset: setattr(dataset, "PixelData", dataset.PixelData[:-20]), "bytes of its pixels are there"),
         (lambda dataset: setattr(dataset, "NumberOfFrames", 3), "3 frames announced, 126 bytes"),
