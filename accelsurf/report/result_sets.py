@@ -50,7 +50,10 @@ def load_report(path: Path) -> dict[str, Any] | None:
         document = read_json(path)
     except InputError:
         return None
-    return document if isinstance(document, dict) and "status" in document and "outputs" in document else None
+    kinds = {"status": str, "outputs": list, "exit_code": int}
+    if not isinstance(document, dict) or not {"status", "outputs"} <= document.keys():
+        return None
+    return document if all(isinstance(document.get(key, kind()), kind) for key, kind in kinds.items()) else None
 
 
 def is_failure_report(path: Path) -> bool:

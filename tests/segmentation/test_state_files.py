@@ -9,11 +9,15 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
+from accelsurf.cli.place import Place
+from accelsurf.cli.resume import code_of_ended
 from accelsurf.errors import InputError
 from accelsurf.evolution import serialization
 from accelsurf.grid.volume import Volume
 from accelsurf.io import sha256
+from accelsurf.report import result_sets
 from accelsurf.segmentation import run_checkpoint, state_file
+from accelsurf.settings.run_config import RunConfig
 
 START = ("--start", "ball:8,8,7,3", "--threads", "1", "--seed", "1", "--quiet")
 
@@ -307,3 +311,26 @@ def test_refine_and_resume_say_it_in_one_line(change, scan, finished, checkpoint
     lines = capfd.readouterr().err.splitlines()
     assert [line.partition(":")[0] for line in lines] == ["error", "hint"]
     assert not Evil.ran
+
+
+@pytest.mark.parametrize("value", [None, 5, "a", [], [5], {}, {"path": 5}, [{"kind": "state"}], 10**30, float("nan")])
+def test_reports_that_somebody_has_changed_are_no_fault(value, scan, finished, tmp_path, capfd):
+    """A value of any kind in the place of each one of a report; no outputs mean that all are there."""
+    folder = tmp_path / "out"
+    folder.mkdir()
+    whole = json.loads((finished / "ball_report.json").read_text())
+    state = (finished / "ball_state.npz").read_bytes()
+    (folder / "ball_state.npz").write_bytes(state[:100])  # so that no correction begins
+    path, place = folder / "ball_report.json", Place(scan, folder, "ball", resume=True)
+    for key in [*whole, *(("input", inner) for inner in whole["input"])]:
+        report = json.loads(json.dumps(whole))
+        if isinstance(key, tuple):
+            report[key[0]][key[1]] = value
+        else:
+            report[key] = value
+        path.write_text(json.dumps(report))
+        assert run("refine", folder, "--inside", "point:8,8,7") == 3
+        assert code_of_ended(place, RunConfig(**whole["config"]), quiet=True) in (None, 0)
+        assert result_sets.is_failure_report(path) in (True, False)
+        assert isinstance(result_sets.outdated(folder, "ball", (), False), list)
+        capfd.readouterr()
