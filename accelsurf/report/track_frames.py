@@ -10,7 +10,6 @@ import json
 import os
 import re
 import shutil
-import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -140,8 +139,8 @@ class FrameStore:
         for number in self.numbers():
             try:
                 self.frame_row(number)
-            except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
-                self._path(number).unlink()  # damaged when the machine stopped: it is made again
+            except Exception:  # numpy and zipfile raise errors of many kinds about what is damaged
+                self._path(number).unlink()  # when the machine stopped: it is made again
 
     def numbers(self) -> list[int]:
         """The frames that are there, rising."""

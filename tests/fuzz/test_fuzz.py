@@ -206,3 +206,11 @@ def test_a_triangle_seen_edge_on_makes_no_warning(tmp_path):
     one = next(one for one in corpus.seeds() if one.suffix == ".ply" and one.mode == "text")
     moved = one.content.replace(b"0.69999999 0.69999999 0.69999999", b"0.69999999 0.69999999 -1", 1)
     assert verdict.judge(Input("mesh", ".ply", "text", moved), tmp_path).outcome in ("read", "refused")
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_damaged_frame_of_a_killed_tracking_is_made_again(tmp_path, seed):
+    """A member without the mark of numpy, or with a header that does not end, ended the tracking."""
+    given = first("store", "frames", "_000000.npz")
+    damaged = mutators._member(given.content, np.random.default_rng(seed), [given.content])
+    assert verdict.judge(given._replace(content=damaged), tmp_path).outcome == "read"
