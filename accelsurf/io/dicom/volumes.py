@@ -137,7 +137,7 @@ def counted(left: Iterable[LeftOut]) -> str:
     --------
     >>> scouts = [LeftOut(Path(name), name, "localizer") for name in ("a", "b")]
     >>> counted([*scouts, LeftOut(Path("c"), "c", "", "cut short")])
-    '2 localizers (a, b), 1 that cannot be read (c: cut short)'
+    '2 localizers (a, b), 1 file that cannot be read (c: cut short)'
     """
     kinds: dict[str, list[LeftOut]] = {}
     for file in left:
@@ -145,11 +145,11 @@ def counted(left: Iterable[LeftOut]) -> str:
     words = []
     for kind in sorted(kinds, key=lambda kind: (not kind, kind)):
         found, number = kinds[kind], len(kinds[kind])
-        noun, *rest = re.split("(?= without | of )", kind, maxsplit=1)
+        noun, *rest = re.split("(?= without | of | that )", kind or "file that cannot be read", maxsplit=1)
         words_of_kind = "".join([noun, "s" if number > 1 else "", *rest])
         names = [f"{left.name}: {left.reason}" if left.reason else left.name for left in found]
         more = f" and {number - _NAMED} more" if number > _NAMED else ""
-        words.append(f"{number} {words_of_kind if kind else 'that cannot be read'} ({', '.join(names[:_NAMED])}{more})")
+        words.append(f"{number} {words_of_kind} ({', '.join(names[:_NAMED])}{more})")
     return ", ".join(words)
 
 

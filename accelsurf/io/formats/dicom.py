@@ -30,6 +30,7 @@ from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 #: Series that a message lists.
 _LISTED = 6
+_DAMAGE_HINT = "copy the scan again"
 _SERIES_HINT = "give the folder of a CT, MR or PET series"
 
 __all__ = ["DicomHeader", "holds_dicom", "is_anatomical", "is_dicom", "listing", "parse", "read"]
@@ -173,9 +174,10 @@ def volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> Di
     volumes = contents.volumes
     if not volumes:
         kinds_found = {left.kind for left in contents.left_out}
+        hint = _DAMAGE_HINT if kinds_found == {""} else _SERIES_HINT
         raise InputError(
             f"no image of a volume is in it, but {counted(contents.left_out) or 'nothing'}",
-            next((hint for kind, hint in HINTS.items() if kind in kinds_found), _SERIES_HINT),
+            next((HINTS[kind] for kind in HINTS if kind in kinds_found), hint),
         )
     if options.series is not None:
         return _by_name(volumes, options.series)

@@ -172,5 +172,5 @@ def test_a_sequence_that_has_lost_a_slice(tmp_path):
     for z in range(3):  # all of the same time, so that no number differs
         content = (tmp_path / f"2{z}.dcm").read_bytes()
         (tmp_path / f"2{z}.dcm").write_bytes(content[:-8])
-    with pytest.raises(InputError, match="lost: 3 that cannot be read"):
+    with pytest.raises(InputError, match="lost: 3 files that cannot be read"):
         io.read_sequence(tmp_path)
