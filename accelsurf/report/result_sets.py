@@ -108,7 +108,8 @@ def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
     wanted = config.model_dump(mode="json")
     corrections = wanted.pop("refine")
     free = {*_WITHOUT_EFFECT, *(key for key in _OPEN if key not in config.model_fields_set)}
-    return (written.get("refine") or [])[: len(corrections)] == corrections and all(
+    refined = written.get("refine") or []
+    return isinstance(refined, list) and refined[: len(corrections)] == corrections and all(
         written.get(key, _default(key)) == value for key, value in wanted.items() if key not in free
     )
 
