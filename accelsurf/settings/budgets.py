@@ -115,7 +115,7 @@ MESH_UNPACKED = Budget(
     "packed arrays of a .vtp", 32, "bytes", "save the mesh uncompressed", "byte of the file (and 64 MiB)"
 )
 MESH_XML = Budget(
-    "the model of a 3MF, unpacked", 64, "bytes", "the file is damaged: export it again", "byte of the file (and 16 MiB)"
+    "the model of a 3MF, unpacked", 64, "bytes", "the file is damaged: export it again", "byte of the file (and 4 MiB)"
 )
 MESH_COPIES = Budget(
     "the points and triangles that a glTF builds, or that the items of a 3MF repeat", 1, "points and triangles",

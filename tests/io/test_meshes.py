@@ -113,6 +113,20 @@ def test_several_objects_in_one_obj_file(ball, voxels, tmp_path):
     np.testing.assert_array_equal(meshes.inside(tmp_path / "b.obj", GRID), voxels)
 
 
+@pytest.mark.parametrize("face", ["-4 -2 -3", "-4/1/1 -2/2/2 -3/3/3", "-4//1 -2//1 -3//1"])
+def test_numbers_of_an_obj_that_count_back(tmp_path, face):
+    """Two tetrahedra, each with its points before its faces; a negative number counts from where it stands."""
+    corners = [(0, 0, 0), (6, 0, 0), (0, 6, 0), (0, 0, 6)]
+    text = "mtllib nowhere.mtl\n"
+    for n, name in enumerate("ab"):
+        text += f"o {name}\nusemtl {name}\n" + "".join(f"v {x + 10 * n} {y} {z}\n" for x, y, z in corners)
+        text += f"f {face}\n" + "f -4 -3 -1\nf -4 -1 -2\nf -3 \\\n -2 -1\n"
+    (tmp_path / "a.obj").write_text(text)
+    points, triangles = meshes.read(tmp_path / "a.obj")
+    sides = np.linalg.det(points[triangles]) / 6
+    assert len(points) == 8 and sides.sum() == pytest.approx(72.0) and points[:, 0].max() == 16
+
+
 # -------------------------------------------------------------------------------------------------- damaged files
 
 

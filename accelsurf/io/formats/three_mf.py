@@ -36,7 +36,7 @@ _RELATIONS = (
 )
 #: An item counts as so many points and triangles beside those of its mesh.
 _ITEM_ROWS = 16
-_SMALL = 1 << 18  # bytes that any file may unpack to, over the budget's factor
+_SMALL = 1 << 16  # bytes that any file may unpack to, over the budget's factor
 #: mm of each unit.
 _UNITS = {"micron": 1e-3, "millimeter": 1.0, "centimeter": 10.0, "inch": 25.4, "foot": 304.8, "meter": 1000.0}
 
