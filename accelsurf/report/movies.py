@@ -1,7 +1,8 @@
-"""Pictures into mp4, gif or webp; no file is left incomplete."""
+"""Pictures into mp4, gif or webp, or PNG; no file is left incomplete."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -146,3 +147,10 @@ def _ffmpeg() -> Any:
             "mp4: imageio-ffmpeg is not installed", 'pip install "accelsurf[viewer]"; .gif and .webp need nothing more'
         ) from None
     return imageio_ffmpeg
+
+
+def png_bytes(picture: Picture) -> bytes:
+    """Return a picture (height, width, 3) as a PNG file."""
+    stream = io.BytesIO()
+    Image.fromarray(picture).save(stream, format="png", optimize=True)
+    return stream.getvalue()
