@@ -112,10 +112,8 @@ def movie(
     drawing = DrawingProcess(watcher.on_warning, 0.0 if preview else movie_settings.turn)
     try:
         volume, *more = channels.read(image, run_settings.reading)
-        drawing.begin(SceneRecipe(
-            volume, run_settings, reference, look.theme, look.color, look.view, movie_settings.size, look.volume,
-            look.planes,
-        ))
+        shown = look.theme, look.color, look.view, movie_settings.size, look.volume, look.planes
+        drawing.make_scene(SceneRecipe(volume, run_settings, reference, *shown))
         with watcher.watch(image.name, run_settings.max_steps):
             run = Run(volume, run_settings, None, more)
             what = _draw(run, drawing, target, None if preview else movie_settings, watcher)
@@ -159,12 +157,11 @@ def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, Run
 
 def _draw(run: Run, drawing: DrawingProcess, target: Path, movie: MovieSettings | None, watcher: Watcher) -> str:
     """Run to the end; write the movie, or without its settings a picture of the last step; describe the file."""
-    from accelsurf.io.files import write_bytes
     from accelsurf.report import movies
     from accelsurf.viewer.frontends import movie_file
 
     if movie is None:
-        write_bytes(target, movies.png_bytes(movie_file.last_picture(run, drawing, watcher.on_step)))
+        movies.write_png(target, movie_file.last_picture(run, drawing, watcher.on_step))
         return "picture"
     count = movies.write(target, movie_file.pictures(run, drawing, movie, watcher.on_step), movie.size, movie.fps)
     return f"{count} frames, {count / movie.fps:.1f} s"

@@ -72,8 +72,8 @@ def closed(points: Floats, triangles: Ints) -> tuple[Ints, int]:
 def without_copies(triangles: Ints) -> Ints:
     """Triangles with those that are there several times taken once, or not at all.
 
-    Where a patch is there twice, it is a slip if the surface closes with the patch once, and a wall between two bodies if
-    it closes without. If both are so, the directions of its triangles tell: of a wall they are opposite.
+    Where a patch is there twice, it is a slip if the surface closes with the patch once, and a wall between two bodies
+    if it closes without. If both are so, the directions of its triangles tell: of a wall they are opposite.
     """
     from scipy import sparse
 
@@ -96,9 +96,9 @@ def without_copies(triangles: Ints) -> Ints:
     np.logical_or.at(opens_once, patch, ((odd + added) % 2)[edges[twice]].any(axis=1))
     np.logical_or.at(has_two_sides, patch, has_both_directions[twice])
     is_wall = ~opens_without & (opens_once | has_two_sides)
-    is_kept = np.ones(len(distinct), bool)
-    is_kept[twice] = ~is_wall[patch]
-    return distinct[is_kept]
+    stays = np.ones(len(distinct), bool)
+    stays[twice] = ~is_wall[patch]
+    return distinct[stays]
 
 
 def _distinct(triangles: Ints) -> tuple[Ints, Ints, NDArray[np.bool_]]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, features
 
 from accelsurf.errors import OutputError, UsageError
-from accelsurf.io.files import SPACE_HINT, staging
+from accelsurf.io.files import SPACE_HINT, staging, write_bytes
 
 FORMATS = (".mp4", ".gif", ".webp")
 #: Smallest and largest side of a movie, pixels: smaller text cannot be read, larger pictures encoders refuse.
@@ -147,6 +147,11 @@ def _ffmpeg() -> Any:
             "mp4: imageio-ffmpeg is not installed", 'pip install "accelsurf[viewer]"; .gif and .webp need nothing more'
         ) from None
     return imageio_ffmpeg
+
+
+def write_png(path: Path, picture: Picture) -> None:
+    """Write a picture (height, width, 3) as a PNG file, whole or not at all; OutputError when it cannot be written."""
+    write_bytes(path, png_bytes(picture))
 
 
 def png_bytes(picture: Picture) -> bytes:

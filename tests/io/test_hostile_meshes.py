@@ -20,8 +20,8 @@ import pytest
 MAX_SECONDS, MAX_MB = 5.0, 1000
 CORNERS = np.array([[10.0, 20, 30], [11, 20, 30], [10, 22, 30], [10, 20, 33]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
-VERTICES = "".join("%g %g %g\n" % tuple(corner) for corner in CORNERS)
-LISTS = "".join("3 %d %d %d\n" % tuple(face) for face in FACES)
+VERTICES = "".join(f"{x:g} {y:g} {z:g}\n" for x, y, z in CORNERS)
+LISTS = "".join(f"3 {a} {b} {c}\n" for a, b, c in FACES)
 BIG = (10**9, 2**31 - 1, 2**32 - 1, 2**40, 2**63 - 1, 2**64)
 
 
@@ -81,7 +81,7 @@ def stls():
 
 
 def objs():
-    vertices = "".join("v %g %g %g\n" % tuple(corner) for corner in CORNERS)
+    vertices = "".join(f"v {x:g} {y:g} {z:g}\n" for x, y, z in CORNERS)
     faces = [" ".join(str(n + 1) for n in face) for face in FACES]
     lines = "".join(f"f {face}\n" for face in faces)
     for number in (*BIG, -5, -(10**9), 0, -(2**63)):
@@ -92,7 +92,8 @@ def objs():
             (" all", f"f {number}/{number}/{number} 2/1/1 3/1/1\n"),
             (" mixed", f"f 1 2 3 {number}\nf 1 2 3\n"),
         ):
-            yield f"obj{name} {number}", "obj", f"{vertices}vt 0 0\nvn 0 0 1\n{lines if not name else ''}{face}".encode()
+            text = f"{vertices}vt 0 0\nvn 0 0 1\n{lines if not name else ''}{face}"
+            yield f"obj{name} {number}", "obj", text.encode()
     yield "obj materials", "obj", (vertices + "mtllib /etc/passwd\nusemtl a\n" + lines).encode()
     for kind in ("usemtl", "o", "g"):
         names = "".join(f"{kind} m{n}\nf 1 2 3\n" for n in range(20_000))
@@ -170,7 +171,8 @@ def three_mfs():
             model.replace("<vertices>", f"<vertices>{ball}").replace(item, item * count)
         )
         empty = "<object id='2'><mesh/></object>"
-        text = model.replace("</resources>", f"{empty}</resources>").replace(item, item + '<item objectid="2"/>' * count)
+        others = item + '<item objectid="2"/>' * count
+        text = model.replace("</resources>", f"{empty}</resources>").replace(item, others)
         yield f"3mf {count} empty items", "3mf", packed(text)
     parts = "".join(
         f'<object id="{n + 1}"><components>{f"""<component objectid="{n}"/>""" * 10}</components></object>'

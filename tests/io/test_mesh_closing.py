@@ -56,7 +56,8 @@ def test_corners_that_differ_by_rounding_are_one(radius, center, kind, ulps, see
     points, triangles = ball(radius, np.array(center))
     if kind == "float32" and np.abs(points).max() > 100 * radius:
         ulps = 1  # more would be as large as the triangles
-    found, corners = meshes.closed_mesh(rounded(soup(points, triangles)[0], rng, kind, ulps), soup(points, triangles)[1])
+    single, numbers = soup(points, triangles)
+    found, corners = meshes.closed_mesh(rounded(single, rng, kind, ulps), numbers)
     assert len(found) == len(points) and len(corners) == len(triangles)
     coarse = 2.0**-22 * ulps * np.abs(points).max() / radius if kind == "float32" else 1e-9
     assert volume(found, corners) == pytest.approx(exact_volume(points, triangles), rel=1e-9 + 20 * coarse)

@@ -49,7 +49,7 @@ def stl_solid(said):
 
 def stl_text(said, end="endsolid"):
     facets = "".join(
-        "facet normal 0 0 0\nouter loop\n" + "".join("vertex %r %r %r\n" % tuple(p) for p in CORNERS[face].tolist())
+        "facet normal 0 0 0\nouter loop\n" + "".join(f"vertex {x} {y} {z}\n" for x, y, z in CORNERS[face])
         + "endloop\nendfacet\n" for face in FACES
     )
     return f"solid 3D Slicer output. {said}\n{facets}{end}\n".encode()

@@ -330,7 +330,9 @@ def test_a_preview_is_drawn_once_more(whole, tmp_path, monkeypatch):
     assert (tmp_path / "a.png").read_bytes() == (folder / "a.png").read_bytes()
 
 
-@pytest.mark.parametrize("deaths, words", [({-1: 9}, SHORT), ({4: 9, 6: 9, 8: 9}, SHORT), ({9: 9}, [*SHORT, "--preview"])])
+@pytest.mark.parametrize(
+    "deaths, words", [({-1: 9}, SHORT), ({4: 9, 6: 9, 8: 9}, SHORT), ({9: 9}, [*SHORT, "--preview"])]
+)
 def test_where_nothing_can_be_drawn_one_line_says_so(whole, deaths, words, tmp_path, monkeypatch, capsys):
     (tmp_path / "notes").mkdir()
     program = dying_scene.program(tmp_path / "notes", deaths, signal.SIGSEGV)
@@ -344,9 +346,9 @@ def test_where_nothing_can_be_drawn_one_line_says_so(whole, deaths, words, tmp_p
 def test_a_process_that_draws_ends_with_the_one_that_began_it(image, tmp_path):
     path, options = image
     words = [sys.executable, "-m", "accelsurf", "movie", str(path), "-o", str(tmp_path / "a.gif"), *options]
-    running = subprocess.Popen([*words, "--progress", "json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    line = running.stdout.readline() or running.stderr.readline()
-    assert line
+    words += ["--progress", "json"]
+    running = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert running.stdout.readline()
     drawing = processes_of(running.pid)
     assert len(drawing) == 1
     running.kill()

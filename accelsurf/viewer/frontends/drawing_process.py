@@ -1,7 +1,7 @@
 """The scene of a movie in a process of its own: a fault in a graphics library costs a picture, never the run.
 
-The process imports VTK once and stays for all pictures. It ends when the one that began it does, however that ends: then
-its pipe is closed.
+The process imports VTK once and stays for all pictures. It ends when the one that began it does, however that ends:
+then its pipe is closed.
 """
 
 from __future__ import annotations
@@ -64,7 +64,12 @@ class SceneRecipe:
     shows_planes: bool = False
 
     def scene(self) -> Scene:
-        """Make it; errors as of `Scene`, and of the reference and the settings."""
+        """Make it; errors as of `Scene`, and of the reference and the settings.
+
+        Where nothing can draw, VTK ends the process.
+        """
+        import pyvista
+
         from accelsurf import io
         from accelsurf.grid.grey_window import parse_window
         from accelsurf.viewer.scene.object_styles import given_styles
@@ -72,12 +77,15 @@ class SceneRecipe:
 
         styles, window = given_styles(self.settings), parse_window(self.settings.window)
         truth = None if self.reference is None else io.read_labels(self.reference)
-        scene = Scene(self.volume, theme=self.theme, reference=truth, size=self.size, window=window)
+        layout = Scene.layout(self.volume.geometry)
+        plotter = pyvista.Plotter(off_screen=True, window_size=list(self.size), **layout)
+        scene = Scene(self.volume, theme=self.theme, reference=truth, plotter=plotter, window=window)
         scene.restyle(styles)
         scene.color_by(self.color)
         scene.tiles.look_from(self.view)
         scene.show_volume(self.shows_volume)
         scene.show_planes(self.shows_planes)
+        scene.render()
         return scene
 
 
@@ -119,7 +127,7 @@ class DrawingProcess:
         """Number of the process; None while there is none."""
         return None if self._process is None else self._process.pid
 
-    def begin(self, recipe: SceneRecipe) -> None:
+    def make_scene(self, recipe: SceneRecipe) -> None:
         """Make the scene.
 
         Raises
@@ -169,10 +177,14 @@ class DrawingProcess:
             process.communicate()
 
     def failure(self) -> AccelsurfError:
-        """Return the error that pictures cannot be drawn, a GraphicsError."""
+        """Return the error that pictures cannot be drawn, a GraphicsError, with what to install where that helps."""
         # Not with the module: it loads VTK, which only the process that draws needs.
-        from accelsurf.viewer.scene.headless import GraphicsError
+        from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
 
+        try:
+            require_graphics()
+        except GraphicsError as error:
+            return error
         return GraphicsError("no picture can be drawn: the process that draws ends each time it is started", HINT)
 
     def _tried(self, frame: Frame | None) -> Picture | None:
@@ -235,6 +247,7 @@ def serve() -> None:
         import accelsurf.viewer.scene.scene  # noqa: F401  while the image is read elsewhere
 
         scene, turns = None, 0
+        answer: Picture | Exception | None
         while True:
             try:
                 request = pickle.load(requests)
@@ -245,9 +258,8 @@ def serve() -> None:
             except EOFError:
                 return
             except Exception as error:
-                answer = error if isinstance(error, (AccelsurfError, MemoryError)) else RuntimeError(
-                    f"{type(error).__name__}: {error}"
-                )
+                is_plain = isinstance(error, (AccelsurfError, MemoryError))
+                answer = error if is_plain else RuntimeError(f"{type(error).__name__}: {error}")
             try:
                 pickle.dump(answer, answers, protocol=5)
                 answers.flush()

@@ -98,8 +98,9 @@ def pictures(
         As of `DrawingProcess.draw`, or when no picture could be drawn.
     """
     count = 0
-    for shown in chain(frames(run, movie.every, on_step), repeat((), math.ceil(movie.hold * movie.fps))):
-        picture = drawing.draw(*shown)
+    held = repeat((None, ()), math.ceil(movie.hold * movie.fps))
+    for frame, histories in chain(frames(run, movie.every, on_step), held):
+        picture = drawing.draw(frame, histories)
         if picture is not None:
             count += 1
             yield picture
@@ -109,8 +110,8 @@ def pictures(
 
 def last_picture(run: Run, drawing: DrawingProcess, on_step: OnStep | None = None) -> Picture:
     """Run to the end and draw the last step; parameters and errors as of `pictures`."""
-    for shown in frames(run, None, on_step):
-        picture = drawing.draw(*shown)
+    for frame, histories in frames(run, None, on_step):
+        picture = drawing.draw(frame, histories)
     if picture is None:
         raise drawing.failure()
     return picture

@@ -20,10 +20,9 @@ from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.grid.slice_stack import SliceStack
 from accelsurf.grid.volume import Volume
-from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.io.metadata import UNIT_KEY
-from accelsurf.report.movies import png_bytes
+from accelsurf.report.movies import write_png
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.captions import caption, legend_lines, volume_line
@@ -393,7 +392,7 @@ class Scene:
         self.render()
         picture = grab(self.plotter.render_window)
         if path is not None:
-            write_bytes(Path(path), png_bytes(picture))
+            write_png(Path(path), picture)
         return picture
 
     def close(self) -> None:
