@@ -16,10 +16,9 @@ from accelsurf.settings.wording import shown
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
     from accelsurf.evolution.records import Stop
-    from accelsurf.grid.volume import Volume
     from accelsurf.segmentation.run import Run
+    from accelsurf.viewer.frontends.drawing_process import DrawingProcess
     from accelsurf.viewer.frontends.movie_file import MovieSettings
-    from accelsurf.viewer.scene.scene import Scene
 
 MOVIE = Group("Movie", sort_key=0)
 #: It draws the run; ``color`` is what it colours surfaces by.
@@ -102,7 +101,7 @@ def movie(
     from accelsurf.report.output_folder import refuse_existing
     from accelsurf.segmentation.run import Run
     from accelsurf.viewer.frontends import movie_file
-    from accelsurf.viewer.scene.headless import require_graphics
+    from accelsurf.viewer.frontends.drawing_process import DrawingProcess, SceneRecipe
 
     look, display = look or Look(), display or Display()
     source, target = required(input, "INPUT"), required(output, "-o FILE, the movie,")
@@ -110,16 +109,17 @@ def movie(
     _check_target(target, preview, movie_settings.size)
     image, run_settings = _source(source, settings, config)
     refuse_existing({"movie": target}, overwrite, inputs_of(image, run_settings, reference, config))
-    require_graphics()
-    volume, *more = channels.read(image, run_settings.reading)
-    scene = _scene(volume, reference, look, movie_settings.size, run_settings)
     watcher = Watcher(display)
+    drawing = DrawingProcess(watcher.on_warning, 0.0 if preview else movie_settings.turn)
     try:
+        volume, *more = channels.read(image, run_settings.reading)
+        shown = look.theme, look.color, look.view, movie_settings.size, look.volume, look.planes
+        drawing.make_scene(SceneRecipe(volume, run_settings, reference, *shown))
         with watcher.watch(image.name, run_settings.max_steps):
             run = Run(volume, run_settings, None, more)
-            what = _draw(run, scene, target, None if preview else movie_settings, watcher)
+            what = _draw(run, drawing, target, None if preview else movie_settings, watcher)
     finally:
-        scene.close()
+        drawing.close()
     watcher.outcome = f"the {'picture' if preview else 'movie'} of the steps so far is written: {target.absolute()}"
     if not display.quiet and run.stop is not None:
         print(f"{image.name}: {_ending(run.stop, run.has_ids)}\n  {what}  {target.absolute()}")
@@ -156,33 +156,15 @@ def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, Run
     return movie_file.run_of_folder(source)
 
 
-def _scene(volume: Volume, reference: Path | None, look: Look, size: tuple[int, int], settings: RunConfig) -> Scene:
-    from accelsurf import io
-    from accelsurf.grid.grey_window import parse_window
-    from accelsurf.viewer.scene.object_styles import given_styles
-    from accelsurf.viewer.scene.scene import Scene
-
-    styles = given_styles(settings)
-    truth = None if reference is None else io.read_labels(reference, grid=volume.geometry)
-    scene = Scene(volume, theme=look.theme, reference=truth, size=size, window=parse_window(settings.window))
-    scene.restyle(styles)
-    scene.color_by(look.color)
-    scene.tiles.look_from(look.view)
-    scene.show_volume(look.volume)
-    scene.show_planes(look.planes)
-    return scene
-
-
-def _draw(run: Run, scene: Scene, target: Path, movie: MovieSettings | None, watcher: Watcher) -> str:
+def _draw(run: Run, drawing: DrawingProcess, target: Path, movie: MovieSettings | None, watcher: Watcher) -> str:
     """Run to the end; write the movie, or without its settings a picture of the last step; describe the file."""
     from accelsurf.report import movies
     from accelsurf.viewer.frontends import movie_file
 
     if movie is None:
-        movie_file.run_to_last(run, scene, watcher.on_step)
-        scene.screenshot(target)
+        movies.write_png(target, movie_file.last_picture(run, drawing, watcher.on_step))
         return "picture"
-    count = movies.write(target, movie_file.pictures(run, scene, movie, watcher.on_step), movie.size, movie.fps)
+    count = movies.write(target, movie_file.pictures(run, drawing, movie, watcher.on_step), movie.size, movie.fps)
     return f"{count} frames, {count / movie.fps:.1f} s"
 
 

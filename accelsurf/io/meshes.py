@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, corner_of
 from accelsurf.grid.geometry import Geometry
+from accelsurf.io import mesh_closing
 from accelsurf.io.files import naming
+from accelsurf.io.formats.mesh_header import MeshContent, is_ras
 from accelsurf.io.memory import available_memory
 from accelsurf.settings import budgets
 from accelsurf.settings.mesh_formats import MESH_FORMATS
@@ -24,18 +26,18 @@ BATCH_ROWS = 1 << 17
 
 
 def inside(
-    path: str | Path, geometry: Geometry, ras: bool = False, box: Box | None = None
+    path: str | Path, geometry: Geometry, space: str = "", box: Box | None = None
 ) -> NDArray[np.bool_]:
     """Voxels of a grid, or of a box of it, whose centres are inside a closed mesh.
 
     Parameters
     ----------
     path : str or Path
-        In one of the formats of `accelsurf.settings.file_formats` that can be read; mm.
+        In one of the formats of `accelsurf.settings.mesh_formats` that can be read; mm.
     geometry : Geometry
         The grid.
-    ras : bool
-        Whether its points are RAS, not LPS.
+    space : {"", "lps", "ras"}
+        What its points are, as of `read`.
     box : tuple of slice, optional
         By default the whole grid.
 
@@ -46,11 +48,9 @@ def inside(
     Raises
     ------
     InputError
-        When the file cannot be read, or its surface is not closed.
+        As `read`.
     """
-    points, triangles = read(path)
-    if ras:
-        points = points * (-1.0, -1.0, 1.0)
+    points, triangles = read(path, space)
     index = geometry.world_to_index(points)
     if box is None:
         return voxels_inside(index, triangles, geometry.shape)
@@ -58,23 +58,26 @@ def inside(
     return voxels_inside(index - np.array(corner_of(box)), triangles, (z, y, x))
 
 
-def read(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Read a closed mesh.
+def read(path: str | Path, space: str = "") -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Read a closed mesh; points that are RAS are turned to LPS, by half a turn about z.
 
     Parameters
     ----------
     path : str or Path
-        In one of the formats of `accelsurf.settings.file_formats` that can be read.
+        In one of the formats of `accelsurf.settings.mesh_formats` that can be read.
+    space : {"", "lps", "ras"}
+        What its points are, where the file does not say it; LPS unless given.
 
     Returns
     -------
     ndarray (n, 3) of float64, ndarray (m, 3) of int64
-        Points as the file has them, no two at the same place, and the point numbers of the triangles.
+        Points in mm, LPS, no two at the same place, and the point numbers of the triangles.
 
     Raises
     ------
     InputError
-        When the file cannot be read, names points that it does not have, or its surface is not closed.
+        When the file cannot be read, names points that it does not have, its surface is not closed, or its header says
+        a space that is not understood or another than ``space``.
     """
     path = Path(path)
     with naming(path):
@@ -88,18 +91,40 @@ def read(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         budgets.MESH_FILE.check(size * budgets.MESH_BYTES_PER_FILE_BYTE, factor=available_memory())
         content = path.read_bytes()
         try:
-            points, triangles = load(readers[suffix])(content)
+            mesh = MeshContent(*load(readers[suffix])(content))
+            points = np.asarray(mesh.points, np.float64).reshape(-1, 3)
         except MemoryError:
             raise
         except Exception as error:  # whatever a reader makes of a damaged file
             reason = " ".join(str(error).split())[:200]
             hint = error.hint if isinstance(error, InputError) else ""
             raise InputError(f"cannot be read as a mesh ({reason})", hint or "is the file complete?") from None
-        return closed_mesh(points, triangles)
+        if is_ras(mesh.header, space):
+            points = points * (-1.0, -1.0, 1.0)
+        return closed_mesh(points, mesh.triangles)
 
 
 def closed_mesh(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The same surface with points at the same place made one; refused where it is damaged or open."""
+    """Return the same surface with points at the same place made one; refuse what is damaged or open.
+
+    Parameters
+    ----------
+    points : ndarray (n, 3)
+        mm.
+    triangles : ndarray (m, 3)
+        Point numbers.
+
+    Returns
+    -------
+    ndarray (k, 3) of float64, ndarray (l, 3) of int64
+        Where the surface is closed except for rounding, corners that differ by it are one, as
+        `accelsurf.io.mesh_closing.TOLERANCES` says. A triangle that is there several times is there once.
+
+    Raises
+    ------
+    InputError
+        When triangles name points that there are not, a corner is no place, or the surface is not closed.
+    """
     points = np.asarray(points, np.float64).reshape(-1, 3)
     triangles = np.asarray(triangles, np.int64).reshape(-1, 3)
     if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
@@ -112,14 +137,11 @@ def closed_mesh(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[
             f"a corner of a triangle is not finite or beyond {MAX_COORDINATE:g} mm, numbers expected",
             "export the mesh again",
         )
-    points, same = np.unique(points, axis=0, return_inverse=True)
-    triangles = same.reshape(-1)[triangles]
-    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
-    real = (sides[:, :, 0] != sides[:, :, 1]).all(axis=1)  # others are a line or a point
-    triangles, sides = triangles[real], sides[real].reshape(-1, 2)
-    # A closed surface has an even number of triangles at every edge.
-    counts = np.unique(sides[:, 0] * len(points) + sides[:, 1], return_counts=True)[1]
-    open_edges = int((counts % 2).sum())
+    named, triangles = np.unique(triangles, return_inverse=True)
+    # Zeros have a sign.
+    points, same = np.unique(points[named] + 0.0, axis=0, return_inverse=True)
+    triangles = same.reshape(-1)[triangles.reshape(-1, 3)]
+    triangles, open_edges = mesh_closing.closed(points, triangles)
     if len(triangles) == 0:
         raise InputError("no triangle in it, expected a closed surface", "is the file complete?")
     if open_edges:
@@ -127,7 +149,8 @@ def closed_mesh(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[
             f"{len(triangles)} triangles with {open_edges} open edges, expected a closed surface",
             "close its holes first",
         )
-    return points, triangles
+    named, triangles = np.unique(triangles, return_inverse=True)
+    return points[named], triangles.reshape(-1, 3)
 
 
 def voxels_inside(

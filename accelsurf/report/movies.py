@@ -1,7 +1,8 @@
-"""Pictures into mp4, gif or webp; no file is left incomplete."""
+"""Pictures into mp4, gif or webp, or PNG; no file is left incomplete."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, features
 
 from accelsurf.errors import OutputError, UsageError
-from accelsurf.io.files import SPACE_HINT, staging
+from accelsurf.io.files import SPACE_HINT, staging, write_bytes
 
 FORMATS = (".mp4", ".gif", ".webp")
 #: Smallest and largest side of a movie, pixels: smaller text cannot be read, larger pictures encoders refuse.
@@ -146,3 +147,15 @@ def _ffmpeg() -> Any:
             "mp4: imageio-ffmpeg is not installed", 'pip install "accelsurf[viewer]"; .gif and .webp need nothing more'
         ) from None
     return imageio_ffmpeg
+
+
+def write_png(path: Path, picture: Picture) -> None:
+    """Write a picture (height, width, 3) as a PNG file, whole or not at all; OutputError when it cannot be written."""
+    write_bytes(path, png_bytes(picture))
+
+
+def png_bytes(picture: Picture) -> bytes:
+    """Return a picture (height, width, 3) as a PNG file."""
+    stream = io.BytesIO()
+    Image.fromarray(picture).save(stream, format="png", optimize=True)
+    return stream.getvalue()

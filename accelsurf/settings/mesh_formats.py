@@ -35,8 +35,9 @@ class MeshFormat:
     auto : tuple of str
         Of which of the two ``--mesh auto`` writes it.
     read : str or callable, optional
-        Of the bytes of a file, returns points (n, 3) and triangles (m, 3); anything that it raises is reported as a
-        damaged file. None: starts cannot be read from it.
+        Of the bytes of a file, returns points (n, 3), triangles (m, 3), and a text with what the file says of itself,
+        in which SPACE=RAS is looked for, if it can say that; anything that it raises is reported as a damaged file.
+        None: starts cannot be read from it.
     """
 
     name: str

@@ -53,7 +53,8 @@ def refuse(path, words):
 def test_what_accelsurf_writes_it_reads(ball, voxels, tmp_path, suffix, space):
     path = tmp_path / f"a{suffix}"
     ball.write(path, space=space)
-    np.testing.assert_array_equal(meshes.inside(path, GRID, ras=space == "ras"), voxels)
+    np.testing.assert_array_equal(meshes.inside(path, GRID), voxels)
+    np.testing.assert_array_equal(meshes.inside(path, GRID, space), voxels)
     points, triangles = meshes.read(path)
     assert len(points) == len(ball.vertices) and len(triangles) == len(ball.faces)
 
@@ -112,6 +113,20 @@ def test_several_objects_in_one_obj_file(ball, voxels, tmp_path):
     np.testing.assert_array_equal(meshes.inside(tmp_path / "b.obj", GRID), voxels)
 
 
+@pytest.mark.parametrize("face", ["-4 -2 -3", "-4/1/1 -2/2/2 -3/3/3", "-4//1 -2//1 -3//1"])
+def test_numbers_of_an_obj_that_count_back(tmp_path, face):
+    """Two tetrahedra, each with its points before its faces; a negative number counts from where it stands."""
+    corners = [(0, 0, 0), (6, 0, 0), (0, 6, 0), (0, 0, 6)]
+    text = "mtllib nowhere.mtl\n"
+    for n, name in enumerate("ab"):
+        text += f"o {name}\nusemtl {name}\n" + "".join(f"v {x + 10 * n} {y} {z}\n" for x, y, z in corners)
+        text += f"f {face}\n" + "f -4 -3 -1\nf -4 -1 -2\nf -3 \\\n -2 -1\n"
+    (tmp_path / "a.obj").write_text(text)
+    points, triangles = meshes.read(tmp_path / "a.obj")
+    sides = np.linalg.det(points[triangles]) / 6
+    assert len(points) == 8 and sides.sum() == pytest.approx(72.0) and points[:, 0].max() == 16
+
+
 # -------------------------------------------------------------------------------------------------- damaged files
 
 
@@ -123,7 +138,7 @@ def test_every_truncation_is_one_clear_error(ball, tmp_path, suffix, caplog, cap
     path = tmp_path / f"cut{suffix}"
     for keep in {*range(0, 400, 7), *rng.integers(400, len(raw) - 60, 30).tolist()}:
         path.write_bytes(raw[:keep])
-        refuse(path, "cannot be read as a mesh|open edges|name points|no triangle")
+        refuse(path, "cannot be read as a mesh|open edges|name points|no triangle|its header says")
     assert capfd.readouterr() == ("", "")
 
 

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.io.formats.mesh_header import MeshContent, stated_space
+from accelsurf.settings import budgets
 from accelsurf.settings.labels import LabelEntry
 
 Floats = NDArray[np.float64]
@@ -72,10 +74,10 @@ def _linear(color: tuple[int, int, int]) -> list[float]:
     return [round(x, 6) for x in np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4).tolist()]
 
 
-def read(content: bytes) -> tuple[Floats, NDArray[np.int64]]:
+def read(content: bytes) -> MeshContent:
     """Points in mm and triangles of all meshes of the scene, each where its nodes put it.
 
-    The points are LPS; in a file that accelsurf wrote as RAS they are RAS, as in the other formats.
+    The nodes say where the points are in glTF's space; the header says which space they are stored in.
 
     Raises
     ------
@@ -89,8 +91,9 @@ def read(content: bytes) -> tuple[Floats, NDArray[np.int64]]:
     scene = contents["scenes"][contents.get("scene", 0)]
     meshes: list[tuple[Floats, NDArray[np.int64]]] = []
     visited: set[int] = set()
-    stored = contents["asset"].get("extras", {}).get("space")
-    above = np.linalg.inv(_from_stored(stored if stored == "RAS" else "LPS"))
+    header = _header(contents)
+    above = np.linalg.inv(_from_stored(stated_space(header)))
+    rows = 0
     stack = [(number, above, 0) for number in reversed(scene.get("nodes", []))]
     while stack:
         number, matrix, depth = stack.pop()
@@ -102,9 +105,19 @@ def read(content: bytes) -> tuple[Floats, NDArray[np.int64]]:
         if "mesh" in node:
             for primitive in contents["meshes"][node["mesh"]]["primitives"]:
                 points, triangles = _primitive(contents, data, primitive)
+                rows += len(points) + len(triangles)
+                budgets.MESH_COPIES.check(rows, factor=len(content) + (1 << 20))
                 meshes.append((points @ matrix[:3, :3].T + matrix[:3, 3], triangles))
         stack += [(child, matrix, depth + 1) for child in reversed(node.get("children", []))]
-    return joined(meshes)
+    return MeshContent(*joined(meshes), header)
+
+
+def _header(contents: dict[str, Any]) -> str:
+    """The space that the file says in its extras."""
+    extras = contents["asset"].get("extras")
+    if not isinstance(extras, dict):
+        return ""
+    return "\n".join(f"SPACE={value}" for name, value in extras.items() if name.upper() == "SPACE")
 
 
 def joined(meshes: list[tuple[Floats, NDArray[np.int64]]]) -> tuple[Floats, NDArray[np.int64]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import re
 import struct
 import zlib
 from typing import Any
@@ -13,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
+from accelsurf.io.formats.mesh_header import MeshContent
+from accelsurf.io.formats.xml_reading import parsed
 from accelsurf.settings import budgets
 
 _TYPES = {
     **{f"{sign}Int{bits}": f"{code}{bits // 8}" for sign, code in (("", "i"), ("U", "u")) for bits in (8, 16, 32, 64)},
-    **{"Float32": "f4", "Float64": "f8"},
+    **{"Float32": "f4", "Float64": "f8", "String": "u1"},
 }
 _COMPRESSOR = "vtkZLibDataCompressor"
 _SMALL = 1 << 21  # bytes that any file may unpack to, over the budget's factor
@@ -26,7 +29,7 @@ _DAMAGED = "the file is cut short or damaged"
 Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 
-def read(content: bytes) -> Triangles:
+def read(content: bytes) -> MeshContent:
     """Read the polygons of a file; those of more than three corners become fans of triangles, lines are ignored.
 
     Parameters
@@ -36,7 +39,7 @@ def read(content: bytes) -> Triangles:
 
     Returns
     -------
-    ndarray (n, 3) of float64, ndarray (m, 3) of int64
+    MeshContent
         Points, and the point numbers of the triangles, which are not checked.
 
     Raises
@@ -45,14 +48,13 @@ def read(content: bytes) -> Triangles:
         When the file is damaged, or holds triangle strips or another compression.
     """
     head, mark, rest = content.partition(b"<AppendedData")
-    if b"<!DOCTYPE" in head or b"<!ENTITY" in head:
-        raise InputError("the XML defines entities, which no mesh needs")
     try:
-        root = ElementTree.fromstring(head + b"</VTKFile>" if mark else head)
+        root = parsed(head + b"</VTKFile>" if mark else head)
         if root.tag != "VTKFile" or root.get("type") != "PolyData":
             raise InputError(f"an XML file of {root.tag} {root.get('type', '')} given, VTKFile PolyData expected")
         arrays = _Arrays(root, rest, len(content))
         pieces = [_piece(piece, arrays) for piece in root.iterfind("PolyData/Piece")]
+        header = _header(head, root, arrays)
     except (
         ElementTree.ParseError,
         binascii.Error,
@@ -66,10 +68,18 @@ def read(content: bytes) -> Triangles:
     if not pieces:
         raise InputError("the file has no piece")
     starts = np.cumsum([0] + [len(points) for points, _ in pieces])
-    return (
-        np.concatenate([points for points, _ in pieces]),
-        np.concatenate([triangles + start for (_, triangles), start in zip(pieces, starts, strict=False)]),
-    )
+    triangles = np.concatenate([corners + start for (_, corners), start in zip(pieces, starts, strict=False)])
+    return MeshContent(np.concatenate([points for points, _ in pieces]), triangles, header)
+
+
+def _header(head: bytes, root: ElementTree.Element, arrays: _Arrays) -> str:
+    """What comments and field data say of space and unit, a line each; 3D Slicer and accelsurf write them as fields."""
+    lines = [comment.decode("utf-8", "replace") for comment in re.findall(rb"<!--(.*?)-->", head, re.DOTALL)]
+    for array in root.iterfind("PolyData/FieldData/*"):
+        name = array.get("Name", "").strip()
+        if array.get("type") == "String" and name.upper() in ("SPACE", "UNIT"):
+            lines.append(f"{name}={bytes(arrays.get(array)).partition(bytes(1))[0].decode('utf-8', 'replace')}")
+    return "\n".join(lines)
 
 
 def _piece(piece: ElementTree.Element, arrays: _Arrays) -> Triangles:

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain, repeat
 from pathlib import Path
 
 from accelsurf import io
@@ -17,7 +18,7 @@ from accelsurf.report.movies import MAX_SIDE, MIN_SIDE, Picture
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, histories_of_run
-from accelsurf.viewer.scene.scene import SIZE, Scene
+from accelsurf.viewer.frontends.drawing_process import DrawingProcess, Histories, SceneRecipe
 
 #: Called with each record and the id of its object (None for one without an id); a true value ends the run.
 OnStep = Callable[[StepRecord, int | None], bool | None]
@@ -50,7 +51,7 @@ class MovieSettings:
     fps: float = 15.0
     orbit: float = 12.0
     hold: float = 2.0
-    size: tuple[int, int] = SIZE
+    size: tuple[int, int] = SceneRecipe.size
 
     def __post_init__(self) -> None:
         bounds = {"every": (1, 1e6), "fps": (0.1, 120.0), "orbit": (-3600.0, 3600.0), "hold": (0.0, 600.0)}
@@ -65,15 +66,23 @@ class MovieSettings:
             raise UsageError(f"size: {given} was given, expected {expected}", "as in 1280x720")
 
 
-def pictures(run: Run, scene: Scene, movie: MovieSettings, on_step: OnStep | None = None) -> Iterator[Picture]:
+    @property
+    def turn(self) -> float:
+        """Degrees that the camera turns from picture to picture."""
+        return self.orbit / self.fps
+
+
+def pictures(
+    run: Run, drawing: DrawingProcess, movie: MovieSettings, on_step: OnStep | None = None
+) -> Iterator[Picture]:
     """Run to the end and draw the steps.
 
     Parameters
     ----------
     run : Run
         Without a step yet.
-    scene : Scene
-        Of the same image.
+    drawing : DrawingProcess
+        With a scene of the same image.
     movie : MovieSettings
     on_step : callable, optional
         As `OnStep` says.
@@ -81,25 +90,38 @@ def pictures(run: Run, scene: Scene, movie: MovieSettings, on_step: OnStep | Non
     Yields
     ------
     ndarray (height, width, 3), uint8
+
+    Raises
+    ------
+    GraphicsError
+        As of `DrawingProcess.draw`, or when no picture could be drawn.
     """
-    turn = movie.orbit / movie.fps
+    count = 0
+    held = repeat((None, ()), math.ceil(movie.hold * movie.fps))
+    for frame, histories in chain(frames(run, movie.every, on_step), held):
+        picture = drawing.draw(frame, histories)
+        if picture is not None:
+            count += 1
+            yield picture
+    if not count:
+        raise drawing.failure()
+
+
+def last_picture(run: Run, drawing: DrawingProcess, on_step: OnStep | None = None) -> Picture:
+    """Run to the end and draw the last step; parameters and errors as of `pictures`."""
+    for frame, histories in frames(run, None, on_step):
+        picture = drawing.draw(frame, histories)
+    if picture is None:
+        raise drawing.failure()
+    return picture
+
+
+def frames(run: Run, every: int | None = 1, on_step: OnStep | None = None) -> Iterator[tuple[Frame, Histories]]:
+    """Run to the end, yielding what is drawn of every so many steps and of the last; None: of the last alone."""
     with run:
         for number in _steps(run, on_step):
-            if number % movie.every == 0 or run.stop is not None:
-                scene.update(Frame.of_run(run), histories_of_run(run))
-                yield scene.screenshot()
-                scene.tiles.orbit(turn)
-    for _ in range(math.ceil(movie.hold * movie.fps)):
-        yield scene.screenshot()
-        scene.tiles.orbit(turn)
-
-
-def run_to_last(run: Run, scene: Scene, on_step: OnStep | None = None) -> None:
-    """Run to the end and draw the last step in a scene; parameters as of `pictures`."""
-    with run:
-        for _ in _steps(run, on_step):
-            if run.stop is not None:
-                scene.update(Frame.of_run(run), histories_of_run(run))
+            if run.stop is not None or (every is not None and number % every == 0):
+                yield Frame.of_run(run), histories_of_run(run)
 
 
 def _steps(run: Run, on_step: OnStep | None) -> Iterator[int]:

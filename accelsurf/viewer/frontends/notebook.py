@@ -14,12 +14,12 @@ import pyvista as pv
 from accelsurf.errors import UsageError, check_known
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.report.movies import png_bytes
 from accelsurf.segmentation.api import Result
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.frontends.export import html_page, write_html
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
 from accelsurf.viewer.scene.object_styles import given_styles
-from accelsurf.viewer.scene.pictures import png_bytes
 from accelsurf.viewer.scene.scene import SIZE, Scene
 
 #: PyVista's backends for notebooks.

@@ -1,13 +1,10 @@
-"""Pictures as arrays: what a window shows, PNG."""
+"""Pictures as arrays: what a window shows."""
 
 from __future__ import annotations
-
-import io
 
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
-from PIL import Image
 from vtkmodules.vtkRenderingCore import vtkRenderWindow, vtkWindowToImageFilter
 
 
@@ -21,10 +18,3 @@ def grab(window: vtkRenderWindow) -> NDArray[np.uint8]:
     image = pv.wrap(filter_.GetOutput())
     width, height, _ = image.dimensions
     return np.asarray(image.point_data.active_scalars).reshape(height, width, -1)[::-1, :, :3].copy()
-
-
-def png_bytes(picture: NDArray[np.uint8]) -> bytes:
-    """Return a picture (height, width, 3) as a PNG file."""
-    stream = io.BytesIO()
-    Image.fromarray(picture).save(stream, format="png", optimize=True)
-    return stream.getvalue()

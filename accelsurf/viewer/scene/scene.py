@@ -20,9 +20,9 @@ from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.grid.slice_stack import SliceStack
 from accelsurf.grid.volume import Volume
-from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.io.metadata import UNIT_KEY
+from accelsurf.report.movies import write_png
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.captions import caption, legend_lines, volume_line
@@ -34,7 +34,7 @@ from accelsurf.viewer.scene.marks import Marks
 from accelsurf.viewer.scene.measure_marks import MeasureLayer
 from accelsurf.viewer.scene.object_styles import ObjectStyle, ObjectStyles
 from accelsurf.viewer.scene.picking import Picked, place_in_renderer
-from accelsurf.viewer.scene.pictures import grab, png_bytes
+from accelsurf.viewer.scene.pictures import grab
 from accelsurf.viewer.scene.reference import Reference
 from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import SpaceTile
@@ -392,7 +392,7 @@ class Scene:
         self.render()
         picture = grab(self.plotter.render_window)
         if path is not None:
-            write_bytes(Path(path), png_bytes(picture))
+            write_png(Path(path), picture)
         return picture
 
     def close(self) -> None:
