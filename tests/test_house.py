@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "accelsurf"
-MAX_MODULE_LINES, MAX_FUNCTION_LINES = 400, 60
+MAX_MODULE_LINES, MAX_FUNCTION_LINES = 600, 90
 
 #: Words that no identifier may have as a part: each has a standard term of the field (docs/architecture.md, "Words").
 PRIVATE_WORDS = {
