@@ -155,7 +155,7 @@ class LabelMap:
         return ids, *_ends(around)
 
     def _read(self, box: Box) -> NDArray[np.integer]:
-        return object_starts.whole_numbers(self._name, self._labels.read(box), self._wanted)
+        return object_starts.whole_numbers(self._name, self._labels.read(box), self._wanted, corner_of(box))
 
     def made(self, places: Sequence[int]) -> list[ObjectStart]:
         """See `ManyStarts`."""

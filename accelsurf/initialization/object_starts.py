@@ -117,7 +117,9 @@ def _labels(objects: str | Volume | NDArray[Any], geometry: Geometry) -> tuple[s
     return name, whole_numbers(name, array_on_grid(objects, geometry, f"objects {name}"), ids)
 
 
-def whole_numbers(name: str, labels: NDArray[Any], ids: Sequence[tuple[int, int]]) -> NDArray[np.integer]:
+def whole_numbers(
+    name: str, labels: NDArray[Any], ids: Sequence[tuple[int, int]], corner: Corner = (0, 0, 0)
+) -> NDArray[np.integer]:
     """Return labels as integers, 0 where an id was not asked for.
 
     Parameters
@@ -127,6 +129,8 @@ def whole_numbers(name: str, labels: NDArray[Any], ids: Sequence[tuple[int, int]
     labels : ndarray (nz, ny, nx)
     ids : sequence of (first, last)
         Those asked for; none for all.
+    corner : (z, y, x)
+        First voxel of the labels in the map, for messages.
 
     Raises
     ------
@@ -134,7 +138,7 @@ def whole_numbers(name: str, labels: NDArray[Any], ids: Sequence[tuple[int, int]
         When one is no whole number.
     """
     try:
-        labels = as_labels(labels)
+        labels = as_labels(labels, corner)
     except InputError as error:
         raise InputError(f"objects {name}: {error.message}", error.hint) from None
     if ids:

@@ -69,7 +69,7 @@ def test_a_table(tmp_path):
 
 @pytest.mark.parametrize(
     ("values", "named"),
-    [(0.0, "no voxel has a label above 0"), (0.5, "no whole number"), (float(2**32), "expected at most")],
+    [(0.0, "no voxel has a label above 0"), (0.5, "must be whole numbers"), (float(2**32), "expected at most")],
 )
 def test_maps_that_are_none(values, named):
     labels = Volume(np.full(SHAPE, values, np.float64 if values > 1 else np.float32), GEOMETRY)
@@ -83,3 +83,12 @@ def test_another_grid_and_clicks(labels, tmp_path):
     (tmp_path / "clicks.csv").write_text("# first\nid,x_vox,y_vox,z_vox, side\n1,2,2,2,inside\n")
     with pytest.raises(UsageError, match="column side"):
         large_object_starts.opened(str(tmp_path / "clicks.csv"), GEOMETRY, MARGIN)
+
+
+@pytest.mark.parametrize("z", [0, 3, SHAPE[0] - 1])
+def test_the_place_of_a_bad_label_is_that_in_the_whole_map(z, monkeypatch):
+    monkeypatch.setattr(large_object_starts, "slabs", lambda shape: [slice(n, n + 1) for n in range(shape[0])])
+    values = np.zeros(SHAPE, np.float32)
+    values[z, 1, 2] = 0.5
+    with pytest.raises(InputError, match=f"first at index x=2, y=1, z={z}"):
+        LabelMap("map", LazyVolume.of_array(Volume(values, GEOMETRY)), GEOMETRY, MARGIN)

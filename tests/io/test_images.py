@@ -185,12 +185,12 @@ def test_labels_stored_as_floats_are_read_as_integers(tmp_path):
     assert (labels.array == 7).all()
 
 
-@pytest.mark.parametrize("value", [0.5, np.nan, np.inf, 1e10])
+@pytest.mark.parametrize("value", [0.5, 3.99, 2.0**53 + 2])
 def test_labels_that_are_not_whole_are_refused(tmp_path, value):
     array = np.zeros((2, 3, 4))
     array[1, 1, 1] = value
     io.write(Volume.from_array(array), tmp_path / "a.mha")
-    with pytest.raises(InputError, match=r"a\.mha: labels must be whole numbers, 1 voxels are not") as caught:
+    with pytest.raises(InputError, match=r"a\.mha: labels must be whole numbers, 1 voxel is .* not: the") as caught:
         io.read_labels(tmp_path / "a.mha")
     assert "nearest" in caught.value.hint
 
@@ -210,8 +210,8 @@ def test_folder_instead_of_a_file(tmp_path):
 @pytest.mark.parametrize("name", ["a.jpg", "a.gz", "a", ".nii", "a.nii.bz2"])
 def test_unknown_suffix(tmp_path, name):
     (tmp_path / name).write_bytes(b"x")
-    known = ".nii.gz, .nii, .nrrd, .mha, .mhd, .ome.zarr, .zarr, .png, .tif, .tiff, .dcm, .ima, .zip, .mgz, .mgh"
-    known += ", .gipl, .npy, .npz"
+    known = ".nii.gz, .nii, .nrrd, .nhdr, .mha, .mhd, .ome.zarr, .zarr, .png, .tif, .tiff, .dcm, .ima, .zip, .mgz"
+    known += ", .mgh, .gipl, .npy, .npz"
     refuse(tmp_path / name, re.escape(f"unknown file type, one of {known} expected"))
 
 

@@ -325,7 +325,7 @@ def test_bad_label_maps_are_told(tmp_path):
         object_starts.read(np.zeros(GRID.shape, int), GRID, 2)
     with pytest.raises(GeometryError, match="shape"):
         object_starts.read(np.ones((3, 3, 3), int), GRID, 2)
-    with pytest.raises(InputError, match="no whole number"):
+    with pytest.raises(InputError, match="must be whole numbers"):
         object_starts.read(np.full(GRID.shape, 0.5), GRID, 2)
     with pytest.raises(GeometryError, match="on another grid"):
         object_starts.read(Volume(np.ones(GRID.shape, int), Geometry(GRID.shape, (1.0, 1.0, 2.0))), GRID, 2)
