@@ -17,6 +17,7 @@ from scipy.special import j1
 
 from accelsurf.energies import Geodesic, RegionField
 from accelsurf.flows import ConstantDensity, Flow, FlowableMass, Gradient, HeavyBall, Sobolev
+from accelsurf.flows.descent import Descent
 from accelsurf.flows.diffusion import diffuse, largest_diffusion
 from accelsurf.levelset import LevelSet
 from tests.support import exact
@@ -180,9 +181,10 @@ MIRRORED: dict[str, tuple[Callable[[], Flow], float]] = {
 
 
 def evolved(flow: Flow, psi: np.ndarray, force: np.ndarray, h: float, t_end: float = 0.8) -> LevelSet:
-    """The surface of ``psi`` at ``t_end``, in steps of h/4, under a force field and the area."""
+    """The surface of ``psi`` at ``t_end``, in steps of h/4 (descent h/10), under a force field and the area."""
     surface = LevelSet(psi, (h, h, h), 4.0)
-    for _ in steps(surface, RegionField(force, 0.04), flow, 0.25 * h, t_end):
+    # Below the bounds of descent, which depend on the surface.
+    for _ in steps(surface, RegionField(force, 0.04), flow, (0.1 if isinstance(flow, Descent) else 0.25) * h, t_end):
         pass
     return surface
 

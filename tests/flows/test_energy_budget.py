@@ -76,7 +76,7 @@ def test_the_energy_lost_is_accounted_for(name: str) -> None:
 def test_default_limiter_and_diffusion_are_accounted_for_at_a_sharp_edge(
     flow: ConstantDensity | FlowableMass, most: float
 ) -> None:
-    """Chan-Vese at 32^3, 100 steps: 3.0 % and 1.7 %; half the step does not help: the edge is narrower than a voxel.
+    """Chan-Vese of one ellipsoid at 32^3, 100 steps: 3.0 % and 1.7 %; half the step does not help.
 
     Booked as the difference of the energies of single stages, which leaves out that the force works on the mean of the
     velocities before and after a kick, 5.0 % and 9.6 % were missing.
@@ -88,6 +88,66 @@ def test_default_limiter_and_diffusion_are_accounted_for_at_a_sharp_edge(
     rows = [step.record for step in evolution if step.record.dt > 0]
     assert rows[-1].smoothing_work > 0.1 * rows[-1].friction_work
     assert residue(rows) < most
+
+
+def sharp(kind: str, n: int, seed: int) -> np.ndarray:
+    """Distance (voxels), or a bound of it, from a body with corners, off the grid and 1/3 to 2/3 of ``n`` wide."""
+    off = np.random.default_rng(seed).uniform(-0.03, 0.03, 3)
+    z, y, x = (np.indices((n, n, n)) - 0.5 * (n - 1)) / n - off.reshape(3, 1, 1, 1)
+
+    def bar(half: tuple[float, float, float], at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+        sides = (np.abs(p - c) - d for p, c, d in zip((z, y, x), at, half, strict=True))
+        return np.asarray(np.maximum.reduce(list(sides)))
+
+    bodies = {
+        "ball": np.sqrt(z**2 + 1.3 * y**2 + 0.8 * x**2) - 0.3,
+        "box": bar((0.25, 0.28, 0.22)),
+        "torus": np.hypot(np.hypot(y, x) - 0.25, z) - 0.11,
+        "cross": np.minimum.reduce([bar((0.33, 0.11, 0.11)), bar((0.11, 0.33, 0.11)), bar((0.11, 0.11, 0.33))]),
+        "L": np.minimum(bar((0.12, 0.12, 0.33), (0.0, -0.2, 0.0)), bar((0.12, 0.3, 0.13), (0.0, 0.05, -0.2))),
+    }
+    return n * bodies[kind]
+
+
+#: Where balls start that lie within the bodies, in parts of the volume.
+STARTS = {"torus": (0.0, 0.0, 0.25), "L": (0.0, -0.1, -0.15)}
+
+
+def unexplained(kind: str, n: int, seed: int, flow: Flow) -> float:
+    """Largest share of the energy lost that the account does not explain: Chan-Vese of a sharp body, 100 steps."""
+    centre = np.reshape(STARTS.get(kind, (0.03, 0.0, 0.05)), (3, 1, 1, 1))
+    z, y, x = (np.indices((n, n, n)) - 0.5 * (n - 1)) / n - centre
+    surface = LevelSet(n * (np.sqrt(z**2 + y**2 + x**2) - 0.12), (1.0, 1.0, 1.0), 4.0)
+    image = 0.5 * (1.0 - np.tanh(sharp(kind, n, seed) / 0.2))
+    evolution = Evolution(surface, ChanVese(image), flow, StepLimits(), max_steps=100)
+    return residue([step.record for step in evolution if step.record.dt > 0])
+
+
+#: Largest shares at 32 and 48 voxels, of seeds 1 and 2: the table of docs/explanation/theory.md.
+SHARES = {
+    ("constant density", 32): {"ball": 0.025, "box": 0.048, "torus": 0.127, "cross": 0.098, "L": 0.101},
+    ("constant density", 48): {"ball": 0.014, "box": 0.030, "torus": 0.078, "cross": 0.066, "L": 0.059},
+    ("flowable mass", 32): {"ball": 0.055, "box": 0.055, "torus": 0.098, "cross": 0.058, "L": 0.060},
+    ("flowable mass", 48): {"ball": 0.037, "box": 0.025, "torus": 0.100, "cross": 0.019, "L": 0.027},
+}
+MODELS = {"constant density": ConstantDensity, "flowable mass": FlowableMass}
+
+
+@pytest.mark.parametrize(
+    ("model", "n"),
+    [key if key == ("constant density", 32) else pytest.param(*key, marks=pytest.mark.slow) for key in SHARES],
+)
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_sharp_bodies_with_default_settings_are_accounted_for(model: str, n: int, seed: int) -> None:
+    """The table of the documentation; ``pytest -s tests/flows/test_energy_budget.py -k sharp_bodies`` prints it.
+
+    The limiter is not the cause (without it the same is missing); without diffusion it is half and of the other sign:
+    diffusion works on speeds that differ from cell to cell where a front stops at an edge.
+    """
+    found = {kind: unexplained(kind, n, seed, MODELS[model]()) for kind in SHARES[model, n]}
+    print(f"\n{model}, {n}, seed {seed}:", {kind: f"{100 * share:.1f} %" for kind, share in found.items()})
+    for kind, share in found.items():
+        assert share < 1.15 * SHARES[model, n][kind] + 0.01, kind
 
 
 def test_a_wrong_sign_is_not_accounted_for() -> None:
