@@ -85,9 +85,9 @@ def row(
         "voxels_that_change_side": sum(flipped for _, flipped in found),
         "means": [round(mean, 4) for mean in means],
     }
-    voxel, gap = " ".join(f"{h:g}" for h in spacing), "gap" if sign < 0 else "   "
+    voxels = " ".join(f"{h:g}" for h in spacing)
     print(
-        f"{case:26s} {kind:9s}{size:5.1f} spacing {voxel:7s} {gap} mean "
+        f"{case:26s} {kind:9s}{size:5.1f} spacing {voxels:7s} {'gap' if sign < 0 else '   '} mean "
         f"{min(means):+.3f} .. {max(means):+.3f}, largest {out['largest']:.3f}", flush=True,
     )
     return out

@@ -17,6 +17,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.analysis.small_parts import TURNED, least_cosine, settled
+
 Floats = NDArray[np.float64]
 
 #: The cubic is used where the second differences at both ends have one sign, and the smaller at least this part of the
@@ -152,21 +154,25 @@ def balanced(
     # The one edge of a segment counts twice here.
     gap = np.einsum("mij,mij->m", edges, turns) / 24
     # Around an edge or a corner of the object no curvature says where the surface is.
-    cosine = (corner_normals * np.roll(corner_normals, -1, axis=1)).sum(axis=2).min(axis=1)
+    cosine = least_cosine(corner_normals)
     smooth = known[faces].all(axis=1) & (cosine > MIN_COSINE)
     # The thickness of a slice does not count.
     moving = (step for a, (step, n) in enumerate(zip(spacing, psi.shape, strict=True)) if n > 1 and a != across)
     most = MAX_GAP * min(moving, default=h.min())
     gap = np.clip(np.where(smooth, gap, 0.0), -most, most)
     # Caps are flat, and have no share in the rim's displacement.
-    size[on_cap[faces].all(axis=1).any(axis=1)] = 0.0
+    is_cap = on_cap[faces].all(axis=1).any(axis=1)
+    size[is_cap] = 0.0
 
     around = np.maximum(_per_vertex(faces, size, len(zyx)), 1e-300)
     distance = np.zeros(len(zyx))
     for _ in range(1 + ROUNDS):
         distance = _per_vertex(faces, size * gap, len(zyx)) / around
         gap = distance[faces].mean(axis=1)
-    return np.asarray(zyx + distance[:, None] * normals / h)
+    placed = np.asarray(zyx + distance[:, None] * normals / h)
+    # In the slice of a volume psi is no distance from the contour.
+    rough = ~known[faces].all(axis=1) | (cosine < TURNED)
+    return placed if across is not None else settled(placed, faces[~is_cap], rough[~is_cap], psi, h, normals)
 
 
 def _within(normals: Floats, known: NDArray[np.bool_], across: int) -> tuple[Floats, NDArray[np.bool_]]:

@@ -87,12 +87,14 @@ def test_one_pixel_and_corners_that_touch():
 
 
 def test_psi_of_exactly_zero_is_outside():
-    psi = np.full((1, 40, 50), 0.5, np.float32)
-    psi[0, 10:15, 10:15] = 0.0
-    psi[0, 11:14, 11:14] = -0.5
+    psi = np.full((1, 40, 50), 5.0, np.float32)
+    psi[0, 10:21, 10:21] = 0.0
+    psi[0, 11:20, 11:20] = -0.5
+    # So deep, and so far from all else, that it is no small part.
+    psi[0, 12:19, 12:19] = -5.0
     contours = extract(psi, GRID)
-    # 3 x 3 pixels inside, each reaching its neighbours' centres: 4 x 2 mm without the corners
-    assert len(contours.loops) == 1 and contours.area == pytest.approx(4.0 * 2.0 - 4 * 0.25, rel=1e-3)
+    # 9 x 9 pixels inside, each reaching its neighbours' centres: 10 x 5 mm without the corners
+    assert len(contours.loops) == 1 and contours.area == pytest.approx(10.0 * 5.0 - 4 * 0.25, rel=1e-3)
 
 
 def test_what_is_no_contour():
