@@ -5,7 +5,7 @@ import pytest
 
 from accelsurf import io
 from accelsurf.batch.admission import Admission, Need, admit, need_of, plan_rows
-from accelsurf.errors import UsageError
+from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io.headers import count_values
@@ -19,9 +19,10 @@ def test_values_are_counted_by_the_header_alone(suffix, tmp_path):
     path = tmp_path / f"a.{suffix}"
     io.write(Volume(np.zeros((4, 5, 6), np.uint16), Geometry((4, 5, 6), (1.0, 1.0, 1.0))), path)
     assert count_values(path) == 120
-    if suffix == "nii":  # the voxels need not be there
+    if suffix == "nii":  # a claim without its voxels counts for nothing
         path.write_bytes(path.read_bytes()[:360])
-        assert count_values(path) == 120
+        with pytest.raises(InputError, match="announces 592 bytes of voxels, the file holds 360"):
+            count_values(path)
 
 
 def test_a_png_has_its_pixels(tmp_path):
