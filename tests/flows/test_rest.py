@@ -170,7 +170,7 @@ def test_a_step_that_is_undone_twice_becomes_shorter(make: Callable[[], Descent]
 
 
 def test_the_converged_surface_of_the_public_interface_is_smooth() -> None:
-    """A clean box, ``smoothness`` .5: its area was 4.5 % too small, its faces rough by .14 voxel, and it "converged"."""
+    """A clean box: it "converged" with an area 4.5 % too small and faces rough by .14 voxel."""
     image = np.zeros((40, 40, 40), np.float32)
     image[9:31, 9:31, 8:31] = 1.0
     ends = {}
