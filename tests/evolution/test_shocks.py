@@ -5,9 +5,9 @@ Constant density. The Euler-Lagrange equations of a front y = u(x, t), p = u_x, 
     p_t = (beta sqrt(1 + p^2))_x,   beta_t = (1/2 beta^2 p/sqrt(1 + p^2))_x,
 
 the second the momentum of the surface (div(1/2 beta^2 n) of the paper). Their entropy solution for a valley of two
-planes with the slopes -+p is two shocks with a plane between them, by the conditions of Rankine and Hugoniot. A kink that stays
-(each plane with its speed) is no solution. The program has 1/2 beta^2 H along normals, no flux: a weak solution that
-does not keep the momentum, with shocks that are a little too weak.
+planes with the slopes -+p is two shocks with a plane between them, by the conditions of Rankine and Hugoniot. A kink
+that stays (each plane with its speed) is no solution. The program has 1/2 beta^2 H along normals, no flux: a weak
+solution that does not keep the momentum, with shocks that are a little too weak.
 
 Flowable mass. Particles coast, V_t + (V . grad) V = 0. Where their paths cross, the front is their envelope: of even
 speeds along the normals the points at the distance t, as the viscosity solution of psi_t = |grad psi|.

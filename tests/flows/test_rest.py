@@ -170,12 +170,12 @@ def test_a_step_that_is_undone_twice_becomes_shorter(make: Callable[[], Descent]
 
 
 def test_the_converged_surface_of_the_public_interface_is_smooth() -> None:
-    """A clean box, ``smoothness`` .5: it was 5 % smaller in area, with faces rough by .14 voxel, and "converged"."""
+    """A clean box: it "converged" with an area 4.5 % too small and faces rough by .14 voxel."""
     image = np.zeros((40, 40, 40), np.float32)
-    image[9:31, 9:31, 9:31] = 1.0
+    image[9:31, 9:31, 8:31] = 1.0
     ends = {}
     for flow in ("gradient", "constant-density"):
-        result = accelsurf.segment(image, start="ball:19.5,19.5,19.5,9", smoothness=0.5, flow=flow, levels=1)
+        result = accelsurf.segment(image, start="ball:19.5,19.5,19.5,8.8", smoothness=0.5, flow=flow, levels=1)
         assert result.stop.reason == "converged" and result.history[-2].motion_voxels < 0.01
         points = np.stack(np.indices(image.shape) - 19.5)
         on = Scene("box", (1.0, 1.0, 1.0), points, image, 11.0, 0.5, 1.5)
