@@ -111,6 +111,7 @@ def own_residues(start, stop, psi, grid, band, motion, out):
     w = np.empty(24)
     h = min(grid.hz, min(grid.hy, grid.hx))
     least, most = MIN_RESIDUE * h, MAX_RESIDUE * h
+    limit = 2.0 * MAX_RESIDUE * max(grid.hz, max(grid.hy, grid.hx))
     equal = grid.hz == grid.hy == grid.hx
     lines, first = limited_memory(grid), np.zeros(BATCH, np.int64)
     furthest = 1.01 * OWN_RESIDUE * max(grid.hz, max(grid.hy, grid.hx))
@@ -131,7 +132,9 @@ def own_residues(start, stop, psi, grid, band, motion, out):
             value, _, _, _ = value_and_gradient(psi, grid, pz, py, px, w)
         size = abs(value) - least
         if size > most:
-            largest = most if equal else largest_residue(psi, grid, (pz, py, px), (first, lines))
+            # Beyond the largest voxel nothing is left in any direction.
+            is_open = not equal and abs(value) < limit and is_at_surface(psi, grid, pz, py, px)
+            largest = largest_residue(psi, grid, (pz, py, px), (first, lines)) if is_open else most
             size = min(size, 2.0 * largest - abs(value))
         if size > 0.0 and is_at_surface(psi, grid, pz, py, px):
             residue[s] = size if value > 0.0 else -size
