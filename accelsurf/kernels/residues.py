@@ -131,7 +131,7 @@ def own_residues(start, stop, psi, grid, band, motion, out):
         else:
             value, _, _, _ = value_and_gradient(psi, grid, pz, py, px, w)
         size = abs(value) - least
-        if size > most:
+        if abs(value) > most:
             # Beyond the largest voxel nothing is left in any direction.
             is_open = not equal and abs(value) < limit and is_at_surface(psi, grid, pz, py, px)
             largest = largest_residue(psi, grid, (pz, py, px), (first, lines)) if is_open else most
