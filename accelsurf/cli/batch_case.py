@@ -28,7 +28,7 @@ from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
 from accelsurf.io import channels, read_labels
 from accelsurf.io.file_set import refuse_inputs
 from accelsurf.io.headers import outside_data_allowed
-from accelsurf.report.result_sets import load_report, report_name
+from accelsurf.report.result_sets import load_report, report_name, unchanged_outputs
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
@@ -129,9 +129,12 @@ def refuse_inputs_of(tasks: Sequence[CaseTask], tables: Sequence[Path], given: S
 
 
 def _outputs(place: Place, config: RunConfig | TrackConfig) -> Iterable[Path]:
+    """All that a case may write, or remove as of an earlier run."""
+    yield from (place.folder / name for name in unchanged_outputs(place.report_path, ()))
     if isinstance(config, TrackConfig):
-        return track_case.TrackCase(place, config).files.paths(place.folder, place.name).values()
-    return place.paths(config).values()
+        yield from track_case.TrackCase(place, config).files.paths(place.folder, place.name).values()
+    else:
+        yield from place.paths(config).values()
 
 
 class LostCaseError(AccelsurfError):

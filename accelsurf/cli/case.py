@@ -198,7 +198,7 @@ def _commit(target: Place, files: FileSet, failed: bool, gone: Sequence[str] = (
     if not (failed or target.overwrite):  # another program may have put a file there while the run went on
         report = target.report_path
         output_folder.refuse_existing({"report" if n == report.name else n: files.folder / n for n in written}, False)
-    outdated = result_sets.outdated(files.folder, target.name, written, failed)
+    outdated = result_sets.outdated(files.folder, target.name, written, failed, target.overwrite)
     files.commit(last=target.report_path.name, remove=[*outdated, *gone])
 
 
@@ -228,6 +228,7 @@ def evolve_at(
 def state_of(place: Place, config: RunConfig) -> Path | None:
     """The file of a run's state, where it has one; that of an earlier run is removed unless it is to go on."""
     state = place.checkpoint_path
+    output_folder.refuse_folder(state)
     if not place.resume:
         state.unlink(missing_ok=True)
     return state if config.checkpoint is not None or state.exists() else None
@@ -313,7 +314,7 @@ def report_failure(place: Place, error: BaseException) -> None:
     error : BaseException
     """
     try:
-        with output_folder.opened_set(place.folder, place.name) as files:
+        with output_folder.opened_set(place.folder, place.name, place.inputs(None)) as files:
             _write_failure(place, None, error, Log(), files)
     except AccelsurfError as second:
         say(f"warning: the report could not be written: {second.message}")

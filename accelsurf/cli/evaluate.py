@@ -117,7 +117,7 @@ def _refuse_input_as_table(table: str | None, found: list[Pair] | Pair, *further
         return
     sides = [side for pair in (found if isinstance(found, list) else [found]) for side in (pair.pred, pair.ref)]
     inputs = [*(side.path for side in sides if side is not None), *(path for path in further if path is not None)]
-    refuse_inputs([Path(table)], inputs)
+    refuse_inputs([Path(table)], inputs, "name of the table with --csv")
 
 
 def _refuse_with_tracks(given: dict[str, Any]) -> None:

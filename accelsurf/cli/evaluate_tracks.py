@@ -36,7 +36,9 @@ def evaluate_tracks(result: str | None, reference: str | None, as_json: bool, ta
     for path in (Path(result), Path(reference)):
         finish_killed_runs(path.parent)
     if table is not None and table != "-":
-        refuse_inputs([Path(table)], [Path(result), Path(reference)])
+        sides = (Path(result), Path(reference))
+        inputs = [path for side in sides for path in (side, *side.rglob("*"))]
+        refuse_inputs([Path(table)], inputs, "name of the table with --csv")
     given, wanted = open_tracks(Path(result)), open_tracks(Path(reference))
     found = compare(given, wanted)
     if table is not None:

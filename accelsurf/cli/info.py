@@ -111,7 +111,10 @@ def _show_volumes(volumes: list[dict[str, Any]], as_json: bool) -> None:
             print(f"   warning: {warning}")
     for note in volumes[0]["left_out"]:
         print(note)
-    print("--series NUMBER chooses one" if len(volumes) > 1 else "it is the only one: no --series is needed")
+    if any(entry["segments"] for entry in volumes):
+        print("a label map: FILE@2 takes segment 2 alone")
+    else:
+        print("--series NUMBER chooses one" if len(volumes) > 1 else "it is the only one: no --series is needed")
 
 
 def _facts_of(path: Path, asked: ReadOptions) -> dict[str, Any]:

@@ -167,7 +167,7 @@ def _labels(path: Path, geometry: Geometry) -> NDArray[Any]:
     """
     from accelsurf import io
 
-    known = io.read_labels(path)
+    known = io.read_labels(path, grid=geometry)
     if not known.geometry.matches(geometry):
         difference = known.geometry.difference(geometry)
         raise InputError(f"{path}: on another grid than the image ({difference})", "give labels of this image")

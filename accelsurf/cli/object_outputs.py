@@ -12,6 +12,7 @@ import numpy as np
 from accelsurf import io
 from accelsurf.batch.run import SOME_FAILED
 from accelsurf.cli.interrupts import Interrupts
+from accelsurf.errors import OutputError
 from accelsurf.io.files import write_bytes
 from accelsurf.report import document, output_folder, result_sets, tables
 from accelsurf.report.file_entries import describe_drafts, describe_input
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from accelsurf.segmentation.windowed import LargeImage
     from accelsurf.settings.run_config import RunConfig
 
+_BEGIN_ANEW = "add --overwrite in place of --resume, to begin anew"
 #: Sums over all objects in the report.
 _SUMS = ("volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components")
 
@@ -56,7 +58,7 @@ def write_outputs(
     rows = rows_of(done)
     code = SOME_FAILED if done.failures else 0
     with interrupts.patience("finishing the files"), output_folder.naming_final(files):
-        kinds = {names["labels"]: "labels", names["objects"]: "objects", **_link_meshes(done, files)}
+        kinds = {names["labels"]: "labels", names["objects"]: "objects", **_link_meshes(done, files, place.name)}
         _write_labels(files.drafts / names["labels"], image, done)
         write_bytes(files.drafts / names["objects"], tables.objects_csv(rows).encode())
         outputs = describe_drafts(files, kinds)
@@ -81,14 +83,18 @@ def rows_of(done: ObjectsDone) -> list[dict[str, Any]]:
     return [rows[own] for own in done.ids]
 
 
-def _link_meshes(done: ObjectsDone, files: FileSet) -> dict[str, str]:
+def _link_meshes(done: ObjectsDone, files: FileSet, case: str) -> dict[str, str]:
     """Put the meshes beside the other drafts; kind of each by its name."""
     kinds = {}
     for record in done.records:
         for meshes in record.meshes:
             for kind, name in meshes.items():
+                if not result_sets.is_named_as_output(name, case):
+                    raise OutputError(f"{record.folder}: has the mesh {name}, of another image", _BEGIN_ANEW)
                 try:
                     os.link(record.folder / name, files.drafts / name)
+                except FileExistsError:
+                    raise OutputError(f"{record.folder}: has a mesh {name} of another group", _BEGIN_ANEW) from None
                 except OSError:  # a file system without links
                     shutil.copyfile(record.folder / name, files.drafts / name)
                 kinds[name] = kind.partition("-")[0]

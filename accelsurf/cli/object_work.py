@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import pickle
 import shutil
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from accelsurf.cli.interrupts import Interrupts
 from accelsurf.cli.object_options import ObjectOptions
 from accelsurf.cli.options import Display
 from accelsurf.cli.place import Place
+from accelsurf.cli.resume import taken_up
 from accelsurf.errors import OutputError
 from accelsurf.io.file_set import refuse_links
 from accelsurf.report import group_files, object_files, output_folder, result_sets
@@ -62,7 +64,7 @@ def run_objects(
             print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
         return int(report["exit_code"])
     if report is not None and report["status"] != "ok" and report.get("objects"):
-        place = replace(place, overwrite=True)
+        place = taken_up(place, config)
     inputs = place.inputs(config)
     with output_folder.opened_set(place.folder, place.name, inputs) as files:
         output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
@@ -82,13 +84,16 @@ def _work_folder(place: Place, resume: bool) -> Path:
         When an earlier run has left something there that may not be lost.
     """
     work = (place.folder / f".{place.name}_objects").absolute()
-    refuse_links(work)
+    refuse_links(work, "remove the link, or choose another folder with -o")
     if work.is_dir() and not resume:
         if not place.overwrite:
             raise OutputError(
                 f"{work}: has what a run that was stopped has left",
                 "add --resume to go on from it, or --overwrite to begin anew",
             )
+        others = [name for name in os.listdir(work) if not name.startswith(("group-", ".draft-"))]
+        if others:
+            raise OutputError(f"{work}: has {others[0]}, which no run has left there", "move it away")
         shutil.rmtree(work)
     work.mkdir(exist_ok=True)
     for draft in work.glob(".draft-*"):

@@ -47,7 +47,7 @@ class Place:
 
         return cls(source, folder, name_of(source), overwrite, further=further)
 
-    def inputs(self, config: RunConfig | TrackConfig) -> list[Path]:
+    def inputs(self, config: RunConfig | TrackConfig | None) -> list[Path]:
         """All files that the command reads: none of them may be replaced."""
         return inputs_of(self.source, config, *self.further)
 

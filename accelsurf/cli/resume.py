@@ -35,7 +35,7 @@ def code_of_ended(place: Place, config: RunConfig, quiet: bool = False) -> int |
         return None
     if not quiet:
         print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
-    return int(document.get("exit_code", 0))
+    return int(document["exit_code"])
 
 
 def taken_up(place: Place, config: RunConfig) -> Place:

@@ -6,6 +6,7 @@ the tracking ended, also when it failed.
 
 from __future__ import annotations
 
+import os
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from accelsurf.cli.place import Place
 from accelsurf.errors import AccelsurfError, OutputError
+from accelsurf.report import output_folder, result_sets
 
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
@@ -93,7 +95,8 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
         outputs = TrackOutputs(
             case.place.folder, case.place.name, tracking.sequence, case.files,
             settings=tracking.config.model_dump(mode="json"), toml=tracking.config.to_toml(), argv=sys.argv,
-            overwrite=case.place.overwrite or resumed, store=case.store, inputs=case.place.inputs(case.config),
+            overwrite=case.place.overwrite or (resumed and _is_interrupted(case)), store=case.store,
+            inputs=case.place.inputs(case.config),
         )
         try:
             _follow(case, tracking, outputs, watcher)
@@ -122,8 +125,20 @@ def report_failure(case: TrackCase, error: BaseException) -> None:
         say(f"warning: the report could not be written: {second.message}")
 
 
+def _is_interrupted(case: TrackCase) -> bool:
+    """Whether what stands in the folder is of a run that was interrupted or failed, and of nothing else."""
+    report = case.place.report_path
+    document = result_sets.load_report(report)
+    if document is None or document["status"] == "ok":
+        return False
+    known = {report.name, *result_sets.unchanged_outputs(report, ())}
+    paths = case.files.paths(case.place.folder, case.place.name).values()
+    return all(path.name in known for path in paths if os.path.lexists(path))
+
+
 def _look_at_state(case: TrackCase) -> None:
     """Refuse to lose the work of a killed run, or take it away where that was asked for."""
+    output_folder.refuse_folder(case.state)
     there = [path for path in (case.state, case.store) if path.exists()]
     if there and not (case.place.resume or case.place.overwrite):
         raise OutputError(
@@ -182,7 +197,8 @@ def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
     report = case.place.report_path.absolute()
     watcher.outcome = f"the {'result' if complete else 'result so far'} is written: {report}"
     if complete:
-        _remove_state(case)
+        with suppress(OutputError):  # somebody has put a file among the frames: it stays
+            _remove_state(case)
     return code
 
 

@@ -68,17 +68,19 @@ def from_bytes(content: bytes, types: Mapping[str, type]) -> Any:
         arrays = _arrays(content)
         tree = arrays.pop(_TREE)
         if (tree.ndim, tree.dtype) != (1, np.uint8):
-            raise ValueError("its tree is none")
+            raise ValueError("its description is missing")
         about = json.loads(tree.tobytes().decode())
         found, layout = about["format"], about["records"]
     except Exception as error:  # whatever zipfile, numpy and json make of damaged bytes
         raise InputError(f"the checkpoint is damaged ({error})", "run from the start again") from None
     if found != FORMAT:
-        raise InputError(f"a checkpoint of format {found} was given, expected {FORMAT}", "run from the start again")
+        what = f"a checkpoint of another version of accelsurf was given (format {found}, expected {FORMAT})"
+        raise InputError(what, "run from the start again")
     if layout != _layout(types):
         raise InputError("a checkpoint of another version of accelsurf was given", "run from the start again")
     if about.get("digest") != _digest(about.get("state"), arrays):
-        raise InputError("the checkpoint is damaged (its digest is another)", "run from the start again")
+        what = "the checkpoint is damaged (its checksum does not fit its content)"
+        raise InputError(what, "run from the start again")
     try:
         return _decode(about["state"], arrays, types)
     except (ValueError, TypeError, KeyError, RecursionError) as error:
@@ -100,7 +102,7 @@ def _arrays(content: bytes) -> dict[str, np.ndarray]:
         for member in members:
             name = member.filename.removesuffix(_END)
             if name in arrays or name == member.filename:
-                raise ValueError(f"its member {member.filename[:40]} is none")
+                raise ValueError(f"{member.filename[:40]} in it is no array, or is there twice")
             arrays[name] = _array(bytearray(archive.read(member)))
     return arrays
 

@@ -89,7 +89,7 @@ class FileSet:
                 os.replace(self.drafts / everything[0], self.folder / everything[0])  # all or nothing by itself
             else:
                 sync_folder(self.drafts)
-                self._journal.write(Moves(names, gone, last))
+                self._plan(Moves(names, gone, last))
                 self.committed = True  # drafts must not be removed from here on, whatever happens
                 try:
                     _move(self._journal, self.folder)
@@ -98,6 +98,14 @@ class FileSet:
                     raise
             self.committed = True
             sync_folder(self.folder)
+
+    def _plan(self, moves: Moves) -> None:
+        """Have a journal of the moves; where none can be written, they are made without."""
+        try:
+            self._journal.write(moves)
+        except OSError as error:
+            self._journal.keep_in_memory(moves, error)
+            _warn_without_journal(self.folder, self._journal)
 
     def _has_folder(self, name: str) -> bool:
         """Whether the draft of a name, or what it replaces, is a folder: the system does not exchange these."""
@@ -133,7 +141,7 @@ def opened(folder: Path, name: str, unique: bool = False, inputs: Sequence[Path]
         Of staging folders that are not of this user's runs, and of a state folder that cannot be written.
     """
     refuse_links(folder)
-    stuck = [path for path in recover(folder) if _set_of(path) == _set_of(Path(set_journals.staging_name(name, "0")))]
+    stuck = [staging for staging in recover(folder) if set_journals.is_of(staging, name)]
     if stuck and not unique:
         raise OutputError(
             f"{folder / name}: a run that was killed has put only some of its files in place, and they cannot be moved",
@@ -145,8 +153,7 @@ def opened(folder: Path, name: str, unique: bool = False, inputs: Sequence[Path]
             f"{folder / name}: another run is writing there now", "wait until it ends, or choose another folder with -o"
         )
     if not (unique or journal.has_file or set_journals.is_staging(folder)):
-        text = f"{folder}: a run that is killed while its files are put in place could not be finished"
-        warnings.warn(f"{text}: no state can be kept in the home folder", AccelsurfWarning, stacklevel=2)
+        _warn_without_journal(folder, journal)
     try:
         yield FileSet(folder, journal, inputs)
     finally:
@@ -158,6 +165,15 @@ def opened(folder: Path, name: str, unique: bool = False, inputs: Sequence[Path]
                 journal.end()
 
 
+def _warn_without_journal(folder: Path, journal: Journal) -> None:
+    warnings.warn(
+        f"{folder}: no journal can be kept ({journal.reason}); if this command is killed while its files are put in "
+        "place, some may be old and some new. Set XDG_STATE_HOME to a folder that only you can write",
+        AccelsurfWarning,
+        stacklevel=3,
+    )
+
+
 def _begun(folder: Path, name: str, unique: bool) -> Journal | None:
     for _ in range(_TRIES):
         journal = set_journals.begun(folder, name, unique)
@@ -165,11 +181,6 @@ def _begun(folder: Path, name: str, unique: bool) -> Journal | None:
             return journal
         time.sleep(_TRY_SECONDS)
     return None
-
-
-def _set_of(staging: Path) -> str:
-    """Name of a staging folder without what makes it unique."""
-    return staging.name.removesuffix(SUFFIX).rpartition(".")[0]
 
 
 def recover(folder: Path) -> list[Path]:
@@ -210,7 +221,7 @@ def _staging_folders(folder: Path) -> list[str]:
         names = os.listdir(folder)
     except OSError:
         return []
-    return sorted(name for name in names if name.startswith(PREFIX) and name.endswith(SUFFIX))
+    return sorted(name for name in names if name.startswith(PREFIX) and name.endswith(SUFFIX) and name != SUFFIX)
 
 
 def _name_foreign(folder: Path, there: list[str]) -> None:
@@ -229,10 +240,16 @@ def _name_foreign(folder: Path, there: list[str]) -> None:
         )
 
 
-def refuse_links(folder: Path) -> None:
+def refuse_links(folder: Path, hint: str = "") -> None:
     """Refuse to write in a folder that is a link, or that lies below one in the present folder.
 
     A link may have come with somebody's data, and lead anywhere.
+
+    Parameters
+    ----------
+    folder : Path
+    hint : str, optional
+        What to do, of a folder that the user does not name.
 
     Raises
     ------
@@ -246,7 +263,7 @@ def refuse_links(folder: Path) -> None:
         if _is_link(part):
             raise OutputError(
                 f"{part}: is a link to {os.path.realpath(part)}, and nothing is written through a link",
-                f"name the folder itself: {os.path.realpath(whole)}",
+                hint or f"name the folder itself: {os.path.realpath(whole)}",
             )
 
 
@@ -276,13 +293,15 @@ def _check_staging(journal: Journal) -> None:
             raise NotADirectoryError(f"{folder}: is no folder")
 
 
-def refuse_inputs(outputs: Iterable[Path], inputs: Sequence[Path]) -> None:
+def refuse_inputs(outputs: Iterable[Path], inputs: Sequence[Path], place: str = "folder with -o") -> None:
     """Refuse to replace or remove a file that is read, also by another name: a link or a hard link.
 
     Parameters
     ----------
     outputs : iterable of Path
     inputs : sequence of Path
+    place : str, optional
+        What else to choose, for the hint.
 
     Raises
     ------
@@ -290,13 +309,17 @@ def refuse_inputs(outputs: Iterable[Path], inputs: Sequence[Path]) -> None:
         With the input.
     """
     known = {(found.st_dev, found.st_ino): path for path in inputs if (found := _stat(path)) is not None}
+    for path in inputs:  # what lies in a folder goes with it
+        for parent in (*path.absolute().parents, *path.resolve().parents):
+            if (found := _stat(parent)) is not None:
+                known.setdefault((found.st_dev, found.st_ino), path)
     for output in outputs:
         for found in (_stat(output), _stat(output, follow=False)):
             if found is not None and (found.st_dev, found.st_ino) in known:
                 raise OutputError(
-                    f"{output}: is read by this command ({known[found.st_dev, found.st_ino]}), and would be replaced "
-                    "or removed",
-                    "choose another folder with -o, or copy the input elsewhere and name the copy",
+                    f"{output}: is read by this command (given as {known[found.st_dev, found.st_ino]}), so it is not "
+                    "replaced or removed",
+                    f"choose another {place}, or copy the input elsewhere and give the copy",
                 )
 
 

@@ -12,11 +12,13 @@ import errno
 import hashlib
 import json
 import os
+import re
 import secrets
 import stat
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -26,9 +28,9 @@ PREFIX, SUFFIX = ".", ".accelsurf"
 _JOURNAL, _LOCK, _DRAFT = ".json", ".lock", ".draft"
 #: Journals of killed runs whose folders nobody has written to since are forgotten after so long.
 _FORGOTTEN_DAYS = 90
+_STAGING = re.compile(r"\..+\.[0-9a-f]{16}\.accelsurf")
 #: Longest name of a set that is repeated in the name of its staging folder, bytes: file systems allow 255.
 _MAX_NAME_BYTES = 200
-_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP}
 #: Only the user may write these, on systems that say who may.
 _OTHERS_MAY_WRITE = 0o022
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
@@ -53,11 +55,15 @@ class Journal:
         The folder beside the outputs in which new files lie until they are complete.
     moves : Moves or None
         None as long as files are being written.
+    reason : str
+        Why it is in no file.
     """
 
-    def __init__(self, path: Path | None, lock: int, folder: Path, staging: Path, moves: Moves | None = None) -> None:
-        self._path, self._lock, self._folder = path, lock, folder
-        self.staging, self.moves = staging, moves
+    def __init__(
+        self, path: Path | None, lock: int, staging: Path, moves: Moves | None = None, reason: str = ""
+    ) -> None:
+        self._path, self._lock = path, lock
+        self.staging, self.moves, self.reason = staging, moves, reason
 
     @property
     def has_file(self) -> bool:
@@ -85,6 +91,11 @@ class Journal:
             if moves is not None:
                 sync_folder(self._path.parent)
         self.moves = moves
+
+    def keep_in_memory(self, moves: Moves, error: OSError) -> None:
+        """Go on without a file, which would say that the staging folder may go."""
+        self.end()
+        self._path, self.moves, self.reason = None, moves, error.strerror or str(error)
 
     def clear(self) -> None:
         """Say that nothing is to be moved any more."""
@@ -126,16 +137,21 @@ def state_folder() -> Path:
         raise OSError(errno.ENOENT, str(error)) from error
     if not folder.is_absolute():  # older versions say so in this way
         raise OSError(errno.ENOENT, "the user has no home folder")
+    there = next(parent for parent in folder.parents if parent.exists())
+    if os.name == "posix" and os.geteuid() == 0 and there.stat().st_uid != 0:  # sudo: these would not be the user's
+        raise PermissionError(errno.EACCES, "it is the folder of another user", str(folder))
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if not _is_private(folder.lstat()) or not stat.S_ISDIR(folder.lstat().st_mode):
-        raise PermissionError(errno.EACCES, "others than the user may write there", str(folder))
+    for part in (folder.parent, folder):
+        found = part.lstat()
+        if not _is_private(found) or not stat.S_ISDIR(found.st_mode):
+            raise PermissionError(errno.EACCES, "others than the user may write there", str(part))
     if not os.access(folder, os.W_OK):
         raise PermissionError(errno.EACCES, "Permission denied", str(folder))
     return folder
 
 
 def begun(folder: Path, name: str, unique: bool) -> Journal | None:
-    """Begin a set of files: lock its journal, or say None where another process writes a set of this name there.
+    """Return the locked journal of a new set of files; None where another process writes a set of this name there.
 
     Parameters
     ----------
@@ -154,23 +170,30 @@ def begun(folder: Path, name: str, unique: bool) -> Journal | None:
     token = secrets.token_hex(8)
     staging = folder / staging_name(name, token)
     if is_staging(folder):  # its own journal says that all in it is of this user
-        return Journal(None, -1, folder, staging)
+        return Journal(None, -1, staging)
     try:
         state = state_folder()
-    except OSError:
-        return Journal(None, -1, folder, staging)
+    except OSError as error:
+        return Journal(None, -1, staging, reason=error.strerror or str(error))
     _forget_old(state)
     word = token if unique else hashlib.sha256(os.fsencode(name)).hexdigest()[:16]
     path = state / f"{_identity(folder)}-{word}{_JOURNAL}"
-    lock = _locked(path)
+    try:
+        lock = _locked(path)
+    except OSError as error:
+        _unlink(path.with_suffix(_LOCK))
+        return Journal(None, -1, staging, reason=error.strerror or str(error))
     if lock is None:
         return None
     if path.exists():  # its writer has died since the folder was recovered
         os.close(lock)
         return None
-    journal = Journal(path, lock, folder, staging)
+    journal = Journal(path, lock, staging)
     try:
         journal.write(None)
+    except OSError as error:
+        journal.end()
+        return Journal(None, -1, staging, reason=error.strerror or str(error))
     except BaseException:
         journal.end()
         raise
@@ -185,26 +208,24 @@ def left_by_dead(folder: Path) -> Iterator[Journal]:
     folder : Path
     """
     for path in _journals(folder):
-        lock = _locked(path)
+        try:
+            lock = _locked(path)
+        except OSError:  # one cannot know whether its writer lives
+            continue
         if lock is None:
             continue
         content = _content(path)
         if content is None:
-            Journal(path, lock, folder, folder).end()
+            Journal(path, lock, folder).end()
         else:
-            yield Journal(path, lock, folder, *content_of(content, folder))
+            moves = content["moves"]
+            yield Journal(path, lock, folder / content["staging"], None if moves is None else Moves(**moves))
 
 
 def recorded(folder: Path) -> set[str]:
     """Names of the staging folders in a folder that journals of this user name."""
     contents = (_content(path) for path in _journals(folder))
     return {content["staging"] for content in contents if content is not None}
-
-
-def content_of(content: dict[str, Any], folder: Path) -> tuple[Path, Moves | None]:
-    """Staging folder and moves that a journal says."""
-    moves = content["moves"]
-    return folder / content["staging"], None if moves is None else Moves(**moves)
 
 
 def staging_name(name: str, token: str) -> str:
@@ -220,6 +241,12 @@ def staging_name(name: str, token: str) -> str:
     return f"{PREFIX}{name}.{token}{SUFFIX}"
 
 
+def is_of(staging: Path, name: str) -> bool:
+    """Whether a staging folder is of a set of this name."""
+    token = staging.name.removesuffix(SUFFIX).rpartition(".")[2]
+    return staging.name == staging_name(name, token)
+
+
 def is_staging(folder: Path) -> bool:
     """Whether a folder is, or lies in, a staging folder.
 
@@ -228,7 +255,7 @@ def is_staging(folder: Path) -> bool:
     >>> is_staging(Path("out/.scan.0123456789abcdef.accelsurf/new")), is_staging(Path("out/new"))
     (True, False)
     """
-    return any(part.startswith(PREFIX) and part.endswith(SUFFIX) for part in folder.parts)
+    return any(_STAGING.fullmatch(part) for part in folder.parts)
 
 
 def sync_folder(folder: Path) -> None:
@@ -268,8 +295,10 @@ def _forget_old(state: Path) -> None:
             newest = max(file.lstat().st_mtime for file in state.glob(f"{path.stem}.*"))
         except (OSError, ValueError):  # it has just ended
             continue
-        if time.time() - newest > 86400 * _FORGOTTEN_DAYS and (lock := _locked(path)) is not None:
-            Journal(path, lock, state, state).end()
+        if time.time() - newest > 86400 * _FORGOTTEN_DAYS:
+            with suppress(OSError):
+                if (lock := _locked(path)) is not None:
+                    Journal(path, lock, state).end()
 
 
 def _content(path: Path) -> dict[str, Any] | None:
@@ -280,7 +309,10 @@ def _content(path: Path) -> dict[str, Any] | None:
                 return None
             content = json.load(file)
         staging, moves = content["staging"], content["moves"]
-        names = [staging, *([] if moves is None else [*moves["files"], *moves["remove"], moves["last"] or staging])]
+        names = [staging]
+        if moves is not None:
+            planned = Moves(**moves)
+            names += [*planned.files, *planned.remove, planned.last or staging]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     if any(name in ("", ".", "..") or os.path.basename(name) != name for name in names):
@@ -299,10 +331,9 @@ def _locked(journal: Path) -> int | None:
     """An open file that this process has locked for a journal; None where another process has."""
     path = journal.with_suffix(_LOCK)
     while True:
-        new = not journal.exists()
         lock = os.open(path, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o600)
         try:
-            got = _try_lock(lock, new)
+            got = _try_lock(lock)
             if got and _is_file(lock, path):
                 return lock
         except BaseException:
@@ -337,8 +368,8 @@ def _is_file(lock: int, path: Path) -> bool:
         return False
 
 
-def _try_lock(lock: int, new: bool) -> bool:
-    """Lock an open file without waiting. Where the file system has no locks, whoever begins a journal has it."""
+def _try_lock(lock: int) -> bool:
+    """Lock an open file without waiting; an OSError where the file system has no locks."""
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -349,8 +380,6 @@ def _try_lock(lock: int, new: bool) -> bool:
 
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
-        if error.errno in _NO_LOCKS:
-            return new
         if error.errno in (errno.EACCES, errno.EAGAIN, errno.EDEADLK):
             return False
         raise

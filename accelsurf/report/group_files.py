@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -136,9 +137,21 @@ def read_group(folder: Path) -> GroupRecord | None:
         boxes: list[Box] = [(slice(*z), slice(*y), slice(*x)) for z, y, x in found["boxes"]]
         low, high = np.array(found["low"], np.int64), np.array(found["high"], np.int64)
         stops = [Stop(*one) for one in found["stops"]]
+        if not _are_meshes(folder, found["rows"], found["meshes"]):
+            return None
         return GroupRecord(folder, (), found["rows"], boxes, low, high, stops, found["meshes"], found["facts"])
     except (InputError, ValueError, KeyError, TypeError):
         return None
+
+
+def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str, str]]) -> bool:
+    """Whether a record names meshes of its own objects that lie in the folder itself; it may be somebody's."""
+    if folder.is_symlink() or any(path.is_symlink() for path in folder.iterdir()):
+        return False
+    return all(
+        re.fullmatch(rf"[^/\\]+_(surface|contour)_{int(row['id'])}\.[a-z0-9.]+", name) and (folder / name).is_file()
+        for row, names in zip(rows, meshes, strict=True) for name in names.values()
+    )
 
 
 def _draft(folder: Path) -> Path:

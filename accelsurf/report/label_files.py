@@ -42,7 +42,7 @@ def check(config: RunConfig, volume: Volume, overwrite: bool = False) -> None:
     table_of(config)
     if config.label_group is not None:
         group = load("accelsurf.io.formats.ome_labels:check")(volume.source or Path(), config.label_group, overwrite)
-        refuse_inputs([group], named_files(config))
+        refuse_inputs([group], named_files(config), "--label-group")
     for name in config.also:
         if name not in LABEL_OUTPUTS or not LABEL_OUTPUTS[name].needs_dicom:
             continue

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from accelsurf.errors import OutputError
 from accelsurf.io.file_set import FileSet, opened, refuse_inputs, refuse_links
-from accelsurf.report.result_sets import is_failure_report, is_output, unchanged_outputs
+from accelsurf.report.result_sets import has_guests, is_failure_report, is_output, unchanged_outputs
 
 #: Of a file's name, on the usual file systems.
 MAX_NAME_BYTES = 255
@@ -49,11 +49,28 @@ def refuse_existing(paths: dict[str, Path], overwrite: bool, inputs: Sequence[Pa
     if results and not overwrite:
         more = f" and {len(results) - 1} more" if len(results) > 1 else ""
         raise OutputError(f"{results[0]}{more}: exists already", "choose another folder with -o, or add --overwrite")
-    folders = [path for path in existing if path.is_dir() and not is_output(path)]
-    if folders:
-        raise OutputError(f"{folders[0]}: is a folder, a file is to be written there", "choose another folder with -o")
+    for path in existing:
+        if not is_output(path):
+            refuse_folder(path)
+        if has_guests(path):
+            raise OutputError(
+                f"{path}: label maps were added to it, which would go with it",
+                "choose another folder with -o, or copy its folder labels elsewhere",
+            )
     for folder in {path.parent for path in paths.values()}:
         make_writable(folder)
+
+
+def refuse_folder(path: Path) -> None:
+    """Refuse a folder in the place of a file.
+
+    Raises
+    ------
+    OutputError
+        With it.
+    """
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder, a file is to be written there", "choose another folder with -o")
 
 
 def make_writable(folder: Path) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import AccelsurfError, InputError
-from accelsurf.io import is_stored, sha256
+from accelsurf.io import is_stored, sha256, split_name
 from accelsurf.io.files import read_json
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
@@ -18,6 +19,11 @@ from accelsurf.settings.track_formats import TRACK_FORMATS
 
 #: What the names of a failed run's files have after the name of the case, where a result stands already.
 FAILED = "_failed"
+#: What follows the name of a case in the names of its files.
+_KINDS = re.compile(
+    r"(seg|labels|segmentation|labelmap|rtstruct|dseg|rest\d+_seg|sdf|surface|contour|objects|state|run|trace|preview|"
+    r"statistics|report|case|tracks|curves|surfaces|geff|trackmate|res|movie|film)([._].*)?", re.IGNORECASE
+)
 #: Settings that change nothing of what a run leaves, and those that it may set itself.
 _WITHOUT_EFFECT, _OPEN = ("threads", "checkpoint"), ("seed", "energy")
 
@@ -51,7 +57,7 @@ def load_report(path: Path) -> dict[str, Any] | None:
     except InputError:
         return None
     kinds = {"status": str, "outputs": list, "exit_code": int}
-    if not isinstance(document, dict) or not {"status", "outputs"} <= document.keys():
+    if not isinstance(document, dict) or not {"status", "outputs", "exit_code"} <= document.keys():
         return None
     return document if all(isinstance(document.get(key, kind()), kind) for key, kind in kinds.items()) else None
 
@@ -134,7 +140,8 @@ def kinds_of_outputs(report: Path) -> set[str]:
 def unchanged_outputs(report: Path, besides: Collection[str]) -> list[str]:
     """Return the names of the files beside a report that are still as it lists them.
 
-    A file that somebody has changed since is not the run's any more, and does not go with it.
+    A file that somebody has changed since is not the run's any more, and does not go with it. A report may have come
+    with somebody's data and list any file, so names that no run of the case writes count for nothing.
 
     Parameters
     ----------
@@ -143,15 +150,41 @@ def unchanged_outputs(report: Path, besides: Collection[str]) -> list[str]:
         Names to leave out: those are replaced anyway.
     """
     document = load_report(report)
+    case = report.name.removesuffix(report_name(""))
     found = []
     for name, checksum in _entries(document["outputs"] if document is not None else ()):
         path = report.parent / name
         try:
-            if name not in besides and is_output(path) and sha256(path) == checksum:
+            if name in besides or not is_named_as_output(name, case) or not is_output(path) or has_guests(path):
+                continue
+            if sha256(path) == checksum:
                 found.append(name)
         except AccelsurfError:
             continue
     return found
+
+
+def is_named_as_output(name: str, case: str) -> bool:
+    """Whether a run or a tracking of a case may have written a file of this name.
+
+    Examples
+    --------
+    >>> is_named_as_output("scan_seg.nii.gz", "scan"), is_named_as_output("scan_failed_trace.csv", "scan")
+    (True, True)
+    >>> is_named_as_output("thesis.docx", "scan"), is_named_as_output("scan_thesis.docx", "scan")
+    (False, False)
+    """
+    case = case.removesuffix(FAILED)
+    for begin in (f"{case}{FAILED}_", f"{case}_"):
+        if name.startswith(begin):
+            return _KINDS.fullmatch(name[len(begin) :]) is not None
+    stem, suffix = split_name(name)  # of the layouts, see `accelsurf.report.layouts`
+    return "_seg-accelsurf_" in name or (bool(suffix) and stem in (case, re.sub(r"_\d{4}$", "", case)))
+
+
+def has_guests(path: Path) -> bool:
+    """Whether a store has label maps that somebody has added: they would go with it."""
+    return any((path / "labels").glob("*/zarr.json")) if path.is_dir() else False
 
 
 def result_stands(folder: Path, name: str, planned: Iterable[Path]) -> bool:
@@ -172,7 +205,9 @@ def result_stands(folder: Path, name: str, planned: Iterable[Path]) -> bool:
     return any(path.name not in own for path in there)
 
 
-def outdated(folder: Path, name: str, written: Collection[str], failed: bool) -> list[str]:
+def outdated(
+    folder: Path, name: str, written: Collection[str], failed: bool, overwrite: bool = True
+) -> list[str]:
     """Return the names of the files that go when those of a new run come.
 
     Parameters
@@ -184,11 +219,16 @@ def outdated(folder: Path, name: str, written: Collection[str], failed: bool) ->
         The new files.
     failed : bool
         Whether the new run failed. Of a run that did not, the files of a failed one before it go too.
+    overwrite : bool
+        Whether files of an earlier result may go; else only reports, and what is named as of a failed run.
     """
     reports = [folder / report_name(name)] if load_report(folder / report_name(name)) is not None else []
     if not failed and is_failure_report(folder / report_name(name + FAILED)):
         reports.append(folder / report_name(name + FAILED))
     gone = [one for report in reports for one in (*unchanged_outputs(report, written), report.name)]
+    if not overwrite:
+        kept = f"{name.removesuffix(FAILED)}{FAILED}_", report_name(name)
+        gone = [one for one in gone if one.startswith(kept)]
     return [one for one in gone if one not in written]
 
 

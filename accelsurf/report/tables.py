@@ -34,7 +34,8 @@ def objects_trace_csv(histories: Mapping[int, Iterable[StepRecord]]) -> str:
 
 def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
     """Return a table of several objects, one row each, from `describe_objects`; missing values are empty."""
-    plain = [key for key in objects[0] if key not in ("centroid", "quality", "message")]
+    # What a run cost is not the same after it was taken up again.
+    plain = [key for key in objects[0] if key not in ("centroid", "quality", "message", "cells_visited")]
     known: Mapping[str, Any] = next((one["quality"] for one in objects if one["quality"]), {})
     measures = [key for key in known if key != "warnings"]
     rows = []

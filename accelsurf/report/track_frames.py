@@ -10,6 +10,7 @@ import json
 import os
 import re
 import shutil
+import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -33,7 +34,9 @@ _BAND = 3.0
 _PREFIX = "frame_"
 #: Names in the folder of the frames.
 _FRAME = re.compile(r"frame_(\d{6}|[1-9]\d{6,11})\.npz")
-_OF_A_STORE = re.compile(rf"{_FRAME.pattern}|\.\d+\.npz|meshes")
+_MESHES = "meshes"
+_OF_A_STORE = re.compile(rf"{_FRAME.pattern}|\.\d+\.npz|{_MESHES}")
+_MESH = re.compile(r".*_(surface|contour)_\d+_t\d{3,}\.[a-z0-9.]+|\..*\.accelsurf")
 
 
 @dataclass(frozen=True)
@@ -101,18 +104,33 @@ def remove_store(folder: Path) -> None:
     OutputError
         When it is a link, or there is something else in it: then it is somebody's, and stays as it is.
     """
-    refuse_links(folder)
+    refuse_links(folder, "remove the link, or choose another folder with -o")
     try:
         names = os.listdir(folder)
     except (FileNotFoundError, NotADirectoryError):
         names = []
-    others = sorted(name for name in names if _OF_A_STORE.fullmatch(name) is None)
+    others = sorted(name for name in names if not _is_of_a_store(folder / name))
     if others or (folder.exists() and not folder.is_dir()):
         raise OutputError(
             f"{folder}: is not what a tracking has left{f', {others[0]} is in it' if others else ''}",
             "choose another folder with -o, or move it away",
         )
     shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_of_a_store(path: Path) -> bool:
+    """Whether a file or folder in the folder of the frames is what a tracking has written there."""
+    if path.is_symlink() or _OF_A_STORE.fullmatch(path.name) is None:
+        return False
+    if path.name == _MESHES:
+        return path.is_dir() and all(_MESH.fullmatch(inner.name) and inner.is_file() for inner in path.iterdir())
+    if path.name.startswith("."):  # a frame that was not complete when the process was killed
+        return True
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "row.npy" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
 
 
 class FrameStore:
@@ -132,7 +150,7 @@ class FrameStore:
         self.folder = folder
         if read_only:
             return
-        refuse_links(folder)
+        refuse_links(folder, "remove the link, or choose another folder with -o")
         if not resume:
             remove_store(folder)
         folder.mkdir(parents=True, exist_ok=True)

@@ -19,7 +19,8 @@ from accelsurf.io.file_set import FileSet, refuse_links
 from accelsurf.io.files import write_bytes
 from accelsurf.report import film_strip, output_folder, result_sets, track_document, track_tables, volume_curves
 from accelsurf.report.file_entries import describe_drafts
-from accelsurf.report.track_files import TrackFiles, labels_name, mesh_name
+from accelsurf.report.inputs import inputs_of
+from accelsurf.report.track_files import TrackFiles, is_of_frame, labels_name, mesh_name
 from accelsurf.report.track_frames import FrameStore, TrackSet, frame_digits, remove_store
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.settings.registry import load
@@ -213,7 +214,7 @@ class TrackOutputs:
     @property
     def _mesh_folder(self) -> Path:
         folder = self._store.folder / "meshes"
-        refuse_links(folder)
+        refuse_links(folder, "remove the link, or choose another folder with -o")
         folder.mkdir(exist_ok=True)
         return folder
 
@@ -227,6 +228,8 @@ class TrackOutputs:
         """Write the drafts of all files but the report; kind by name."""
         names, kinds = self.files.names(self.name), {}
         for path in sorted(self._mesh_folder.iterdir()):
+            if not is_of_frame(path.name, self.name) or path.is_symlink() or not path.is_file():
+                continue  # somebody has put it there
             shutil.copyfile(path, self._set.drafts / path.name)
             kinds[path.name] = "surface" if self.sequence.geometry.slice_axis is None else "contour"
         if self.files.per_frame:
@@ -295,7 +298,8 @@ def write_failure(
     OutputError
         When it cannot be written.
     """
-    with output_folder.opened_set(folder, name) as drafts, output_folder.naming_final(drafts):
+    inputs = inputs_of(source, None)
+    with output_folder.opened_set(folder, name, inputs) as drafts, output_folder.naming_final(drafts):
         _write_failure(drafts, name, files, error, source=source, settings=settings, argv=argv)
 
 
@@ -320,4 +324,4 @@ def _commit(drafts: FileSet, report: str, overwrite: bool, failed: bool = False)
         paths = {"report" if name == report else name: drafts.folder / name for name in written}
         output_folder.refuse_existing(paths, False)
     name = report.removesuffix("_report.json")
-    drafts.commit(last=report, remove=result_sets.outdated(drafts.folder, name, written, failed))
+    drafts.commit(last=report, remove=result_sets.outdated(drafts.folder, name, written, failed, overwrite))

@@ -48,7 +48,7 @@ LIMITS_NAMES = (
 )
 LIMITS_HELD = (
     "`scripts/fuzz --count 10000` gives mutated files and texts to every reader. None may crash, hang for more than "
-    "10 s, use more than 1 GB, end with a traceback, or "
+    "20 s, use more than 1 GB (nor map 2 GiB beyond the libraries), end with a traceback, or "
     "be read as what it does not say: images are compared with a second, "
     "independent look at their bytes. `--replay FILE` judges a saved input again. The tests have a part of it "
     "(`tests/fuzz`), and one input for each budget (`tests/io/test_budgets.py`)."

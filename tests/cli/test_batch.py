@@ -460,10 +460,14 @@ ENDLESS = ("endless", "killed", "hung")
 
 
 def table_with_endless_cases(folder, *rows):
-    """Write a table of images and ids; those in `ENDLESS` wait for clicks that never come."""
-    os.mkfifo(folder / "never.csv")
-    lines = [f"{path}.nii.gz,{name},{'stroke:never.csv' if name in ENDLESS else ''}" for path, name in rows]
-    (folder / "cases.csv").write_text("\n".join(["image,id,inside", *lines, ""]))
+    """Write a table of images and ids; those in `ENDLESS` have a large image on one grid, with many short steps."""
+    z, y, x = np.indices((160,) * 3) - 79.5
+    grid = Geometry((160,) * 3, (1.0, 1.0, 1.0), origin=(-79.5,) * 3)
+    large = Volume((100.0 * (z * z + y * y + x * x < 75**2)).astype(np.float32), grid)
+    io.write(large, folder / "large.nii")
+    slow = "1e-15,1,100000000,0.05"
+    lines = [f"large.nii,{name},{slow}" if name in ENDLESS else f"{path}.nii.gz,{name},,,," for path, name in rows]
+    (folder / "cases.csv").write_text("\n".join(["image,id,tolerance,levels,max_steps,cfl", *lines, ""]))
 
 
 def workers_of(pid):

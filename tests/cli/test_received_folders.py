@@ -211,8 +211,9 @@ def test_a_case_of_a_batch_does_not_replace_what_another_one_reads(tmp_path, mon
     assert run("batch", "a.nii", "-o", "out", "--jobs", "1", *BALL) == 0
     (tmp_path / "cases.csv").write_text("image,channel\na.nii,\nb.nii,out/a/a_seg.nii\n")
     before = contents(tmp_path / "out")
-    assert run("batch", "cases.csv", "-o", "out", "--jobs", "1", "--overwrite", *BALL) == 7
-    assert "is read by this command" in capfd.readouterr().err
+    for form in ("nii", "nrrd"):  # replaced, or removed as of the earlier run
+        assert run("batch", "cases.csv", "-o", "out", "--jobs", "1", "--overwrite", "--format", form, *BALL) == 7
+        assert "is read by this command" in capfd.readouterr().err
     assert contents(tmp_path / "out") == before
 
 
@@ -263,3 +264,132 @@ def test_an_output_folder_that_goes_away_during_a_command_is_a_documented_error(
         assert "bug in accelsurf" not in said and "Traceback" not in said, said
         assert {name: content for name, content in contents(data).items() if name in inputs} == inputs
     assert codes <= {0, 3, 7, 9} and codes & {7, 9}
+
+
+def report_of(name, status, *files):
+    """A planted report of a case that lists files with their checksums."""
+    listed = [{"path": file.name, "kind": "labels", "sha256": io.sha256(file)} for file in files]
+    said = {"status": status, "exit_code": 0, "outputs": listed, "objects": [1], "input": {"path": "x", "sha256": "0"}}
+    (files[0].parent / f"{name}_report.json").write_text(json.dumps(said))
+
+
+@pytest.mark.parametrize("status", ["ok", "failed", "interrupted"])
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("scan", ("segment", "scan.nii", "-o", ".", *BALL)),
+        ("scan", ("segment", "scan.nii", "-o", ".", "--overwrite", *BALL)),
+        ("scan", ("segment", "scan.nii", "-o", ".", "--resume", *BALL)),
+        ("scan", ("segment", "scan.nii", "-o", ".", "--flow", "none")),
+        ("scan", ("track", "scan.nii", "-o", ".", *BALL)),
+        ("frames", ("track", "frames", "-o", ".", "--overwrite", *BALL)),
+    ],
+)
+def test_a_report_that_was_planted_removes_no_file(status, name, words, received, capfd):
+    top, home, data, scan = received
+    for number in range(2):
+        image(data / "frames" / f"t{number}.nii", number)
+    (data / "empty.txt").write_bytes(b"")
+    (data / f"{name}_thesis.docx").write_bytes(b"mine")
+    files = [data / "thesis.docx", data / "empty.txt", data / f"{name}_thesis.docx", scan]
+    report_of(name, status, *files)
+    before = contents(data)
+    run(*words)
+    assert "Traceback" not in capfd.readouterr().err
+    after = contents(data)
+    for path in files:
+        assert after.get(path.name) == before[path.name], path.name
+
+
+def test_frames_of_a_tracking_that_goes_on_bring_no_other_files(received, monkeypatch):
+    top, home, data, scan = received
+    for number in range(3):
+        image(data / "frames" / f"t{number}.nii", number)
+    words = ("track", "frames", "-o", ".", "--mesh", "ply", *BALL)
+    from accelsurf.tracking.track import Tracking
+
+    real = Tracking.__iter__
+
+    def ended(tracking):
+        for result in real(tracking):
+            yield result
+            tracking.save()
+            raise OSError("the machine stopped")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Tracking, "__iter__", ended)
+        run(*words)
+    meshes = data / "frames_frames" / "meshes"
+    assert (data / "frames_checkpoint.npz").exists() and meshes.is_dir()
+    (meshes / "thesis.docx").write_bytes(b"evil")
+    (meshes / "frames_surface_1_t009.ply").symlink_to(home / "id_rsa")
+    before = {name: content for name, content in contents(data).items() if not name.startswith("frames_")}
+    assert run(*words, "--resume") == 0
+    after = contents(data)
+    assert {name: after.get(name) for name in before} == before
+    assert not (data / "frames_surface_1_t009.ply").exists()
+
+
+@pytest.mark.parametrize("where", ["frame_000000.npz", "meshes/thesis.docx", "meshes/mine/thesis.docx"])
+@pytest.mark.parametrize("word", ["--resume", "--overwrite"])
+def test_files_among_frames_that_no_tracking_wrote_stay(where, word, received, capfd):
+    top, home, data, scan = received
+    for number in range(2):
+        image(data / "frames" / f"t{number}.nii", number)
+    path = data / "frames_frames" / where
+    path.parent.mkdir(parents=True)
+    np.savez(data / "mine.npz", image=np.zeros(3))
+    shutil.copyfile(data / "mine.npz", path)
+    assert run("track", "frames", "-o", ".", word, *BALL) == 7
+    assert "is not what a tracking has left" in capfd.readouterr().err and path.exists()
+
+
+def test_label_maps_in_an_output_are_not_lost_with_it(received, capfd):
+    pytest.importorskip("zarr")
+    top, home, data, scan = received
+    assert run("segment", "scan.nii", "-o", "out", "--format", "ome.zarr", *BALL) == 0
+    store = data / "out" / "scan_seg.ome.zarr"
+    labels(data / "mine.nii")
+    (store / "labels" / "mine").mkdir(parents=True)
+    (store / "labels" / "mine" / "zarr.json").write_text("{}")
+    shutil.copyfile(data / "mine.nii", store / "labels" / "start.nii")
+    start = f"label:{store / 'labels' / 'start.nii'}"
+    before = contents(store)
+    for words, said in (
+        (("--format", "ome.zarr", *BALL), "label maps were added"),
+        (("--format", "ome.zarr", "--start", start), "is read by this command"),
+        (("--format", "nii", "--start", start), "is read by this command"),
+    ):
+        capfd.readouterr()
+        code = run("segment", "scan.nii", "-o", "out", "--overwrite", *words)
+        if code != 0:  # in another format the store with the label maps may stay beside the new files
+            assert code == 7 and said in capfd.readouterr().err
+        assert contents(store) == before
+
+
+def test_a_folder_in_the_place_of_a_state_is_a_documented_error(received, capfd):
+    top, home, data, scan = received
+    (data / "scan_checkpoint.npz").mkdir()
+    for word in ("--overwrite", "--resume"):
+        assert run("segment", "scan.nii", "-o", ".", word, *BALL) == 7
+        assert "is a folder" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("plant", ["a link", "a name elsewhere", "a name of another image"])
+def test_a_record_of_a_group_that_was_planted_brings_no_file(plant, tmp_path):
+    from accelsurf.report import group_files
+
+    folder = tmp_path / ".scan_objects" / "group-1-0123"
+    real = folder.parent / "real" if plant == "a link" else folder
+    real.mkdir(parents=True)
+    names = {"a link": "scan_surface_1.ply", "a name elsewhere": "../../bashrc", "a name of another image": "bashrc"}
+    name = names[plant]
+    (tmp_path / "bashrc").write_bytes(b"mine")
+    if plant != "a name elsewhere":
+        (real / name).write_bytes(b"evil")
+    record = {"near": [], "rows": [{"id": 1}], "boxes": [[[0, 1]] * 3], "low": [[0] * 3], "high": [[1] * 3]}
+    record |= {"stops": [], "meshes": [{"surface-ply": name}], "facts": {}}
+    (real / "record.json").write_text(json.dumps(record))
+    if plant == "a link":
+        folder.symlink_to(real)
+    assert group_files.read_group(folder) is None

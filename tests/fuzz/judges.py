@@ -221,9 +221,9 @@ def tracks(given: Input, folder: Path) -> None:
 def cases(given: Input, folder: Path) -> None:
     """A table of cases of ``batch``."""
     from accelsurf.batch import case_table
-    from accelsurf.batch.cases import check_cases
+    from accelsurf.batch.cases import checked_cases
 
-    check_cases(case_table.read(folder / f"input{given.suffix}", tracking=given.kind == "sequences"))
+    checked_cases(case_table.read(folder / f"input{given.suffix}", tracking=given.kind == "sequences"))
 
 
 def state(given: Input, folder: Path) -> None:

@@ -204,7 +204,7 @@ def test_long_names_have_a_short_hidden_folder(tmp_path):
 
 
 def test_file_systems_without_locks_take_files(tmp_path, monkeypatch):
-    """A single file has a hidden folder with a name that nobody else has: it needs no lock."""
+    """Whether a writer lives cannot be known there: sets are written as where no journal can be kept."""
     import fcntl
 
     def no_locks(number, operation):
@@ -212,12 +212,65 @@ def test_file_systems_without_locks_take_files(tmp_path, monkeypatch):
 
     monkeypatch.setattr(fcntl, "flock", no_locks)
     write_bytes(tmp_path / "a", b"1")
-    with opened(tmp_path, "scan") as files:
-        write_bytes(files.drafts / "b", b"2")
-        with pytest.raises(OutputError, match="another run is writing there now"), opened(tmp_path, "scan"):
-            pytest.fail("two owners")
-        files.commit()
-    assert content(tmp_path) == {"a": b"1", "b": b"2"} and not list(tmp_path.glob(".*"))
+    for _ in range(2):  # the second after a kill
+        with pytest.warns(AccelsurfWarning, match="No locks available"), opened(tmp_path, "scan") as files:
+            write_bytes(files.drafts / "b", b"2")
+            write_bytes(files.drafts / "c", b"3")
+            files.commit(last="c")
+    assert content(tmp_path) == {"a": b"1", "b": b"2", "c": b"3"} and not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize("when", ["at the beginning", "before files are moved"])
+def test_a_full_home_costs_no_result(when, tmp_path, monkeypatch):
+    real = set_journals.Journal.write
+
+    def write(journal, moves):
+        if (moves is None) == (when == "at the beginning"):
+            raise OSError(errno.ENOSPC, "No space left on device", "journal")
+        real(journal, moves)
+
+    folder = filled(tmp_path / "out")
+    monkeypatch.setattr(set_journals.Journal, "write", write)
+    with pytest.warns(AccelsurfWarning, match="No space left on device"):
+        write_new(folder)
+    assert content(folder) == AFTER and not list(folder.glob(".*"))
+
+
+@pytest.mark.parametrize("name", [".accelsurf", ".data.accelsurf", ".a.b.accelsurf"])
+def test_folders_that_are_called_like_the_program_are_folders(name, tmp_path):
+    folder = filled(tmp_path / name)
+    with opened(folder, "scan"):
+        assert list(set_journals.state_folder().glob("*.json"))
+
+
+def test_the_state_folder_of_another_user_is_not_made_by_root(tmp_path, monkeypatch):
+    if os.geteuid() != 0:
+        pytest.skip("only root can be another user")
+    home = tmp_path / "home"
+    home.mkdir()
+    os.chown(home, 1234, 1234)
+    folder = filled(tmp_path / "out")
+    with monkeypatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(home / ".local" / "state"))
+        with pytest.warns(AccelsurfWarning, match="another user"):
+            write_new(folder)
+    assert not list(home.iterdir()) and content(folder) == AFTER
+
+
+@pytest.mark.parametrize("part", ["accelsurf", "sets"])
+def test_a_state_folder_that_is_a_link_is_none(part, tmp_path, monkeypatch):
+    planted = tmp_path / "planted" / "sets"
+    planted.mkdir(parents=True)
+    state = tmp_path / "state"
+    link = state / "accelsurf" if part == "accelsurf" else state / "accelsurf" / "sets"
+    link.parent.mkdir(parents=True, mode=0o700)
+    link.symlink_to(planted.parent if part == "accelsurf" else planted)
+    folder = filled(tmp_path / "out")
+    with monkeypatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(state))
+        with pytest.warns(AccelsurfWarning, match="no journal can be kept"):
+            write_new(folder)
+    assert not list(planted.iterdir())
 
 
 @pytest.mark.parametrize("unique", [False, True])
@@ -226,9 +279,9 @@ def test_a_process_that_only_looks_for_dead_ones_is_waited_for(unique, tmp_path,
     real = set_journals._try_lock
     looked = []
 
-    def try_lock(lock, new):
+    def try_lock(lock):
         looked.append(lock)
-        return len(looked) > 2 and real(lock, new)
+        return len(looked) > 2 and real(lock)
 
     monkeypatch.setattr(set_journals, "_try_lock", try_lock)
     with opened(tmp_path, "scan", unique=unique) as files:
@@ -431,7 +484,7 @@ def test_without_a_place_for_journals_a_set_is_written_and_a_line_says_so(state,
             patch.setattr(set_journals.os, "access", lambda *args: False)
         if state == "no home":
             patch.setattr(os.path, "expanduser", lambda path: path)
-        with pytest.warns(AccelsurfWarning, match="no state can be kept"):
+        with pytest.warns(AccelsurfWarning, match="no journal can be kept"):
             write_new(folder)
         write_bytes(folder / "other.txt", b"somebody's")  # a single file needs no journal
     assert content(folder) == AFTER and not list(folder.glob(".*"))

@@ -282,7 +282,7 @@ def test_a_checkpoint_of_another_version_is_refused(pair, tmp_path, monkeypatch)
         with monkeypatch.context() as old:
             old.setattr(serialization, "FORMAT", 1)
             save_checkpoint(path, run.checkpoint(), header_of(run))
-        with pytest.raises(InputError, match="format 1 was given, expected 2"):
+        with pytest.raises(InputError, match="format 1, expected"):
             load_checkpoint(path, run)
         save_checkpoint(path, run.checkpoint(), header_of(run))
         assert load_checkpoint(path, run).step == 1

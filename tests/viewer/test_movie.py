@@ -147,7 +147,7 @@ def test_folders_without_a_run_are_refused(tmp_path):
     report = tmp_path / "a_report.json"
     for text in ("", "[]", '{"config": null, "input": null}', '{"config": 3, "input": {"path": "a", "sha256": null}}'):
         report.write_text(text)
-        with pytest.raises(InputError, match="not the report of a run"):
+        with pytest.raises(InputError, match="not JSON|not the report of a run"):
             movie_file.run_of_folder(tmp_path)
     report.write_text(json.dumps({"config": {"energy": "custom: Mine"}, "input": {"path": "a", "sha256": None}}))
     with pytest.raises(InputError, match="one of your own"):
@@ -302,7 +302,8 @@ def test_one_that_dies_twice_within_a_picture_repeats_the_one_before(whole, step
     assert movie_of(made, tmp_path / "a.gif", monkeypatch, program) == 0
     number = [0, 2, 4, 6, 8, 9].index(step) + 1
     said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning")]
-    line = f"warning: picture {number}: the process that draws ended 2 times; the picture repeats the one before"
+    why = "the process that draws ended 2 times; the one before is shown again"
+    line = f"warning: picture {number} could not be drawn: {why}"
     assert said == [line]
     with Image.open(folder / "a.gif") as good, Image.open(tmp_path / "a.gif") as other:
         seconds = [sum(frame.info["duration"] for frame in ImageSequence.Iterator(each)) for each in (good, other)]
@@ -317,7 +318,7 @@ def test_a_first_picture_that_cannot_be_drawn_is_left_out(whole, tmp_path, monke
     (tmp_path / "notes").mkdir()
     program = dying_scene.program(tmp_path / "notes", {0: 2}, signal.SIGKILL)
     assert movie_of(made, tmp_path / "a.gif", monkeypatch, program) == 0
-    assert "picture 1: the process that draws ended 2 times; the picture is left out" in capsys.readouterr().err
+    assert "picture 1 could not be drawn: the process that draws ended 2 times; it is left" in capsys.readouterr().err
     assert len(decoded(tmp_path / "a.gif")) == len(decoded(folder / "a.gif")) - 1
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from accelsurf.errors import InputError
 from accelsurf.io.dicom import kinds, nuclear
 from accelsurf.io.dicom.elements import Elements, Floats, listed, number_of, numbers_of, text
-from accelsurf.io.dicom.library import PixelBytes, damage_of, library, read_dataset, read_header
+from accelsurf.io.dicom.library import HEADER_HINT, PixelBytes, damage_of, library, read_dataset, read_header
 from accelsurf.io.dicom.sources import DicomFile
 from accelsurf.settings import budgets
 
@@ -120,7 +120,7 @@ def frames_of(path: DicomFile, of_segmentation: bool = False) -> list[Frame]:
         When the file is damaged, or has less than its header announces.
     """
     dataset, pixels = read_header(path, _TAGS)
-    with damage_of(path, "the header is damaged"):  # elements are converted where they are asked for
+    with damage_of(path, HEADER_HINT):  # elements are converted where they are asked for
         return _frames(path, Elements(dataset), pixels, of_segmentation)
 
 
@@ -130,7 +130,8 @@ def _frames(path: DicomFile, dataset: Elements, pixels: PixelBytes | None, of_se
     if kind and not (of_segmentation and kind == kinds.SEGMENTATION):
         return [_frame(path, dataset, 0, 1, None, _said(path, dataset), kind)]
     if not any(dataset.get(name) for name in ("SOPClassUID", "Modality", "Rows")):
-        raise InputError(f"{path.name}: its header says nothing; cut short?", "copy it again")
+        what = "its header has no SOP class, modality or number of rows; cut short?"
+        raise InputError(f"{path.name}: {what}", "copy it again")
     if rows <= 0 or columns <= 0 or pixels is None:
         if pixels is not None or kinds.is_image(dataset):
             what = "no pixels" if pixels is None else "no rows and columns"
@@ -138,12 +139,12 @@ def _frames(path: DicomFile, dataset: Elements, pixels: PixelBytes | None, of_se
         return []
     count = int(dataset.get("NumberOfFrames") or 1)
     if count < 1 or rows > _MAX_SIDE or columns > _MAX_SIDE:
-        raise InputError(f"{path.name}: {columns} x {rows} pixels, {count} frames announced", "the header is damaged")
+        raise InputError(f"{path.name}: {columns} x {rows} pixels, {count} frames announced", HEADER_HINT)
     budgets.DICOM_FRAMES.check(count, f"{path.name} announces")
     _check_pixels(path, dataset, pixels, rows * columns, count)
     groups = dataset.get("PerFrameFunctionalGroupsSequence")
     if groups and len(groups) != count:
-        raise InputError(f"{path.name}: {count} frames announced, {len(groups)} described", "the header is damaged")
+        raise InputError(f"{path.name}: {count} frames announced, {len(groups)} described", HEADER_HINT)
     said = _said(path, dataset)
     if "MOSAIC" in listed(dataset.get("ImageType")):
         from accelsurf.io.dicom.mosaic import tiles_of
@@ -157,15 +158,15 @@ def _check_pixels(path: DicomFile, dataset: Elements, pixels: PixelBytes, size: 
     """Refuse a file that has less than its header announces, before anything is allocated for it."""
     bits, samples = int(dataset.get("BitsAllocated") or 16), int(dataset.get("SamplesPerPixel") or 1)
     if not 1 <= bits <= _MAX_BITS or not 1 <= samples <= 4:
-        raise InputError(f"{path.name}: {samples} samples of {bits} bits for a pixel", "the header is damaged")
+        raise InputError(f"{path.name}: {samples} samples of {bits} bits for a pixel", HEADER_HINT)
     if text(dataset, "PhotometricInterpretation") == _HALVED and pixels.announced is not None:
         samples = 2
     syntax = getattr(dataset.dataset, "file_meta", {}).get("TransferSyntaxUID")
     is_packed = syntax is not None and library("pydicom.uid").UID(syntax).is_encapsulated
     if is_packed != (pixels.announced is None):
         raise InputError(
-            f"{path.name}: its pixels are {'plain' if is_packed else 'packed'}, its transfer syntax is "
-            f"{'of packed ones' if is_packed else 'of plain ones'} ({getattr(syntax, 'name', 'none')})",
+            f"{path.name}: its pixels are {'not compressed' if is_packed else 'compressed'}, but its transfer syntax "
+            f"({getattr(syntax, 'name', 'none')}) says that they are{'' if is_packed else ' not'}",
             "export it again",
         )
     if pixels.announced is not None:
@@ -176,15 +177,16 @@ def _check_pixels(path: DicomFile, dataset: Elements, pixels: PixelBytes, size: 
         if pixels.announced >= needed + size * samples * bits // 8 > needed:
             raise InputError(
                 f"{path.name}: {count} frames announced, {pixels.announced} bytes of pixels in it, {needed} expected",
-                "the header is damaged",
+                HEADER_HINT,
             )
         return
     if not pixels.is_whole:
-        raise InputError(f"{path.name}: its packed pixels do not end; cut short?", "copy it again")
+        raise InputError(f"{path.name}: its compressed pixels have no end mark; cut short?", "copy it again")
     if pixels.pieces < count:
         raise InputError(
-            f"{path.name}: {count} frames announced, {pixels.pieces} packed in it ({getattr(syntax, 'name', 'none')})",
-            "a video, or cut short: export the scan again",
+            f"{path.name}: {count} frames announced, {pixels.pieces} compressed ones in it "
+            f"({getattr(syntax, 'name', 'none')})",
+            "if it is a video, export its frames as images; else export the scan again",
         )
     budgets.DICOM_PACKED.check(
         size * samples * bits // 8, f"{path.name} announces for each frame", pixels.present // count + 4096
@@ -239,7 +241,7 @@ def _frame(
     slope, intercept = number_of(scale, "RescaleSlope"), number_of(scale, "RescaleIntercept")
     table = scale.get("ModalityLUTSequence")
     if slope == 0 and not table:
-        raise InputError(f"{path.name}: its values are scaled by 0", "the header is damaged")
+        raise InputError(f"{path.name}: its values are scaled by 0", HEADER_HINT)
     spacing = numbers_of(size, "PixelSpacing", 2) or numbers_of(dataset, "ImagerPixelSpacing", 2)
     position, orientation = nuclear.place_of(dataset, number) or (
         numbers_of(place, "ImagePositionPatient", 3), numbers_of(turn, "ImageOrientationPatient", 6)
@@ -274,7 +276,7 @@ def _padding(path: DicomFile, dataset: Elements, bits: int, is_signed: bool) -> 
         limit = dataset.get(f"{kind}PixelPaddingRangeLimit")
         ends = [float(end) for end in (value, value if limit is None or limit == "" else limit)]
         if not all(map(math.isfinite, ends)):
-            raise InputError(f"{path.name}: the value of its padding is no number", "the header is damaged")
+            raise InputError(f"{path.name}: the value of its padding is no number", HEADER_HINT)
         if not kind:  # some write it without the sign that their pixels have, or with one that they have not
             whole = 1 << bits
             ends = [end - whole if is_signed and end >= whole // 2 else end for end in ends]

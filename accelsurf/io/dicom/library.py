@@ -20,7 +20,10 @@ from typing import Any, BinaryIO
 
 from accelsurf.errors import InputError
 from accelsurf.io.dicom.sources import DicomFile, Member
+from accelsurf.io.files import library_named
 from accelsurf.settings.budgets import DICOM_DEFLATED
+
+HEADER_HINT = "the header is damaged: copy the file again, or export it again"
 
 #: Those that send lines to stderr where nobody asked for logs.
 _LOGGERS = ("pydicom", "highdicom")
@@ -101,16 +104,8 @@ def damage_of(file: DicomFile, what: str) -> Iterator[None]:
     what : str
         What is wrong, as "the header is damaged".
     """
-    try:
-        with quiet():
-            yield
-    except (InputError, MemoryError):
-        raise
-    except Exception as error:
-        if isinstance(error, OSError) and error.errno is not None:
-            raise  # of the disk; pydicom raises others about files that end early
-        reason = " ".join(str(error).split())[:160] or type(error).__name__
-        raise InputError(f"{file.name}: {what} ({reason})", "copy it again") from error
+    with quiet(), library_named(f"{file.name}: {what}", "copy it again"):
+        yield
 
 
 def read_dataset(file: DicomFile, tags: Sequence[str | int] | None = None) -> Any:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.io import itk
 from accelsurf.io.dicom.frames import Frame
-from accelsurf.io.dicom.library import damage_of, library, read_dataset
+from accelsurf.io.dicom.library import HEADER_HINT, damage_of, library, read_dataset
 from accelsurf.io.dicom.sources import DicomFile
 from accelsurf.io.grey import to_grey
 
@@ -109,7 +109,7 @@ def _check_fits(values: NDArray[Any], dtype: np.dtype[Any], frame: Frame) -> Non
     if low < known.min or high > known.max:
         raise InputError(
             f"{frame.path.name}: values of {low:g} to {high:g}, {frame.pixel[0]} bits announced",
-            "the header is damaged",
+            HEADER_HINT,
         )
 
 
@@ -216,7 +216,7 @@ def _by_itk(dataset: Any, frame: Frame) -> NDArray[Any]:
     pydicom = library()
     packed = pydicom.encaps.get_frame(dataset.PixelData, frame.number, number_of_frames=frame.frames)
     if _END_OF_IMAGE not in packed[-_TAIL:]:  # its decoders fill what is missing with grey
-        raise InputError(f"{frame.path.name}: its packed pixels do not end; cut short?", "copy it again")
+        raise InputError(f"{frame.path.name}: its compressed pixels have no end mark; cut short?", "copy it again")
     _check_packed(packed, frame, (int(dataset.Rows), int(dataset.Columns)))
     alone = pydicom.Dataset()
     for name in (
@@ -251,8 +251,8 @@ def _check_packed(packed: bytes, frame: Frame, size: tuple[int, int]) -> None:
     stored, allocated, is_signed = frame.pixel[:3]
     if bits > min(allocated, -(-stored // 8) * 8) or (has_sign and not is_signed):
         raise InputError(
-            f"{frame.path.name}: {stored} bits {'with' if is_signed else 'without'} a sign announced, "
-            f"{bits} {'with' if has_sign else 'without'} one packed", "export it again",
+            f"{frame.path.name}: the header announces {'' if is_signed else 'un'}signed values of {stored} bits, the "
+            f"compressed pixels have {'' if has_sign else 'un'}signed ones of {bits} bits", "export it again",
         )
 
 

@@ -19,7 +19,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.elements import number_of, text
 from accelsurf.io.dicom.frames import Frame, frames_of
 from accelsurf.io.dicom.kinds import TAGS
-from accelsurf.io.dicom.library import damage_of, library, read_dataset
+from accelsurf.io.dicom.library import HEADER_HINT, damage_of, library, read_dataset
 from accelsurf.io.dicom.pixels import stored_values
 from accelsurf.io.dicom.slices import TOLERANCE_MM, ordered
 from accelsurf.io.dicom.sources import DicomFile
@@ -98,7 +98,7 @@ def parse(file: DicomFile, root: Path) -> Segments:
         When its frames lie on no grid.
     """
     dataset = read_dataset(file, _TAGS)
-    with damage_of(file, "the header is damaged"):
+    with damage_of(file, HEADER_HINT):
         if text(dataset, "DimensionOrganizationType").startswith("TILED") or dataset.get("TotalPixelMatrixRows"):
             raise InputError(f"{file.name}: a segmentation of a whole-slide image, in tiles", "export it as TIFF")
         frames = tuple(frames_of(file, of_segmentation=True))
@@ -109,7 +109,7 @@ def parse(file: DicomFile, root: Path) -> Segments:
             raise InputError(f"{file.name}: a segmentation of the unknown type {kind[:40]}", "export it as BINARY")
         full = int(dataset.get("MaximumFractionalValue") or 0)
         if kind == _FRACTIONAL and not 1 <= full <= 255:
-            raise InputError(f"{file.name}: fractions without their largest value", "the header is damaged")
+            raise InputError(f"{file.name}: fractions without their largest value", HEADER_HINT)
         table = _table(file, dataset)
         numbers = tuple(0 if kind == _LABELMAP else _number(frame, table) for frame in frames)
         geometry, places = _grid(frames, root, _step(dataset))
@@ -125,7 +125,7 @@ def _number(frame: Frame, table: LabelTable) -> int:
     if not said.isdigit() or int(said) not in table.entries:
         raise InputError(
             f"{frame.path.name}: frame {frame.number + 1} is of segment {said or 'nothing'}, one of "
-            f"{', '.join(str(entry.id) for entry in table)} expected", "the header is damaged",
+            f"{', '.join(str(entry.id) for entry in table)} expected", HEADER_HINT,
         )
     return int(said)
 
@@ -235,5 +235,6 @@ def _overlap(segments: Segments, first: int, second: int, frame: Frame, count: i
     names = " and ".join(f"{number} ({segments.table[number].name})" for number in (first, second))
     return InputError(
         f"segments {names} overlap in {count} voxels of frame {frame.number + 1}, and a voxel has one label",
-        f"say which are meant, as FILE@{second}, where labels may be named so",
+        f"name one of them after the file, as FILE@{second} (--start label:, --objects, evaluate); for other options "
+        "export the segments without overlap",
     )

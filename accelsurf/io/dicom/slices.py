@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import Frame
+from accelsurf.io.dicom.library import HEADER_HINT
 from accelsurf.io.dicom.volumes import DicomVolume, names_of
 
 Floats = NDArray[np.float64]
@@ -168,7 +169,7 @@ def _axes(frame: Frame, root: Path) -> Floats:
     product = given @ given.T
     if np.abs(product - np.eye(2)).max() > _AXES_TOLERANCE:
         raise GeometryError(
-            f"{names_of([frame], root)}: its axes are no unit vectors at a right angle", "the header is damaged"
+            f"{names_of([frame], root)}: its axes are no unit vectors at a right angle", HEADER_HINT
         )
     along_row = given[0] / np.linalg.norm(given[0])
     normal = np.cross(along_row, given[1])

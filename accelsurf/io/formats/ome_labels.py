@@ -62,7 +62,7 @@ def check(image: Path, name: str, overwrite: bool) -> Path:
         )
     group = header.folder / _GROUP
     check_within_store(image, group)
-    refuse_links(group)
+    refuse_links(group, "replace the link by the folder that it leads to, or leave out --label-group")
     if not os.access(group if group.is_dir() else header.folder, os.W_OK):
         raise OutputError(f"{group}: cannot be written to", "may the store be written to?")
     if (group / name).exists() and not overwrite:

@@ -213,14 +213,14 @@ def _placed(
     if direction is None or own is not None:
         if direction is not None and own is not None and not np.allclose(direction, own, rtol=0.0, atol=1e-4):
             raise InputError(
-                "the OME-Zarr gives its axes an orientation, and in the attribute of accelsurf other directions",
+                'the orientation of the axes of the OME-Zarr contradicts "direction" in its attribute "accelsurf"',
                 'remove what is wrong: "orientation" of the axes, or "direction" of "accelsurf"',
             )
         return np.eye(3) if own is None else own, with_warnings(metadata, *notes)
     if not np.array_equal(direction, np.eye(3)) and any(finest.translation[i] for i in order):
         notes.append(
-            "the axes point to other sides than left, posterior and superior; the place of the first voxel is taken as "
-            "given in these, as ITK and ngff-zarr do"
+            "the axes are oriented and the store has a translation: it is read as the place of the first voxel in LPS, "
+            "as ngff-zarr writes it; if the image lies elsewhere, correct the translation"
         )
     return direction, with_warnings(metadata | {ORIENTED_KEY: "yes"}, *notes)
 

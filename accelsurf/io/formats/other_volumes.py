@@ -102,7 +102,8 @@ def parse_mgh(path: Path) -> VolumeHeader:
         raise InputError(f"a volume of {shape[3]} frames given, one expected", "extract one frame first")
     if code not in _MGH_TYPES:
         known = ", ".join(f"{number} ({name})" for number, name in _MGH_TYPES.items())
-        raise InputError(f"an MGH of type {code} given, {known} expected", "convert it to float first")
+        hint = "convert it first: mri_convert -odt float IN OUT"
+        raise InputError(f"an MGH of type {code} given, {known} expected", hint)
     header = VolumeHeader(_mgh_geometry(head, shape), np.dtype(_MGH_TYPES[code]))
     needed = header.values * header.dtype.itemsize
     present = max(path.stat().st_size - (0 if _is_packed(path) else _MGH_HEADER), 0)

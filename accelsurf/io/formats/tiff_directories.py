@@ -17,6 +17,9 @@ SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = 254, 256, 
 STRIPS, ORIENTATION, SAMPLES, ROWS, STRIP_BYTES, X_RES, Y_RES, PLANAR = 273, 274, 277, 278, 279, 282, 283, 284
 RES_UNIT, TILE_WIDTH, TILE_HEIGHT, TILES, TILE_BYTES, FORMAT = 296, 322, 323, 324, 325, 339
 FILL_ORDER, PREDICTOR, SUB_PAGES, EXTRA = 266, 317, 330, 338
+_NAMES = {
+    1: "BYTE", 2: "ASCII", 3: "SHORT", 4: "LONG", 5: "RATIONAL", 7: "UNDEFINED", 13: "IFD", 16: "LONG8", 18: "IFD8"
+}
 _TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 7: "s", 13: "I", 16: "Q", 18: "Q"}
 #: Types of values: whole numbers, of any length, as TIFF 6.0 asks of readers; offsets; texts; fractions.
 _WHOLE, _OFFSET, _TEXT, _FRACTION = (1, 3, 4, 16), (3, 4, 13, 16, 18), (1, 2, 7), (5,)
@@ -145,7 +148,7 @@ def read_pages(file: BinaryIO) -> tuple[TiffForm, dict[int, Page]]:
         found = read_directory(file, form, at, spent)
         # Directories may not lie upon one another: there could be one for nearly each byte of the file.
         spent, length = found.spent, length + found.length
-        budgets.TIFF_TAGS.check(length, "the directories of the TIFF lie upon one another", form.size)
+        budgets.TIFF_TAGS.check(length, "the directories of the TIFF, which overlap", form.size)
         if WIDTH not in found.page or HEIGHT not in found.page:
             raise ValueError
         pages[at] = found.page
@@ -209,8 +212,9 @@ def _check(rule: TagRule, kind: int, count: int, field: bytes) -> None:
     if not is_known or (size < len(field) and rule.types != _TEXT and any(field[size:])):
         most = f"at most {rule.most} " if rule.most < ANY else ""
         raise InputError(
-            f"the tag {rule.name} of the TIFF is damaged: {count} values of type {kind}, {most}of type "
-            f"{' or '.join(map(str, rule.types))} expected", TRUNCATED_HINT
+            f"the tag {rule.name} of the TIFF is damaged: {count} value{'s' if count > 1 else ''} of type "
+            f"{_NAMES.get(kind, kind)}, {most}of type {' or '.join(_NAMES[known] for known in rule.types)} expected",
+            TRUNCATED_HINT,
         )
 
 
@@ -241,11 +245,11 @@ def strips_of(page: Page) -> NDArray[np.int64]:
     Raises
     ------
     InputError
-        When they lie upon one another.
+        When they overlap.
     """
     offsets, lengths = (TILES, TILE_BYTES) if TILES in page else (STRIPS, STRIP_BYTES)
     strips = np.stack([np.array(page[offsets], np.int64), np.array(page[lengths], np.int64)], axis=1)
     ordered = strips[np.argsort(strips[:, 0], kind="stable")]
     if (ordered[1:, 0] - ordered[:-1, 0] < ordered[:-1, 1]).any():
-        raise InputError("strips or tiles of a page of the TIFF lie upon one another", TRUNCATED_HINT)
+        raise InputError("strips or tiles of a page of the TIFF overlap", TRUNCATED_HINT)
     return strips

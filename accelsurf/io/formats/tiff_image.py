@@ -154,7 +154,8 @@ def _without_thumbnails(all_pages: dict[int, Page]) -> dict[int, Page]:
     for number, (at, page) in enumerate(all_pages.items(), 1):
         if at not in pages and page[HEIGHT][0] * page[WIDTH][0] >= full:
             raise InputError(
-                f"page {number} of the TIFF is called a smaller version of another, and is none", TRUNCATED_HINT
+                f"page {number} of the TIFF is marked as a reduced copy of another, but is as large as the first page",
+                "save the stack again, without this mark (NewSubfileType)",
             )
     return pages
 
@@ -178,7 +179,10 @@ def _spacing(stack: TiffStack, options: ReadOptions) -> tuple[Spacing, dict[str,
             notes.append(f"the TIFF does not say how far apart its slices are{reason}: 1 mm is taken; give --spacing")
         elif reason:
             text = " x ".join(f"{h:.6g}" for h in spacing[::-1])
-            notes.append(f"the TIFF says the size of a voxel in an odd way{reason}: {text} mm are taken")
+            notes.append(
+                f"a length in the TIFF is negative, zero or unknown{reason}: voxels of {text} mm are taken; if that is "
+                "wrong, give --spacing"
+            )
     metadata = with_warnings({}, *notes)
     if stack.unit in ("nm", "um"):
         metadata[UNIT_KEY] = stack.unit

@@ -131,7 +131,8 @@ def _known(name: str) -> str:
     if name not in _UNPACKED and name not in _FILTERS:
         known = ", ".join([*_UNPACKED, *_FILTERS])
         raise InputError(
-            f"chunks packed with the codec {name[:40]} given, one of {known} expected", "write it anew, with zstd"
+            f"chunks packed with the codec {name[:40]} given, one of {known} expected",
+            "save the image again with the codec zstd or blosc",
         )
     return name
 

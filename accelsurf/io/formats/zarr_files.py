@@ -79,7 +79,8 @@ class ChunkFiles:
         parts = self._in_shard = tuple(a // b for a, b in zip(self.file_shape, array.chunks, strict=True))
         index = [codec["name"] for codec in sharding["index_codecs"]]
         if index not in (["bytes"], ["bytes", "crc32c"]):
-            raise InputError(f"shards with an index packed with {', '.join(index)[:80]} given", "write the array anew")
+            what = f"shards with an index packed with {', '.join(index)[:80]} given"
+            raise InputError(what, "save the image again without shards")
         self._index = format_of((*parts, 2), np.dtype("u8"), sharding["index_codecs"])
         self._index_bytes = self._index.value_bytes + 4 * (len(index) - 1)
         budgets.ZARR_CHUNK.check(self._index_bytes, "the index of a shard of the Zarr")

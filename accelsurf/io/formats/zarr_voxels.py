@@ -262,8 +262,9 @@ class ZarrVoxels:
         if absent == 0:
             return ""
         return (
-            f"{absent} of {count} chunks of the array {self._name} are not in the store: {self._fill_value} stands "
-            "there; they were left out because they hold nothing else, or they are lost"
+            f"{absent} of {count} chunks of the array {self._name} are not in the store, and {self._fill_value} stands "
+            "there: programs leave out chunks that hold only this value; if the image has blocks of it where it should "
+            "not, copy the store again"
         )
 
 

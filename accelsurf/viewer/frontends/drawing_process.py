@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 PROGRAM = f"import {__name__} as drawing; drawing.serve()"
 #: How often a picture is tried, and after how many in a row that were lost none is tried any more.
 TRIES, MAX_LOST = 2, 3
-HINT = "run it again; if it ends so again, is the graphics driver sound? without one, accelsurf draws with OSMesa"
+HINT = "run it again; if it fails again, update the graphics driver, or install OSMesa, which draws without one"
 
 Histories = Sequence[Sequence[StepRecord]]
 
@@ -165,8 +165,8 @@ class DrawingProcess:
         self._lost += 1
         if self._lost >= MAX_LOST:
             raise self.failure()
-        instead = "is left out" if self._picture is None else "repeats the one before"
-        self._tell(f"picture {self._count}: the process that draws ended {TRIES} times; the picture {instead}")
+        instead = "it is left out" if self._picture is None else "the one before is shown again"
+        self._tell(f"picture {self._count} could not be drawn: the process that draws ended {TRIES} times; {instead}")
         return self._picture
 
     def close(self) -> None:
