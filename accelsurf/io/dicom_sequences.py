@@ -31,7 +31,7 @@ class DicomFrames(FileSequence):
     def _header(self, number: int) -> dicom.DicomHeader:
         """Slices of a frame in their order, on a grid."""
         slices = ordered(DicomVolume(self._parts[number]), self._files.root, self._options.spacing)
-        return dicom.on_grid(self._files, slices, self._options, [])
+        return dicom.on_grid(slices, self._options, [])
 
     def read(self, number: int) -> list[Volume]:
         """Read the slices of a frame."""

@@ -227,8 +227,8 @@ def outdated(
         reports.append(folder / report_name(name + FAILED))
     gone = [one for report in reports for one in (*unchanged_outputs(report, written), report.name)]
     if not overwrite:
-        kept = f"{name.removesuffix(FAILED)}{FAILED}_", report_name(name)
-        gone = [one for one in gone if one.startswith(kept)]
+        failures = f"{name.removesuffix(FAILED)}{FAILED}_", report_name(name)
+        gone = [one for one in gone if one.startswith(failures)]
     return [one for one in gone if one not in written]
 
 

@@ -130,5 +130,5 @@ def test_look_says_what_a_reader_should_know_of_the_file(tmp_path, capsys):
     (path / "0/c/0/0/0").unlink()
     assert run("look", path, "-o", tmp_path / "a.png") == 0
     said = capsys.readouterr().err
-    assert said.startswith("warning: 1 of 18 chunks of the array 0 are not in the store: 0 stands there")
+    assert said.startswith("warning: 1 of 18 chunks of the array 0 are not in the store, and 0 stands there")
     assert said.count("\n") == 1

@@ -302,7 +302,7 @@ def _is_whole(path: Path) -> bool:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError):
         return False
-    return isinstance(document, dict) and {"status", "outputs"} <= set(document)
+    return isinstance(document, dict) and {"status", "outputs", "exit_code"} <= set(document)
 
 
 #: What judges each kind; of an input and the folder that its files lie in.

@@ -42,7 +42,6 @@ class DicomHeader:
 
     Attributes
     ----------
-    files : SourceFiles
     slices : Slices
         In their order.
     grid : RegularGrid or None
@@ -51,7 +50,6 @@ class DicomHeader:
         What a person should know.
     """
 
-    files: SourceFiles
     slices: Slices
     grid: RegularGrid | None
     notes: tuple[str, ...]
@@ -87,7 +85,7 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Segments
     slices = ordered(volume, files.root, options.spacing)
     notes = left_out(contents, volume.uid, file)
     try:
-        return on_grid(files, slices, options, notes)
+        return on_grid(slices, options, notes)
     except GeometryError as error:  # a file that cannot be read may be what is missing
         raise GeometryError("; ".join((error.message, *notes)), error.hint) from error
 
@@ -151,7 +149,7 @@ def refuse_lost(contents: Contents, series: str, options: ReadOptions) -> None:
         )
 
 
-def on_grid(files: SourceFiles, slices: Slices, options: ReadOptions, notes: list[str]) -> DicomHeader:
+def on_grid(slices: Slices, options: ReadOptions, notes: list[str]) -> DicomHeader:
     """The header of slices in their order; ``notes`` come before its own.
 
     Raises
@@ -164,7 +162,7 @@ def on_grid(files: SourceFiles, slices: Slices, options: ReadOptions, notes: lis
     if slices.faults and options.resample:
         grid = regular_grid(slices)
         notes.append(grid.text)
-    header = DicomHeader(files, slices, grid, tuple(notes))
+    header = DicomHeader(slices, grid, tuple(notes))
     assert header.geometry is not None  # raises where there is none
     return header
 

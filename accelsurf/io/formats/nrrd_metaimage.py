@@ -164,6 +164,10 @@ def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
     _check_spacing(spacing)
 
 
+#: Bytes after the header that are looked at.
+_REST = 4096
+
+
 def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     """Read the header of a MetaImage.
 
@@ -176,6 +180,7 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     with path.open("rb") as file:
         lines = _header_lines(file, lambda line: re.match(r"\s*ElementDataFile\s*[=:]", line) is not None)
         offset = file.tell()
+        rest = file.read(_REST).strip()
     pairs = [re.split("[=:]", line, maxsplit=1) for line in lines if line.strip()]
     fields = {pair[0].strip(): pair[-1].strip() for pair in pairs}
     keys = [pair[0].strip() for pair in pairs if len(pair) == 2]
@@ -186,6 +191,10 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
         raise InputError(
             "this is not a MetaImage: NDims, DimSize or ElementDataFile is missing or out of order",
             hint="is it the right file, and whole?",
+        )
+    if rest and name.upper() not in ("LOCAL", "LIST"):
+        raise InputError(
+            "the MetaImage header goes on after ElementDataFile, where no reader looks", "put ElementDataFile last"
         )
     _check_meta_flags(fields)
     try:

@@ -114,11 +114,19 @@ def parse_mgh(path: Path) -> VolumeHeader:
     return header
 
 
+#: Directions are written in single precision, by some with few digits.
+_UNIT_TOLERANCE = 1e-3
+
+
 def _mgh_geometry(head: Any, shape: tuple[int, ...]) -> Geometry:
     """The grid that a header of MGH describes; where it says that it describes none, voxels of 1 mm as FreeSurfer."""
     numbers = np.concatenate([head[key].ravel() for key in ("delta", "Mdc", "Pxyz_c")])
     if not (np.abs(numbers) < MAX_ORIGIN).all():
         raise InputError("the header does not describe a grid", _AGAIN)
+    # Else the size of a voxel would be told twice, and differently.
+    lengths = np.linalg.norm(np.asarray(head["Mdc"], np.float64).reshape(3, 3), axis=1)
+    if not (head["delta"] > 0).all() or not np.allclose(lengths, 1.0, rtol=0.0, atol=_UNIT_TOLERANCE):
+        raise InputError("the axes in the header have no length of 1, or voxels no positive size", _AGAIN)
     affine = np.asarray(head.get_affine(), np.float64)
     steps = _TO_LPS @ affine[:3, :3]
     if not (spacing := np.linalg.norm(steps, axis=0)).all():

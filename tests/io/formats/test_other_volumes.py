@@ -45,3 +45,36 @@ def test_mgh(tmp_path, suffix):
     nibabel.save(nibabel.freesurfer.MGHImage(np.stack([data, data], -1), affine), tmp_path / f"t.{suffix}")
     with pytest.raises(InputError, match="2 frames"):
         io.read(tmp_path / f"t.{suffix}")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_mgh_whose_axes_have_another_length_than_1_is_refused(seed, tmp_path):
+    """The size of a voxel would be said twice, and differently: by delta, and by the axes."""
+    draw = np.random.default_rng(seed)
+    image = nibabel.MGHImage(np.zeros((4, 5, 6), np.float32), np.diag([2.0, 3.0, 4.0, 1.0]))
+    nibabel.save(image, tmp_path / "a.mgh")
+    content = bytearray((tmp_path / "a.mgh").read_bytes())
+    axis, place = int(draw.integers(3)), 42 if seed % 2 else 30
+    value = float(draw.choice([0.5, 1.01, 1e9])) if seed % 2 else float(draw.choice([-2.0, -0.5]))
+    at = place + (16 if seed % 2 else 4) * axis
+    content[at : at + 4] = np.array(value, ">f4").tobytes()
+    (tmp_path / "b.mgh").write_bytes(content)
+    io.read(tmp_path / "a.mgh")
+    with pytest.raises(InputError, match="have no length of 1, or voxels no positive size"):
+        io.read(tmp_path / "b.mgh")
+
+
+@pytest.mark.parametrize("key", ["ElementSpacing = 1 2 3", "Offset = 5 5 5", "DimSize = 1 1 1", "junk"])
+def test_a_metaimage_header_that_goes_on_after_its_data_file_is_refused(key, tmp_path):
+    volume = io.read(_metaimage(tmp_path, ""))
+    assert volume.array.shape == (4, 5, 6)
+    with pytest.raises(InputError, match="goes on after ElementDataFile"):
+        io.read(_metaimage(tmp_path, f"{key}\n"))
+
+
+def _metaimage(folder, rest):
+    (folder / "voxels.raw").write_bytes(bytes(240))
+    head = "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nDimSize = 6 5 4\n"
+    path = folder / "a.mhd"
+    path.write_text(f"{head}ElementType = MET_SHORT\nElementDataFile = voxels.raw\n{rest}")
+    return path

@@ -116,8 +116,8 @@ def test_ome_lengths_have_their_units_and_marks(tmp_path, unit):
 @pytest.mark.parametrize(
     ("sizes", "words"),
     [
-        ({"PhysicalSizeZ": "-1.5"}, "in an odd way (PhysicalSizeZ=-1.5): 0.0005 x 0.0005 x 0.0015 mm are taken"),
-        ({"PhysicalSizeX": "-0,5"}, "in an odd way (PhysicalSizeX=-0,5)"),
+        ({"PhysicalSizeZ": "-1.5"}, "unknown (PhysicalSizeZ=-1.5): voxels of 0.0005 x 0.0005 x 0.0015 mm are taken"),
+        ({"PhysicalSizeX": "-0,5"}, "unknown (PhysicalSizeX=-0,5)"),
         ({"PhysicalSizeZ": "0"}, "how far apart its slices are (PhysicalSizeZ=0)"),
         ({"PhysicalSizeZ": "NaN"}, "how far apart its slices are (PhysicalSizeZ=NaN)"),
         ({"PhysicalSizeY": "0"}, "how large a voxel is (PhysicalSizeY=0)"),

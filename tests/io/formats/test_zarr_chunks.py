@@ -220,8 +220,8 @@ def test_missing_chunks_are_counted_in_a_warning(tmp_path, version, separator, f
     (path / "0" / "notes.txt").write_text("7.7.7.7")
     for channel, absent in ((0, 1), (1, 2)):
         lazy = io.open_volume(path, channel_index=channel)
-        words = f"{absent} of 27 chunks of the array 0 are not in the store: {fill} stands there; they were left out"
-        assert words in lazy.metadata[io.WARNING_KEY] and "or they are lost" in lazy.metadata[io.WARNING_KEY]
+        words = f"{absent} of 27 chunks of the array 0 are not in the store, and {fill} stands there: programs leave"
+        assert words in lazy.metadata[io.WARNING_KEY] and "copy the store again" in lazy.metadata[io.WARNING_KEY]
         np.testing.assert_array_equal(lazy.read(whole_box(lazy.shape)), array[channel])
     both = io.channels.read(path)
     assert [words[0] for words in (one.metadata[io.WARNING_KEY] for one in both)] == ["1", "2"]
@@ -234,7 +234,8 @@ def test_missing_chunks_of_a_sequence_are_counted_over_all_frames(tmp_path):
     for place in ("0/0", "2/1"):
         (path / f"0/c/{place}/0/0").unlink()
     notes = io.read_sequence(path).notes
-    assert len(notes) == 1 and notes[0].startswith("2 of 6 chunks of the array 0 are not in the store: 0 stands there")
+    words = "2 of 6 chunks of the array 0 are not in the store, and 0 stands there"
+    assert len(notes) == 1 and notes[0].startswith(words)
 
 
 def test_a_sequence_that_accelsurf_wrote_misses_its_chunks(tmp_path):
