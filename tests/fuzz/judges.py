@@ -302,7 +302,8 @@ def _is_whole(path: Path) -> bool:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError):
         return False
-    return isinstance(document, dict) and {"status", "outputs", "exit_code"} <= set(document)
+    kinds = {"status": str, "outputs": list, "exit_code": int}
+    return isinstance(document, dict) and all(isinstance(document.get(key), kind) for key, kind in kinds.items())
 
 
 #: What judges each kind; of an input and the folder that its files lie in.

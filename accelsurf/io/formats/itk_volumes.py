@@ -67,6 +67,8 @@ def _read_some(path: Path, header: RawHeader, numbers: Sequence[int], available:
     header.check_complete()
     image = itk.execute(reader)
     geometry = itk.geometry_of(image)
+    if header.encoding == "text":
+        header.check_text(sitk.GetArrayViewFromImage(image).ravel())
     if count == 1:
         return [Volume(sitk.GetArrayFromImage(image), geometry, header.metadata, path)]
     metadata = {} if header.seconds is None else {FRAME_KEY: repr(header.seconds)}

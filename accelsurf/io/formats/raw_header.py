@@ -5,9 +5,13 @@ Readers return zeros or garbage for missing voxels; the size is checked before a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.io import selection
@@ -19,6 +23,12 @@ from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 Encoding = Literal["raw", "deflate", "text", "other"]
 ByteOrder = Literal["<", ">", ""]
 _CHUNK = 1 << 20
+
+
+def _at_blank(text: bytes, is_last: bool) -> tuple[bytes, bytes]:
+    """Text up to its last blank, and what follows: the beginning of a word that goes on."""
+    end = len(text) if is_last else max(text.rfind(blank) for blank in (b" ", b"\n", b"\t", b"\r")) + 1
+    return text[:end], text[end:]
 
 
 @dataclass(frozen=True)
@@ -164,6 +174,42 @@ class RawHeader:
             raise InputError(
                 f"the header announces {self.claimed_bytes} bytes of voxels, the file holds {present}",
                 hint=TRUNCATED_HINT,
+            )
+
+    def check_text(self, read: NDArray[Any]) -> None:
+        """Refuse text of which a reader has made other numbers: those that the type of the voxels does not hold.
+
+        Parameters
+        ----------
+        read : ndarray (n,)
+            What it has made, in the order of the file.
+
+        Raises
+        ------
+        InputError
+            With the first number that differs.
+        """
+        begin, rest = 0, b""
+        with self.data.open("rb") as file:
+            file.seek(self.offset)
+            while begin < len(read) and (piece := file.read(_CHUNK)):
+                whole, rest = _at_blank(rest + piece, len(piece) < _CHUNK)
+                words = whole.split()[: len(read) - begin]
+                self._check_words(words, read[begin : begin + len(words)])
+                begin += len(words)
+
+    def _check_words(self, words: Sequence[bytes], read: NDArray[Any]) -> None:
+        try:
+            said = np.array(words, dtype="S").astype(np.float64)
+        except ValueError:
+            raise InputError("the voxels of the text are not all numbers", TRUNCATED_HINT) from None
+        found = read.astype(np.float64)
+        wrong = ~np.isclose(found, said, rtol=1e-6, atol=0.0, equal_nan=True)
+        if wrong.any():
+            first = int(np.argmax(wrong))
+            raise InputError(
+                f"the voxel {words[first][:40].decode(errors='replace')} of the text is none of {read.dtype} values",
+                "correct the type of the voxels in the header, or the text",
             )
 
     def _check_numbers(self) -> None:
