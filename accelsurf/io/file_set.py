@@ -243,7 +243,8 @@ def _name_foreign(folder: Path, there: list[str]) -> None:
 def refuse_links(folder: Path, hint: str = "") -> None:
     """Refuse to write in a folder that is a link, or that lies below one in the present folder.
 
-    A link may have come with somebody's data, and lead anywhere.
+    A link may have come with somebody's data, and lead anywhere. Those of the system, as /tmp is one on macOS, have not:
+    they belong to root.
 
     Parameters
     ----------
@@ -260,11 +261,15 @@ def refuse_links(folder: Path, hint: str = "") -> None:
     below = whole.relative_to(present).parts if whole.is_relative_to(present) else whole.parts[-1:]
     for count in range(len(below)):
         part = Path(*whole.parts[: len(whole.parts) - count])
-        if _is_link(part):
+        if _is_link(part) and not _is_of_the_system(part):
             raise OutputError(
                 f"{part}: is a link to {os.path.realpath(part)}, and nothing is written through a link",
                 hint or f"name the folder itself: {os.path.realpath(whole)}",
             )
+
+
+def _is_of_the_system(link: Path) -> bool:
+    return os.name == "posix" and link.lstat().st_uid == 0 and os.geteuid() != 0
 
 
 def _is_link(path: Path) -> bool:

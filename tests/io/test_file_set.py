@@ -469,6 +469,18 @@ def test_outputs_are_not_written_through_links(tmp_path, monkeypatch):
     assert not (tmp_path / "target").exists() and not (tmp_path / "home" / "a").is_symlink()
 
 
+def test_links_of_the_system_are_followed(tmp_path, monkeypatch):
+    (tmp_path / "private").mkdir()
+    (tmp_path / "tmp").symlink_to("private")
+    if os.lstat(tmp_path / "tmp").st_uid != 0:
+        pytest.skip("only root makes such links")
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "geteuid", lambda: 1234)
+        file_set.refuse_links(tmp_path / "tmp")
+    with pytest.raises(OutputError, match="is a link to"):
+        file_set.refuse_links(tmp_path / "tmp")
+
+
 @pytest.mark.parametrize("state", ["a file", "not to be written", "for all to write", "no home"])
 def test_without_a_place_for_journals_a_set_is_written_and_a_line_says_so(state, tmp_path, monkeypatch):
     place = tmp_path / "state"
