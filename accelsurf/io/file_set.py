@@ -243,8 +243,8 @@ def _name_foreign(folder: Path, there: list[str]) -> None:
 def refuse_links(folder: Path, hint: str = "") -> None:
     """Refuse to write in a folder that is a link, or that lies below one in the present folder.
 
-    A link may have come with somebody's data, and lead anywhere. Those of the system, as /tmp is one on macOS, have not:
-    they belong to root.
+    A link may have come with somebody's data, and lead anywhere. Links of the system, as /tmp is one on macOS, have not
+    come so: they belong to root.
 
     Parameters
     ----------
