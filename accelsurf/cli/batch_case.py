@@ -26,9 +26,9 @@ from accelsurf.cli.place import Place
 from accelsurf.cli.progress import Watcher
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
 from accelsurf.io import channels, read_labels
-from accelsurf.io.file_set import refuse_inputs
+from accelsurf.io.file_set import InputFiles
 from accelsurf.io.headers import outside_data_allowed
-from accelsurf.report.result_sets import load_report, report_name, unchanged_outputs
+from accelsurf.report.result_sets import load_report, outdated_inputs, report_name
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
@@ -124,17 +124,18 @@ def refuse_inputs_of(tasks: Sequence[CaseTask], tables: Sequence[Path], given: S
         With the file.
     """
     places = [(place_of(task), task.config) for task in tasks]
-    inputs = [*given, *(path for place, config in places for path in place.inputs(config))]
-    refuse_inputs([*tables, *(path for place, config in places for path in _outputs(place, config))], inputs)
+    read = InputFiles([*given, *(path for place, config in places for path in place.inputs(config))])
+    read.refuse(tables)
+    for place, config in places:
+        read.refuse(outdated_inputs(place.report_path, read))
+        read.refuse(_outputs(place, config))
 
 
 def _outputs(place: Place, config: RunConfig | TrackConfig) -> Iterable[Path]:
-    """All that a case may write, or remove as of an earlier run."""
-    yield from (place.folder / name for name in unchanged_outputs(place.report_path, ()))
+    """All that a case may write."""
     if isinstance(config, TrackConfig):
-        yield from track_case.TrackCase(place, config).files.paths(place.folder, place.name).values()
-    else:
-        yield from place.paths(config).values()
+        return track_case.TrackCase(place, config).files.paths(place.folder, place.name).values()
+    return place.paths(config).values()
 
 
 class LostCaseError(AccelsurfError):

@@ -111,13 +111,13 @@ def _check_table(table: str | None, as_json: bool, overwrite: bool) -> None:
 
 def _refuse_input_as_table(table: str | None, found: list[Pair] | Pair, *further: Path | None) -> None:
     """Refuse a table in the place of a file that is read."""
-    from accelsurf.io.file_set import refuse_inputs
+    from accelsurf.io.file_set import InputFiles
 
     if table is None or table == "-":
         return
     sides = [side for pair in (found if isinstance(found, list) else [found]) for side in (pair.pred, pair.ref)]
     inputs = [*(side.path for side in sides if side is not None), *(path for path in further if path is not None)]
-    refuse_inputs([Path(table)], inputs, "name of the table with --csv")
+    InputFiles(inputs).refuse([Path(table)], "name of the table with --csv")
 
 
 def _refuse_with_tracks(given: dict[str, Any]) -> None:

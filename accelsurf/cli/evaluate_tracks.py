@@ -25,7 +25,7 @@ def evaluate_tracks(result: str | None, reference: str | None, as_json: bool, ta
         A CSV file for a row of each frame; "-" prints it.
     """
     from accelsurf.analysis.tracked_files import compare, open_tracks
-    from accelsurf.io.file_set import finish_killed_runs, refuse_inputs
+    from accelsurf.io.file_set import InputFiles, finish_killed_runs
     from accelsurf.io.files import write_bytes
     from accelsurf.report.document import to_json
     from accelsurf.report.tables import csv_text
@@ -38,7 +38,7 @@ def evaluate_tracks(result: str | None, reference: str | None, as_json: bool, ta
     if table is not None and table != "-":
         sides = (Path(result), Path(reference))
         inputs = [path for side in sides for path in (side, *side.rglob("*"))]
-        refuse_inputs([Path(table)], inputs, "name of the table with --csv")
+        InputFiles(inputs).refuse([Path(table)], "name of the table with --csv")
     given, wanted = open_tracks(Path(result)), open_tracks(Path(reference))
     found = compare(given, wanted)
     if table is not None:

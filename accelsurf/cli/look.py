@@ -60,7 +60,7 @@ def look(
         Replace a picture that exists.
     """
     from accelsurf.grid.grey_window import parse_window
-    from accelsurf.io.file_set import refuse_inputs
+    from accelsurf.io.file_set import InputFiles
     from accelsurf.io.files import write_bytes
     from accelsurf.report.inputs import inputs_of
     from accelsurf.report.output_folder import make_writable
@@ -68,7 +68,7 @@ def look(
     source = required(input, "IMAGE")
     shown = parse_window(window)
     path = _picture(source, output)
-    refuse_inputs([path], inputs_of(source, None, labels))
+    InputFiles(inputs_of(source, None, labels)).refuse([path])
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: exists already", "choose another with -o, or add --overwrite")
     volumes, grid = _read(source, level, run_config(reading).reading)

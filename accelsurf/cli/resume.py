@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 from accelsurf.cli.place import Place
@@ -40,9 +39,5 @@ def code_of_ended(place: Place, config: RunConfig, quiet: bool = False) -> int |
 
 def taken_up(place: Place, config: RunConfig) -> Place:
     """The place to go on at: the files of a run that was interrupted or failed may be replaced."""
-    document = result_sets.load_report(place.report_path)
-    own: set[str] = set()
-    if document is not None and document["status"] != "ok":
-        own = {place.report_path.name, *result_sets.unchanged_outputs(place.report_path, ())}
-    others = [path for path in place.paths(config).values() if os.path.lexists(path) and path.name not in own]
-    return replace(place, resume=True, overwrite=place.overwrite or not others)
+    is_free = result_sets.unfinished_alone(place.report_path, place.paths(config).values())
+    return replace(place, resume=True, overwrite=place.overwrite or is_free)

@@ -6,7 +6,6 @@ the tracking ended, also when it failed.
 
 from __future__ import annotations
 
-import os
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
@@ -91,11 +90,13 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
     except AccelsurfError as error:
         report_failure(case, error)
         raise
+    paths = case.files.paths(case.place.folder, case.place.name).values()
+    is_free = result_sets.unfinished_alone(case.place.report_path, paths)
     try:
         outputs = TrackOutputs(
             case.place.folder, case.place.name, tracking.sequence, case.files,
             settings=tracking.config.model_dump(mode="json"), toml=tracking.config.to_toml(), argv=sys.argv,
-            overwrite=case.place.overwrite or (resumed and _is_interrupted(case)), store=case.store,
+            overwrite=case.place.overwrite or (resumed and is_free), store=case.store,
             inputs=case.place.inputs(case.config),
         )
         try:
@@ -123,17 +124,6 @@ def report_failure(case: TrackCase, error: BaseException) -> None:
         )
     except AccelsurfError as second:
         say(f"warning: the report could not be written: {second.message}")
-
-
-def _is_interrupted(case: TrackCase) -> bool:
-    """Whether what stands in the folder is of a run that was interrupted or failed, and of nothing else."""
-    report = case.place.report_path
-    document = result_sets.load_report(report)
-    if document is None or document["status"] == "ok":
-        return False
-    known = {report.name, *result_sets.unchanged_outputs(report, ())}
-    paths = case.files.paths(case.place.folder, case.place.name).values()
-    return all(path.name in known for path in paths if os.path.lexists(path))
 
 
 def _look_at_state(case: TrackCase) -> None:

@@ -80,7 +80,7 @@ class FileSet:
         """
         names = sorted(path.name for path in self.drafts.iterdir() if path.name != last)
         gone = [name for name in remove if name not in {*names, last} and os.path.lexists(self.folder / name)]
-        refuse_inputs([self.folder / name for name in (*names, *gone, *([last] if last else []))], self._inputs)
+        InputFiles(self._inputs).refuse(self.folder / name for name in (*names, *gone, *([last] if last else [])))
         for path in self.drafts.iterdir():
             sync(path)
         everything = names if last is None else [*names, last]
@@ -298,32 +298,55 @@ def _check_staging(journal: Journal) -> None:
             raise NotADirectoryError(f"{folder}: is no folder")
 
 
-def refuse_inputs(outputs: Iterable[Path], inputs: Sequence[Path], place: str = "folder with -o") -> None:
-    """Refuse to replace or remove a file that is read, also by another name: a link or a hard link.
+class InputFiles:
+    """Files that a command reads, known by any name: that of a link, a hard link, or a folder above them.
 
     Parameters
     ----------
-    outputs : iterable of Path
-    inputs : sequence of Path
-    place : str, optional
-        What else to choose, for the hint.
-
-    Raises
-    ------
-    OutputError
-        With the input.
+    paths : iterable of Path
     """
-    known = {(found.st_dev, found.st_ino): path for path in inputs if (found := _stat(path)) is not None}
-    for path in inputs:  # what lies in a folder goes with it
-        for parent in (*path.absolute().parents, *path.resolve().parents):
-            if (found := _stat(parent)) is not None:
-                known.setdefault((found.st_dev, found.st_ino), path)
-    for output in outputs:
-        for found in (_stat(output), _stat(output, follow=False)):
-            if found is not None and (found.st_dev, found.st_ino) in known:
+
+    def __init__(self, paths: Iterable[Path]) -> None:
+        self._known: dict[tuple[int, int], Path] = {}
+        folders: dict[Path, Path] = {}
+        for path in paths:
+            self._put(path, path)
+            folders.setdefault(path.absolute().parent, path)
+            if path.is_symlink():
+                folders.setdefault(path.resolve().parent, path)
+        for folder, path in folders.items():  # what lies in a folder goes with it
+            for parent in {folder, *folder.parents, folder.resolve(), *folder.resolve().parents}:
+                self._put(parent, path)
+
+    def _put(self, found: Path, path: Path) -> None:
+        if (status := _stat(found)) is not None:
+            self._known.setdefault((status.st_dev, status.st_ino), path)
+
+    def at(self, output: Path) -> Path | None:
+        """The input that would be replaced or removed with a file or folder."""
+        for status in (_stat(output), _stat(output, follow=False)):
+            if status is not None and (status.st_dev, status.st_ino) in self._known:
+                return self._known[status.st_dev, status.st_ino]
+        return None
+
+    def refuse(self, outputs: Iterable[Path], place: str = "folder with -o") -> None:
+        """Refuse to replace or remove an input.
+
+        Parameters
+        ----------
+        outputs : iterable of Path
+        place : str, optional
+            What else to choose, for the hint.
+
+        Raises
+        ------
+        OutputError
+            With the input.
+        """
+        for output in outputs:
+            if (given := self.at(output)) is not None:
                 raise OutputError(
-                    f"{output}: is read by this command (given as {known[found.st_dev, found.st_ino]}), so it is not "
-                    "replaced or removed",
+                    f"{output}: is read by this command (given as {given}), so it is not replaced or removed",
                     f"choose another {place}, or copy the input elsewhere and give the copy",
                 )
 

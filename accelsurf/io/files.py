@@ -61,12 +61,13 @@ def library_named(what: str, hint: str) -> Iterator[None]:
         # What is damaged is no matter of the disk; gzip says it by an OSError without a number.
         if not isinstance(error, OSError) or error.errno is not None:
             raise
-        raise InputError(f"{what} ({_one_line(error)})", hint) from error
+        raise InputError(f"{what} ({one_line(error)})", hint) from error
     except Exception as error:  # zlib, lzma, zipfile, gzip, struct, numpy, nibabel: each has its own kinds
-        raise InputError(f"{what} ({_one_line(error)})", hint) from error
+        raise InputError(f"{what} ({one_line(error)})", hint) from error
 
 
-def _one_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
+    """What an error of a library says, on one line of at most 200 characters."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
@@ -97,7 +98,7 @@ def read_json(path: str | os.PathLike[str]) -> Any:
     try:
         return json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not JSON ({_one_line(error)})", "is it the right file?") from None
+        raise InputError(f"{path}: not JSON ({one_line(error)})", "is it the right file?") from None
 
 
 def _itk_reason(error: RuntimeError) -> str:

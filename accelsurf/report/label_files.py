@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from accelsurf.errors import UsageError
-from accelsurf.io.file_set import refuse_inputs
+from accelsurf.io.file_set import InputFiles
 from accelsurf.io.files import write_bytes
 from accelsurf.io.metadata import DICOM_KEY, LABELS_KEY
 from accelsurf.report.inputs import named_files
@@ -42,7 +42,7 @@ def check(config: RunConfig, volume: Volume, overwrite: bool = False) -> None:
     table_of(config)
     if config.label_group is not None:
         group = load("accelsurf.io.formats.ome_labels:check")(volume.source or Path(), config.label_group, overwrite)
-        refuse_inputs([group], named_files(config), "--label-group")
+        InputFiles(named_files(config)).refuse([group], "--label-group")
     for name in config.also:
         if name not in LABEL_OUTPUTS or not LABEL_OUTPUTS[name].needs_dicom:
             continue

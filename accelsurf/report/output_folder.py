@@ -9,8 +9,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from accelsurf.errors import OutputError
-from accelsurf.io.file_set import FileSet, opened, refuse_inputs, refuse_links
-from accelsurf.report.result_sets import has_guests, is_failure_report, is_output, unchanged_outputs
+from accelsurf.io.file_set import FileSet, InputFiles, opened, refuse_links
+from accelsurf.report.result_sets import has_guests, is_failure_report, is_output, outdated_inputs
 
 #: Of a file's name, on the usual file systems.
 MAX_NAME_BYTES = 255
@@ -42,9 +42,10 @@ def refuse_existing(paths: dict[str, Path], overwrite: bool, inputs: Sequence[Pa
             "rename the image, or link to it by a shorter name",
         )
     existing = [path for path in paths.values() if os.path.lexists(path)]
-    refuse_inputs(existing, inputs)
-    if inputs and (report := paths.get("report")) is not None:
-        refuse_inputs((report.parent / name for name in unchanged_outputs(report, ())), inputs)
+    read = InputFiles(inputs)
+    read.refuse(existing)
+    if (report := paths.get("report")) is not None:
+        read.refuse(outdated_inputs(report, read))
     results = [path for path in existing if not (path == paths.get("report") and is_failure_report(path))]
     if results and not overwrite:
         more = f" and {len(results) - 1} more" if len(results) > 1 else ""

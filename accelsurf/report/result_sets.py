@@ -10,6 +10,7 @@ from typing import Any
 
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.io import is_stored, sha256, split_name
+from accelsurf.io.file_set import InputFiles
 from accelsurf.io.files import read_json
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
@@ -57,9 +58,9 @@ def load_report(path: Path) -> dict[str, Any] | None:
     except InputError:
         return None
     kinds = {"status": str, "outputs": list, "exit_code": int}
-    if not isinstance(document, dict) or not {"status", "outputs", "exit_code"} <= document.keys():
+    if not isinstance(document, dict) or not all(isinstance(document.get(key), kind) for key, kind in kinds.items()):
         return None
-    return document if all(isinstance(document.get(key, kind()), kind) for key, kind in kinds.items()) else None
+    return document
 
 
 def is_failure_report(path: Path) -> bool:
@@ -162,6 +163,23 @@ def unchanged_outputs(report: Path, besides: Collection[str]) -> list[str]:
         except AccelsurfError:
             continue
     return found
+
+
+def outdated_inputs(report: Path, inputs: InputFiles) -> list[Path]:
+    """Return the inputs among the files that go with an earlier result; only their checksums are computed."""
+    document = load_report(report)
+    listed = [name for name, _ in _entries(document["outputs"] if document is not None else ())]
+    others = {name for name in listed if inputs.at(report.parent / name) is None}
+    return [report.parent / name for name in unchanged_outputs(report, others)] if others < {*listed} else []
+
+
+def unfinished_alone(report: Path, planned: Iterable[Path]) -> bool:
+    """Whether what stands of some planned files is of a run that was interrupted or failed: it may be replaced."""
+    document = load_report(report)
+    known: set[str] = set()
+    if document is not None and document["status"] != "ok":
+        known = {report.name, *unchanged_outputs(report, ())}
+    return all(path.name in known for path in planned if os.path.lexists(path))
 
 
 def is_named_as_output(name: str, case: str) -> bool:

@@ -24,7 +24,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
 from accelsurf.io import itk
 from accelsurf.io.chunk_cache import ChunkCache
-from accelsurf.io.files import file_version
+from accelsurf.io.files import file_version, one_line
 from accelsurf.io.formats.raster import TRUNCATED_HINT
 from accelsurf.io.formats.raw_voxels import CHANGED
 from accelsurf.io.formats.tiff import TiffHeader, of_samples
@@ -201,7 +201,7 @@ def _values_by_tifffile(file: BinaryIO, at: int, header: TiffHeader) -> NDArray[
     except (OSError, MemoryError, InputError):
         raise
     except Exception as error:  # each codec raises errors of its own
-        message = " ".join(str(error).split())[:200] or type(error).__name__
+        message = one_line(error)
         if "imagecodecs" in message:
             raise InputError(
                 f"this packing of a TIFF needs the package imagecodecs ({message})",

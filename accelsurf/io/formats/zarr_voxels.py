@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
 from accelsurf.io.chunk_cache import ChunkCache
-from accelsurf.io.files import file_version
+from accelsurf.io.files import file_version, one_line
 from accelsurf.io.formats.zarr_files import ChunkFiles, is_in_runs
 from accelsurf.io.headers import check_within_store
 from accelsurf.settings import budgets
@@ -83,7 +83,7 @@ def open_array(folder: Path, path: str) -> Any:
         raise
     except Exception as error:  # its metadata may be anything, and each part of zarr raises errors of its own
         raise InputError(
-            f"the array {path} is missing or damaged ({_short(error)})", "is the store complete? copy it again"
+            f"the array {path} is missing or damaged ({one_line(error)})", "is the store complete? copy it again"
         ) from error
     if dtype.kind not in "buif":
         raise InputError(f"values of type {dtype} given, one real number per voxel expected", "convert them first")
@@ -215,7 +215,7 @@ class ZarrVoxels:
 
     def _damage(self, place: tuple[int, ...], error: Exception) -> InputError:
         return InputError(
-            f"{self._named(place)} is damaged ({_short(error)})",
+            f"{self._named(place)} is damaged ({one_line(error)})",
             "copy the store again, or write this chunk anew from its source",
         )
 
@@ -266,7 +266,3 @@ class ZarrVoxels:
             "there: programs leave out chunks that hold only this value; if the image has blocks of it where it should "
             "not, copy the store again"
         )
-
-
-def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__

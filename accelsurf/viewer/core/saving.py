@@ -10,7 +10,7 @@ from typing import Any
 
 from accelsurf import __version__, io
 from accelsurf.errors import UsageError, check_known
-from accelsurf.io.file_set import FileSet, refuse_inputs
+from accelsurf.io.file_set import FileSet, InputFiles
 from accelsurf.io.files import write_bytes
 from accelsurf.report import (
     document,
@@ -90,7 +90,7 @@ def save(
         paths = _result_paths(result, folder, names)
         paths |= {"run": folder / RUN_FILE} if "run" in what else {}
         paths |= {"report": folder / result_sets.report_name(name)} if "report" in what else {}
-        refuse_inputs(paths.values(), inputs)
+        InputFiles(inputs).refuse(paths.values())
         _check_paths(paths, replaceable)
         with output_folder.naming_final(files):
             return _write(files, paths, names, name, source, result)
