@@ -15,6 +15,8 @@ PAGES = [
     *(path for path in sorted((ROOT / "docs").rglob("*.md")) if not set(path.parts) & set(BUILT)),
 ]
 RECORDS = sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))
+#: They name modules and settings of the days on which they were written.
+NOTES = sorted((ROOT / "benchmarks" / "notes").glob("*.md"))
 LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 #: Folders that exist only after a command was run.
 LEFT_BY_COMMANDS = ("out/", "ring/", "first/", "both/", "volumes/", "dist/", "docs/_build", "results/", "benchmarks/r")
@@ -29,7 +31,7 @@ def anchors(page):
     return {heading.replace(" ", "-") for heading in plain}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize("page", [*PAGES, *NOTES], ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_to_files_and_headings(page):
     for target, anchor in LINK.findall(CODE.sub("", page.read_text(encoding="utf-8"))):
         if target.startswith(("http:", "https:")):
@@ -70,6 +72,13 @@ def test_a_record_has_its_form(record):
 def test_numbers_of_records_are_given_once():
     numbers = [record.stem[:4] for record in RECORDS]
     assert len(set(numbers)) == len(numbers)
+
+
+def test_records_are_listed_by_their_titles():
+    listed = (ROOT / "docs" / "decisions" / "README.md").read_text(encoding="utf-8")
+    for record in RECORDS:
+        title = record.read_text(encoding="utf-8").splitlines()[0].split(": ", 1)[1]
+        assert f"| [{record.stem[:4]}]({record.name}) | {title} |" in listed
 
 
 def test_the_reference_lists_every_public_name():
