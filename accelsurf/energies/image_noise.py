@@ -1,4 +1,4 @@
-"""How much noise an image has, and the area weight that keeps a surface from following it."""
+"""Noise of an image, and the area weight that keeps a surface from following it."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from accelsurf.energies.interface import Interface, polynomial_of
 from accelsurf.energies.region_sums import Elsewhere, MomentTracker, RegionMoments, sums_by_plane
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
-from accelsurf.kernels import histogram
+from accelsurf.kernels import statistics
 from accelsurf.levelset import BandChange, LevelSet, dot
 
 #: Smallest standard deviation of a Gaussian, as fraction of the image's range: for regions of a single value.
@@ -292,7 +292,7 @@ class HistogramLikelihood(Energy):
         """Make the histogram of the inside voxels that are not in the band."""
         self.sums.start(surface)
         self._beyond_band = surface.workers.plane_sums(
-            histogram.inside_histogram,
+            statistics.inside_histogram,
             surface.shape,
             BINS,
             surface.dense,
@@ -317,7 +317,7 @@ class HistogramLikelihood(Energy):
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also finds the densities for the next `force`."""
         band = surface.workers.block_sums(
-            histogram.weighted_histogram,
+            statistics.weighted_histogram,
             surface.size,
             BINS,
             surface.band.cells,
@@ -360,5 +360,5 @@ class HistogramLikelihood(Energy):
 
     def _looked_up(self, values: np.ndarray, surface: LevelSet) -> np.ndarray:
         out = np.empty(values.size, np.float32)
-        surface.workers.parallel(histogram.look_up, values.size, values, self._parzen.scale, self._table, out)
+        surface.workers.parallel(statistics.look_up, values.size, values, self._parzen.scale, self._table, out)
         return out

@@ -37,7 +37,7 @@ class Clock:
 
     @property
     def at_rest(self) -> bool:
-        """Whether no step was made since the last start from rest."""
+        """True if no step was made since the last start from rest."""
         return self.last_dt == 0.0
 
     def start(self) -> None:

@@ -60,7 +60,7 @@ class Noise:
 
     @property
     def acts(self) -> bool:
-        """Whether there is noise at present."""
+        """True if there is noise at present."""
         over = self._momentum_was_reset if self.until is None else self._elapsed >= self.until
         return self.strength > 0 and not over
 

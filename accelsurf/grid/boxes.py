@@ -200,7 +200,7 @@ def _in_one_cell(
 
 
 def overlap(one: Box, other: Box) -> bool:
-    """Whether two boxes have a voxel in common."""
+    """Test if two boxes have a voxel in common."""
     return all(a.start < b.stop and b.start < a.stop for a, b in zip(one, other, strict=True))
 
 

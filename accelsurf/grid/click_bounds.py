@@ -61,7 +61,7 @@ class ClickBounds(NamedTuple):
         flat[self.cells] = np.minimum(np.maximum(flat[self.cells], self.low), self.high)
 
     def is_met_by(self, psi: NDArray[np.float32]) -> bool:
-        """Whether every clicked voxel is on its side."""
+        """Test if every clicked voxel is on its side."""
         values = psi.reshape(-1)[self.cells]
         return bool((values[self.high < 0] < 0).all() and (values[self.low > 0] >= 0).all())
 

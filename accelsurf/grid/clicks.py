@@ -1,4 +1,4 @@
-"""What a person has said of voxels: these are in the object, those are not."""
+"""Clicks: voxels that a person has said to lie in the object or outside of it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Click(NamedTuple):
         return on_box(self.mask, self.box, box, False)
 
     def contradicts(self, other: Click) -> bool:
-        """Whether no voxel can be in both: some object would have it inside and outside."""
+        """Test if no voxel can be in both: some object would have it inside and outside."""
         if self.side == other.side:
             return self.side == "inside" and self.id != other.id
         return self.id == other.id
@@ -148,7 +148,7 @@ class Clicks:
         return Clicks((*(click for click in left if click is not None), *later), self.shape)
 
     def starts_with(self, other: Clicks) -> bool:
-        """Whether these are other clicks, unchanged, and maybe more."""
+        """Test if these are other clicks, unchanged, and maybe more."""
         return len(self) >= len(other) and all(map(_same, other.clicks, self.clicks))
 
 

@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Geometry:
-    """Where a grid of voxels lies in the world.
+    """Geometry of a grid of voxels in the world.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class Geometry:
         return self.index_to_world(list(product(*((0, n - 1) for n in self.shape))))
 
     def matches(self, other: Geometry, tolerance_mm: float | None = None) -> bool:
-        """Whether two grids have the same shape and lie at the same place.
+        """Test if two grids have the same shape and lie at the same place.
 
         Comparing positions, not header entries, accepts the rounding of file formats: what counts is how far
         corresponding voxels lie from one another.

@@ -1,4 +1,4 @@
-"""Which values are black and white: chosen from an object and its surroundings, or from the whole image."""
+"""Values that are shown black and white: chosen from an object and its surroundings, or from the whole image."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def window_of(image: NDArray[Any], inside: NDArray[np.bool_] | None = None) -> G
 
 
 def is_hounsfield(values: NDArray[Any]) -> bool:
-    """Whether values look like those of a CT: air near -1000, much of it and of soft tissue, nothing far below air.
+    """Test if values look like those of a CT: air near -1000, much of it and of soft tissue, nothing far below air.
 
     Examples
     --------

@@ -174,7 +174,7 @@ class SliceStack:
         return int(np.clip(round(float(self.place_number(index))), 0, self.count - 1))
 
     def contains(self, index: Floats) -> bool:
-        """Whether an index (z, y, x) lies in a voxel of the image."""
+        """Test if an index (z, y, x) lies in a voxel of the image."""
         return bool(((index >= -0.5 - ROUNDING) & (index <= np.array(self.geometry.shape) - 0.5 + ROUNDING)).all())
 
     def go_to(self, index: Floats, number: int) -> Floats:
@@ -192,7 +192,7 @@ class SliceStack:
         return np.clip(start + float(np.clip(np.nan_to_num(shares), 0.0, 1.0).max()) * way, 0.0, last)
 
     def cuts(self, number: int, low: ArrayLike, high: ArrayLike) -> bool:
-        """Whether a slice cuts the box of the voxels ``low`` to ``high``, (z, y, x)."""
+        """Test if a slice cuts the box of the voxels ``low`` to ``high``, (z, y, x)."""
         away = self._corners(low, high)[:, 2] - self.across(number)
         return bool(away.min() < 0 < away.max())
 

@@ -60,7 +60,7 @@ class Window(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Of the window."""
+        """Shape of the window."""
         z, y, x = (s.stop - s.start for s in self.box)
         return z, y, x
 
@@ -76,7 +76,7 @@ class Window(NamedTuple):
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is the whole grid."""
+        """True if it is the whole grid."""
         return self.shape == self.geometry.shape
 
     def local(self, box: Box) -> Box:

@@ -42,7 +42,7 @@ class Workers:
         self.threads = threads
         #: Band cells handed to kernels so far: the cost of a run that does not depend on the machine.
         self.visited = 0
-        #: Wall seconds by name of kernel, for `--profile`; `kernels.stages` has the stage of each.
+        #: Wall seconds by name of kernel, for `--profile`; `kernels._jit` has the stage of each.
         self.seconds: dict[str, float] = {}
         #: Seconds that a slot, block or plane took one thread in the last call of more than a grain, by name of kernel.
         self._pace: dict[str, float] = {}

@@ -24,7 +24,7 @@ _BEGIN = "begin anew without --resume, with --overwrite"
 
 
 class Header(NamedTuple):
-    """Of which tracking a state is: ``version`` of the file, ``versions`` of what the numbers depend on, ``digest`` of
+    """Header of a state: ``version`` of the file, ``versions`` of what the numbers depend on, ``digest`` of
     the sequence, and ``settings``.
     """
 
@@ -73,8 +73,8 @@ def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Hea
     sha.update(f"{geometry.shape}{geometry.spacing}{geometry.origin}{sequence.times}{sequence.time_unit}".encode())
     sha.update(digest_of({"direction": geometry.direction, "image": sequence.frame(config.frame).array}).encode())
     run = config.run.model_dump(mode="json", exclude=set(FREE))
-    own = config.model_dump(mode="json", exclude={"run"})
-    return Header(VERSION, versions(), sha.hexdigest(), {**run, **own, "meshes": meshes})
+    tracking = config.model_dump(mode="json", exclude={"run"})
+    return Header(VERSION, versions(), sha.hexdigest(), {**run, **tracking, "meshes": meshes})
 
 
 def write(path: Path, state: TrackState, header: Header) -> None:

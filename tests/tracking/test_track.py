@@ -12,8 +12,8 @@ from accelsurf.grid.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.tracking import track_state
-from accelsurf.tracking.entering import appearing
 from accelsurf.tracking.evidence import Profile
+from accelsurf.tracking.follower import appearing
 from accelsurf.tracking.frame_run import following_settings, measure
 from accelsurf.tracking.lineage import Identities
 from accelsurf.tracking.records import FrameResult, Lineage, SurfacePiece

@@ -29,7 +29,7 @@ class Neighbour(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Where a surface is near a neighbour: ``near`` (m,) indices of the points; the neighbour's ``cells`` and ``slots``
+    """Contact with a neighbour: ``near`` (m,) indices of the points; the neighbour's ``cells`` and ``slots``
     there; ``share`` (m,), 1 where the two touch and 0 from `CONTACT_RANGE` on.
     """
 
@@ -72,7 +72,7 @@ class NonOverlap(ConstrainedEnergy):
 
     @property
     def is_disturbed(self) -> bool:
-        """Whether there are neighbours, which may push the surface, or lie where it was before."""
+        """Test if there are neighbours, which may push the surface, or lie where it was before."""
         return len(self.neighbours) > 0 or super().is_disturbed
 
     def state(self) -> Any:
@@ -98,7 +98,7 @@ class NonOverlap(ConstrainedEnergy):
         return own
 
     def _contacts(self, surface: LevelSet, on: NDArray[np.intp]) -> Iterator[Contact]:
-        """Where the surface, at slots ``on`` of its band, is near each neighbour."""
+        """Find the contacts of the surface, at slots ``on`` of its band, with each neighbour."""
         if not self.neighbours:
             return
         steps = np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx])

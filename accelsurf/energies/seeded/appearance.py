@@ -1,4 +1,4 @@
-"""What the tissue under a click looks like, robustly: medians and median-based spreads."""
+"""Appearance of the tissue under a click, robustly: medians and median-based spreads."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ def _shells(
     tissue: Tissue,
     window: Window | None,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """How many voxels each shell around an index (z, y, x) has, and how many of them look like the tissue.
+    """Count the voxels of each shell around an index (z, y, x), and those of them that look like the tissue.
 
     ``ball`` is (radius, thickness of a shell), mm; errors as of `even_radius`.
     """

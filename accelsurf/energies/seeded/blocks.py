@@ -67,7 +67,7 @@ class Blocks(NamedTuple):
         return math.prod(self.steps)
 
     def count(self, voxels: float) -> int:
-        """How many blocks so many voxels fill, at least one."""
+        """Number of blocks that a number of voxels fills, at least one."""
         return max(round(voxels / self.size), 1)
 
     def box_of(self, box: Box) -> Box:
@@ -146,5 +146,5 @@ def in_blocks(
 
 
 def field_in(blocks: Blocks) -> Field:
-    """What marches over blocks need."""
+    """Field that marches over blocks need."""
     return field_of(blocks.images, blocks.spacing, blocks.passes, blocks.window, blocks.steps)

@@ -1,4 +1,4 @@
-"""What the clicks say without a model: each voxel to the side that it is nearer to, on a box around the clicks.
+"""Contest of the clicks without a model: each voxel to the side that it is nearer to, on a box around the clicks.
 
 Two contests, each -1 at inside clicks and 1 at outside ones: by the shortest paths, where a change of the values is
 what costs (Criminisi et al. 2008), and by random walks (Grady 2006). The first finds edges that leak little, the second

@@ -1,4 +1,4 @@
-"""Where the object's edge is, within a voxel: halfway between the values on both sides of the model's boundary.
+"""Edge of the object, within a voxel: halfway between the values on both sides of the model's boundary.
 
 The model of clicks tells voxels apart; its field knows neither the brightness outside nor the place of an edge between
 two voxels. In a window around each voxel near the boundary the mean values inside and outside are compared, without
@@ -57,7 +57,7 @@ AREA, NOISY_AREA = 0.1, 0.2
 def edge_balance(
     images: Sequence[Image], spacing: Spacing, inside: Mask, open: Mask | None, pool: Executor | None = None
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Which side each voxel near a boundary is on by its value, and how much that counts.
+    """Find the side that each voxel near a boundary is on by its value, and how much that counts.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def at_edges(
     *,
     stated_mm3: float | None = None,
 ) -> Shown:
-    """What is shown, with its boundary at the edges of the image: F near it is w f + (1 - w) F.
+    """Put the boundary of what is shown at the edges of the image: F near it is w f + (1 - w) F.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def _around(inside: Mask, box: Box, spacing: Spacing, shape: Sequence[int]) -> B
 
 
 def _near(inside: Mask, open: Mask | None) -> Mask:
-    """Where noise and contrast are read off."""
+    """Mask of the voxels where noise and contrast are read off."""
     near = _seen_both(inside, REACH)
     return near if open is None else near & open
 

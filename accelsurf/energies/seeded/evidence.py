@@ -1,4 +1,4 @@
-"""What else tells the level of an arrival time that is the object: edges along it, and what a wrong level costs."""
+"""Further evidence for the level of an arrival time that is the object: edges along it, and the cost of a wrong one."""
 
 from __future__ import annotations
 

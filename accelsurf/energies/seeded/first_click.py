@@ -71,7 +71,7 @@ class Front(NamedTuple):
 
     @property
     def voxels(self) -> int:
-        """How many voxels have arrived."""
+        """Number of voxels that have arrived."""
         return len(self.order) * self.blocks.size
 
     def at(self, voxels: float) -> float:
@@ -79,14 +79,14 @@ class Front(NamedTuple):
         return float(self.times[self.order[min(self.blocks.count(voxels), len(self.order)) - 1]])
 
     def proposed(self, voxels: float, spacing: Spacing) -> Proposed:
-        """Where the first so many voxels have arrived; ``spacing`` of the voxels, mm."""
+        """Make the proposal of the first so many voxels that have arrived; ``spacing`` of the voxels, mm."""
         mask = (self.times <= self.at(voxels)).reshape(self.field.shape)
         box = bounding_box(mask)
         assert box is not None  # the click is in it
         return Proposed(self.blocks, box, mask[box].copy(), spacing)
 
     def evidence(self, tissue: Tissue) -> LevelEvidence:
-        """What the image says of each level."""
+        """Evidence of the image for each level."""
         edges = edges_of(self.blocks.images, self.blocks.spacing, tissue, self.order)
         first = int(np.count_nonzero(self.click.mask))
         return level_evidence(self.field.medium.values, edges, self.times, self.order, first, self.blocks.size)
@@ -209,7 +209,7 @@ def _expected(
     boxed: bool,
     by_tissue: bool,
 ) -> tuple[Prior, int]:
-    """What is expected of the number of voxels, and how many a march may accept."""
+    """Find the expected number of voxels, and how many a march may accept."""
     (click, tissue), (allowed, window), flat = asked, where, images[0].shape[0] == 1
     whole = math.prod(images[0].shape) if window is None else window.voxels
     open_count = whole if allowed is None else int(np.count_nonzero(allowed))

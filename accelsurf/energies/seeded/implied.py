@@ -1,4 +1,4 @@
-"""What a click implies of the voxels around it: people click inside of what they mean, not along its edge.
+"""Voxels that a click implies around it: people click inside of what they mean, not along its edge.
 
 So what lies around a click, half as far again as the click is wide, is on its side too, unless it looks different or a
 click that says the opposite is nearer. That is a guess: it guides the contests of the clicks, and holds nothing.
@@ -32,7 +32,7 @@ MOST = 100_000
 
 
 def implied(images: Sequence[Image], spacing: Spacing, clicks: Clicks, within: Box) -> list[Click]:
-    """What the clicks imply, one more for each that is wide enough: a single voxel implies nothing.
+    """Add what the clicks imply, one more for each that is wide enough: a single voxel implies nothing.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def _implied_by(
     more: float,
     where: tuple[tuple[int, int, int], Box],
 ) -> list[Click]:
-    """What one click implies within ``more`` mm of it, as a list of one or of none.
+    """Find what one click implies within ``more`` mm of it, as a list of one or of none.
 
     ``asked`` are the click and those that say the opposite, ``where`` the grid's shape and the box to stay in.
     """
@@ -124,7 +124,7 @@ def _implied_by(
 
 
 def _looks_alike(images: Sequence[Image], click: Click, box: Box, steps: tuple[int, int, int]) -> Mask:
-    """Which blocks of a box have values like those of a click: within `ALIKE` spreads of its median in each channel."""
+    """Mask of the blocks of a box that look like a click: within `ALIKE` spreads of each channel's median."""
     alike = np.array(True)
     for image in images:
         part = image[box]

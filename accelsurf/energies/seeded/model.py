@@ -68,7 +68,7 @@ class SeededModel:
 
     @property
     def answer(self) -> Answer | None:
-        """What the next click's answer is made from; None of a partition."""
+        """Answer that the next click's is made from; None of a partition."""
         return self.stages[-1].answer if self.stages else None
 
     def mean_curvature(self, spacing: Spacing) -> float:
@@ -189,7 +189,7 @@ def learned_images(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ..
 
 
 def _allowed(shape: tuple[int, ...], box: Box | None, mask: Mask | None) -> Mask | None:
-    """Where the object may be; None for everywhere."""
+    """Mask of the voxels where the object may be; None for everywhere."""
     if box is None:
         return mask
     out = np.zeros(shape, np.bool_)

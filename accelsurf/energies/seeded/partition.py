@@ -31,7 +31,7 @@ _FACES = ndimage.generate_binary_structure(3, 1)
 
 
 class Basins(NamedTuple):
-    """What all objects share.
+    """Basins, which all objects share.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class BasinsOnce:
 
 
 def _is_owned(click: Click) -> bool:
-    """Whether it lies inside of something, and so says the same to all objects."""
+    """Test if it lies inside of something, and says the same to all objects."""
     return click.side == "inside" or click.owner is not None
 
 

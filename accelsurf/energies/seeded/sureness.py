@@ -1,4 +1,4 @@
-"""How sure the model of the clicks is of its object, as numbers."""
+"""Sureness of the model of the clicks about its object, as numbers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ AROUND = 0.5
 
 
 class Sureness(NamedTuple):
-    """What a model of clicks knows of how good it is.
+    """Sureness of a model of clicks.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ def corrections_with(
     spacing: Spacing,
     shape: Sequence[int],
 ) -> tuple[float, ...]:
-    """How far clicks were off, with one more: from its middle to its side of what was shown before it.
+    """Distances by which clicks were off, with one more: from its middle to its side of what was shown before it.
 
     In radii of what is shown after it. A person clicks where most is wrong: far from its side is very wrong. A click
     that was on its side already corrects nothing, and is left out.
