@@ -15,7 +15,7 @@ from accelsurf.evolution.convergence import Restart, StopRule, stalled, surface_
 from accelsurf.evolution.records import Reason, Step, StepFields, StepRecord, Stop
 from accelsurf.evolution.state import COLUMNS, MASS_COLUMNS, Checkpoint, LoopState
 from accelsurf.flows import Flow, StepInput, StepLimits, StepPlan
-from accelsurf.flows.step_limits import voxel_rates
+from accelsurf.flows.protocol import voxel_rates
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.pyramid import Level
 from accelsurf.levelset import LevelSet, Motion, checkpoint_surface, restore_surface

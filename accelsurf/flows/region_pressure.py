@@ -10,9 +10,8 @@ import numpy as np
 
 from accelsurf.flows.clock import NOW
 from accelsurf.flows.fluid import regrid_fluid, spacing_of, transport_fluid
-from accelsurf.flows.protocol import EnergyRates, Flow, StepInput, StepLimits, StepPlan
+from accelsurf.flows.protocol import EnergyRates, Flow, StepInput, StepLimits, StepPlan, wave_bound
 from accelsurf.flows.region_mass import Layer, RegionMass
-from accelsurf.flows.step_limits import wave_bound
 from accelsurf.kernels import fluid as kernels
 from accelsurf.levelset import LevelSet
 

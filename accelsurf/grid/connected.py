@@ -23,10 +23,10 @@ def connected_to(mask: NDArray[np.bool_], seeds: NDArray[np.bool_]) -> NDArray[n
     if box is None:
         return out
     labels, count = ndimage.label(mask[box])
-    own = np.zeros(count + 1, np.bool_)
-    own[labels[seeds[box]]] = True
-    own[0] = False
-    out[box] = own[labels]
+    kept_labels = np.zeros(count + 1, np.bool_)
+    kept_labels[labels[seeds[box]]] = True
+    kept_labels[0] = False
+    out[box] = kept_labels[labels]
     return out
 
 

@@ -121,7 +121,7 @@ class FloatCounts(OrderStatistics):
         upto = np.cumsum(self._high)
         upper = np.searchsorted(upto, ranks, side="right")
         # The extremes are asked for sooner or later: they come with the first pass.
-        wanted = {int(one) for one in (*upper, *np.searchsorted(upto, [0, self.size - 1], side="right"))}
+        wanted = {int(half) for half in (*upper, *np.searchsorted(upto, [0, self.size - 1], side="right"))}
         self._count_low(sorted(wanted - set(self._low)))
         ordered = np.empty(len(ranks), np.uint32)
         for i, (half, rank) in enumerate(zip(upper, ranks, strict=True)):

@@ -318,7 +318,7 @@ def linear(
         if axis == 3:
             values = flat.take(low + corner).astype(np.float32)
             return values if largest is None else np.minimum(values, np.float32(largest))
-        one, other = between(axis + 1, corner), between(axis + 1, corner + steps[axis])
-        return np.asarray(one + shares[axis] * (other - one))
+        low_end, high_end = between(axis + 1, corner), between(axis + 1, corner + steps[axis])
+        return np.asarray(low_end + shares[axis] * (high_end - low_end))
 
     return between(0, 0)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, Corner, corner_of
+from accelsurf.grid.boxes import Box, Corner, corner_of, counted_from
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
 
@@ -81,8 +81,7 @@ class Window(NamedTuple):
 
     def local(self, box: Box) -> Box:
         """A box of the whole grid, counted from the window's first voxel."""
-        z, y, x = (slice(s.start - c, s.stop - c) for s, c in zip(box, self.corner, strict=True))
-        return z, y, x
+        return counted_from(box, self.corner)
 
     def place_on_whole(self, place: Sequence[float]) -> tuple[float, float, float]:
         """World mm (x, y, z) of the centre of a voxel of any level as the whole grid gives it, of a place in a window.

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.grid.slabs import sum_in_order
+from accelsurf.grid.boxes import sum_in_order
 from accelsurf.kernels.grid import BATCH, BLOCK
 
 #: Slots of a range are a multiple of this: vectors and their batches are the same for any ranges.

@@ -150,8 +150,8 @@ class Follower:
         run, energy = self._run, self._energy
         found = measure(arrival.channels, first, run, energy, arrival.refinements)
         if then:
-            taken = [measured.surface for measured in found.values() if measured.surface.psi.size]
-            found |= measure(arrival.channels, then, run, energy, taken=taken)
+            occupied = [measured.surface for measured in found.values() if measured.surface.psi.size]
+            found |= measure(arrival.channels, then, run, energy, occupied=occupied)
         return found
 
     def _decide(
@@ -175,21 +175,21 @@ class Follower:
             followed.note_seen(shown, now, arrival.time, self._geometry)
             self._identities.see(followed.id, arrival.number)
 
-    def _is_shown(self, followed: Followed, shown: Measured, now: Profile, predicted: SurfacePiece) -> bool:
-        expected, seen = (volume_in_grid(piece.psi, self._geometry) for piece in (predicted, shown.surface))
+    def _is_shown(self, followed: Followed, measured: Measured, now: Profile, predicted: SurfacePiece) -> bool:
+        expected, seen = (volume_in_grid(piece.psi, self._geometry) for piece in (predicted, measured.surface))
         if followed.at_border:  # the prediction knows only what the border has left; more of it may come in
             expected = max(expected, min(seen, followed.whole_mm3))
         ratio = expected / followed.volume_mm3 if followed.volume_mm3 > 0 else 1.0
         volumes = seen, expected
-        areas = shown.area_mm2, followed.area_mm2 * ratio ** (2.0 / 3.0)
+        areas = measured.area_mm2, followed.area_mm2 * ratio ** (2.0 / 3.0)
         return evidence.is_shown(now, followed.profile, volumes, areas)
 
-    def _largest(self, shown: Measured) -> Measured:
+    def _largest(self, measured: Measured) -> Measured:
         """Remove crumbs from a surface where parts are objects; the parts of a division stay together here."""
         if self._config.divide == "no":
-            return shown
-        large = separate_parts(shown.surface)
-        return shown if len(large) != 1 else shown._replace(surface=large[0])
+            return measured
+        large = separate_parts(measured.surface)
+        return measured if len(large) != 1 else measured._replace(surface=large[0])
 
     # -- identities ----------------------------------------------------------------------------------------
 
@@ -254,7 +254,7 @@ class Follower:
         if not first:
             return
         starts = [ObjectStart(place, *piece) for place, piece in enumerate(first, start=1)]
-        found = measure(arrival.channels, starts, self._run, self._energy, taken=there)
+        found = measure(arrival.channels, starts, self._run, self._energy, occupied=there)
         usual = float(np.median([followed.whole_mm3 for followed in known]))
         for place in sorted(found):
             self._take_in(found[place], Whole(like, usual), absent, arrival)

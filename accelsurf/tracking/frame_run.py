@@ -81,7 +81,7 @@ def measure(
     config: RunConfig,
     energy: EnergyLike | None = None,
     refinements: Sequence[Refinement] = (),
-    taken: Sequence[SurfacePiece] = (),
+    occupied: Sequence[SurfacePiece] = (),
 ) -> dict[int, Measured]:
     """Run from predictions on the part of a frame where they are.
 
@@ -97,7 +97,7 @@ def measure(
         One of the user's own.
     refinements : sequence of Refinement
         Corrections of the frame; the run then sees all of it.
-    taken : sequence of SurfacePiece
+    occupied : sequence of SurfacePiece
         Where no object may go; of a prediction that lies in it entirely nothing is run.
 
     Returns
@@ -105,7 +105,7 @@ def measure(
     dict of int to Measured
         By id; with corrections also what these began, and without what these removed.
     """
-    alone = [start for start in apart(sorted(starts, key=lambda start: start.id)) if _has_room(start, taken)]
+    alone = [start for start in apart(sorted(starts, key=lambda start: start.id)) if _has_room(start, occupied)]
     found = {start.id: NOTHING for start in starts}
     if not alone:
         return found
@@ -115,7 +115,7 @@ def measure(
     while True:
         inside = functools.reduce(enclosing, (_tight(start) for start in alone))
         box = widened(inside, geometry.shape, [max(geometry.shape)] * 3 if whole else margin)
-        result = _result(channels, box, alone, config, energy, refinements, taken)
+        result = _result(channels, box, alone, config, energy, refinements, occupied)
         if not _comes_near(result, box, geometry):
             break
         margin = [2 * n for n in margin]
@@ -127,10 +127,10 @@ def measure(
     return found
 
 
-def _has_room(start: ObjectStart, taken: Sequence[SurfacePiece]) -> bool:
+def _has_room(start: ObjectStart, occupied: Sequence[SurfacePiece]) -> bool:
     """Test if a prediction has an inside, of which others leave some free."""
     room = start.psi < 0
-    for piece in taken:
+    for piece in occupied:
         if overlap(box_at(start.corner, start.psi.shape), piece.box):
             mine, theirs = shared(start.corner, start.psi.shape, piece.corner, piece.psi.shape)
             room[mine] &= piece.psi[theirs] > 0
@@ -157,13 +157,13 @@ def _result(
     config: RunConfig,
     energy: EnergyLike | None,
     refinements: Sequence[Refinement],
-    taken: Sequence[SurfacePiece],
+    occupied: Sequence[SurfacePiece],
 ) -> Result:
     """The run on a box of the frame."""
     seen = [Volume(channel.array[box], cropped(channel.geometry, box)) for channel in channels]
     on_box = tuple(_on_box(start, box) for start in starts)
     clicks = [_core(start, seen[0].geometry) for start in on_box] if uses_model(config) and energy is None else []
-    arrays = {"mask": _free(taken, box, seen[0].geometry)} if taken else None
+    arrays = {"mask": _free(occupied, box, seen[0].geometry)} if occupied else None
     if refinements:
         config = config.replace(keep_state="yes")
     with Run(seen[0], config, energy, seen[1:], on_box, arrays, clicks) as run:
@@ -192,10 +192,10 @@ def _core(start: ObjectStart, geometry: Geometry) -> Click:
     return Click("inside", box_at(start.corner, start.psi.shape), core_of(start.psi, geometry.spacing), start.id)
 
 
-def _free(taken: Sequence[SurfacePiece], box: Box, geometry: Geometry) -> NDArray[np.float32]:
+def _free(occupied: Sequence[SurfacePiece], box: Box, geometry: Geometry) -> NDArray[np.float32]:
     """Psi on a box of the frame of all that others leave free."""
     psi = np.full(geometry.shape, -max(geometry.spacing), np.float32)
-    for piece in taken:
+    for piece in occupied:
         start = ObjectStart(0, piece.corner, piece.psi)
         if overlap(piece.box, box):
             cut = _on_box(start, box)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from accelsurf.flows import ConstantDensity, FlowableMass, StepInput, StepLimits, StepPlan
 from accelsurf.flows.accelerated import Accelerated
-from accelsurf.flows.step_limits import voxel_rates
+from accelsurf.flows.protocol import voxel_rates
 from accelsurf.levelset import Motion, Workers
 from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, sample_fields, transferred
 from accelsurf.tracking.momentum import Gains, SurfaceMomentum

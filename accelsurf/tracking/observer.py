@@ -82,9 +82,9 @@ def _in_frame(boxed: BoxedSurface, points: Floats) -> NDArray[np.bool_]:
     return np.asarray(((points >= -0.5 * h) & (points <= (frame - 0.5) * h)).all(axis=1))
 
 
-def _round(here: Floats, area: Floats, measured: BoxedSurface) -> Floats:
-    """One round: the small shift of the points ``here`` (m, 3) that brings them nearest to the measured surface."""
-    found = _psi_at(measured, here)
+def _round(points: Floats, area: Floats, measured: BoxedSurface) -> Floats:
+    """One round: the small shift of ``points`` (m, 3) that brings them nearest to the measured surface."""
+    found = _psi_at(measured, points)
     left, slope = found[:, 0], found[:, 1:]
     h, far = measured.surface.smallest_spacing, 0.95 * float(measured.surface.gamma)
     weight = np.where(np.abs(left) < far, area / np.maximum(1.0, np.abs(left) / (ROBUST * h)), 0.0)

@@ -108,18 +108,18 @@ def read(path: Path) -> tuple[Header, TrackState]:
         raise InputError(f"{path}: the state is damaged ({error})", _BEGIN) from None
 
 
-def refuse_another(path: Path, header: Header, here: Header) -> None:
+def refuse_another(path: Path, header: Header, expected: Header) -> None:
     """Refuse the state of another tracking; what differs is named.
 
     Raises
     ------
     InputError
     """
-    if (header.digest, header.settings) == (here.digest, here.settings):
+    if (header.digest, header.settings) == (expected.digest, expected.settings):
         return
-    other = [key for key in here.settings if header.settings.get(key) != here.settings[key]]
+    other = [key for key in expected.settings if header.settings.get(key) != expected.settings[key]]
     what = "another sequence"
     if other:
         key = other[0]
-        what = f"other settings: {key} was {shown(header.settings.get(key))}, is {shown(here.settings[key])}"
+        what = f"other settings: {key} was {shown(header.settings.get(key))}, is {shown(expected.settings[key])}"
     raise InputError(f"{path}: a state of {what}", "give those of the run that wrote it, or begin anew")

@@ -65,8 +65,8 @@ class Proposed(NamedTuple):
 
     def _holds(self, click: Click) -> bool:
         """Test if most of a click lies in it."""
-        own = self.blocks.click(click, ())
-        return own is not None and bool(np.mean(on_box(self.mask, self.box, own.box, False)[own.mask]) > 0.5)
+        blocks = self.blocks.click(click, ())
+        return blocks is not None and bool(np.mean(on_box(self.mask, self.box, blocks.box, False)[blocks.mask]) > 0.5)
 
 
 class FirstTimes(NamedTuple):

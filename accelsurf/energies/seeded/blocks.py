@@ -82,8 +82,8 @@ class Blocks(NamedTuple):
         """Values of the blocks of a box on their voxels, linearly between the middles of the blocks."""
         voxels = self.box_of(box)
         z, y, x = (
-            own.start - (side.start * step - lacks)
-            for own, side, step, lacks in zip(voxels, box, self.steps, self.missing, strict=True)
+            part.start - (side.start * step - lacks)
+            for part, side, step, lacks in zip(voxels, box, self.steps, self.missing, strict=True)
         )
         return Balance(voxels, values, self.steps, (z, y, x))
 

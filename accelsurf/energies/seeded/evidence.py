@@ -88,8 +88,8 @@ def safest(counts: NDArray[np.int64], score: NDArray[np.float64]) -> int:
     2
     """
     likely = np.exp(score - score.max())
-    one, other = counts[:, None].astype(np.float64), counts[None, :].astype(np.float64)
-    return int(np.argmax(2.0 * np.minimum(one, other) / (one + other) @ likely))
+    rows, columns = counts[:, None].astype(np.float64), counts[None, :].astype(np.float64)
+    return int(np.argmax(2.0 * np.minimum(rows, columns) / (rows + columns) @ likely))
 
 
 def spread_of(counts: NDArray[np.int64], score: NDArray[np.float64]) -> float:

@@ -64,10 +64,10 @@ class Front(NamedTuple):
     @classmethod
     def of(cls, blocks: Blocks, click: Click, tissue: Tissue, voxels: float) -> Front:
         """March from a click, on the voxels, until about so many voxels are accepted."""
-        own, field = blocks.click(click, ()), field_in(blocks)
-        assert own is not None  # no click was before it
-        found = arrival(field, tissue, seeds_of(own, field), int(voxels / blocks.size) + 1)
-        return cls(blocks, field, own, *found)
+        placed, field = blocks.click(click, ()), field_in(blocks)
+        assert placed is not None  # no click was before it
+        found = arrival(field, tissue, seeds_of(placed, field), int(voxels / blocks.size) + 1)
+        return cls(blocks, field, placed, *found)
 
     @property
     def voxels(self) -> int:
@@ -187,7 +187,7 @@ def _by_evidence(
             return _by_evidence(images, spacing, where, clicks, asked, boxed, by_tissue=False)
     early = near.at(int(FAR_TOO_LARGE * proposal.volume_mm3 / voxel) + 1)
     first, front = FirstTimes.of(near.field, near.times, near.order, early, proposed), near
-    earliest = min((first.comes_to(one) for one in first.contradicted(in_order(clicks))), default=np.inf)
+    earliest = min((first.comes_to(click) for click in first.contradicted(in_order(clicks))), default=np.inf)
     if np.isfinite(earliest):
         most = float(np.searchsorted(near.times[near.order], earliest)) / FAR_TOO_LARGE
         proposal = by_evidence(evidence, prior, voxel, most)

@@ -49,7 +49,7 @@ def implied(images: Sequence[Image], spacing: Spacing, clicks: Clicks, within: B
     for click in clicks.clicks:
         if overlap(click.box, within):
             more = (WIDER - 1.0) * half_width(click.mask, spacing, clicks.shape)
-            against = [one for one in clicks.clicks if one.side != click.side]
+            against = [other for other in clicks.clicks if other.side != click.side]
             out += _implied_by(images, spacing, (click, against), more, (clicks.shape, within))
     return out
 
@@ -100,23 +100,23 @@ def _implied_by(
     box = common(widened(click.box, shape, margin), within)
     # An opposite click may be nearer though it lies beyond that box, no farther than a margin.
     larger = common(widened(box, shape, margin), within)
-    near = [one for one in against if overlap(one.box, larger)]
+    near = [other for other in against if overlap(other.box, larger)]
     seen = larger if near else box
     steps = coarsening(seen, spacing, MOST)
     alike = _looks_alike(images, click, seen, steps)
 
     def distance(ones: Sequence[Click]) -> Image:
         mask = np.zeros([s.stop - s.start for s in seen], np.float32)
-        for one in ones:
-            mask[one.mask_on(seen)] = 1.0
+        for click in ones:
+            mask[click.mask_on(seen)] = 1.0
         far = block_means(mask, steps) == 0.0
         return np.asarray(ndimage.distance_transform_edt(far, sampling=np.multiply(spacing, steps)), np.float32)
 
-    own = distance([click])
-    alike &= own <= more
+    distances = distance([click])
+    alike &= distances <= more
     if near:
-        alike &= own < distance(near)
-    mask = connected_to(alike | (own == 0.0), own == 0.0)
+        alike &= distances < distance(near)
+    mask = connected_to(alike | (distances == 0.0), distances == 0.0)
     for axis, step in enumerate(steps):
         mask = np.repeat(mask, step, axis)
     z, y, x = (slice(0, s.stop - s.start) for s in seen)

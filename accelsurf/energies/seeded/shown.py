@@ -94,14 +94,14 @@ def mixed_answer(
     neighbourhood : Neighbourhood, optional
         Of the last click, see `accelsurf.energies.seeded.surprise.neighbourhood`.
     """
-    own = answer.blocks.on_voxels(answer.box, np.clip(answer.force, -1.0, 1.0))
-    box = own.box if before is None else enclosing(own.box, before.box)
+    learned = answer.blocks.on_voxels(answer.box, np.clip(answer.force, -1.0, 1.0))
+    box = learned.box if before is None else enclosing(learned.box, before.box)
     for other in (*(part.box for part in parts), *(click.box for click in clicks.clicks)):
         box = enclosing(box, other)
     by_count = OWN_SIZED if sized else OWN
     weights = (by_count[min(len(clicks), len(by_count)) - 1], PATHS, WALKS)
     mixed = np.zeros([s.stop - s.start for s in box], np.float32)
-    for weight, part in zip(weights, (own, *parts), strict=True):
+    for weight, part in zip(weights, (learned, *parts), strict=True):
         part.add_to(mixed, box, weight / sum(weights))
     if before is None:
         mixed -= offset_to(mixed, answer.voxels)

@@ -84,10 +84,10 @@ def mostly_left(before: Clicks, after: Clicks) -> bool:
     if len(after) != len(before) + 1:
         return False
     pairs = zip(before.clicks, after.clicks, strict=False)
-    return all(np.count_nonzero(left.mask) >= MOSTLY * np.count_nonzero(one.mask) for one, left in pairs)
+    return all(np.count_nonzero(left.mask) >= MOSTLY * np.count_nonzero(click.mask) for click, left in pairs)
 
 
 def contradicting(answer: Answer, clicks: Clicks, asked: Sequence[Click]) -> tuple[Click, ...]:
     """Select the clicks ``asked`` that contradict the first proposal; ``clicks`` are all heard, in order."""
     found = answer.first.contradict(clicks)
-    return tuple(click for click in asked if any(click is one for one in found))
+    return tuple(click for click in asked if any(click is other for other in found))

@@ -59,8 +59,8 @@ def sureness_of(shown: Shown, clicks: Clicks, proposal: Proposal, corrections: S
     corrections : sequence of float
         See `corrections_with`.
     """
-    own = bounding_box(shown.inside) or whole_box(shown.inside.shape)
-    part = widened(own, shown.inside.shape, [math.ceil(AROUND * (side.stop - side.start)) for side in own])
+    extent = bounding_box(shown.inside) or whole_box(shown.inside.shape)
+    part = widened(extent, shown.inside.shape, [math.ceil(AROUND * (side.stop - side.start)) for side in extent])
     force, inside = shown.force[part], shown.inside[part]
     corner = [a.start + b.start for a, b in zip(shown.box, part, strict=True)]
     here = box_at((corner[0], corner[1], corner[2]), force.shape)

@@ -51,10 +51,10 @@ def neighbourhood(
         far = nearness(click, box, half_widths, spacing, shape)
         if held == 0.0:
             return far
-        own = nearness(click, far.box, REACH, spacing, shape)
+        close = nearness(click, far.box, REACH, spacing, shape)
         changes = np.full(far.values.shape, 1.0 - held, np.float32)
-        part = counted_from(own.box, corner_of(far.box))
-        changes[part] = np.maximum(changes[part], own.values)
+        part = counted_from(close.box, corner_of(far.box))
+        changes[part] = np.maximum(changes[part], close.values)
         return Nearness(far.box, far.values * changes)
 
     shift = shift_around(click, before, spacing, shape)
