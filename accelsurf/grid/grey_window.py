@@ -114,8 +114,8 @@ def window_of(image: NDArray[Any], inside: NDArray[np.bool_] | None = None) -> G
     part = tuple(slice(None, None, stride if n > 2 * stride else 1) for n in image.shape)
     values = np.asarray(image[part], np.float64).ravel()
     finite = np.isfinite(values)
-    chosen = np.zeros(0) if inside is None else np.asarray(image[inside][:: max(1, inside.sum() // MAX_SAMPLES)], float)
-    object_values = chosen[np.isfinite(chosen)]
+    sample = np.zeros(0) if inside is None else np.asarray(image[inside][:: max(1, inside.sum() // MAX_SAMPLES)], float)
+    object_values = sample[np.isfinite(sample)]
     values = values[finite]
     if not values.size:
         return GreyWindow(0.0, 1.0)

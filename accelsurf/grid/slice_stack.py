@@ -9,6 +9,7 @@ Slices along the voxels are the case in which F are the grid's axes and each pix
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -284,14 +285,14 @@ class SliceStack:
 
 
 def linear(
-    array: NDArray[Any], index: tuple[Floats, Floats, Floats], largest: float | None = None
+    array: NDArray[Any], index: Sequence[Floats], largest: float | None = None
 ) -> NDArray[np.float32]:
     """Values between voxels, linear along each axis; beyond the array those of its border.
 
     Parameters
     ----------
     array : ndarray (nz, ny, nx)
-    index : tuple of ndarray
+    index : sequence of ndarray
         z, y, x of each place.
     largest : float, optional
         Values above are as this one; for arrays with inf.

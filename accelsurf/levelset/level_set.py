@@ -134,7 +134,7 @@ class LevelSet:
     def psi(self) -> np.ndarray:
         """Signed distance (nz, ny, nx), float32, mm; a read-only view, +-gamma outside the band."""
         view = self.dense.psi.reshape(self.shape)
-        view.flags.writeable = False
+        view.setflags(write=False)
         return view
 
     @property

@@ -247,7 +247,7 @@ class Tracking:
                 self._turn_back()
             objects = self._follower.advance(arrival)
             if before == self.config.frame and number > before:
-                self._note_velocities(before)
+                self._note_velocities()
         self.done += 1
         if self.done == len(self.visits) or self.visits[self.done].number < self.visits[self.done - 1].number:
             if number >= before:
@@ -278,7 +278,7 @@ class Tracking:
         self._follower = self._new_follower()
         self._follower.start(self._first, arrival, self._velocities)
 
-    def _note_velocities(self, before: int) -> None:
+    def _note_velocities(self) -> None:
         """Note the velocities of the first objects after the first step."""
         ids = {id for id, _ in self._first}
         self._velocities = {
