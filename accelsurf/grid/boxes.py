@@ -148,8 +148,10 @@ def meeting(low: NDArray[np.integer], high: NDArray[np.integer]) -> list[list[in
     >>> meeting(np.array([[0, 0, 0], [2, 0, 0], [5, 0, 0]]), np.array([[3, 3, 3], [5, 1, 1], [6, 1, 1]]))
     [[1], [0], []]
     """
+    if not len(low):
+        return []
     # Along the axis on which they lie farthest apart, a box may only overlap those that begin before it ends.
-    axis = int(np.argmax(np.ptp(low, axis=0))) if len(low) else 0
+    axis = int(np.argmax(np.ptp(low, axis=0)))
     order = np.argsort(low[:, axis], kind="stable")
     low, high = low[order], high[order]
     found: list[list[int]] = [[] for _ in order]

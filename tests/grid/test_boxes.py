@@ -72,6 +72,10 @@ def test_shared_voxels_are_counted_from_the_first_voxel_of_each_box():
     assert compared > 10
 
 
+def test_no_boxes_meet():
+    assert boxes.meeting(np.array([]), np.array([])) == []
+
+
 @pytest.mark.parametrize("sizes", [(1, 9), (0, 9), (0, 140)], ids=["alike", "some empty", "some large"])
 def test_many_boxes_meet_as_few_do(sizes):
     rng = np.random.default_rng(3)
