@@ -164,5 +164,5 @@ def test_the_box_follows_the_surface() -> None:
     momentum.start(ball(small, (9.5, 9.5, 9.5), 4.0), (30, 30, 30), large, (9.0, 9.0, 9.0))
     for _ in range(15):
         momentum.predict(1.0)
-    assert isinstance(momentum._boxed, BoxedSurface) and max(momentum._on.surface.shape) < 32
+    assert isinstance(momentum._boxed, BoxedSurface) and max(momentum._boxed.surface.shape) < 32
     assert momentum.centroid() == pytest.approx((174.5, 174.5, 174.5), abs=0.01)
