@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.boxes import bounding_box
+from accelsurf.grid.boxes import bounding_box, slabs
 from accelsurf.grid.geometry import axis_steps
-from accelsurf.grid.slabs import slabs
 from accelsurf.grid.smoothing import gaussian_mm
 
 #: A gradient is an edge if it is above this percentile of the gradients inside the object, at least so many voxels from

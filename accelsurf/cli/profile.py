@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from accelsurf.kernels.stages import STAGE_OF_KERNEL, Stage
+from accelsurf.kernels._jit import STAGE_OF_KERNEL, Stage
 
 
 def seconds_by_stage(seconds: Mapping[str, float], kernels: Mapping[str, float]) -> list[tuple[str, float]]:
@@ -15,7 +15,7 @@ def seconds_by_stage(seconds: Mapping[str, float], kernels: Mapping[str, float])
     seconds : mapping of str to float
         Of the whole run, as in the report: load, start, evolve, mesh, write, total.
     kernels : mapping of str to float
-        Seconds in each kernel while it evolved. Each kernel names its stage, see `kernels.stages`.
+        Seconds in each kernel while it evolved. Each kernel names its stage, see `kernels._jit`.
 
     Returns
     -------

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 #: What the bar shows until the first step, when nothing else moves.
 PREPARING = "preparing"
 #: What is said once, before the first kernel is compiled: where kernels can be stored, and where they cannot.
-COMPILING = "note: compiling kernels, once: about half a minute (or: accelsurf warmup)"
+COMPILING = "note: compiling kernels, once: about a minute (or: accelsurf warmup)"
 COMPILING_ANEW = "note: compiling kernels, in each run: NUMBA_CACHE_DIR names a folder for them"
 
 
@@ -56,7 +56,7 @@ class Watcher:
         max_steps : int
             Its largest number of steps.
         """
-        from accelsurf.kernels.ahead import compiling_by_two
+        from accelsurf.kernels.storage import first_compilation
 
         if self._bar is not None:
             self._bar.start(label, max_steps)
@@ -64,7 +64,7 @@ class Watcher:
         try:
             with (
                 self._interrupts.patience("finishing this step and writing the result"),
-                compiling_by_two(self._on_compilation),
+                first_compilation(self._on_compilation),
             ):
                 yield self
         finally:

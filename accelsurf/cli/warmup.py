@@ -12,7 +12,7 @@ from accelsurf.errors import OutputError
 def warmup(
     *, quiet: Annotated[bool, Parameter(negative=(), show_default=False)] = False
 ) -> int:
-    """Compile all kernels and store them, which the first runs would do otherwise: about a minute, once.
+    """Compile all kernels and store them, which the first runs would do otherwise: a minute or two, once.
 
     Run it after an installation or an update of accelsurf or numba, as the user who will segment, or with
     NUMBA_CACHE_DIR set as it will be then. What is stored already is only loaded.
@@ -25,7 +25,6 @@ def warmup(
     import time
 
     from accelsurf.kernels import storage
-    from accelsurf.kernels.ahead import compiling_by_two
     from accelsurf.report import warmup as runs
 
     began = time.perf_counter()
@@ -35,11 +34,10 @@ def warmup(
             "set NUMBA_CACHE_DIR to a folder that may be written to",
         )
     before = storage.stored()
-    with compiling_by_two():
-        for name, run in runs.small_runs().items():
-            if not quiet:
-                print(f"  {time.perf_counter() - began:5.1f} s  {name}", flush=True)
-            run()
+    for name, run in runs.small_runs().items():
+        if not quiet:
+            print(f"  {time.perf_counter() - began:5.1f} s  {name}", flush=True)
+        run()
     if not quiet:
         new = len(storage.stored() - before)
         print(f"{new} kernels compiled and stored, {len(before)} were there, {time.perf_counter() - began:.1f} s")

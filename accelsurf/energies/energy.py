@@ -63,7 +63,7 @@ class Energy(ABC):
 
     @property
     def is_disturbed(self) -> bool:
-        """Whether more than the energy moves the surface, such as objects beside it; then a rise of U is no error."""
+        """True if more than the energy moves the surface, such as objects beside it; then a rise of U is no error."""
         return False
 
     def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from accelsurf.errors import InputError
-from accelsurf.kernels import front_sampling, motion
+from accelsurf.kernels import motion, point_sampling
 from accelsurf.levelset import LevelSet
 
 
@@ -90,7 +90,7 @@ def slope_at_front(image: np.ndarray, surface: LevelSet, front: np.ndarray) -> t
     out = np.empty((surface.size, 2), np.float32)
     flat, normals = raveled(image, surface), normals_at_front(surface, front)
     surface.workers.parallel(
-        front_sampling.value_and_slope, surface.size, flat, surface.grid, surface.band, normals, front, out
+        point_sampling.value_and_slope, surface.size, flat, surface.grid, surface.band, normals, front, out
     )
     return out[:, 0].copy(), out[:, 1].copy()
 
@@ -99,7 +99,7 @@ def normals_at_front(surface: LevelSet, front: np.ndarray) -> np.ndarray:
     """Outward unit normals n = grad psi/|grad psi| (n, 3), float32, axes (z, y, x) in mm. The inward N is -n."""
     out = np.empty((surface.size, 3), np.float32)
     surface.workers.parallel(
-        front_sampling.outward_normals, surface.size, surface.dense.psi, surface.grid, surface.band, front, out
+        point_sampling.outward_normals, surface.size, surface.dense.psi, surface.grid, surface.band, front, out
     )
     return out
 

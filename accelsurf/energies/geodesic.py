@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.front_samples import sample_at_front, slope_at_front
-from accelsurf.energies.image_energy import ImageEnergy
+from accelsurf.energies.image_energy import AreaTerm, ImageEnergy
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import axis_steps
@@ -72,7 +71,7 @@ class Geodesic(ImageEnergy):
         slope, length = np.zeros(at[0].size, np.float32), np.full(at[0].size, 1e-12, np.float32)
         for axis, h in enumerate((surface.grid.hz, surface.grid.hy, surface.grid.hx)):
             last = surface.shape[axis] - 1
-            ends = [[*cells[:axis], np.clip(cells[axis] + one, 0, last), *cells[axis + 1 :]] for one in (1, -1)]
+            ends = [[*cells[:axis], np.clip(cells[axis] + step, 0, last), *cells[axis + 1 :]] for step in (1, -1)]
             apart = np.float32(h) * np.maximum(ends[0][axis] - ends[1][axis], 1).astype(np.float32)
             (phi_up, psi_up), (phi_down, psi_down) = ((phi[tuple(end)], psi[tuple(end)]) for end in ends)
             normal = (psi_up - psi_down) / apart

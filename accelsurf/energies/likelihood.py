@@ -8,15 +8,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import sample_at_front
-from accelsurf.energies.image_energy import ImageEnergy
-from accelsurf.energies.interface import Interface, polynomial_of
-from accelsurf.energies.region_sums import Elsewhere, MomentTracker, RegionMoments, sums_by_plane
+from accelsurf.energies.image_energy import AreaTerm, RegionEnergy
+from accelsurf.energies.region_sums import (
+    Elsewhere,
+    Interface,
+    MomentTracker,
+    RegionMoments,
+    sums_by_plane,
+)
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
-from accelsurf.kernels import histogram
+from accelsurf.kernels import statistics
 from accelsurf.levelset import BandChange, LevelSet, dot
 
 #: Smallest standard deviation of a Gaussian, as fraction of the image's range: for regions of a single value.
@@ -37,7 +41,21 @@ class Gaussian(NamedTuple):
     variance: float
 
 
-class GaussianLikelihood(ImageEnergy):
+class TwoGaussians(NamedTuple):
+    """Models of inside and outside."""
+
+    inside: Gaussian
+    outside: Gaussian
+
+
+class TwoHistograms(NamedTuple):
+    """Histograms (BINS,) of samples inside and outside."""
+
+    inside: np.ndarray
+    outside: np.ndarray
+
+
+class GaussianLikelihood(RegionEnergy):
     """U = -int_in log p1(I) - int_out log p2(I) + alpha A with Gaussians, f = log(p2/p1) + alpha H.
 
     f = (log(v1/v2) + (I - m1)^2/v1 - (I - m2)^2/v2)/2. Unless given, means and variances are those of the present
@@ -49,7 +67,7 @@ class GaussianLikelihood(ImageEnergy):
         Values in any unit; U is in mm3 and depends on the unit by a constant only.
     alpha : float
         Weight of the area, mm.
-    models : (Gaussian, Gaussian), optional
+    models : TwoGaussians, optional
         Fixed models of inside and outside; `gaussian_of` learns one.
     epsilon : float
         Half width of the smeared interface in voxels; 0 is sharp. See `Interface`.
@@ -65,53 +83,39 @@ class GaussianLikelihood(ImageEnergy):
         self,
         image: np.ndarray,
         alpha: float = 0.0,
-        models: tuple[Gaussian, Gaussian] | None = None,
+        models: TwoGaussians | None = None,
         epsilon: float = 0.0,
         elsewhere: Elsewhere | None = None,
         whole: RegionMoments | None = None,
         min_variance: float | None = None,
     ) -> None:
-        super().__init__(image, alpha)
-        self._interface = Interface(float(epsilon))
-        self._area = AreaTerm(alpha)
-        self._elsewhere = elsewhere
-        self._all = whole or self.sums.whole_image()
-        if elsewhere is not None:
-            self._all = self._all.plus(elsewhere.all)
+        super().__init__(image, alpha, epsilon, elsewhere, whole)
         self._min_variance = least_variance(image) if min_variance is None else min_variance
         self._fixed = models
-        self.models = models or (Gaussian(0.0, 1.0), Gaussian(0.0, 1.0))
+        self.models = models or TwoGaussians(Gaussian(0.0, 1.0), Gaussian(0.0, 1.0))
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also sets `models` for the next `force`."""
-        inside = self.sums.inside(surface, self._interface.fraction(surface, fraction))
-        if self._elsewhere is not None:
-            inside = inside.plus(self._elsewhere.inside)
-        outside = RegionMoments(*(a - b for a, b in zip(self._all, inside, strict=True)))
         models, energy = [], 0.0
-        for i, sums in enumerate((inside, outside)):
+        for i, sums in enumerate(self.regions(surface, fraction)):
             model = self._fixed[i] if self._fixed else _gaussian(sums, self._min_variance)
             m, v = model
             models.append(model)
             energy += 0.5 * math.log(2.0 * math.pi * v) * sums.voxels
             energy += 0.5 * (sums.squares - 2.0 * m * sums.total + m * m * sums.voxels) / v
-        self.models = (models[0], models[1])
+        self.models = TwoGaussians(*models)
         return energy * surface.voxel_volume + self._area.value(area)
 
-    def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-        """Force f (n,) at the front with the image at each cell's closest surface point, or across it."""
-        force = self._interface.force(self.sums.image, surface, front, curvature, self._polynomial())
-        self._area.add_force(force, curvature)
-        return force
-
-    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
-        """The force of each voxel's own value, between the models of the last `value`."""
-        return polynomial_of(self.sums.image.reshape(surface.shape)[box], self._polynomial())
-
-    def _polynomial(self) -> tuple[float, float, float]:
+    def polynomial(self) -> tuple[float, float, float]:
+        """Factors of the force, between the models of the last `value`."""
         (m1, v1), (m2, v2) = self.models
         constant = 0.5 * (math.log(v1 / v2) + m1 * m1 / v1 - m2 * m2 / v2)
         return 0.5 / v1 - 0.5 / v2, m2 / v2 - m1 / v1, constant
+
+
+def no_sample() -> InputError:
+    """Return the error of a region to learn from that has no voxel."""
+    return InputError("likelihood: a region to learn from has no voxel", "give --foreground and --background voxels")
 
 
 def least_variance(image: np.ndarray) -> float:
@@ -128,7 +132,7 @@ def gaussian_of(values: np.ndarray, min_variance: float) -> Gaussian:
         When there are no values.
     """
     if values.size == 0:
-        raise InputError("likelihood: a region to learn from has no voxel", "give --foreground and --background voxels")
+        raise no_sample()
     sample = np.asarray(values, np.float64)
     return Gaussian(float(sample.mean()), max(float(sample.var()), min_variance))
 
@@ -142,7 +146,7 @@ def gaussian_of_sums(sums: RegionMoments, min_variance: float) -> Gaussian:
         When there are no values.
     """
     if not sums.voxels > 0:
-        raise InputError("likelihood: a region to learn from has no voxel", "give --foreground and --background voxels")
+        raise no_sample()
     return _gaussian(sums, min_variance)
 
 
@@ -160,7 +164,7 @@ def robust_gaussian_of(values: np.ndarray, min_variance: float) -> Gaussian:
     Gaussian(mean=3.0, variance=2.19810276)
     """
     if values.size == 0:
-        raise InputError("likelihood: a region to learn from has no voxel", "give --foreground and --background voxels")
+        raise no_sample()
     sample = np.asarray(values, np.float64)
     middle = float(np.median(sample))
     return Gaussian(middle, max((NORMAL_MAD * float(np.median(np.abs(sample - middle)))) ** 2, min_variance))
@@ -240,8 +244,8 @@ class HistogramLikelihood(Energy):
         Values in any unit; U is in mm3.
     alpha : float
         Weight of the area, mm.
-    learned : (ndarray, ndarray), optional
-        Histograms (BINS,) of samples inside and outside, as `Parzen.histogram` makes them, for fixed densities.
+    learned : TwoHistograms, optional
+        As `Parzen.histogram` makes them, for fixed densities.
     epsilon : float
         Half width of the smeared interface in voxels; 0 is sharp. See `Interface`.
     parzen : Parzen, optional
@@ -261,7 +265,7 @@ class HistogramLikelihood(Energy):
         self,
         image: np.ndarray,
         alpha: float = 0.0,
-        learned: tuple[np.ndarray, np.ndarray] | None = None,
+        learned: TwoHistograms | None = None,
         epsilon: float = 0.0,
         parzen: Parzen | None = None,
         elsewhere: Elsewhere | None = None,
@@ -281,9 +285,7 @@ class HistogramLikelihood(Energy):
         if learned is not None:
             # Shares of bins leave rounding errors in differences of histograms.
             if not all(counts.sum() > 0.5 for counts in learned):
-                raise InputError(
-                    "likelihood: a region to learn from has no voxel", "give --foreground and --background voxels"
-                )
+                raise no_sample()
             p1, p2 = (self._parzen.density(counts) for counts in learned)
             self._fixed = np.stack([-np.log(p1), -np.log(p2)])
         self._table = np.zeros(BINS)
@@ -292,7 +294,7 @@ class HistogramLikelihood(Energy):
         """Make the histogram of the inside voxels that are not in the band."""
         self.sums.start(surface)
         self._beyond_band = surface.workers.plane_sums(
-            histogram.inside_histogram,
+            statistics.inside_histogram,
             surface.shape,
             BINS,
             surface.dense,
@@ -317,7 +319,7 @@ class HistogramLikelihood(Energy):
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface; also finds the densities for the next `force`."""
         band = surface.workers.block_sums(
-            histogram.weighted_histogram,
+            statistics.weighted_histogram,
             surface.size,
             BINS,
             surface.band.cells,
@@ -335,8 +337,8 @@ class HistogramLikelihood(Energy):
             energy = dot(self._fixed[0], inside) + dot(self._fixed[1], outside)
             self._table = self._fixed[0] - self._fixed[1]
         else:
-            (one, slope), (other, other_slope) = (self._parzen.value_and_slope(h) for h in (inside, outside))
-            energy, self._table = one + other, slope - other_slope
+            (inner, slope), (outer, outer_slope) = (self._parzen.value_and_slope(h) for h in (inside, outside))
+            energy, self._table = inner + outer, slope - outer_slope
         return energy * surface.voxel_volume + self._area.value(area)
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
@@ -360,5 +362,5 @@ class HistogramLikelihood(Energy):
 
     def _looked_up(self, values: np.ndarray, surface: LevelSet) -> np.ndarray:
         out = np.empty(values.size, np.float32)
-        surface.workers.parallel(histogram.look_up, values.size, values, self._parzen.scale, self._table, out)
+        surface.workers.parallel(statistics.look_up, values.size, values, self._parzen.scale, self._table, out)
         return out

@@ -7,12 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.area import AreaTerm
 from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import check_shape
-from accelsurf.energies.interface import Interface
-from accelsurf.grid.boxes import Box
-from accelsurf.grid.slabs import runs
+from accelsurf.energies.image_energy import AreaTerm
+from accelsurf.energies.region_sums import Interface
+from accelsurf.grid.boxes import Box, runs
 from accelsurf.kernels import windows
 from accelsurf.levelset import BandChange, LevelSet
 

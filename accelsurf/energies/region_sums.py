@@ -1,4 +1,4 @@
-"""Sums of an image over the inside of the surface."""
+"""Sums of an image over the inside of the surface, and the interface at which inside and outside meet."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.front_samples import check_shape
-from accelsurf.grid.slabs import sum_in_order
-from accelsurf.kernels import region
+from accelsurf.energies.front_samples import check_shape, sample_at_front
+from accelsurf.grid.boxes import sum_in_order
+from accelsurf.kernels import motion, region
 from accelsurf.levelset import BandChange, LevelSet
 
 #: Sums (m,) over values that add up: those of two sets of voxels are the sums of both together.
@@ -117,3 +117,55 @@ class MomentTracker:
     def whole_image(self) -> RegionMoments:
         """Sums over the whole volume."""
         return RegionMoments(*(float(v) for v in sums_by_plane(self.image.reshape(self._shape), moments_of)))
+
+
+class Interface(NamedTuple):
+    """The interface between inside and outside: sharp (``epsilon`` 0), or smeared over +-``epsilon`` voxels.
+
+    Sharp: voxels are cut by the surface and the image is read at it. Smeared: the regions overlap by the
+    smeared Heaviside function, and the force is, as its derivative, the mean across the surface with the
+    matching delta function; it follows single noisy voxels less.
+    """
+
+    epsilon: float = 0.0
+
+    def fraction(self, surface: LevelSet, sharp: np.ndarray) -> np.ndarray:
+        """Share (n,) of each band voxel that counts as inside; ``sharp`` (n,) from `LevelSet.fraction_and_area`."""
+        if self.epsilon == 0:
+            return sharp
+        fraction = np.empty(surface.size)
+        surface.workers.parallel(region.smear_band, surface.size, surface.grid, surface.band, self.epsilon, fraction)
+        return fraction
+
+    def force(
+        self,
+        image: np.ndarray,
+        surface: LevelSet,
+        front: np.ndarray,
+        curvature: np.ndarray,
+        polynomial: tuple[float, float, float],
+    ) -> np.ndarray:
+        """Values (n,) of a I^2 + b I + c at the surface for every front cell, 0 elsewhere; I raveled float32."""
+        if self.epsilon == 0:
+            value = sample_at_front(image, surface, front)
+            force = polynomial_of(value, polynomial)
+            force[~front] = 0.0
+            return force
+        out = np.empty(surface.size, np.float32)
+        surface.workers.parallel(
+            motion.mean_across,
+            surface.size,
+            surface.dense.psi,
+            image,
+            surface.band,
+            front,
+            (surface.grid, self.epsilon, polynomial, curvature),
+            out,
+        )
+        return out
+
+
+def polynomial_of(values: NDArray[np.float32], polynomial: tuple[float, float, float]) -> NDArray[np.float32]:
+    """Return a I^2 + b I + c of values I, in their precision."""
+    a, b, c = (np.float32(v) for v in polynomial)
+    return np.asarray((a * values + b) * values + c)

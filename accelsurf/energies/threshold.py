@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from accelsurf.energies.region_field import RegionField
+from accelsurf.energies.image_energy import RegionField
 from accelsurf.errors import UsageError
-from accelsurf.grid.slabs import runs
+from accelsurf.grid.boxes import runs
 
 #: Width of the soft edge unless given: this part of the image's range, but at most this part of the window, so that
 #: g = -1 in its middle.

@@ -1,4 +1,4 @@
-"""Weighted sum of energies, and the terms without an image."""
+"""Weighted sums of energies, also of two frames' at a time between them, and the terms without an image."""
 
 from __future__ import annotations
 
@@ -28,9 +28,14 @@ class WeightedSum(Energy):
     """
 
     def __init__(self, terms: Sequence[tuple[float, Energy]]) -> None:
-        self._terms = [(float(weight), energy) for weight, energy in terms]
+        self._weighted = [(float(weight), energy) for weight, energy in terms]
         self.alpha = sum(weight * energy.alpha for weight, energy in self._terms)
         assert all(weight > 0 or energy.alpha == 0 for weight, energy in self._terms)
+
+    @property
+    def _terms(self) -> list[tuple[float, Energy]]:
+        """The energies that count now, each with its weight."""
+        return self._weighted
 
     def start(self, surface: LevelSet) -> None:
         """Start every term on a first surface."""
@@ -52,14 +57,14 @@ class WeightedSum(Energy):
         for _, energy in self._terms:
             energy.project(surface)
 
-    def state(self) -> list[Any]:
+    def state(self) -> Any:
         """Return the states of the terms, in their order; None for a term without state."""
         return [energy.state() for _, energy in self._terms]
 
-    def restore(self, surface: LevelSet, state: list[Any]) -> None:
+    def restore(self, surface: LevelSet, state: Any) -> None:
         """Set the state that `state` returned on this surface."""
-        for (_, energy), own in zip(self._terms, state, strict=True):
-            energy.restore(surface, own)
+        for (_, energy), term_state in zip(self._terms, state, strict=True):
+            energy.restore(surface, term_state)
 
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface."""
@@ -116,3 +121,60 @@ class Area(Energy):
     def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
         """0: it is all of the curvature."""
         return np.zeros(surface.psi[box].shape, np.float32)
+
+
+class BetweenFrames(WeightedSum):
+    """U = (1 - s) U_i + s U_(i+1), f likewise, s = (t - t_i)/(t_(i+1) - t_i); before the first frame and after the last
+    the energy is theirs.
+
+    For energies whose force is linear in the image, such as `RegionField`, or `ChanVese` with fixed means, it is the
+    energy of the image that lies between the two. That image is meaningful while an edge moves by less than its own
+    width from frame to frame.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Flow time of each frame, rising.
+    energies : sequence of Energy
+        Of each frame, on one grid. Only the two frames around the present time are followed.
+
+    Raises
+    ------
+    ValueError
+        When there are not as many times as energies, at least one, or the times do not rise.
+    """
+
+    def __init__(self, times: Sequence[float], energies: Sequence[Energy]) -> None:
+        if len(times) != len(energies) or not len(times) or not (np.diff(times) > 0).all():
+            raise ValueError(f"{len(energies)} energies at the times {list(times)}: as many rising times expected")
+        self._times, self._energies = np.asarray(times, np.float64), list(energies)
+        self._first, self._share = 0, 0.0
+        self.alpha = max(energy.alpha for energy in energies)
+
+    @property
+    def _terms(self) -> list[tuple[float, Energy]]:
+        """The frames that are followed, each with its weight."""
+        both = self._energies[self._first : self._first + 2]
+        return list(zip((1.0 - self._share, self._share), both, strict=False))
+
+    def set_time(self, surface: LevelSet, time: float) -> None:
+        """Go to a time; a frame that comes in is started on the surface."""
+        times, last = self._times, max(len(self._energies) - 2, 0)
+        first = min(max(int(np.searchsorted(times, time, side="right")) - 1, 0), last)
+        before = {id(energy) for _, energy in self._terms}
+        self._first, self._share = first, 0.0
+        if len(times) > 1:
+            self._share = float(np.clip((time - times[first]) / (times[first + 1] - times[first]), 0.0, 1.0))
+        for _, energy in self._terms:
+            if id(energy) not in before:
+                energy.start(surface)
+            energy.set_time(surface, time)
+
+    def state(self) -> Any:
+        """Return the present frame, the part of the way to the next, and the states of both."""
+        return self._first, self._share, super().state()
+
+    def restore(self, surface: LevelSet, state: Any) -> None:
+        """Set the state that `state` returned on this surface."""
+        self._first, self._share, states = state
+        super().restore(surface, states)

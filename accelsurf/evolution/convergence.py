@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from accelsurf.evolution.records import StepRecord, StopReason
+from accelsurf.evolution.records import Reason, StepRecord
 from accelsurf.evolution.state import LoopState
 from accelsurf.flows import Flow
 from accelsurf.levelset import LevelSet
@@ -20,8 +20,6 @@ HORIZON = 10
 #: A run has stalled when the last `STALL_STEPS` steps are all shorter than the share `STALLED` of the CFL step, or than
 #: the share `COLLAPSED` of the longest step; steps down to the share `SHORT` are long enough to judge by.
 STALLED, COLLAPSED, STALL_STEPS, SHORT = 1e-3, 1e-6, 10, 0.1
-
-Reason = tuple[StopReason, str]
 
 
 class StopRule(NamedTuple):
@@ -48,9 +46,10 @@ class StopRule(NamedTuple):
     patience: int | None = None
 
     def judge(self, surface: LevelSet, flow: Flow, state: LoopState) -> Reason | None:
-        """Whether the surface has converged; ``state`` records the check."""
+        """Test if the surface has converged; ``state`` records the check."""
         if self._is_past_lowest(surface, state):
-            return "converged", f"in {self.patience} steps the energy did not become lower, nor did the surface move on"
+            message = f"the energy has not fallen for {self.patience} steps, and the surface lies still"
+            return Reason("converged", message)
         if (len(state.history) - state.first) % self.window:
             return None
         records = state.history[state.judged_at :]
@@ -58,11 +57,10 @@ class StopRule(NamedTuple):
         if sum(record.dt for record in records) < SHORT * self.window * asked:
             return None
         earlier, before, moved_before = state.earlier, state.snapshot, state.moved
-        state.earlier, state.snapshot, state.judged_at = before, surface.snapshot(), len(state.history)
-        if before is None:
+        moved = None if before is None else surface.distance_from(before)
+        state.record_check(surface.snapshot(), math.nan if moved is None else moved.mean)
+        if moved is None:
             return None
-        moved = surface.distance_from(before)
-        state.moved = moved.mean
         if moved.mean > self.motion or moved.far > self.far or self._swings(flow, state, records):
             return None
         if math.isfinite(self.further):
@@ -70,10 +68,10 @@ class StopRule(NamedTuple):
             # What oscillates in a window oscillates in ten: only what would be added counts.
             if forecast(moved.mean, moved_before, twice, HORIZON) - moved.mean > self.further:
                 return None
-        return "converged", f"the surface moved {moved.mean:.3f} voxels in {len(records)} steps"
+        return Reason("converged", f"the surface moved {moved.mean:.3f} voxels in {len(records)} steps")
 
     def _is_past_lowest(self, surface: LevelSet, state: LoopState) -> bool:
-        """Whether the lowest potential lies ``patience`` steps back, and the surface is still there."""
+        """Test if the lowest potential lies ``patience`` steps back, and the surface is still there."""
         lowest = state.lowest
         if self.patience is None or lowest is None or not lowest.is_below(state.potential):
             return False
@@ -84,7 +82,7 @@ class StopRule(NamedTuple):
         return moved.mean <= self.motion and moved.far <= self.far
 
     def _swings(self, flow: Flow, state: LoopState, records: list[StepRecord]) -> bool:
-        """Whether momentum moves the surface: much kinetic energy while it is not still, or more that does not fall."""
+        """Test if momentum moves the surface: much kinetic energy while it is not still, or more that does not fall."""
         last, half = records[-1], len(records) // 2
         gained = flow.weight * state.gained
         if last.kinetic <= self.kinetic * gained:
@@ -98,7 +96,7 @@ class StopRule(NamedTuple):
 
 
 def forecast(moved: float, moved_before: float, moved_twice: float, windows: float) -> float:
-    """How far, voxels, a surface will lie from the present one after so many more windows.
+    """Distance (voxels) of a surface from the present one after a number of windows more.
 
     Parameters
     ----------
@@ -136,7 +134,7 @@ class Restart(NamedTuple):
     steps: int = 5
 
     def is_due(self, potential: float, records: list[StepRecord]) -> bool:
-        """Whether the potential has risen, far and long enough after the last restart."""
+        """Test if the potential has risen, far and long enough after the last restart."""
         if len(records) < 2:
             return False
         travelled, steps = 0.0, 0
@@ -153,15 +151,15 @@ def surface_is_gone(surface: LevelSet, potential: float) -> Reason | None:
     """Why no surface is left that could move; None if one is."""
     if surface.size == 0:
         if surface.is_filled:
-            return "filled", "the surface filled the whole volume"
-        return "vanished", "the surface shrank to nothing"
+            return Reason("filled", "the surface filled the whole volume")
+        return Reason("vanished", "the surface shrank to nothing")
     if not math.isfinite(potential):
-        return "diverged", f"the potential became {potential}"
+        return Reason("diverged", f"the potential became {potential}")
     return None
 
 
 def stalled(records: list[StepRecord]) -> Reason | None:
-    """Whether the last `STALL_STEPS` steps were too short to get anywhere, and why."""
+    """Return why the last `STALL_STEPS` steps were too short to get anywhere; None if they were not."""
     if len(records) < STALL_STEPS:
         return None
     longest = max(record.dt for record in records)
@@ -169,11 +167,13 @@ def stalled(records: list[StepRecord]) -> Reason | None:
     if any(r.dt >= max(STALLED * r.cfl_dt, COLLAPSED * longest) for r in records[-STALL_STEPS:]):
         return None
     if last.dt < STALLED * last.cfl_dt:
-        return "stalled", (
+        return Reason(
+            "stalled",
             f"the steps are {last.cfl_dt / last.dt:.0e} times shorter than the forces allow: diffusion, "
             "noise, smoothness or gravity limit them; use less of it, or --diffusion free"
         )
-    return "stalled", (
+    return Reason(
+        "stalled",
         "the time step has collapsed: the surface can no longer move; "
         "use a larger --presmooth, or --flow constant-density"
     )

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 
 from accelsurf.energies import Energy
-from accelsurf.evolution import energy_budget, lowest, rests
-from accelsurf.evolution.convergence import Reason, Restart, StopRule, stalled, surface_is_gone
-from accelsurf.evolution.records import Step, StepFields, StepRecord, Stop
-from accelsurf.evolution.state import Checkpoint, LoopState
+from accelsurf.evolution import lowest, rests
+from accelsurf.evolution.convergence import Restart, StopRule, stalled, surface_is_gone
+from accelsurf.evolution.records import Reason, Step, StepFields, StepRecord, Stop
+from accelsurf.evolution.state import COLUMNS, MASS_COLUMNS, Checkpoint, LoopState
 from accelsurf.flows import Flow, StepInput, StepLimits, StepPlan
-from accelsurf.flows.step_limits import voxel_rates
+from accelsurf.flows.protocol import voxel_rates
+from accelsurf.grid.boxes import Corner
 from accelsurf.grid.pyramid import Level
-from accelsurf.levelset import LevelSet, checkpoint_surface, restore_surface
+from accelsurf.levelset import LevelSet, Motion, checkpoint_surface, restore_surface
 from accelsurf.levelset.transfer import transfer_fields
 from accelsurf.settings.trace_columns import measured
 
@@ -84,10 +85,14 @@ class Evolution:
         self.level = level
         self.state = state or LoopState()
         self.stop: Stop | None = None
-        self.corner, self.stop_at_rest, self.end = (0, 0, 0), False, "lowest"
+        self.configure("lowest", False)
         self._stop_requested = False
         self._fields = fields
         self._initialized = False
+
+    def configure(self, end: str, stop_at_rest: bool, corner: Corner = (0, 0, 0)) -> None:
+        """Set how the run ends, and the first voxel of the surface's box on the level's grid; see the attributes."""
+        self.end, self.stop_at_rest, self.corner = end, stop_at_rest, corner
 
     @property
     def history(self) -> list[StepRecord]:
@@ -139,7 +144,7 @@ class Evolution:
         return Step(record, self.surface, self.state.fields)
 
     def _leaves_level(self) -> bool:
-        """Whether this coarse level has ended: the next one begins with the record of its final state."""
+        """Test if this coarse level has ended: the next one begins with the record of its final state."""
         return self.stop is not None and self.level > 0
 
     def current(self) -> Step:
@@ -201,17 +206,15 @@ class Evolution:
             flow.change_region(surface, inside)
             here = Level(0, (1, 1, 1), surface.shape, (surface.grid.hz, surface.grid.hy, surface.grid.hx))
             fields = transfer_fields(fields, flow.fill_values, slot, here, surface, here)
-        state = self.state.on_next_grid(with_fields=True)
-        # Potentials of two energies do not compare.
-        state.gained_before = 0.0 if energy is not None else self.state.gained
-        state.edits, state.fields, state.rests = self.state.edits + 1, self.state.fields, state.rests.anew()
+        state = self.state.after_edit(compares=energy is None)
         following = Evolution(
             surface, energy or self.energy, flow, limits, self.max_steps, restart, rule, self.level, state, fields
         )
-        following.corner, following.stop_at_rest, following.end = self.corner, self.stop_at_rest, self.end
+        following.configure(self.end, self.stop_at_rest, self.corner)
         following.initialize()
-        state.potential_before = potential - flow.energy(surface.fraction_and_area()[1])
-        following._stop_requested = self._stop_requested
+        state.expect(potential - flow.energy(surface.fraction_and_area()[1]))
+        if self._stop_requested:
+            following.request_stop()
         return following
 
     def checkpoint(self) -> Checkpoint:
@@ -239,25 +242,26 @@ class Evolution:
         self.energy.set_time(surface, state.time)
         fraction, area = surface.fraction_and_area()
         potential = self.energy.value(surface, fraction, area)
-        if not math.isnan(state.potential_before):
-            state.budget.record_jump(state.potential_before - potential)
-            state.potential_before = math.nan
-        state.potential = potential
+        state.record_potential(potential)
         reason = self._reason_to_stop(n, potential)
         decision = self._decide(n, reason)
         if decision != "stay":
             lowest.go_back(state, n, area, surface, flow, self.energy)
-            reason = None if decision == "continue" else reason or ("stalled", lowest.NO_LOWER.format(lowest.PATIENCE))
+            if decision == "continue":
+                reason = None
+            elif reason is None:
+                reason = Reason("stalled", lowest.NO_LOWER.format(lowest.PATIENCE))
             fraction, area = surface.fraction_and_area()
             potential = state.potential
         columns = self._columns(n, potential, fraction, area) | {"returned": decision != "stay"}
         if reason is None and (rest := self._left_rest(n, columns)) is not None:
-            fraction, area = rests.go_back(rest, state, area, surface, (self.energy, flow), self.corner)
+            fraction, area = rests.go_back(rest, state, area, surface, self.energy, flow, self.corner)
             columns = self._columns(n, state.potential, fraction, area) | {"returned": True, "back_to": rest.at.step}
-            reason = ("rested", rests.WHY.format(rest.at.step))
+            reason = Reason("rested", rests.WHY.format(rest.at.step))
         if reason is not None:
             if columns["returned"] and surface.size:
-                state.fields = StepFields(surface.band.cells, self._force()[1], np.zeros(surface.size, np.float32))
+                fields = StepFields(surface.band.cells, self._force()[1], np.zeros(surface.size, np.float32))
+                state.record_motion(fields, 0.0)
             return self._end(reason, columns, began)
         restarted = self.restart is not None and self.restart.is_due(potential, self.history[state.first :])
         if restarted:
@@ -266,14 +270,14 @@ class Evolution:
         front, force, curvature = self._force()
         plan = flow.move(StepInput(surface, front, force, curvature, area, self.energy.alpha), self._limits_now())
         if not plan.dt > 0:
-            return self._end(("converged", "no force acts on the surface"), columns, began)
+            return self._end(Reason("converged", "no force acts on the surface"), columns, began)
         entries = state.budget.record_step(plan.energy_rates, plan.dt)
         rates = voxel_rates(surface, area > 0, plan.speed)
         motion = plan.dt * float((area * rates).sum()) / max(columns["area_mm2"], 1e-300)
         # The arrays of the old band, which nothing writes to any more.
-        state.fields = StepFields(surface.band.cells, force, plan.speed)
+        fields = StepFields(surface.band.cells, force, plan.speed)
         removed = self._advance(plan)
-        state.time += plan.dt
+        state.record_motion(fields, plan.dt)
         return StepRecord(
             **columns,
             **entries,
@@ -327,7 +331,7 @@ class Evolution:
         # An energy may be infinite for some surfaces, such as those beyond a mask.
         self.energy.project(surface)
         removed = surface.remove_small(self.energy.held_cells)
-        motion = None if plan.velocity is None else (plan.velocity, plan.dt)
+        motion = None if plan.velocity is None else Motion(plan.velocity, plan.dt)
         change = surface.redistance(self.flow.fields, motion)
         self.flow.set_fields(change.fields)
         self.energy.follow(surface, change)
@@ -336,13 +340,13 @@ class Evolution:
     def _final_record(self, columns: dict[str, Any], began: float) -> StepRecord:
         """The last record: the final state, no motion."""
         last = self.history[-1] if self.history else None
-        entries: dict[str, Any] = {key: getattr(last, key) if last else 0.0 for key in energy_budget.COLUMNS}
+        entries: dict[str, Any] = {key: getattr(last, key) if last else 0.0 for key in COLUMNS}
         entries["weight"] = self.flow.weight
         back_to = columns.pop("back_to", self.state.lowest.step if self.state.lowest is not None else 0)
         if columns.get("returned"):
             entries["kinetic"], entries["smoothing_work"] = 0.0, self.state.budget.smoothing
             then = self.history[back_to]
-            entries.update({key: getattr(then, key) for key in energy_budget.MASS_COLUMNS})
+            entries.update({key: getattr(then, key) for key in MASS_COLUMNS})
         return StepRecord(
             **columns, **entries, dt=0.0, cfl_dt=0.0, speed=0.0, motion_voxels=0.0, limited_fraction=0.0,
             diffusion=0.0, cells_visited=0, restarted=False, removed_components=0, seconds=time.perf_counter() - began,
@@ -351,7 +355,7 @@ class Evolution:
     # -- decisions -----------------------------------------------------------------------------------------
 
     def _end(self, reason: Reason, columns: dict[str, Any], began: float) -> StepRecord:
-        self.stop = Stop(reason[0], columns["step"], self.state.time, reason[1])
+        self.stop = Stop(reason.name, columns["step"], self.state.time, reason.message)
         return self._final_record(columns, began)
 
     def _decide(self, n: int, reason: Reason | None) -> lowest.Decision:
@@ -360,15 +364,15 @@ class Evolution:
         Without a stop rule the motion itself is wanted, not the minimum.
         """
         state, surface = self.state, self.surface
-        if self.rule is None or (self.end == "present" and reason is not None and reason[0] == "max-steps"):
+        if self.rule is None or (self.end == "present" and reason is not None and reason.name == "max-steps"):
             return "stay"
         if self.energy.is_disturbed:
-            state.lowest = None
+            self.state.lowest = None
             return "stay"
         if surface.size and math.isfinite(state.potential):
-            state.lowest = lowest.lowest_of(state.lowest, state.potential, n, surface, self.flow, self.energy)
+            self.state.lowest = lowest.lowest_of(state.lowest, state.potential, n, surface, self.flow, self.energy)
         elif state.lowest is not None:
-            state.lowest = lowest.completed(state.lowest, surface)
+            self.state.lowest = lowest.completed(state.lowest, surface)
         since = n - max(state.returned_at, state.lowest.step if state.lowest else 0)
         decision = lowest.decide(reason, state, surface, since, self.rule.motion)
         # On a coarse level the surface has only come near its end.
@@ -378,7 +382,7 @@ class Evolution:
         """Watch for a rest; the one that the surface has just broken through from, if the run shall end at it."""
         state, found = self.state, len(self.state.rests.found)
         now = rests.Moment(n, self.level, columns["volume_mm3"], columns["area_mm2"], self.corner)
-        state.rests = rests.watched(state.rests, self.history[state.first :], now, self.surface, state.fields)
+        self.state.rests = rests.watched(state.rests, self.history[state.first :], now, self.surface, state.fields)
         return state.rests.found[-1] if self.stop_at_rest and len(state.rests.found) > found else None
 
     def _limits_now(self) -> StepLimits:
@@ -391,10 +395,10 @@ class Evolution:
         if gone is not None:
             return gone
         if self._stop_requested:
-            return "interrupted", f"stopped on request after {n} steps"
+            return Reason("interrupted", f"stopped on request after {n} steps")
         stuck = stalled(self.history[self.state.first :])
         if stuck is not None:
             return stuck
         if n >= self.max_steps:
-            return "max-steps", f"not converged within {self.max_steps} steps"
+            return Reason("max-steps", f"not converged within {self.max_steps} steps")
         return None if self.rule is None else self.rule.judge(self.surface, self.flow, self.state)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from accelsurf.energies import Energy
-from accelsurf.evolution.records import StopReason
+from accelsurf.evolution.records import Reason
 from accelsurf.flows import Flow
 from accelsurf.levelset import LevelSet, Snapshot
 from accelsurf.levelset.checkpoint import SurfaceState, band_state, complete_state, restore_surface
@@ -58,7 +58,7 @@ class LowestState(NamedTuple):
         return self.surface.nbytes + fields
 
     def is_below(self, potential: float) -> bool:
-        """Whether it is lower than ``potential``; lower than one that is not a number, too."""
+        """Test if it is lower than ``potential``; lower than one that is not a number, too."""
         return not potential <= self.potential
 
     def restore(self, surface: LevelSet, flow: Flow, energy: Energy) -> None:
@@ -91,21 +91,17 @@ def go_back(state: LoopState, n: int, area: np.ndarray, surface: LevelSet, flow:
     state.lowest.restore(surface, flow, energy)
     fraction, area = surface.fraction_and_area()
     flow.zero_momentum(area)
-    state.potential = energy.value(surface, fraction, area)
+    state.record_return(energy.value(surface, fraction, area), n)
     if math.isfinite(before):
         state.budget.record_loss(before - state.potential - flow.energy(area))
-    state.returns, state.returned_at = state.returns + 1, n
-    state.judged_at, state.snapshot, state.earlier, state.moved, state.fields = n, None, None, math.nan, None
 
 
-def decide(
-    reason: tuple[StopReason, str] | None, state: LoopState, surface: LevelSet, since: int, same: float
-) -> Decision:
-    """Whether to go back to the lowest state.
+def decide(reason: Reason | None, state: LoopState, surface: LevelSet, since: int, same: float) -> Decision:
+    """Decide if the loop goes back to the lowest state.
 
     Parameters
     ----------
-    reason : (str, str) or None
+    reason : Reason or None
         Why the run would end here; None while it goes on.
     state : LoopState
         With the present potential.
@@ -119,7 +115,7 @@ def decide(
     lowest, returns = state.lowest, state.returns
     if lowest is None or not lowest.is_below(state.potential):
         return "stay"
-    name = None if reason is None else reason[0]
+    name = None if reason is None else reason.name
     if name in ("vanished", "filled"):
         # If it happens again, what is left there is smaller than the grid resolves.
         return "continue" if returns < MAX_RETURNS_IF_GONE else "stay"

@@ -23,7 +23,7 @@ FAILED = ("vanished", "filled", "diverged")
 
 
 class LevelSummary(NamedTuple):
-    """What happened on a level: the grid, the ``steps`` made there, and why they ended (None: not yet)."""
+    """Summary of a level: the grid, the ``steps`` made there, and why they ended (None: not yet)."""
 
     level: Level
     steps: int

@@ -1,4 +1,4 @@
-"""What the loop yields: the record of a step, why a run stopped, the forces and speeds that acted."""
+"""Records of the loop: of a step, why a run stopped, the forces and speeds that acted."""
 
 from __future__ import annotations
 
@@ -101,6 +101,13 @@ def without_costs(history: Iterable[StepRecord]) -> list[StepRecord]:
     return [record._replace(seconds=0.0, cells_visited=0) for record in history]
 
 
+class Reason(NamedTuple):
+    """Reason to stop: its ``name``, and a ``message`` in words."""
+
+    name: StopReason
+    message: str
+
+
 class Stop(NamedTuple):
     """Why a run ended: ``reason``, after how many ``steps``, at flow time ``time``, in words (``message``)."""
 
@@ -111,7 +118,7 @@ class Stop(NamedTuple):
 
 
 class StepFields(NamedTuple):
-    """What acted in a step, per cell of the band at its beginning: raveled ``cells`` (n,) in raster order; ``force``
+    """Fields of a step, per cell of the band at its beginning: raveled ``cells`` (n,) in raster order; ``force``
     (n,), valid at the front; ``speed`` (n,), mm per unit time. Both are along N: above 0 shrinks.
     """
 
@@ -121,7 +128,7 @@ class StepFields(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What the loop yields: the ``record`` of the step, the present ``surface``, the ``fields`` that moved it last on
+    """Step of the loop: the ``record`` of the step, the present ``surface``, the ``fields`` that moved it last on
     this grid (read only; None before the first step on the grid), and the ``object_id``.
     """
 

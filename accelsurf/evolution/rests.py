@@ -51,7 +51,7 @@ class Slowest(NamedTuple):
 
 
 class FoundRest(NamedTuple):
-    """Where the front rested (``at``), the step ``left_at`` in which it was seen to break through, and the voxel
+    """Rest of the front (``at``), the step ``left_at`` in which it was seen to break through, and the voxel
     ``place`` (z, y, x) of that level's grid in which it grew fastest then.
     """
 
@@ -61,7 +61,7 @@ class FoundRest(NamedTuple):
 
 
 class RestWatch(NamedTuple):
-    """What is known of rests so far; a value, replaced at each step.
+    """Rests found so far; a value, replaced at each step.
 
     ``peak`` speed of the front, mm per unit of flow time; ``slowest`` state since it fell below `SLOW` of that; the
     rests ``found``, on all grids.
@@ -142,8 +142,8 @@ def watched(
     watch = watch._replace(peak=max(watch.peak, speed))
     calm = not any(record.restarted or record.returned or record.edits for record in records[-AFTER_RESTART:])
     if calm and _is_slowest(watch, speed, now):
-        own = band_state(surface)
-        slowest = Slowest(now.step, now.level, max(speed, 0.0), now.volume_mm3, now.corner, surface.shape, own)
+        band = band_state(surface)
+        slowest = Slowest(now.step, now.level, max(speed, 0.0), now.volume_mm3, now.corner, surface.shape, band)
         return watch._replace(slowest=slowest)
     return watch
 
@@ -154,7 +154,7 @@ def _breaks_through(slowest: Slowest, peak: float, speed: float, now: Moment) ->
 
 
 def _is_slowest(watch: RestWatch, speed: float, now: Moment) -> bool:
-    """Whether it grows slower than at any time since it fell below `SLOW`; after an overshoot where it is smallest."""
+    """Test if it grows slower than at any time since it fell below `SLOW`; after an overshoot where it is smallest."""
     if watch.slowest is None:
         return speed < SLOW * watch.peak
     # What creeps on from a rest is not more at rest later.
@@ -163,13 +163,12 @@ def _is_slowest(watch: RestWatch, speed: float, now: Moment) -> bool:
 
 
 def go_back(
-    rest: FoundRest, state: LoopState, area: np.ndarray, surface: LevelSet, movers: tuple[Energy, Flow], corner: Corner
+    rest: FoundRest, state: LoopState, area: np.ndarray, surface: LevelSet, energy: Energy, flow: Flow, corner: Corner
 ) -> tuple[np.ndarray, np.ndarray]:
     """Go back to a rest on this level, in a box from voxel ``corner`` on that has grown since at most.
 
     Energy and flow start anew on it, without momentum. Returns the volume fractions and areas there.
     """
-    energy, flow = movers
     before = state.potential + flow.energy(area)
     psi = surface.dense.psi.reshape(surface.shape)
     psi.fill(surface.gamma)
@@ -179,7 +178,7 @@ def go_back(
     energy.start(surface)
     flow.start(surface)
     fraction, area = surface.fraction_and_area()
-    state.potential = energy.value(surface, fraction, area)
+    state.record_rest(energy.value(surface, fraction, area))
     state.budget.record_loss(before - state.potential - flow.energy(area))
     return fraction, area
 
@@ -197,7 +196,7 @@ def fastest_place(fields: StepFields, shape: tuple[int, int, int], corner: Corne
     blocks, member = np.unique((cells - cells.min(axis=0, initial=np.inf)) // 8, axis=0, return_inverse=True)
     member = member.reshape(-1)
     largest = int(np.argmax(np.bincount(member, weight, len(blocks))))
-    own = cells[member == largest]
-    middle = np.average(own, axis=0, weights=np.maximum(weight[member == largest], 1e-30))
-    z, y, x = own[int(np.argmin(((own - middle) ** 2).sum(axis=1)))]
+    cluster = cells[member == largest]
+    middle = np.average(cluster, axis=0, weights=np.maximum(weight[member == largest], 1e-30))
+    z, y, x = cluster[int(np.argmin(((cluster - middle) ** 2).sum(axis=1)))]
     return int(z) + corner[0], int(y) + corner[1], int(x) + corner[2]

@@ -192,7 +192,7 @@ def _declared(kind: type) -> dict[str, Any]:
 
 
 def _is_of(value: Any, declared: Any, types: Mapping[str, type]) -> bool:
-    """Whether a value is of the type that a field declares. Types that nobody named are left to the caller."""
+    """Test if a value is of the type that a field declares. Types that nobody named are left to the caller."""
     if declared in _PLAIN:
         return isinstance(value, _PLAIN[declared])
     origin, inner = get_origin(declared), get_args(declared)

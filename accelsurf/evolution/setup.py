@@ -10,7 +10,7 @@ from accelsurf.levelset.extension import CLOSEST_POINT
 
 
 class SolverSetup(NamedTuple):
-    """What moves a surface besides its energy.
+    """Settings of what moves a surface besides its energy.
 
     ``flow``, not started yet; ``limits`` of the step; ``restart`` or None; ``half_width`` of the band, in voxels of
     each level; stop ``rule`` of the finest level, None to run to the last step; ``max_volume`` (mm3) of the leak guard

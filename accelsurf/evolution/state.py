@@ -1,4 +1,4 @@
-"""The state of the loop as a value: copied for a checkpoint, passed on to the next grid."""
+"""The state of the loop as a value: copied for a checkpoint, passed on to the next grid; with its energy budget."""
 
 from __future__ import annotations
 
@@ -9,11 +9,66 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from accelsurf.evolution.energy_budget import EnergyBudget
 from accelsurf.evolution.lowest import LowestState
 from accelsurf.evolution.records import StepFields, StepRecord, Stop, without_costs
 from accelsurf.evolution.rests import RestWatch
+from accelsurf.flows import EnergyRates
 from accelsurf.levelset import Snapshot, SurfaceState
+
+#: Those columns of the trace that the flow's mass gives, and all that the budget gives.
+MASS_COLUMNS = ("mass_potential", "mass", "mass_correction", "clamped_fraction")
+COLUMNS = ("kinetic", "weight", "friction_work", "smoothing_work", "noise_work", *MASS_COLUMNS)
+
+
+@dataclass
+class EnergyBudget:
+    """Adds up the energy rates of the steps, in the units of U.
+
+    Rates are known at the times of the records, kicks happen around them: both are summed by the trapezoidal rule.
+
+    Attributes
+    ----------
+    friction, smoothing, noise : float
+        Work so far: taken by friction; taken by diffusion, limiter, restarts and changes; added by noise.
+    last : EnergyRates
+        Of the last step.
+    last_dt : float
+        Its length.
+    """
+
+    friction: float = 0.0
+    smoothing: float = 0.0
+    noise: float = 0.0
+    last: EnergyRates = field(default_factory=EnergyRates)
+    last_dt: float = 0.0
+
+    def record_loss(self, energy: float) -> None:
+        """A restart has taken the kinetic energy (as T/w)."""
+        self.smoothing += energy - 0.5 * (self.last.smoothing - self.last.noise)
+        self.last = self.last._replace(friction=0.0, smoothing=0.0, noise=0.0)
+
+    def record_jump(self, energy: float) -> None:
+        """E became less by ``energy`` at once: another grid, other settings, or another surface."""
+        self.smoothing += energy
+
+    def record_step(self, now: EnergyRates, dt: float) -> dict[str, Any]:
+        """The columns of a record that begins with ``now`` and lasts ``dt``."""
+        last = self.last
+        self.friction += 0.5 * self.last_dt * (last.friction + now.friction)
+        self.smoothing += 0.5 * (last.smoothing + now.smoothing)
+        self.noise += 0.5 * (last.noise + now.noise)
+        self.last, self.last_dt = now, dt
+        return {
+            "kinetic": now.kinetic,
+            "mass_potential": now.mass_potential,
+            "weight": now.weight,
+            "friction_work": self.friction,
+            "smoothing_work": self.smoothing,
+            "noise_work": self.noise,
+            "mass": now.mass,
+            "mass_correction": now.mass_correction,
+            "clamped_fraction": now.clamped,
+        }
 
 
 @dataclass
@@ -73,9 +128,7 @@ class LoopState:
 
     def copy(self) -> LoopState:
         """An independent copy; arrays and records are shared, as nothing writes to them."""
-        other = copy.copy(self)
-        other.history, other.budget = list(self.history), copy.copy(self.budget)
-        return other
+        return replace(self, history=list(self.history), budget=copy.copy(self.budget))
 
     @property
     def gained(self) -> float:
@@ -92,12 +145,46 @@ class LoopState:
             Whether momentum is transferred; then the energy budget is continued too.
         """
         count = len(self.history)
-        following = LoopState(self.history, self.time, gained_before=self.gained, edits=self.edits)
-        following.first = following.judged_at = following.returned_at = count
-        following.rests = self.rests.on_next_grid()
-        if with_fields:
-            following.budget, following.potential_before = self.budget, self.potential
-        return following
+        state = LoopState(
+            self.history, self.time, gained_before=self.gained, first=count, judged_at=count, returned_at=count,
+            edits=self.edits, rests=self.rests.on_next_grid(),
+        )
+        return replace(state, budget=self.budget, potential_before=self.potential) if with_fields else state
+
+    def after_edit(self, compares: bool) -> LoopState:
+        """Return the state to continue from after an edit; ``compares``: the potentials before and after compare."""
+        return replace(
+            self.on_next_grid(with_fields=True), gained_before=self.gained if compares else 0.0,
+            edits=self.edits + 1, fields=self.fields, rests=self.rests.anew(),
+        )
+
+    def record_potential(self, potential: float) -> None:
+        """Record the present potential, the first one here beside that on the grid before."""
+        if not math.isnan(self.potential_before):
+            self.budget.record_jump(self.potential_before - potential)
+            self.potential_before = math.nan
+        self.potential = potential
+
+    def expect(self, potential: float) -> None:
+        """Record the potential before a change, to be compared with the first one after it."""
+        self.potential_before = potential
+
+    def record_check(self, snapshot: Snapshot, moved: float) -> None:
+        """Record a check of convergence: the surface, and its mean distance from the one before."""
+        self.earlier, self.snapshot, self.moved, self.judged_at = self.snapshot, snapshot, moved, len(self.history)
+
+    def record_motion(self, fields: StepFields, dt: float) -> None:
+        """Record a step of the surface."""
+        self.fields, self.time = fields, self.time + dt
+
+    def record_return(self, potential: float, step: int) -> None:
+        """Record that the surface went back to that of the lowest potential before a step."""
+        self.potential, self.returns, self.returned_at, self.judged_at = potential, self.returns + 1, step, step
+        self.snapshot, self.earlier, self.moved, self.fields = None, None, math.nan, None
+
+    def record_rest(self, potential: float) -> None:
+        """Record that the surface went back to where its front rested."""
+        self.potential = potential
 
 
 class Checkpoint(NamedTuple):
@@ -123,7 +210,7 @@ class Checkpoint(NamedTuple):
         """Upper bound of its memory, bytes: without records, with arrays that checkpoints may share."""
         fields = sum(value.nbytes for value in self.flow.values() if isinstance(value, np.ndarray))
         acting = self.loop.fields
-        shared = sum(12 * one.psi.size for one in (self.loop.snapshot, self.loop.earlier) if one)
+        shared = sum(12 * snapshot.psi.size for snapshot in (self.loop.snapshot, self.loop.earlier) if snapshot)
         shared += 16 * acting.speed.size if acting else 0
         shared += self.loop.lowest.nbytes if self.loop.lowest is not None else 0
         shared += self.loop.rests.nbytes

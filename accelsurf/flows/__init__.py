@@ -1,4 +1,4 @@
-"""How the surface moves under a force: each flow turns forces into speeds and owns its stable time step.
+"""Flows: they turn forces into speeds, and each states the time step in which it is stable.
 
 A flow knows no image. beta is the speed along the inward normal N (beta > 0 shrinks), psi_t = beta |grad psi|; where
 the whole velocity V advects the surface, psi_t = -V . grad psi.

@@ -79,9 +79,9 @@ class Accelerated(Flow):
         """Set the state that a flow of the same settings returned on this surface."""
         super().restore(surface, state)
         self._workers = surface.workers
-        self.clock.restore(state["clock"])
+        self.clock.restore(*state["clock"])
         if self.noise is not None:
-            self.noise.restore(state["noise"])
+            self.noise.restore(*state["noise"])
 
     def continue_from(self, surface: LevelSet, before: Flow, forces_changed: bool) -> None:
         """Continue with other settings: speeds and time on the clock stay; noise begins if there was none."""
@@ -90,7 +90,7 @@ class Accelerated(Flow):
         self._workers = surface.workers
         self.clock.continue_from(before.clock)
         if self.noise is not None and before.noise is not None:
-            self.noise.restore(before.noise.state())
+            self.noise.restore(*before.noise.state())
         if forces_changed:
             self._forget_forces()
 
@@ -108,7 +108,7 @@ class Accelerated(Flow):
             self.noise.zero_momentum()
 
     @abstractmethod
-    def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
+    def _kinetic(self, area: np.ndarray, first: np.ndarray, second: np.ndarray) -> float:
         """1/2 int rho V . V' dA of two velocities; the paper's T of one."""
 
     def _energy_rates(self, area: np.ndarray, stages: tuple[np.ndarray, ...]) -> EnergyRates:
@@ -122,9 +122,9 @@ class Accelerated(Flow):
         w = self.clock.weight()
         mean = 0.5 * (before + after)
 
-        def work(one: np.ndarray, other: np.ndarray) -> float:
+        def work(earlier: np.ndarray, later: np.ndarray) -> float:
             # Where a stage changed nothing, it is the same array as the one before.
-            return 0.0 if other is one else 2.0 * self._kinetic(area, other - one, mean) / w
+            return 0.0 if later is earlier else 2.0 * self._kinetic(area, later - earlier, mean) / w
 
         self._detect_oscillation(self._kinetic(area, before, after))
         # T at the time of the record, which is half a step from both velocities: that of their mean. Their product is
@@ -161,6 +161,14 @@ class Accelerated(Flow):
         if self.noise is not None and self.noise.acts:
             dt = min(dt, self.noise.longest_dt(surface, limits.cfl))
         return min(dt, limits.dt_max)
+
+    @staticmethod
+    def _extended(surface: LevelSet, velocity: np.ndarray, front: np.ndarray) -> np.ndarray:
+        """A velocity (n, 3) of the front, float32, on the whole band."""
+        components = [np.ascontiguousarray(velocity[:, c], np.float32) for c in range(3)]
+        for component in components:
+            surface.extend_outwards(component, front)
+        return np.stack(components, axis=1)
 
     def _diffusion_now(self, surface: LevelSet, dt: float, speed: float) -> float:
         return free_diffusion(surface, dt, speed) if self.diffusion is None else self.diffusion

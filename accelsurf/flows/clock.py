@@ -37,7 +37,7 @@ class Clock:
 
     @property
     def at_rest(self) -> bool:
-        """Whether no step was made since the last start from rest."""
+        """True if no step was made since the last start from rest."""
         return self.last_dt == 0.0
 
     def start(self) -> None:
@@ -57,9 +57,9 @@ class Clock:
         """Return t0, the time and the last step."""
         return self.t0, self.time, self.last_dt
 
-    def restore(self, state: tuple[float | None, float, float]) -> None:
+    def restore(self, t0: float | None, time: float, last_dt: float) -> None:
         """Go back to a `state`."""
-        self.t0, self.time, self.last_dt = state
+        self.t0, self.time, self.last_dt = t0, time, last_dt
 
     def continue_from(self, before: Clock) -> None:
         """Continue from a clock with other settings: take its time, unless it is at rest; then keep the own t0."""
@@ -67,7 +67,7 @@ class Clock:
             before.k, before.lambda_, before.friction, before._given
         )
         if same:
-            self.restore(before.state())
+            self.restore(*before.state())
         elif not before.at_rest:
             self.time, self.last_dt = before.time, before.last_dt
 

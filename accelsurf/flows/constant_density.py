@@ -8,8 +8,17 @@ import numpy as np
 
 from accelsurf.flows.accelerated import Accelerated
 from accelsurf.flows.diffusion import diffuse
-from accelsurf.flows.protocol import StepInput, StepLimits, StepPlan
-from accelsurf.flows.step_limits import cfl_bound, clip_speed, front_percentiles, percentile, voxel_rates, wave_bound
+from accelsurf.flows.protocol import (
+    StepInput,
+    StepLimits,
+    StepPlan,
+    cfl_bound,
+    clip_speed,
+    front_percentiles,
+    percentile,
+    voxel_rates,
+    wave_bound,
+)
 from accelsurf.kernels import motion, statistics
 from accelsurf.levelset import LevelSet
 
@@ -104,9 +113,10 @@ class ConstantDensity(Accelerated):
         surface.extend_outwards(self.beta, now.front)
         self.clock.start_moving()
 
-    def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
+    def _kinetic(self, area: np.ndarray, first: np.ndarray, second: np.ndarray) -> float:
         """1/2 rho int beta beta' dA."""
-        return 0.5 * self.rho * float(self._workers.block_sums(statistics.products, area.size, 1, area, one, other)[0])
+        products = self._workers.block_sums(statistics.products, area.size, 1, area, first, second)
+        return 0.5 * self.rho * float(products[0])
 
     def stable_dt(
         self, now: StepInput, limits: StepLimits, force: tuple[float, float], speed: tuple[float, float]

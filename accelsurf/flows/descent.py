@@ -7,8 +7,16 @@ import math
 import numpy as np
 
 from accelsurf.flows.diffusion import diffuse, free_diffusion, largest_diffusion
-from accelsurf.flows.protocol import Flow, StepInput, StepLimits, StepPlan
-from accelsurf.flows.step_limits import clip_speed, curvature_bound, percentile, voxel_rates
+from accelsurf.flows.protocol import (
+    Flow,
+    StepInput,
+    StepLimits,
+    StepPlan,
+    clip_speed,
+    curvature_bound,
+    percentile,
+    voxel_rates,
+)
 from accelsurf.kernels import statistics
 from accelsurf.levelset import LevelSet
 
@@ -65,8 +73,8 @@ class Descent(Flow):
         """
         surface, area = now.surface, now.area
 
-        def product(one: np.ndarray) -> float:
-            return float(surface.workers.block_sums(statistics.products, area.size, 1, area, self._last, one)[0])
+        def product(speed: np.ndarray) -> float:
+            return float(surface.workers.block_sums(statistics.products, area.size, 1, area, self._last, speed)[0])
 
         squares = product(self._last)
         moved = self._last_dt * math.sqrt(squares / max(float(area.sum()), 1e-300)) / surface.smallest_spacing

@@ -81,7 +81,7 @@ def diffuse(surface: LevelSet, front: np.ndarray, field: np.ndarray, amount: flo
     Laplacian and an extension. Two of them combined are of second order, see `stages_of`; as few as ``amount`` needs.
     """
     bound = SAFETY * one_stage_diffusion(surface)
-    step = next((one for one in STAGES if one.amount * bound >= amount), STAGES[-1])
+    step = next((polynomial for polynomial in STAGES if polynomial.amount * bound >= amount), STAGES[-1])
     share = amount / step.amount
     parallel, grid = surface.workers.parallel, surface.grid
     rows = surface.front_rows(front, component)

@@ -10,8 +10,16 @@ import numpy as np
 from accelsurf.flows.accelerated import Accelerated
 from accelsurf.flows.diffusion import diffuse
 from accelsurf.flows.mass_balance import Prediction, balance, layer_area, predict
-from accelsurf.flows.protocol import Flow, StepInput, StepLimits, StepPlan
-from accelsurf.flows.step_limits import cfl_bound, clip_speed, percentile, wave_bound
+from accelsurf.flows.protocol import (
+    Flow,
+    StepInput,
+    StepLimits,
+    StepPlan,
+    cfl_bound,
+    clip_speed,
+    percentile,
+    wave_bound,
+)
 from accelsurf.kernels import transport
 from accelsurf.levelset import LevelSet
 
@@ -335,13 +343,6 @@ class FlowableMass(Accelerated):
         h = np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx], np.float32)
         return np.asarray(np.linalg.norm(velocity / h, axis=1))
 
-    @staticmethod
-    def _extended(surface: LevelSet, velocity: np.ndarray, front: np.ndarray) -> np.ndarray:
-        components = [np.ascontiguousarray(velocity[:, c]) for c in range(3)]
-        for component in components:
-            surface.extend_outwards(component, front)
-        return np.stack(components, axis=1)
-
-    def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
+    def _kinetic(self, area: np.ndarray, first: np.ndarray, second: np.ndarray) -> float:
         """1/2 int rho V . V' dA."""
-        return 0.5 * float((area * self._inertia(area) * (one.astype(np.float64) * other).sum(axis=1)).sum())
+        return 0.5 * float((area * self._inertia(area) * (first.astype(np.float64) * second).sum(axis=1)).sum())

@@ -50,10 +50,10 @@ def spacing_of(surface: LevelSet) -> np.ndarray:
     return np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx])
 
 
-def fluid_sums(workers: Workers, one: np.ndarray, other: np.ndarray, voxel: float, dry: float) -> FluidSums:
+def fluid_sums(workers: Workers, first: np.ndarray, second: np.ndarray, voxel: float, dry: float) -> FluidSums:
     """Sums of two fluids, that before and that after a change of the momentum, in voxels of ``voxel`` mm3."""
-    shape = (one.shape[1], one.shape[2], one.shape[3])
-    sums = workers.plane_sums(kernels.fluid_sums, shape, 5, one, other, dry) * voxel
+    shape = (first.shape[1], first.shape[2], first.shape[3])
+    sums = workers.plane_sums(kernels.fluid_sums, shape, 5, first, second, dry) * voxel
     return FluidSums(*(float(value) for value in sums))
 
 

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from accelsurf.flows.descent import Descent, descent_plan, stable_dt
-from accelsurf.flows.protocol import StepInput, StepLimits, StepPlan
-from accelsurf.flows.step_limits import voxel_rates
+from accelsurf.flows.protocol import StepInput, StepLimits, StepPlan, voxel_rates
 from accelsurf.levelset import LevelSet
 
 

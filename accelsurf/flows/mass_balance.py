@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from accelsurf.kernels import mass_lattice, region
+from accelsurf.kernels import region, windows
 from accelsurf.levelset import LevelSet
 
 #: Distance of the nodes at which masses are compared, in voxels of the largest spacing.
@@ -56,7 +56,7 @@ def layer_area(surface: LevelSet, width: float = LAYER_WIDTH) -> np.ndarray:
 
 
 def predict(surface: LevelSet, mass: np.ndarray, velocity: np.ndarray, dt: float) -> Prediction:
-    """Where ``dt`` of motion takes the ``mass`` (n,) of the cells.
+    """Move the ``mass`` (n,) of the cells by ``dt`` of motion.
 
     What flows through the border may be up to `BORDER_RANGE` times what the velocity (n, 3) there says.
     """
@@ -64,7 +64,7 @@ def predict(surface: LevelSet, mass: np.ndarray, velocity: np.ndarray, dt: float
     there = _deposited(surface, mass, motion)
     outflow = np.empty(surface.size, np.float32)
     surface.workers.parallel(
-        mass_lattice.border_outflow, surface.size, surface.grid, surface.band.cells, motion, outflow
+        windows.border_outflow, surface.size, surface.grid, surface.band.cells, motion, outflow
     )
     crossing = BORDER_RANGE * mass * np.clip(outflow, -1.0, 1.0)
     least = most = there
@@ -92,7 +92,7 @@ def balance(surface: LevelSet, mass: np.ndarray, before: Prediction) -> Balance:
     factor = np.empty(surface.size, np.float32)
     stride, _ = lattice_shape(surface)
     surface.workers.parallel(
-        mass_lattice.lattice_factors, surface.size, surface.grid, surface.band, ratio, stride, factor
+        windows.lattice_factors, surface.size, surface.grid, surface.band, ratio, stride, factor
     )
     return Balance(factor, float(wanted.sum()))
 
@@ -100,5 +100,5 @@ def balance(surface: LevelSet, mass: np.ndarray, before: Prediction) -> Balance:
 def _deposited(surface: LevelSet, mass: np.ndarray, motion: tuple[np.ndarray, float]) -> np.ndarray:
     stride, shape = lattice_shape(surface)
     lattice = np.zeros(shape)
-    surface.workers.serial(mass_lattice.deposit, surface.grid, surface.band, mass, motion, stride, lattice)
+    surface.workers.serial(windows.deposit, surface.grid, surface.band, mass, motion, stride, lattice)
     return lattice

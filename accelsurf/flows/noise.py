@@ -50,9 +50,10 @@ class Noise:
         """Position in the sequence."""
         return copy.deepcopy(dict(self._random.bit_generator.state)), self._elapsed, self._momentum_was_reset
 
-    def restore(self, state: tuple[dict[str, Any], float, bool]) -> None:
-        """Set the position in the sequence."""
-        self._random.bit_generator.state, self._elapsed, self._momentum_was_reset = copy.deepcopy(state)
+    def restore(self, generator: dict[str, Any], elapsed: float, momentum_was_reset: bool) -> None:
+        """Set the position in the sequence, from a `state`."""
+        self._random.bit_generator.state = copy.deepcopy(generator)
+        self._elapsed, self._momentum_was_reset = elapsed, momentum_was_reset
 
     def zero_momentum(self) -> None:
         """Note that the momentum was set to zero, which may end the noise."""
@@ -60,7 +61,7 @@ class Noise:
 
     @property
     def acts(self) -> bool:
-        """Whether there is noise at present."""
+        """True if there is noise at present."""
         over = self._momentum_was_reset if self.until is None else self._elapsed >= self.until
         return self.strength > 0 and not over
 

@@ -11,8 +11,16 @@ from accelsurf.flows.accelerated import Accelerated
 from accelsurf.flows.clock import NOW
 from accelsurf.flows.fluid import DRY, FluidSums, fluid_sums, make_fluid, regrid_fluid, spacing_of, transport_fluid
 from accelsurf.flows.mass_balance import layer_area
-from accelsurf.flows.protocol import EnergyRates, Flow, StepInput, StepLimits, StepPlan
-from accelsurf.flows.step_limits import cfl_bound, percentile, wave_bound
+from accelsurf.flows.protocol import (
+    EnergyRates,
+    Flow,
+    StepInput,
+    StepLimits,
+    StepPlan,
+    cfl_bound,
+    percentile,
+    wave_bound,
+)
 from accelsurf.kernels import fluid as kernels
 from accelsurf.levelset import LevelSet
 
@@ -110,12 +118,12 @@ class RegionMass(Accelerated):
         """T/w now."""
         return self._sums(self.fluid, self.fluid).after / self.weight
 
-    def _kinetic(self, area: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
+    def _kinetic(self, area: np.ndarray, first: np.ndarray, second: np.ndarray) -> float:
         """1/2 int rho V . V' of two fluids of the same density."""
-        return self._sums(one, other).between
+        return self._sums(first, second).between
 
-    def _sums(self, one: np.ndarray, other: np.ndarray) -> FluidSums:
-        return fluid_sums(self._workers, one, other, self._cell, self._dry)
+    def _sums(self, first: np.ndarray, second: np.ndarray) -> FluidSums:
+        return fluid_sums(self._workers, first, second, self._cell, self._dry)
 
     def normal_velocity(self, surface: LevelSet) -> np.ndarray:
         """V . N."""
@@ -171,10 +179,7 @@ class RegionMass(Accelerated):
     ) -> StepPlan:
         """The step of a surface with ``velocity`` (n, 3) at the front; the clock ticks."""
         surface, front = now.surface, now.front
-        components = [np.ascontiguousarray(velocity[:, c], np.float32) for c in range(3)]
-        for component in components:
-            surface.extend_outwards(component, front)
-        velocity = np.stack(components, axis=1)
+        velocity = self._extended(surface, velocity, front)
         speed = np.ascontiguousarray((velocity * normal).sum(axis=1), np.float32)
         front_speed = percentile(np.linalg.norm(velocity, axis=1), limits.percentile, front)
         clipped = front & (self._voxel_rates(surface, velocity) > limits.cfl / dt * (1.0 - 1e-6))

@@ -10,9 +10,8 @@ import numpy as np
 
 from accelsurf.flows.clock import NOW
 from accelsurf.flows.fluid import regrid_fluid, spacing_of, transport_fluid
-from accelsurf.flows.protocol import EnergyRates, Flow, StepInput, StepLimits, StepPlan
+from accelsurf.flows.protocol import EnergyRates, Flow, StepInput, StepLimits, StepPlan, wave_bound
 from accelsurf.flows.region_mass import Layer, RegionMass
-from accelsurf.flows.step_limits import wave_bound
 from accelsurf.kernels import fluid as kernels
 from accelsurf.levelset import LevelSet
 
@@ -70,7 +69,7 @@ class RegionPressure(RegionMass):
         self._correction, self._potential, self._before = 0.0, 0.0, 0.0
 
     def set_fluid(self, density: np.ndarray, velocity: np.ndarray) -> None:
-        """As `RegionMass.set_fluid`; values are needed inside and three voxels beyond."""
+        """Set the fluid as `RegionMass.set_fluid`; values are needed inside and three voxels beyond."""
         super().set_fluid(density, velocity)
         self.mass = 0.0
 
@@ -144,7 +143,7 @@ class RegionPressure(RegionMass):
         return peak, max(stiffness, self._sound(now.surface))
 
     def stable_dt(self, now: StepInput, layer: Layer, limits: StepLimits) -> tuple[float, float]:
-        """As `RegionMass.stable_dt`; also the fastest wave goes at most h/sqrt(3) in a step: the surface follows."""
+        """Stable step, see `RegionMass.stable_dt`; the fastest wave goes at most h/sqrt(3): the surface follows."""
         dt, cfl_dt = super().stable_dt(now, layer, limits)
         speed = math.sqrt(self.clock.next_weight() * self._sound(now.surface))
         if not self.clock.at_rest:

@@ -1,1 +1,1 @@
-"""Where voxels are: geometry of a grid, the volume on it, coarser grids, boxes of voxels."""
+"""Geometry of grids of voxels, the volumes on them, coarser grids, boxes of voxels."""

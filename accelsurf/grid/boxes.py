@@ -1,9 +1,8 @@
-"""Boxes of voxels: around a mask, made larger, and where two of them overlap."""
+"""Boxes of voxels: around a mask, made larger, where two overlap; and large arrays worked on a slab at a time."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,6 @@ from numpy.typing import NDArray
 
 #: Voxels of a box within a grid, (z, y, x).
 Box = tuple[slice, slice, slice]
-#: Of so many boxes each is compared with all.
-FEW = 128
 #: First voxel of a box, (z, y, x).
 Corner = tuple[int, int, int]
 
@@ -85,7 +82,7 @@ def widened(box: Box, shape: Sequence[int], margin: Sequence[int]) -> Box:
     return z, y, x
 
 
-def enclosing(one: Box, other: Box) -> Box:
+def enclosing(first: Box, second: Box) -> Box:
     """Return the smallest box that holds two.
 
     Examples
@@ -93,7 +90,7 @@ def enclosing(one: Box, other: Box) -> Box:
     >>> enclosing((slice(1, 3), slice(0, 4), slice(5, 6)), (slice(2, 5), slice(1, 2), slice(0, 1)))
     (slice(1, 5, None), slice(0, 4, None), slice(0, 6, None))
     """
-    z, y, x = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
+    z, y, x = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(first, second, strict=True))
     return z, y, x
 
 
@@ -151,60 +148,28 @@ def meeting(low: NDArray[np.integer], high: NDArray[np.integer]) -> list[list[in
     >>> meeting(np.array([[0, 0, 0], [2, 0, 0], [5, 0, 0]]), np.array([[3, 3, 3], [5, 1, 1], [6, 1, 1]]))
     [[1], [0], []]
     """
-    if len(low) <= FEW:
-        return [_overlapping(i, low, high) for i in range(len(low))]
-    # Boxes are put into the cells of a coarse grid that they touch: only those in one cell may overlap. The largest and
-    # the empty ones are compared with all.
-    extent = high - low
-    side = np.maximum(np.percentile(extent, 90, axis=0).astype(np.int64), 1)
-    apart = ((extent <= 0) | (extent > 2 * side)).any(axis=1)
-    found: list[set[int]] = [set() for _ in range(len(low))]
-    for one, other in _in_one_cell(low, high, side, np.flatnonzero(~apart)):
-        touch = ((low[one] < high[other]) & (high[one] > low[other])).all(axis=1)
-        for i, j in zip(one[touch].tolist(), other[touch].tolist(), strict=True):
-            found[i].add(j)
-            found[j].add(i)
-    for i in np.flatnonzero(apart).tolist():
-        for j in _overlapping(i, low, high):
-            found[i].add(j)
-            found[j].add(i)
-    return [sorted(one) for one in found]
+    if not len(low):
+        return []
+    # Along the axis on which they lie farthest apart, a box may only overlap those that begin before it ends.
+    axis = int(np.argmax(np.ptp(low, axis=0)))
+    order = np.argsort(low[:, axis], kind="stable")
+    low, high = low[order], high[order]
+    found: list[list[int]] = [[] for _ in order]
+    for i, end in enumerate(np.searchsorted(low[:, axis], high[:, axis])):
+        later = slice(i + 1, max(int(end), i + 1))
+        touch = ((low[later] < high[i]) & (high[later] > low[i])).all(axis=1)
+        for j in order[later][touch].tolist():
+            found[order[i]].append(j)
+            found[j].append(int(order[i]))
+    return [sorted(others) for others in found]
 
 
-def _overlapping(i: int, low: NDArray[np.integer], high: NDArray[np.integer]) -> list[int]:
-    """The boxes that box number ``i`` overlaps, by looking at all."""
-    overlap = ((low < high[i]) & (high > low[i])).all(axis=1)
-    overlap[i] = False
-    return [int(j) for j in np.flatnonzero(overlap)]
+def overlap(first: Box, second: Box) -> bool:
+    """Test if two boxes have a voxel in common."""
+    return all(a.start < b.stop and b.start < a.stop for a, b in zip(first, second, strict=True))
 
 
-def _in_one_cell(
-    low: NDArray[np.integer], high: NDArray[np.integer], side: NDArray[np.int64], some: NDArray[np.int64]
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Pairs of ``some`` boxes that touch one cell, all of them; each touches few cells along each axis."""
-    first, last = low[some] // side, (high[some] - 1) // side
-    cells, boxes = [], []
-    for step in itertools.product(range(int((last - first).max(initial=0)) + 1), repeat=3):
-        there = (first + step <= last).all(axis=1)
-        cells.append(first[there] + step)
-        boxes.append(some[there])
-    # The same cells beside each other, the boxes in each ascending.
-    cell, box = np.concatenate(cells), np.concatenate(boxes)
-    order = np.lexsort((box, *cell.T))
-    cell, box = cell[order], box[order]
-    for apart in range(1, len(box)):
-        same = (cell[apart:] == cell[:-apart]).all(axis=1)
-        if not same.any():
-            return
-        yield box[:-apart][same], box[apart:][same]
-
-
-def overlap(one: Box, other: Box) -> bool:
-    """Whether two boxes have a voxel in common."""
-    return all(a.start < b.stop and b.start < a.stop for a, b in zip(one, other, strict=True))
-
-
-def common(one: Box, other: Box) -> Box:
+def common(first: Box, second: Box) -> Box:
     """Return the voxels that two overlapping boxes have in common.
 
     Examples
@@ -212,7 +177,7 @@ def common(one: Box, other: Box) -> Box:
     >>> common((slice(1, 3), slice(0, 4), slice(5, 9)), (slice(2, 5), slice(1, 2), slice(0, 6)))
     (slice(2, 3, None), slice(1, 2, None), slice(5, 6, None))
     """
-    z, y, x = (slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(one, other, strict=True))
+    z, y, x = (slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(first, second, strict=True))
     return z, y, x
 
 
@@ -232,7 +197,7 @@ def shared(corner: Corner, shape: Sequence[int], other: Corner, other_shape: Seq
     return (mine[0], mine[1], mine[2]), (theirs[0], theirs[1], theirs[2])
 
 
-def on_box(values: NDArray[Any], own: Box, box: Box, beyond: float) -> NDArray[Any]:
+def on_box(values: NDArray[Any], source: Box, box: Box, beyond: float) -> NDArray[Any]:
     """Return values of one box on another of the same grid; ``beyond`` where the first has none.
 
     Examples
@@ -242,7 +207,64 @@ def on_box(values: NDArray[Any], own: Box, box: Box, beyond: float) -> NDArray[A
     [[[2, 3, 0, 0]]]
     """
     out = np.full([s.stop - s.start for s in box], beyond, values.dtype)
-    mine, theirs = shared(corner_of(box), out.shape, corner_of(own), values.shape)
+    mine, theirs = shared(corner_of(box), out.shape, corner_of(source), values.shape)
     if all(s.start < s.stop for s in mine):
         out[mine] = values[theirs]
     return out
+
+
+#: Voxels of a slab.
+SLAB_VOXELS = 1 << 20
+
+
+def slabs(shape: Sequence[int], multiple: int = 1, at_least: int = 1) -> Iterator[slice]:
+    """Yield runs of planes (along the first axis) of about `SLAB_VOXELS` voxels that cover a grid.
+
+    Parameters
+    ----------
+    shape : sequence of 3 ints
+        (nz, ny, nx).
+    multiple : int, optional
+        Each run but the last has a multiple of so many planes.
+    at_least : int, optional
+        Each run but the last has so many planes or more.
+
+    Examples
+    --------
+    >>> list(slabs((5, 1024, 512)))
+    [slice(0, 2, None), slice(2, 4, None), slice(4, 5, None)]
+    >>> list(slabs((5, 1024, 512), at_least=4))
+    [slice(0, 4, None), slice(4, 5, None)]
+    """
+    voxels = max(1, shape[1] * shape[2])  # 0 of an empty array
+    planes = max(multiple * max(1, SLAB_VOXELS // (multiple * voxels)), at_least)
+    for begin in range(0, shape[0], planes):
+        yield slice(begin, min(begin + planes, shape[0]))
+
+
+def sum_in_order(rows: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """The sum of rows (m,), one added after the other: rows of 0 before, between and after them do not change it.
+
+    Examples
+    --------
+    >>> sum_in_order(np.array([[0.0], [0.1], [0.0], [0.2], [0.3]]))
+    array([0.6])
+    """
+    total: NDArray[np.float64] | None = None
+    for row in rows:
+        total = np.array(row, np.float64) if total is None else total + row
+    if total is None:
+        raise ValueError("no rows to add")
+    return total
+
+
+def runs(size: int) -> Iterator[slice]:
+    """Yield runs of at most `SLAB_VOXELS` cells that cover a raveled array of ``size`` cells.
+
+    Examples
+    --------
+    >>> list(runs(3))
+    [slice(0, 3, None)]
+    """
+    for begin in range(0, size, SLAB_VOXELS):
+        yield slice(begin, min(begin + SLAB_VOXELS, size))

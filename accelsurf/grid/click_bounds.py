@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.grid.boxes import Corner, box_at, corner_of, widened
-from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.grid.clicks import SIDES, Click, Clicks
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.grid.pyramid import Level
 
@@ -61,7 +61,7 @@ class ClickBounds(NamedTuple):
         flat[self.cells] = np.minimum(np.maximum(flat[self.cells], self.low), self.high)
 
     def is_met_by(self, psi: NDArray[np.float32]) -> bool:
-        """Whether every clicked voxel is on its side."""
+        """Test if every clicked voxel is on its side."""
         values = psi.reshape(-1)[self.cells]
         return bool((values[self.high < 0] < 0).all() and (values[self.low > 0] >= 0).all())
 
@@ -84,9 +84,9 @@ def click_bounds(clicks: Clicks, grid: Level) -> ClickBounds:
     (array([0, 1, 2, 3]), array([ 1.5,  0.5, -0.5,  0.5], dtype=float32), array([2]))
     """
     placed = [_on_level(click, grid) for click in clicks.clicks]
-    sides = {side: _cells_of((one for one in placed if one.side == side), grid.shape) for side in ("inside", "outside")}
-    free = np.intersect1d(sides["inside"], sides["outside"])
-    parts = [part for one in placed if (part := _bounds_of_click(one, free, grid)) is not None]
+    clicked = [_cells_of((click for click in placed if click.side == side), grid.shape) for side in SIDES]
+    free = np.intersect1d(clicked[0], clicked[1])
+    parts = [part for click in placed if (part := _bounds_of_click(click, free, grid)) is not None]
     if not parts:
         none = np.empty(0, np.float32)
         return ClickBounds(grid.shape, np.empty(0, np.int64), none, none)

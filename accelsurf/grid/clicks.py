@@ -1,4 +1,4 @@
-"""What a person has said of voxels: these are in the object, those are not."""
+"""Clicks: voxels that a person has said to lie in the object or outside of it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Click(NamedTuple):
         return on_box(self.mask, self.box, box, False)
 
     def contradicts(self, other: Click) -> bool:
-        """Whether no voxel can be in both: some object would have it inside and outside."""
+        """Test if no voxel can be in both: some object would have it inside and outside."""
         if self.side == other.side:
             return self.side == "inside" and self.id != other.id
         return self.id == other.id
@@ -107,14 +107,14 @@ class Clicks:
         Inside are the inside clicks of ``id``; outside are its outside clicks, and the inside clicks of all other ids,
         0 included.
         """
-        own: list[Click] = []
+        seen: list[Click] = []
         for click in self.clicks:
             owner = click.id if click.side == "inside" else None
             if click.id == id:
-                own.append(click._replace(id=1, owner=owner))
+                seen.append(click._replace(id=1, owner=owner))
             elif click.side == "inside":
-                own.append(click._replace(side="outside", id=1, owner=owner))
-        return Clicks(tuple(own), self.shape)
+                seen.append(click._replace(side="outside", id=1, owner=owner))
+        return Clicks(tuple(seen), self.shape)
 
     def ids(self) -> tuple[int, ...]:
         """Return the ids that have inside clicks, in rising order."""
@@ -124,7 +124,7 @@ class Clicks:
         """Return the clicks on a part of the grid, counted from its first voxel; what lies beyond is left out."""
         corner, shape = corner_of(box), tuple(s.stop - s.start for s in box)
         clipped = (_click_on_box(click, corner, (shape[0], shape[1], shape[2])) for click in self.clicks)
-        return Clicks(tuple(one for one in clipped if one is not None), (shape[0], shape[1], shape[2]))
+        return Clicks(tuple(click for click in clipped if click is not None), (shape[0], shape[1], shape[2]))
 
     def with_more(self, more: Iterable[Click]) -> Clicks:
         """Return these clicks and some after them."""
@@ -148,12 +148,13 @@ class Clicks:
         return Clicks((*(click for click in left if click is not None), *later), self.shape)
 
     def starts_with(self, other: Clicks) -> bool:
-        """Whether these are other clicks, unchanged, and maybe more."""
+        """Test if these are other clicks, unchanged, and maybe more."""
         return len(self) >= len(other) and all(map(_same, other.clicks, self.clicks))
 
 
-def _same(one: Click, other: Click) -> bool:
-    return one is other or (one.side == other.side and one.box == other.box and np.array_equal(one.mask, other.mask))
+def _same(first: Click, second: Click) -> bool:
+    same = first.side == second.side and first.box == second.box
+    return first is second or (same and np.array_equal(first.mask, second.mask))
 
 
 def _click_on_box(click: Click, corner: Corner, shape: tuple[int, int, int]) -> Click | None:

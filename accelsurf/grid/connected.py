@@ -23,10 +23,10 @@ def connected_to(mask: NDArray[np.bool_], seeds: NDArray[np.bool_]) -> NDArray[n
     if box is None:
         return out
     labels, count = ndimage.label(mask[box])
-    own = np.zeros(count + 1, np.bool_)
-    own[labels[seeds[box]]] = True
-    own[0] = False
-    out[box] = own[labels]
+    is_seeded = np.zeros(count + 1, np.bool_)
+    is_seeded[labels[seeds[box]]] = True
+    is_seeded[0] = False
+    out[box] = is_seeded[labels]
     return out
 
 

@@ -1,4 +1,4 @@
-"""Which values are black and white: chosen from an object and its surroundings, or from the whole image."""
+"""Values that are shown black and white: chosen from an object and its surroundings, or from the whole image."""
 
 from __future__ import annotations
 
@@ -114,13 +114,13 @@ def window_of(image: NDArray[Any], inside: NDArray[np.bool_] | None = None) -> G
     part = tuple(slice(None, None, stride if n > 2 * stride else 1) for n in image.shape)
     values = np.asarray(image[part], np.float64).ravel()
     finite = np.isfinite(values)
-    own = np.zeros(0) if inside is None else np.asarray(image[inside][:: max(1, inside.sum() // MAX_SAMPLES)], float)
-    own = own[np.isfinite(own)]
+    sample = np.zeros(0) if inside is None else np.asarray(image[inside][:: max(1, inside.sum() // MAX_SAMPLES)], float)
+    object_values = sample[np.isfinite(sample)]
     values = values[finite]
     if not values.size:
         return GreyWindow(0.0, 1.0)
-    if own.size:
-        low, middle, high = np.percentile(own, (OBJECT_ENDS[0], 50.0, OBJECT_ENDS[1]))
+    if object_values.size:
+        low, middle, high = np.percentile(object_values, (OBJECT_ENDS[0], 50.0, OBJECT_ENDS[1]))
         around = np.percentile(values, AROUND_ENDS)
         room = 0.5 * MAX_OBJECT_WIDTHS * (high - low) or math.inf
         low, high = max(min(low, around[0]), middle - room), min(max(high, around[1]), middle + room)
@@ -137,7 +137,7 @@ def window_of(image: NDArray[Any], inside: NDArray[np.bool_] | None = None) -> G
 
 
 def is_hounsfield(values: NDArray[Any]) -> bool:
-    """Whether values look like those of a CT: air near -1000, much of it and of soft tissue, nothing far below air.
+    """Test if values look like those of a CT: air near -1000, much of it and of soft tissue, nothing far below air.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Whether something can be segmented from an image, found from its planes in one pass."""
+"""Check of an image's voxels before a run: can something be segmented, found from its planes in one pass."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ of a range below the second."""
 
 
 class ImageCheck:
-    """What is wrong with the voxels of an image; planes are added from the first to the last.
+    """Check of the voxels of an image; planes are added from the first to the last.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class Places:
 
     @classmethod
     def of(cls, bad: NDArray[np.bool_]) -> Places:
-        """Those of a whole image."""
+        """Check a whole image."""
         places = cls()
         places.add(bad)
         return places

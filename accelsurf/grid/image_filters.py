@@ -1,4 +1,4 @@
-"""What is done to the values of an image before a run looks at them: clipped, closed, smoothed; also box by box."""
+"""Filters of an image before a run: it is clipped, closed, smoothed; also box by box."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box, with_halo
 from accelsurf.grid.smoothing import gaussian_mm, gaussian_on_box
-from accelsurf.kernels.closing import dilate
+from accelsurf.kernels.smoothing import dilate
 
 
 class ImageFilters(NamedTuple):
@@ -33,7 +33,7 @@ class ImageFilters(NamedTuple):
 
     @property
     def change_nothing(self) -> bool:
-        """Whether the image stays as it is."""
+        """True if the image stays as it is."""
         return self == NO_FILTERS
 
     def of_whole(self, image: NDArray[np.float32], spacing: Sequence[float]) -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.kernels.value_counts import count_high_bits, count_integers, count_low_bits
+from accelsurf.kernels.statistics import count_high_bits, count_integers, count_low_bits
 
 #: Values of half of the bits of a float32.
 HALF = 1 << 16
@@ -38,7 +38,7 @@ class OrderStatistics(ABC):
         q: float | Sequence[float],
         mapped: Callable[[NDArray[np.float32]], NDArray[np.float32]] = lambda values: values,
     ) -> Any:
-        """As ``numpy.percentile(mapped(image), q)``; ``mapped`` keeps the order of values.
+        """Percentiles as ``numpy.percentile(mapped(image), q)``; ``mapped`` keeps the order of values.
 
         Examples
         --------
@@ -60,7 +60,7 @@ class OrderStatistics(ABC):
 
 
 class IntegerCounts(OrderStatistics):
-    """Of integers of at most 16 bits, counted in one pass.
+    """Counts of integers of at most 16 bits, in one pass.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class IntegerCounts(OrderStatistics):
 
     @classmethod
     def can_count(cls, dtype: np.dtype[Any]) -> bool:
-        """Whether images of a dtype are counted so."""
+        """Test if images of a dtype can be counted."""
         return dtype.kind in "bui" and dtype.itemsize <= 2
 
     def add(self, part: NDArray[Any]) -> None:
@@ -98,7 +98,7 @@ class IntegerCounts(OrderStatistics):
 
 
 class FloatCounts(OrderStatistics):
-    """Of float32: counts of the upper halves of their bits; then the lower halves of those that are asked for.
+    """Counts of float32: of the upper halves of their bits; then of the lower halves that are asked for.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class FloatCounts(OrderStatistics):
         upto = np.cumsum(self._high)
         upper = np.searchsorted(upto, ranks, side="right")
         # The extremes are asked for sooner or later: they come with the first pass.
-        wanted = {int(one) for one in (*upper, *np.searchsorted(upto, [0, self.size - 1], side="right"))}
+        wanted = {int(half) for half in (*upper, *np.searchsorted(upto, [0, self.size - 1], side="right"))}
         self._count_low(sorted(wanted - set(self._low)))
         ordered = np.empty(len(ranks), np.uint32)
         for i, (half, rank) in enumerate(zip(upper, ranks, strict=True)):

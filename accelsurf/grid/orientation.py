@@ -67,7 +67,7 @@ class DisplayOrientation:
 
     @property
     def is_parallel(self) -> bool:
-        """Whether the grid is parallel to the world axes."""
+        """Test if the grid is parallel to the world axes."""
         return self.names == ("z", "y", "x")
 
     def reorient(self, array: NDArray[Any]) -> NDArray[Any]:

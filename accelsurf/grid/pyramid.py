@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Corner
-from accelsurf.grid.slabs import slabs
+from accelsurf.grid.boxes import Corner, slabs
 
 #: An axis is halved together with the finest if its spacing is at most so many times larger: voxels become more cubic.
 MAX_SPACING_RATIO = math.sqrt(2.0)

@@ -40,7 +40,7 @@ class ImageSequence(ABC):
 
     @property
     def frame_values(self) -> int:
-        """How many values a frame has, those of all channels together, as far as that is known before one is read."""
+        """Number of values of a frame, all channels together, as far as it is known before one is read."""
         return math.prod(self.geometry.shape)
 
     def frame(self, number: int) -> Volume:

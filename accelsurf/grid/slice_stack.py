@@ -9,6 +9,7 @@ Slices along the voxels are the case in which F are the grid's axes and each pix
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -174,7 +175,7 @@ class SliceStack:
         return int(np.clip(round(float(self.place_number(index))), 0, self.count - 1))
 
     def contains(self, index: Floats) -> bool:
-        """Whether an index (z, y, x) lies in a voxel of the image."""
+        """Test if an index (z, y, x) lies in a voxel of the image."""
         return bool(((index >= -0.5 - ROUNDING) & (index <= np.array(self.geometry.shape) - 0.5 + ROUNDING)).all())
 
     def go_to(self, index: Floats, number: int) -> Floats:
@@ -192,7 +193,7 @@ class SliceStack:
         return np.clip(start + float(np.clip(np.nan_to_num(shares), 0.0, 1.0).max()) * way, 0.0, last)
 
     def cuts(self, number: int, low: ArrayLike, high: ArrayLike) -> bool:
-        """Whether a slice cuts the box of the voxels ``low`` to ``high``, (z, y, x)."""
+        """Test if a slice cuts the box of the voxels ``low`` to ``high``, (z, y, x)."""
         away = self._corners(low, high)[:, 2] - self.across(number)
         return bool(away.min() < 0 < away.max())
 
@@ -284,14 +285,14 @@ class SliceStack:
 
 
 def linear(
-    array: NDArray[Any], index: tuple[Floats, Floats, Floats], largest: float | None = None
+    array: NDArray[Any], index: Sequence[Floats], largest: float | None = None
 ) -> NDArray[np.float32]:
     """Values between voxels, linear along each axis; beyond the array those of its border.
 
     Parameters
     ----------
     array : ndarray (nz, ny, nx)
-    index : tuple of ndarray
+    index : sequence of ndarray
         z, y, x of each place.
     largest : float, optional
         Values above are as this one; for arrays with inf.
@@ -318,7 +319,7 @@ def linear(
         if axis == 3:
             values = flat.take(low + corner).astype(np.float32)
             return values if largest is None else np.minimum(values, np.float32(largest))
-        one, other = between(axis + 1, corner), between(axis + 1, corner + steps[axis])
-        return np.asarray(one + shares[axis] * (other - one))
+        low_end, high_end = between(axis + 1, corner), between(axis + 1, corner + steps[axis])
+        return np.asarray(low_end + shares[axis] * (high_end - low_end))
 
     return between(0, 0)

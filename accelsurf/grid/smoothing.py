@@ -90,7 +90,7 @@ def gaussian_on_box(
 
 
 def reach_of(width: float) -> int:
-    """How far the weights of a Gaussian of a ``width`` in voxels reach, voxels."""
+    """Reach (voxels) of the weights of a Gaussian of a ``width`` in voxels."""
     return int(REACH * width + 0.5) if width > MIN_WIDTH else 0
 
 

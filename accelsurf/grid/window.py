@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box, Corner, corner_of
+from accelsurf.grid.boxes import Box, Corner, corner_of, counted_from
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
 
@@ -60,7 +60,7 @@ class Window(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Of the window."""
+        """Shape of the window."""
         z, y, x = (s.stop - s.start for s in self.box)
         return z, y, x
 
@@ -76,13 +76,12 @@ class Window(NamedTuple):
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is the whole grid."""
+        """True if it is the whole grid."""
         return self.shape == self.geometry.shape
 
     def local(self, box: Box) -> Box:
         """A box of the whole grid, counted from the window's first voxel."""
-        z, y, x = (slice(s.start - c, s.stop - c) for s, c in zip(box, self.corner, strict=True))
-        return z, y, x
+        return counted_from(box, self.corner)
 
     def place_on_whole(self, place: Sequence[float]) -> tuple[float, float, float]:
         """World mm (x, y, z) of the centre of a voxel of any level as the whole grid gives it, of a place in a window.

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks, Side
-from accelsurf.grid.distances import ball_distance
-from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.geometry import Geometry, ball_distance
 from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import Window
 from accelsurf.initialization import starts

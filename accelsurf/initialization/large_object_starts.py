@@ -12,9 +12,8 @@ from scipy import ndimage
 
 from accelsurf import io
 from accelsurf.errors import GeometryError, UsageError
-from accelsurf.grid.boxes import Box, corner_of, widened
+from accelsurf.grid.boxes import Box, corner_of, slabs, widened
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.slabs import slabs
 from accelsurf.initialization import object_starts, starts
 from accelsurf.initialization.object_clicks import has_sides
 from accelsurf.initialization.object_starts import ObjectStart

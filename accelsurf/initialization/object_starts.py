@@ -19,8 +19,7 @@ from scipy import ndimage
 from accelsurf import io
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, meeting, shared, widened
-from accelsurf.grid.distances import ball_distance
-from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.geometry import Geometry, ball_distance
 from accelsurf.grid.label_values import as_labels
 from accelsurf.grid.volume import Volume, array_on_grid
 from accelsurf.initialization import starts

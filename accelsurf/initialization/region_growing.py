@@ -12,9 +12,8 @@ from scipy import ndimage
 from skimage.filters import threshold_otsu
 from skimage.graph import MCP_Geometric
 
-from accelsurf.grid.boxes import Box, widened
+from accelsurf.grid.boxes import Box, sum_in_order, widened
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.slabs import sum_in_order
 
 #: A path through a voxel counts twice its length when the value differs from the seed's by this many standard
 #: deviations of the seed's neighbours, but at least by this fraction of the range of the image's middle 99 percent.

@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 
 from accelsurf import io
 from accelsurf.errors import GeometryError, InputError, UsageError
-from accelsurf.grid.boxes import corner_of, whole_box
-from accelsurf.grid.distances import ball_distance
-from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.boxes import corner_of, slabs, whole_box
+from accelsurf.grid.geometry import Geometry, ball_distance
 from accelsurf.grid.label_values import as_labels
-from accelsurf.grid.slabs import slabs
 from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import Window
 from accelsurf.io import meshes, split_name

@@ -3,15 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from enum import Enum
 from typing import Any, overload
 
 import numba
 
-from accelsurf.kernels.stages import STAGE_OF_KERNEL, Stage
 from accelsurf.kernels.storage import STORAGE
 
 # No nnan/ninf: the code tests for NaN. No reassoc: a sum must not depend on how a loop was vectorised.
 FASTMATH = {"contract", "arcp", "nsz"}
+
+
+class Stage(Enum):
+    """Stage of a step that a kernel belongs to, for ``--profile``; in the order of a step, as people read them."""
+
+    CLOSEST_POINTS = "closest points"
+    BAND = "band"
+    EXTENSION = "extension"
+    ADVANCE = "advance"
+    ENERGY = "energy and force"
+    FLOW = "flow"
+    DIFFUSION = "diffusion"
+
+
+#: Stage by name of a kernel: filled by `kernel` as the kernels are defined, and by nothing else.
+STAGE_OF_KERNEL: dict[str, Stage] = {}
 
 
 @overload
@@ -34,7 +50,7 @@ def kernel(
     Parameters
     ----------
     function : callable
-        What is compiled, with ``@kernel``: a kernel that other kernels call.
+        With ``@kernel``: a kernel that other kernels call.
     stage : Stage
         With ``@kernel(stage=...)``: a kernel that the package calls, and the stage that ``--profile`` counts it in.
     inlined : bool

@@ -20,7 +20,7 @@ SIDES = 6
 
 
 class Medium(NamedTuple):
-    """What the march goes through.
+    """Medium that the march goes through.
 
     ``values`` (channels, n) float32; ``open`` (n,) bool, False where nothing passes, or (0,) where all is open.
     """
@@ -30,7 +30,7 @@ class Medium(NamedTuple):
 
 
 class Tissue(NamedTuple):
-    """What passes easily: per channel (channels,) float64 the median and the spread of the values, and the gradient
+    """Tissue that is passed easily: per channel (channels,) float64 median and spread of the values, and the gradient
     (per mm) that counts as 1; and the weights of the cost, see `cost_at`.
     """
 

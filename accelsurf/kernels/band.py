@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.kernels._jit import kernel
+from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.grid import unravel, voxels_along
 from accelsurf.kernels.interpolate import band_rows, band_value_at, linear_band_value
 from accelsurf.kernels.march import OPEN, length
 from accelsurf.kernels.simd.cubic import cubic_rows
-from accelsurf.kernels.stages import Stage
 
 #: The smallest distance that a cell may be given, as a part of the smallest spacing, so that psi has a sign.
 MIN_DISTANCE = 1e-6
@@ -115,20 +114,20 @@ def sample_at_feet(start, stop, slot, grid, band, front, values, out):
                         rows[k] += n_old
                 continue
         position[0], position[1], position[2] = pz, py, px
-        own = slot[np.uint64(cell)]
+        slot_before = slot[np.uint64(cell)]
         for field in range(m):
             if inside:
                 value, found = linear_band_value(flat, slot, n_old, grid, position, field * n_old)
             else:
                 value, found = band_value_at(values[field], slot, n_old, grid, position, w)
             if not found:
-                value = values[field, own] if own >= 0 and own < n_old else 0.0
+                value = values[field, slot_before] if slot_before >= 0 and slot_before < n_old else 0.0
             out[field, s] = value
 
 
 @kernel(stage=Stage.EXTENSION)
 def outward_table(start, stop, slot, grid, band, front, off, table):
-    """Where the cells ``off`` the front (slots, int32) read the front's values: what `extend_outwards` needs.
+    """Find where the cells ``off`` the front (slots, int32) read the front's values, for `extend_outwards`.
 
     Row i of ``table`` = (slots (m, 8) int32, shares (m, 8) float32) gets the slots of the cells around the foot of cell
     ``off[i]`` that are on the front, and their weights in the linear interpolation there, with sum 1 (all 0 where none
@@ -176,7 +175,7 @@ def extend_outwards(start, stop, off, slots, shares, values):
 
 @kernel(stage=Stage.EXTENSION)
 def quadratic_table(start, stop, slot, grid, band, row_of, off, across, table):
-    """As `outward_table`, with the quadratic interpolation around the node that is nearest to each foot.
+    """Make an `outward_table` with the quadratic interpolation around the node that is nearest to each foot.
 
     Of values in rows: ``row_of`` (n,) int32 has the row of a slot on the front, -1 for others.
     Row i of ``table`` = (rows (m, 10) uint32, shares (m, 10) float32, mirrored (m,) int8) gets that node, its six
@@ -312,3 +311,85 @@ def front_mask(start, stop, grid, band, width, front):
     """Mark the slots within ``width`` voxels of the surface."""
     for s in range(start, stop):
         front[s] = voxels_along(band.to_closest[s, 0], band.to_closest[s, 1], band.to_closest[s, 2], grid) <= width
+
+
+@kernel(stage=Stage.BAND)
+def count_inside(start, stop, psi, grid, inside):
+    """Voxels inside, of each of the range's rows along x of the volume: ``inside`` (nz ny,) int32."""
+    for row in range(start, stop):
+        first = np.uint64(row * grid.nx)
+        count = 0
+        for ix in range(np.uint64(grid.nx)):
+            count += psi[first + ix] < 0.0
+        inside[row] = count
+
+
+@kernel(stage=Stage.BAND)
+def count_front(start, stop, psi, grid, inside, counts):
+    """Front cells of each of the range's rows: ``counts`` (nz ny,) int64. ``inside`` is that of `count_inside`."""
+    marks = np.empty(grid.nx, np.uint8)
+    for row in range(start, stop):
+        counts[row] = 0
+        if not is_even(inside, row, grid):
+            mark_front(psi, grid, row, marks)
+            for ix in range(grid.nx):
+                counts[row] += marks[ix]
+
+
+@kernel(stage=Stage.BAND)
+def front_cells(start, stop, psi, grid, inside, ends, cells):
+    """Raveled front cells of the range's rows into ``cells``, those of row r before ``ends[r]``, in raster order.
+
+    A front cell has a 6-neighbour on the other side of the surface. ``ends`` (nz ny,) is the running sum of
+    `count_front`.
+    """
+    marks = np.empty(grid.nx, np.uint8)
+    for row in range(start, stop):
+        if is_even(inside, row, grid):
+            continue
+        mark_front(psi, grid, row, marks)
+        at = ends[row - 1] if row > 0 else 0
+        for ix in range(grid.nx):
+            if marks[ix]:
+                cells[at] = row * grid.nx + ix
+                at += 1
+
+
+@kernel
+def mark_front(psi, grid, row, marks):
+    """Set ``marks`` (nx,) uint8 to 1 at the front cells of a row, to 0 at the others; in vectors."""
+    iz, iy = row // grid.ny, row % grid.ny
+    # Unsigned: an index that may be negative keeps the loops from running in vectors.
+    nx, start, unit = np.uint64(grid.nx), np.uint64(row * grid.nx), np.uint64(1)
+    plane = np.uint64(grid.ny) * nx
+    # Beyond the border a row is its own neighbour.
+    above = start - nx if iy > 0 else start
+    below = start + nx if iy < grid.ny - 1 else start
+    before = start - plane if iz > 0 else start
+    behind = start + plane if iz < grid.nz - 1 else start
+    for ix in range(nx):
+        inside = psi[start + ix] < 0.0
+        along_y = ((psi[above + ix] < 0.0) != inside) | ((psi[below + ix] < 0.0) != inside)
+        along_z = ((psi[before + ix] < 0.0) != inside) | ((psi[behind + ix] < 0.0) != inside)
+        marks[ix] = along_y | along_z
+    for ix in range(unit, nx):
+        marks[ix] |= (psi[start + ix - unit] < 0.0) != (psi[start + ix] < 0.0)
+    for ix in range(nx - unit):
+        marks[ix] |= (psi[start + ix + unit] < 0.0) != (psi[start + ix] < 0.0)
+
+
+@kernel
+def is_even(inside, row, grid):
+    """Test if a row and those beside it are all on one side."""
+    count = inside[row]
+    even = count == 0 or count == grid.nx
+    iz, iy = row // grid.ny, row % grid.ny
+    if iz > 0:
+        even = even and inside[row - grid.ny] == count
+    if iz < grid.nz - 1:
+        even = even and inside[row + grid.ny] == count
+    if iy > 0:
+        even = even and inside[row - 1] == count
+    if iy < grid.ny - 1:
+        even = even and inside[row + 1] == count
+    return even

@@ -75,7 +75,7 @@ def scaled_means(values, middle, spread, window, steps):
 
 @kernel
 def changes_up_to(values, limit):
-    """How many differences of neighbours along all axes (nz, ny, nx) float32 are at most ``limit``, a float32."""
+    """Number of differences of neighbours along all axes (nz, ny, nx) float32 that are at most ``limit``, a float32."""
     nz, ny, nx = values.shape
     total = 0
     for iz in range(nz):
@@ -136,7 +136,7 @@ def add_between(out, share, values, z, y, x):
 
 @kernel(inlined=True)
 def between(low, high, part):
-    """What lies between two values, at a part of the way."""
+    """Value between two others, at a part of the way."""
     return low + part * (high - low)
 
 
@@ -158,23 +158,23 @@ def hold_side(force, before, inside, held, least, gains):
         Whether labels may change to the inside; else to the outside.
     """
     nz, ny, nx = force.shape
-    one = np.float32(1.0)
+    limit = np.float32(1.0)
     for iz in range(nz):
         for iy in range(ny):
-            row, was, own = force[iz, iy], before[iz, iy], inside[iz, iy]
+            row, was, labels = force[iz, iy], before[iz, iy], inside[iz, iy]
             for ix in range(nx):
-                earlier = min(max(was[ix], -one), one)
+                earlier = min(max(was[ix], -limit), limit)
                 now = between(row[ix], earlier, held)
-                if gains and own[ix] and now >= 0.0:
+                if gains and labels[ix] and now >= 0.0:
                     now = min(earlier, -least)
-                elif not gains and not own[ix] and now < 0.0:
+                elif not gains and not labels[ix] and now < 0.0:
                     now = max(earlier, least)
                 row[ix] = now
 
 
 @kernel
 def tally_changes(values, leading):
-    """How often each half of the bits occurs among the differences of neighbours (nz, ny, nx) float32.
+    """Count how often each half of the bits occurs among the differences of neighbours (nz, ny, nx) float32.
 
     Parameters
     ----------

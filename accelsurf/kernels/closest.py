@@ -10,6 +10,57 @@ from accelsurf.kernels.interpolate import value_and_gradient
 from accelsurf.kernels.limited import LEVELS, enter_point, limited_in_vectors, limited_memory
 from accelsurf.kernels.simd.cubic import cubic
 
+#: Slices are thick from this ratio of the spacings on.
+THICK = 4.0
+
+
+@kernel
+def is_near_volume(grid, iz, iy, ix, foot, margin):
+    """Test if a foot lies within ``margin`` voxels of the outermost voxel centres: beyond, psi is only continued.
+
+    Along axes of `THICK` slices it must not lie beyond at all: a voxel there is many of the others, and psi continued
+    so far has a zero level of its own, which came into the volume far from the object.
+    """
+    thick = THICK * min(grid.hz, min(grid.hy, grid.hx))
+    mz = margin if grid.hz < thick else 1e-3
+    my = margin if grid.hy < thick else 1e-3
+    mx = margin if grid.hx < thick else 1e-3
+    lz, ly, lx = -(iz + mz) * grid.hz, -(iy + my) * grid.hy, -(ix + mx) * grid.hx
+    uz, uy = (grid.nz - 1.0 - iz + mz) * grid.hz, (grid.ny - 1.0 - iy + my) * grid.hy
+    ux = (grid.nx - 1.0 - ix + mx) * grid.hx
+    z, y, x = foot[0], foot[1], foot[2]
+    # Without branches: with them this took as long as all the rest of a closest point.
+    return (lz <= z) & (z <= uz) & (ly <= y) & (y <= uy) & (lx <= x) & (x <= ux)
+
+
+@kernel(inlined=True)
+def is_between_signs(psi, grid, iz, iy, ix, foot):
+    """Test if psi changes its sign among the voxels around a foot.
+
+    Else no voxel is on the other side, and the zero level there is an overshoot of the interpolant, as between thick
+    slices: a surface that the labels do not have. A smooth surface may pass a corner of a cube of voxels and change no
+    sign there: the next voxels count too, along axes as fine as the finest.
+    """
+    bz, by, bx = int(iz + foot[0] / grid.hz), int(iy + foot[1] / grid.hy), int(ix + foot[2] / grid.hx)
+    inside = psi[np.uint64((iz * grid.ny + iy) * grid.nx + ix)] < 0.0
+    # The voxel beyond the surface, if there is one: nearly always this ends it.
+    az = min(bz + 1, grid.nz - 1) if foot[0] > 0.0 else bz
+    ay = min(by + 1, grid.ny - 1) if foot[1] > 0.0 else by
+    ax = min(bx + 1, grid.nx - 1) if foot[2] > 0.0 else bx
+    if (psi[np.uint64((az * grid.ny + ay) * grid.nx + ax)] < 0.0) != inside:
+        return True
+    fine = 2.0 * min(grid.hz, min(grid.hy, grid.hx))
+    mz, my, mx = 1 if grid.hz < fine else 0, 1 if grid.hy < fine else 0, 1 if grid.hx < fine else 0
+    for more in range(2):
+        for az in range(max(bz - more * mz, 0), min(bz + 2 + more * mz, grid.nz)):
+            for ay in range(max(by - more * my, 0), min(by + 2 + more * my, grid.ny)):
+                row = (az * grid.ny + ay) * grid.nx
+                for ax in range(max(bx - more * mx, 0), min(bx + 2 + more * mx, grid.nx)):
+                    if (psi[row + ax] < 0.0) != inside:
+                        return True
+    return False
+
+
 MAX_ITERATIONS = 6
 #: The iteration ends once a correction is below this many voxels: the first, which knows nothing of the
 #: curvature and leaves distance x curvature of it, and the later ones, which leave its square. Further than a voxel
@@ -97,8 +148,8 @@ def find_nodes(i, grid, nodes, memory):
     pz = place[i] + memory[FOOT + i] * (1.0 / grid.hz)
     py = place[i + NEXT] + memory[FOOT + NEXT + i] * (1.0 / grid.hy)
     px = place[i + NEXT + NEXT] + memory[FOOT + NEXT + NEXT + i] * (1.0 / grid.hx)
-    one = np.int32(1)
-    bz, by, bx = np.int32(pz) - one, np.int32(py) - one, np.int32(px) - one
+    unit = np.int32(1)
+    bz, by, bx = np.int32(pz) - unit, np.int32(py) - unit, np.int32(px) - unit
     inner[i], inner[i + NEXT], inner[i + NEXT + NEXT] = np.float32(pz - bz), np.float32(py - by), np.float32(px - bx)
     # Well inside the volume, without the cases that value_and_gradient is for.
     inside = (0 <= bz) & (bz <= grid.nz - 4) & (0 <= by) & (by <= grid.ny - 4) & (0 <= bx) & (bx <= grid.nx - 4)
@@ -148,7 +199,7 @@ def levels_at(count, psi, grid, nodes, memory, w):
 
 @kernel
 def limited_levels_at(count, psi, grid, nodes, memory, lines):
-    """As `levels_at`, of the limited interpolant; ``lines`` = `limited_memory`."""
+    """Same as `levels_at`, of the limited interpolant; ``lines`` = `limited_memory`."""
     place, _, first, columns = nodes
     active = active_columns(count, memory, columns)
     for n in range(active):
@@ -170,7 +221,7 @@ def limited_levels_at(count, psi, grid, nodes, memory, lines):
 def correct(count, iteration, grid, memory):
     """One correction of the active feet, see `closest_points`; all columns alike, so that it runs in vectors."""
     hz, hy, hx = np.float32(1.0 / grid.hz), np.float32(1.0 / grid.hy), np.float32(1.0 / grid.hx)
-    zero, one, quarter = np.float32(0.0), np.float32(1.0), np.float32(0.25)
+    zero, unit, quarter = np.float32(0.0), np.float32(1.0), np.float32(0.25)
     active, found, lost = np.float32(ACTIVE), np.float32(FOUND), np.float32(LOST)
     shortest, longest, tiny = np.float32(0.1), np.float32(4.0), np.float32(1e-30)
     least, most = np.float32(MIN_SLOPE2), np.float32(MAX_MOVE)
@@ -181,22 +232,22 @@ def correct(count, iteration, grid, memory):
         v, gz = memory[LEVEL + i] - memory[OFFSET + i], memory[LEVEL + NEXT + i]
         gy, gx = memory[LEVEL + NEXT + NEXT + i], memory[LEVEL + NEXT + NEXT + NEXT + i]
         g2 = gz * gz + gy * gy + gx * gx
-        inverse = one / max(g2, tiny)
+        inverse = unit / max(g2, tiny)
         along = (z * gz + y * gy + x * gx) * inverse
         tz, ty, tx = along * gz - z, along * gy - y, along * gx - x
         t2 = tz * tz + ty * ty + tx * tx
         before, relax, begun = memory[SQUARE + i], memory[RELAX + i], memory[START + i]
         left = tz * memory[LAST + i] + ty * memory[LAST + NEXT + i] + tx * memory[LAST + NEXT + NEXT + i]
-        longer = min(max(relax / max(one - left / max(before, tiny), quarter), shortest), longest)
+        longer = min(max(relax / max(unit - left / max(before, tiny), quarter), shortest), longest)
         longer = longer if before > zero else relax
-        factor = one if first else longer
+        factor = unit if first else longer
         begun = t2 if first else begun
         down = v * inverse
         dz, dy, dx = factor * tz - down * gz, factor * ty - down * gy, factor * tx - down * gx
         move = np.sqrt(dz * hz * dz * hz + dy * hy * dy * hy + dx * hx * dx * hx)
-        scale = min(one, most / max(move, tiny))
+        scale = min(unit, most / max(move, tiny))
         distance = np.sqrt(z * hz * z * hz + y * hy * y * hy + x * hx * x * hx)
-        distance = max(one, distance) if first else one
+        distance = max(unit, distance) if first else unit
         status = memory[STATUS + i]
         now = found if move < enough * distance else active
         # Also where psi is no number.

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.kernels._jit import kernel
+from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.grid import neighbours, unravel
-from accelsurf.kernels.stages import Stage
 
 
 @kernel(stage=Stage.BAND)
@@ -33,13 +32,13 @@ def find_peaks(start, stop, dense, grid, band, depth, peak):
 
 @kernel
 def exceeds(other, value):
-    """Whether ``other`` is on the same side of the surface as ``value``, and larger."""
+    """Test if ``other`` is on the same side of the surface as ``value``, and larger."""
     return ((other < 0.0) == (value < 0.0)) & (abs(other) > abs(value))
 
 
 @kernel
 def is_peak(psi, grid, cell, near):
-    """Whether no 6-neighbour on the cell's side of the surface has a larger |psi|; ``near`` (6,) is scratch."""
+    """Test if no 6-neighbour on the cell's side of the surface has a larger |psi|; ``near`` (6,) is scratch."""
     iz, iy, ix = unravel(cell, grid)
     neighbours(cell, iz, iy, ix, grid, near)
     value = psi[cell]
@@ -89,7 +88,7 @@ def small_components(dense, grid, band, peaks, most, held, turned):
 
 @kernel
 def holds_any(flood, count, held):
-    """Whether one of the first ``count`` cells of ``flood`` is among ``held``, which is in rising order."""
+    """Test if one of the first ``count`` cells of ``flood`` is among ``held``, which is in rising order."""
     if held.shape[0] == 0:
         return False
     for i in range(count):

@@ -1,4 +1,4 @@
-"""Where a surface meets another one on a grid of its own: the places that touch, and what lies in both."""
+"""Contact of a surface with another one on a grid of its own: the points that touch, and the cells in both."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def touching(points, dense, grid, corner, reach, width):
 
 @kernel
 def shared_cells(cells, grid, psi, other, shift):
-    """Which cells lie on another grid too, as positions (m,) int64 in ``cells``, and the psi (m,) float32 there.
+    """Find the cells that lie on another grid too: positions (m,) int64 in ``cells``, and the psi (m,) float32 there.
 
     Parameters
     ----------

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.kernels._jit import kernel
+from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.grid import BATCH, unravel
-from accelsurf.kernels.stages import Stage
 from accelsurf.kernels.stencils import gather_cross, godunov_norms
 
 
@@ -61,7 +60,7 @@ def axis_derivatives(psi, cell, i, n, stride, h):
 
 @kernel
 def is_at_border(iz, iy, ix, grid):
-    """Whether a cell has a face on the volume's border; an axis with one slice has none."""
+    """Test if a cell has a face on the volume's border; an axis with one slice has none."""
     z, y, x = grid.nz - 1, grid.ny - 1, grid.nx - 1
     return (z > 0 and (iz == 0 or iz == z)) or (y > 0 and (iy == 0 or iy == y)) or (x > 0 and (ix == 0 or ix == x))
 
@@ -82,7 +81,7 @@ def gradient(psi, cell, iz, iy, ix, grid):
 
 @kernel
 def curvatures(psi, cell, iz, iy, ix, grid):
-    """Of the level through a cell: (H, K), the sum and the product of the principal curvatures (1/mm, 1/mm2).
+    """Sum H and product K of the principal curvatures (1/mm, 1/mm2) of the level through a cell.
 
     H = div(g/|g|), K = g . adj(D2 psi) g / |g|^4; both positive on a sphere with psi negative inside. At the border
     psi is continued as a parabola: the curvature is that of the surface, whatever its angle with the border.
@@ -99,7 +98,7 @@ def curvatures(psi, cell, iz, iy, ix, grid):
 
 @kernel
 def mirrored_curvatures(psi, cell, iz, iy, ix, grid):
-    """As `curvatures`, with psi mirrored at the faces of the border, half a voxel beyond the outermost voxel centres.
+    """Same as `curvatures`, with psi mirrored at the border's faces, half a voxel beyond the outermost voxel centres.
 
     The voxel beyond the border has the value of the border's own. So H is div(n) with no n through the border: where
     the surface meets it at another angle than the right one, H has the area's force on the contact line, n . n_border

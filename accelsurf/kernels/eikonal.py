@@ -27,12 +27,12 @@ MAX_ACROSS = 0.98
 
 
 @kernel
-def offset_of(foot, one, other, grid, axis, sign):
+def offset_of(foot, slot, other, grid, axis, sign):
     """Squared distance (mm2) of the closest points of two slots, ``other`` a voxel further along ``axis``."""
     total = 0.0
     for a in range(3):
         h = grid.hz if a == 0 else (grid.hy if a == 1 else grid.hx)
-        d = foot[other, a] - foot[one, a] + (sign * h if a == axis else 0.0)
+        d = foot[other, a] - foot[slot, a] + (sign * h if a == axis else 0.0)
         total += d * d
     return total
 

@@ -9,8 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.closest import FOUND, LIMITED, OFFSET, closest_points, crossing_point, feet_memory
+from accelsurf.kernels._jit import Stage, kernel
+from accelsurf.kernels.closest import (
+    FOUND,
+    LIMITED,
+    OFFSET,
+    closest_points,
+    crossing_point,
+    feet_memory,
+    is_near_volume,
+)
 from accelsurf.kernels.eikonal import (
     ACCEPTED,
     BEYOND,
@@ -21,12 +29,10 @@ from accelsurf.kernels.eikonal import (
     upwind_neighbours,
     upwind_weights,
 )
-from accelsurf.kernels.foot_checks import is_near_volume
 from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, voxels_along
 from accelsurf.kernels.guesses import guess_feet, guess_memory
 from accelsurf.kernels.march import MARGIN, accept_foot
 from accelsurf.kernels.residues import known_point, nearest_slot
-from accelsurf.kernels.stages import Stage
 
 #: A closest point carried as a field counts where its distance is d within this part; else that of one neighbour.
 TRUSTED = 0.1
@@ -84,7 +90,7 @@ def find_front_feet(start, stop, dense, grid, band, guide, on, foot):
 
 @kernel
 def is_before(d, s, e, t, cells):
-    """Whether slot ``s`` at distance ``d`` comes before slot ``t`` at ``e``: by distance, then by cell."""
+    """Test if slot ``s`` at distance ``d`` comes before slot ``t`` at ``e``: by distance, then by cell."""
     return d < e or (d == e and cells[s] < cells[t])
 
 
@@ -127,7 +133,7 @@ def carried_foot(s, d, grid, foot, up, weights):
     slots, sides, terms = up
     upwind_weights(d, up, weights)
     best, mean = 1e30, (0.0, 0.0, 0.0)
-    own = (0.0, 0.0, 0.0)
+    nearest = (0.0, 0.0, 0.0)
     for k in range(6):
         if slots[k] < 0:
             continue
@@ -139,10 +145,10 @@ def carried_foot(s, d, grid, foot, up, weights):
         mean = mean[0] + w * z, mean[1] + w * y, mean[2] + w * x
         length2 = z * z + y * y + x * x
         if k < 3 and w > 0.0 and length2 < best:
-            best, own = length2, (z, y, x)
+            best, nearest = length2, (z, y, x)
     length = np.sqrt(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2])
     if abs(length - d) > TRUSTED * d:
-        mean, length = own, np.sqrt(best)
+        mean, length = nearest, np.sqrt(best)
     scale = d / max(length, 1e-30)
     foot[s, 0], foot[s, 1], foot[s, 2] = mean[0] * scale, mean[1] * scale, mean[2] * scale
 
@@ -226,3 +232,65 @@ def front_residues(start, stop, slot, grid, band, motion, beside, out):
         pz, py, px = known_point(s, grid, band, motion)
         nearest = nearest_slot(slot, grid, pz, py, px)
         out[s] = out[nearest] if nearest >= 0 and beside[nearest] else np.float32(0.0)
+
+
+@kernel(stage=Stage.EXTENSION)
+def order_of(distance):
+    """Slots (n,) int64 in order of ``distance`` (n,) float32 >= 0, ties by slot: by 11 bits at a time; serial."""
+    n = distance.shape[0]
+    bits = distance.view(np.uint32)
+    order, other = np.arange(n), np.empty(n, np.int64)
+    count = np.empty(2049, np.int64)
+    for part in range(3):
+        shift = np.uint32(11 * part)
+        count[:] = 0
+        for s in range(n):
+            count[((bits[s] >> shift) & np.uint32(2047)) + 1] += 1
+        for i in range(2048):
+            count[i + 1] += count[i]
+        for k in range(n):
+            s = order[k]
+            at = (bits[s] >> shift) & np.uint32(2047)
+            other[count[at]] = s
+            count[at] += 1
+        order, other = other, order
+    return order
+
+
+@kernel(stage=Stage.EXTENSION)
+def upwind_table(start, stop, slot, grid, known, off, table):
+    """Find the upwind neighbours that the slots ``off`` (m,) read an extended field's values from, and the weights.
+
+    ``known`` = (cells, foot, distance (mm, signed), state) of the band. ``table`` = (slots (m, 6) int32, shares (m, 6)
+    float32, 0 where none is read).
+    """
+    slots, shares = table
+    up = np.empty(6, np.int64), np.empty(3, np.int64), np.empty((4, 3))
+    weights = np.empty(6)
+    distance = known[2]
+    for row in range(start, stop):
+        s = off[row]
+        d = abs(distance[s])
+        upwind_neighbours(known[0][s], slot, grid, known, d, up)
+        upwind_weights(d, up, weights)
+        for k in range(6):
+            used = up[0][k] >= 0 and weights[k] != 0.0
+            slots[row, k] = up[0][k] if used else s
+            shares[row, k] = weights[k] if used else 0.0
+
+
+@kernel(stage=Stage.EXTENSION)
+def carry_outwards(off, slots, shares, values):
+    """Overwrite ``values`` (n,) at the slots ``off`` (m,), in this order, by what `upwind_table` has for them; serial.
+
+    No value leaves the range of those that it comes from: a difference of second order would.
+    """
+    for row in range(off.shape[0]):
+        value, low, high = np.float32(0.0), np.float32(np.inf), np.float32(-np.inf)
+        for k in range(6):
+            share = shares[row, k]
+            if share != 0.0:
+                neighbour = values[slots[row, k]]
+                value += share * neighbour
+                low, high = min(low, neighbour), max(high, neighbour)
+        values[off[row]] = min(max(value, low), high) if low <= high else np.float32(0.0)

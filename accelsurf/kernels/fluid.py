@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.cosine import bump
+from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.grid import unravel, voxels_along
-from accelsurf.kernels.stages import Stage
+from accelsurf.kernels.waves import bump
 
 #: Points of a mean across the surface. The cosine's integral is exact from three on.
 SAMPLES = 6
@@ -187,13 +186,13 @@ def sweep_planes(start, stop, fluid, axis, ratio, limits, rows):
 
 
 @kernel(stage=Stage.FLOW)
-def fluid_sums(first, last, one, other, dry, rows):
+def fluid_sums(first, last, first_fluid, second_fluid, dry, rows):
     """For every plane: sums of rho, of rho V.V/2, rho V.V'/2 and rho V'.V'/2, and of rho^2/2.
 
-    ``one`` and ``other`` are fluids of the same rho.
+    ``first_fluid`` and ``second_fluid`` have the same rho.
     """
-    cells = one.shape[2] * one.shape[3]
-    a, b = one.reshape(4, -1), other.reshape(4, -1)
+    cells = first_fluid.shape[2] * first_fluid.shape[3]
+    a, b = first_fluid.reshape(4, -1), second_fluid.reshape(4, -1)
     for plane in range(first, last):
         for cell in range(plane * cells, (plane + 1) * cells):
             rho = np.float64(a[0, cell])

@@ -128,7 +128,7 @@ def guess_alike(grid, inner, memory, out):
     least = min(hz, min(hy, hx))
     shortest, inner = np.float32(MIN_LENGTH) * least, np.float32(inner)
     pz, py, px = np.float32(0.5) / hz, np.float32(0.5) / hy, np.float32(0.5) / hx
-    zero, one, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
+    zero, unit, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
     mz, my, mx = np.float32(grid.nz - 1), np.float32(grid.ny - 1), np.float32(grid.nx - 1)
     two, three, four = NEXT + NEXT, np.uint64(3) * NEXT, np.uint64(4) * NEXT
     five, six = np.uint64(5) * NEXT, np.uint64(6) * NEXT
@@ -142,7 +142,7 @@ def guess_alike(grid, inner, memory, out):
         beside[i] = (min(low, value) < zero) & (max(high, value) >= zero)
         offset[i] = residue
         is_scaled = abs(old) > (inner if residue == zero else shortest)
-        ratio = value / (old if is_scaled else one)
+        ratio = value / (old if is_scaled else unit)
         z, y, x = ratio * rows[OLD_FOOT + i], ratio * rows[OLD_FOOT + NEXT + i], ratio * rows[OLD_FOOT + two + i]
         is_scaled = is_scaled & (abs(z) + abs(y) + abs(x) > zero)
         dz, dy, dx = pz * (b - a), py * (d - c), px * (f - e)

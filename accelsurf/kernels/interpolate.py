@@ -72,7 +72,7 @@ def axis_weights(p, n, w, o):
 
 @kernel
 def has_cubes(grid):
-    """Whether every axis has the four nodes that `cubic` reads, or is a single slice (not along x)."""
+    """Test if every axis has the four nodes that `cubic` reads, or is a single slice (not along x)."""
     return grid.nx >= 4 and (grid.ny >= 4 or grid.ny == 1) and (grid.nz >= 4 or grid.nz == 1)
 
 
@@ -163,11 +163,11 @@ def value_at(array, grid, pz, py, px, w):
 def linear_cell(array, at, dy, dz, tz, ty, tx):
     """Linear interpolation among node ``at`` and the next along z, y (strides ``dz``, ``dy``) and x."""
     # Unsigned: a signed index is tested for being negative at every read.
-    at, dy, dz, one = np.uint64(at), np.uint64(dy), np.uint64(dz), np.uint64(1)
-    a, b = array[at] + tx * (array[at + one] - array[at]), array[at + dy] + tx * (array[at + dy + one] - array[at + dy])
+    at, dy, dz, dx = np.uint64(at), np.uint64(dy), np.uint64(dz), np.uint64(1)
+    a, b = array[at] + tx * (array[at + dx] - array[at]), array[at + dy] + tx * (array[at + dy + dx] - array[at + dy])
     near = a + ty * (b - a)
     at += dz
-    a, b = array[at] + tx * (array[at + one] - array[at]), array[at + dy] + tx * (array[at + dy + one] - array[at + dy])
+    a, b = array[at] + tx * (array[at + dx] - array[at]), array[at + dy] + tx * (array[at + dy + dx] - array[at + dy])
     return near + tz * (a + ty * (b - a) - near)
 
 

@@ -55,7 +55,7 @@ def limited_in_vectors(count, psi, grid, first, memory):
 
 @kernel
 def most_of(length, h):
-    """By how much second differences along lines of ``length`` nodes may differ: no limits where they are not four."""
+    """Largest change of second differences along lines of ``length`` nodes: no limit where they are not four."""
     return MAX_CHANGE * h if length == 4 else np.inf
 
 
@@ -102,7 +102,7 @@ def load_nodes(count, length, psi, first, shift, memory):
 
 @kernel(inlined=True)
 def bends(a, b, c, d, most):
-    """How to replace the outer nodes of a line a, b, c, d: whether a is, d is, both by parabolas, what each gets added.
+    """Replacement of the outer nodes of a line a, b, c, d: whether a is, d is, both by parabolas, what each gets added.
 
     The second differences at b and c are limited to ``most`` more or less than the smaller of them, 0 where their
     signs differ: an outer node is replaced by the parabola through the other three, or by the line through the inner

@@ -11,13 +11,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.closest import FOUND, LIMITED, NEXT, OFFSET, closest_points, crossing_point, feet_memory
-from accelsurf.kernels.foot_checks import is_between_signs, is_near_volume
+from accelsurf.kernels._jit import Stage, kernel
+from accelsurf.kernels.closest import (
+    FOUND,
+    LIMITED,
+    NEXT,
+    OFFSET,
+    closest_points,
+    crossing_point,
+    feet_memory,
+    is_between_signs,
+    is_near_volume,
+)
 from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, voxels_along
 from accelsurf.kernels.guesses import PLACE, guess_feet, guess_memory
 from accelsurf.kernels.ridge import MIN_GAIN
-from accelsurf.kernels.stages import Stage
 
 #: State of a slot's foot: not known yet; known; known, and a neighbour is not in the band.
 OPEN, FROZEN, EDGE = 0, 1, 2
@@ -76,7 +84,7 @@ def find_feet(start, stop, dense, grid, band, guide, foot, state):
 
 @kernel
 def check_volume(grid, place, feet, within, around):
-    """Whether the feet of a batch lie ``within`` the volume, and within `MARGIN` ``around`` it, (`BATCH`,) bool.
+    """Test if the feet of a batch lie ``within`` the volume, and within `MARGIN` ``around`` it, (`BATCH`,) bool.
 
     ``place`` and ``feet`` hold rows z, y, x of the cells' indices and of the feet (mm), one after the other. Of all
     columns alike, so that it runs in vectors.
@@ -91,7 +99,7 @@ def check_volume(grid, place, feet, within, around):
 
 @kernel
 def accept_foot(value, grid, plane, bound, guess, found, least):
-    """Whether a foot, ``found`` at ``guess``, is accepted for a cell with psi = ``value``: FROZEN or OPEN.
+    """Decide if a foot, ``found`` at ``guess``, is accepted for a cell with psi = ``value``: FROZEN or OPEN.
 
     A foot at less than ``least`` of the distance by psi is not on the surface. Where an edge crossing, ``bound`` mm off
     (-1: there is none), lies closer, the foot of its ``plane`` is put there.
@@ -128,8 +136,8 @@ def classify_feet(start, stop, dense, grid, cells, foot, state, reviewed):
         cell = cells[s]
         iz, iy, ix = unravel(cell, grid)
         neighbours(cell, iz, iy, ix, grid, near)
-        own = length(foot, s) - MIN_GAIN * h
-        least = own * own if own > 0.0 else -1.0
+        bound = length(foot, s) - MIN_GAIN * h
+        least = bound * bound if bound > 0.0 else -1.0
         for side in range(6):
             if near[side] < 0:
                 continue
@@ -155,7 +163,7 @@ def grown(array):
 
 @kernel
 def grown_rows(array):
-    """As ``grown``, for rows of three."""
+    """Same as ``grown``, for rows of three."""
     larger = np.empty((array.shape[0] + array.shape[0] // 2 + 1024, 3), array.dtype)
     larger[: array.shape[0]] = array
     return larger
@@ -301,8 +309,8 @@ def nearer_neighbour_foot(s, dense, grid, cells, foot, state, near, out):
     # Squares of distances: -1 where nothing can be closer. An open slot has no foot yet.
     least = 1e30
     if state[s] != OPEN:
-        own = length(foot, s) - MIN_GAIN * h
-        least = own * own if own > 0.0 else -1.0
+        bound = length(foot, s) - MIN_GAIN * h
+        least = bound * bound if bound > 0.0 else -1.0
     found = -1
     cell = cells[s]
     iz, iy, ix = unravel(cell, grid)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.kernels._jit import kernel
+from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.differences import gradient
 from accelsurf.kernels.grid import neighbours, unravel, voxels_along
 from accelsurf.kernels.interpolate import linear_at, linear_cell, value_at
 from accelsurf.kernels.simd.cubic import cubic_value
-from accelsurf.kernels.stages import Stage
 
 
 @kernel(stage=Stage.ENERGY)

@@ -1,13 +1,13 @@
-"""Values at given points: of dense arrays, of fields of the band, and of an array that lies shifted on another grid."""
+"""Values at given points: of dense arrays, of fields of the band, and at the surface with normals and slopes."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.kernels._jit import kernel
+from accelsurf.kernels._jit import Stage, kernel
+from accelsurf.kernels.differences import gradient
 from accelsurf.kernels.grid import unravel
 from accelsurf.kernels.interpolate import value_and_gradient, value_at
-from accelsurf.kernels.stages import Stage
 from accelsurf.kernels.transport import band_vector_at
 
 
@@ -45,3 +45,41 @@ def resample_shifted(start, stop, array, grid, first, target, out):
     for cell in range(start, stop):
         iz, iy, ix = unravel(cell, target)
         out[cell] = value_at(array, grid, first[0] + iz, first[1] + iy, first[2] + ix, w)
+
+
+@kernel(stage=Stage.ENERGY)
+def outward_normals(start, stop, psi, grid, band, front, out):
+    """Unit normal grad psi/|grad psi| (z, y, x) of every front cell by centred differences; 0 elsewhere.
+
+    psi is a distance, so the normal at the cell is that at its foot. 0 too where psi has no slope.
+    """
+    for s in range(start, stop):
+        nz, ny, nx = 0.0, 0.0, 0.0
+        if front[s]:
+            cell = band.cells[s]
+            iz, iy, ix = unravel(cell, grid)
+            nz, ny, nx = gradient(psi, cell, iz, iy, ix, grid)
+        norm = np.sqrt(nz * nz + ny * ny + nx * nx)
+        scale = 1.0 / norm if norm > 1e-12 else 0.0
+        out[s, 0], out[s, 1], out[s, 2] = nz * scale, ny * scale, nx * scale
+
+
+@kernel(stage=Stage.ENERGY)
+def value_and_slope(start, stop, image, grid, band, normals, front, out):
+    """Value (out[:, 0]) and slope grad I . n per mm (out[:, 1]) of an image at the foot of every front cell.
+
+    Both from the cubic interpolant of the raveled dense ``image``, at the nearest place within the volume; 0 elsewhere.
+    ``normals`` (n, 3) float32 from `outward_normals`.
+    """
+    w = np.empty(24)
+    for s in range(start, stop):
+        out[s, 0] = 0.0
+        out[s, 1] = 0.0
+        if front[s]:
+            iz, iy, ix = unravel(band.cells[s], grid)
+            pz = min(max(iz + band.to_closest[s, 0] / grid.hz, 0.0), grid.nz - 1.0)
+            py = min(max(iy + band.to_closest[s, 1] / grid.hy, 0.0), grid.ny - 1.0)
+            px = min(max(ix + band.to_closest[s, 2] / grid.hx, 0.0), grid.nx - 1.0)
+            value, gz, gy, gx = value_and_gradient(image, grid, pz, py, px, w)
+            out[s, 0] = value
+            out[s, 1] = gz * normals[s, 0] + gy * normals[s, 1] + gx * normals[s, 2]

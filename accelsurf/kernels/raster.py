@@ -107,15 +107,15 @@ def paint(covered, shown, triangles, vertices, rims, lights, pixels):
     triangle, weights = shown[0].ravel(), shown[1].reshape(-1, 3)
     normals, colours = vertices
     key, fill, half = lights
-    n, own = np.empty(3), np.empty(3)
+    n, colour = np.empty(3), np.empty(3)
     for row in range(covered.shape[0]):
         pixel = covered[row]
         t = triangle[pixel]
         for axis in range(3):
-            n[axis], own[axis] = 0.0, 0.0
+            n[axis], colour[axis] = 0.0, 0.0
             for corner in range(3):
                 n[axis] += weights[pixel, corner] * normals[triangles[t, corner], axis]
-                own[axis] += weights[pixel, corner] * colours[triangles[t, corner], axis]
+                colour[axis] += weights[pixel, corner] * colours[triangles[t, corner], axis]
         length = max(np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]), 1e-30)
         # Interpolated normals may point away at the rim.
         length = -length if n[2] < 0.0 else length
@@ -124,5 +124,5 @@ def paint(covered, shown, triangles, vertices, rims, lights, pixels):
         light += 0.16 * max(x * fill[0] + y * fill[1] + z * fill[2], 0.0)
         shine = 0.18 * max(x * half[0] + y * half[1] + z * half[2], 0.0) ** 30
         for i in range(3):
-            pixels[pixel, i] = min(max(light * rims[row] * own[i] + shine, 0.0), 1.0)
+            pixels[pixel, i] = min(max(light * rims[row] * colour[i] + shine, 0.0), 1.0)
         pixels[pixel, 3] = 1.0

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.cosine import bump, sine_of_pi
+from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.differences import (
     curvature_at_foot,
     curvatures,
@@ -15,8 +14,8 @@ from accelsurf.kernels.differences import (
     mirrored_curvatures,
 )
 from accelsurf.kernels.grid import BATCH, BLOCK, unravel, voxels_along
-from accelsurf.kernels.stages import Stage
 from accelsurf.kernels.stencils import CURVATURES, ROW, block_curvatures, block_memory, gather_block
+from accelsurf.kernels.waves import bump, sine_of_pi
 
 #: Half width of the layer that the area is measured in, voxels along the normal: with 3/2 the samples of a plane
 #: along an axis add up to 1 exactly.
@@ -186,7 +185,7 @@ def measures_alike(grid, distance, memory, limits, measured):
 
 @kernel
 def room_to_border(p, n, step):
-    """How far index ``p`` is from the outermost voxels' centres of an axis of ``n``, in steps of ``step`` voxels."""
+    """Distance of index ``p`` from the outermost voxels' centres of an axis of ``n``, in steps of ``step`` voxels."""
     if n == 1 or abs(step) < 1e-6:
         return np.inf
     return max(min(p, n - 1.0 - p), 0.0) / abs(step)

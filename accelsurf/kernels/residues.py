@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.kernels._jit import kernel
+from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.grid import BATCH, unravel
 from accelsurf.kernels.interpolate import value_and_gradient
 from accelsurf.kernels.limited import LEVELS, enter_point, four_nodes, limited_in_vectors, limited_memory
 from accelsurf.kernels.simd.cubic import cubic_value
-from accelsurf.kernels.stages import Stage
 
 #: Smallest residue that counts, voxels; larger ones count by what they exceed it. So feet that disagree come together
 #: by this much in a redistancing.
@@ -34,7 +33,7 @@ OWN_RESIDUE = 1.0
 
 @kernel
 def known_point(s, grid, band, motion):
-    """Where the foot of slot ``s`` is after ``motion`` = (velocity (n, 3), dt): index coordinates z, y, x."""
+    """Foot of slot ``s`` after ``motion`` = (velocity (n, 3), dt): index coordinates z, y, x."""
     velocity, dt = motion
     iz, iy, ix = unravel(band.cells[s], grid)
     return (
@@ -46,7 +45,7 @@ def known_point(s, grid, band, motion):
 
 @kernel
 def has_own_residue(s, grid, band):
-    """Whether slot ``s`` is within `OWN_RESIDUE` of the surface."""
+    """Test if slot ``s`` is within `OWN_RESIDUE` of the surface."""
     fz, fy, fx = band.to_closest[s, 0] / grid.hz, band.to_closest[s, 1] / grid.hy, band.to_closest[s, 2] / grid.hx
     return fz * fz + fy * fy + fx * fx <= OWN_RESIDUE * OWN_RESIDUE
 
@@ -71,7 +70,7 @@ def nearest_slot(slot, grid, pz, py, px):
 
 @kernel
 def is_at_surface(psi, grid, pz, py, px):
-    """Whether psi has both signs around an index position: what has lost its inside must not be held in place."""
+    """Test if psi has both signs around an index position: what has lost its inside must not be held in place."""
     inside = 0
     iz, iy, ix = np.int64(np.floor(pz)), np.int64(np.floor(py)), np.int64(np.floor(px))
     if 0 <= iz < grid.nz - 1 and 0 <= iy < grid.ny - 1 and 0 <= ix < grid.nx - 1:
@@ -105,9 +104,9 @@ def own_residues(start, stop, psi, grid, band, motion, out):
     """Residue (mm) of every cell within `OWN_RESIDUE`; 0 elsewhere, and beside no surface.
 
     ``psi`` is a distance and ``band`` its band, or psi has moved since, by ``motion`` = (velocity (n, 3), dt).
-    ``out`` = (residue (n,) float32, own (n,) bool): whether the cell is so near.
+    ``out`` = (residue (n,) float32, near (n,) bool): whether the cell is so near.
     """
-    residue, own = out
+    residue, near = out
     w = np.empty(24)
     h = min(grid.hz, min(grid.hy, grid.hx))
     least, most = MIN_RESIDUE * h, MAX_RESIDUE * h
@@ -119,8 +118,8 @@ def own_residues(start, stop, psi, grid, band, motion, out):
     for s in range(np.uint64(start), np.uint64(stop)):
         residue[s] = 0.0
         # The length of the foot, when psi was a distance.
-        own[s] = abs(band.psi[s]) <= furthest and has_own_residue(s, grid, band)
-        if not own[s]:
+        near[s] = abs(band.psi[s]) <= furthest and has_own_residue(s, grid, band)
+        if not near[s]:
             continue
         pz, py, px = known_point(s, grid, band, motion)
         bz, by, bx = int(pz) - 1, int(py) - 1, int(px) - 1
@@ -146,13 +145,13 @@ def distant_residues(start, stop, slot, grid, band, motion, out):
 
     ``out`` as `own_residues` has filled it.
     """
-    residue, own = out
+    residue, near = out
     for s in range(np.uint64(start), np.uint64(stop)):
-        if own[s]:
+        if near[s]:
             continue
         pz, py, px = known_point(s, grid, band, motion)
         nearest = nearest_slot(slot, grid, pz, py, px)
-        if nearest >= 0 and own[np.uint64(nearest)]:
+        if nearest >= 0 and near[np.uint64(nearest)]:
             residue[s] = residue[np.uint64(nearest)]
 
 

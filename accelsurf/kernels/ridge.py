@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelsurf.kernels._jit import kernel
-from accelsurf.kernels.foot_checks import is_near_volume
+from accelsurf.kernels.closest import is_near_volume
 from accelsurf.kernels.grid import BATCH, step_of, unravel
 
 #: A cell takes another foot, of a neighbour or beyond a ridge, when that is closer by this many voxels.
@@ -18,7 +18,7 @@ MIN_LENGTH = 0.1
 
 @kernel
 def towards_ridge(value, towards, back, least):
-    """Whether a ridge may have come across a cell of psi = ``value`` from the neighbour ``towards``, of psi: 1 or 0.
+    """Test if a ridge may have come across a cell of psi = ``value`` from the neighbour ``towards``, of psi: 1 or 0.
 
     ``value`` and ``towards``, and ``back`` on the opposite side, count away from the surface; ``least`` is the smallest
     spacing. Where psi rises along the axis none has: most cells need no more than this.
@@ -63,7 +63,7 @@ def beyond_ridges(slots, slot, grid, band, residue, memory, out):
             continue
         s = slots[i]
         cell = band.cells[s]
-        own = foot[s]
+        to_closest = foot[s]
         inside = rows[i] < 0.0
         # So that psi counts away from the surface on either side of it.
         sign = -1.0 if inside else 1.0
@@ -77,7 +77,7 @@ def beyond_ridges(slots, slot, grid, band, residue, memory, out):
             if other < 0:
                 continue
             # Nearly always this ends it.
-            if foot[other, 0] * own[0] + foot[other, 1] * own[1] + foot[other, 2] * own[2] >= 0.0:
+            if foot[other, 0] * to_closest[0] + foot[other, 1] * to_closest[1] + foot[other, 2] * to_closest[2] >= 0.0:
                 continue
             if (old[other] < 0.0) != inside or abs(old[other]) < MIN_LENGTH * h:
                 continue

@@ -1,12 +1,11 @@
-"""Statistics of many values without copies: order statistics by their bits, sums by blocks of slots and by cubes."""
+"""Statistics of many values without copies: order statistics by their bits, histograms, sums by blocks and by cubes."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.kernels._jit import kernel
+from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.grid import BLOCK, voxels_along
-from accelsurf.kernels.stages import Stage
 
 
 @kernel
@@ -51,13 +50,13 @@ def magnitude_at_rank(values, where, rank):
 
 
 @kernel(stage=Stage.FLOW)
-def products(first_block, last_block, weight, one, other, sums):
-    """Per block of slots: sums[block, 0] = sum of weight x one x other."""
+def products(first_block, last_block, weight, first, second, sums):
+    """Per block of slots: sums[block, 0] = sum of weight x first x second."""
     for block in range(first_block, last_block):
         total = 0.0
         for s in range(block * BLOCK, min((block + 1) * BLOCK, weight.shape[0])):
             if weight[s] != 0.0:
-                total += weight[s] * np.float64(one[s]) * np.float64(other[s])
+                total += weight[s] * np.float64(first[s]) * np.float64(second[s])
         sums[block, 0] = total
 
 
@@ -92,7 +91,7 @@ def displacement_sums(first_block, last_block, grid, band, area, before, limits,
 
 @kernel
 def rank_of(cells, cell):
-    """How many of ``cells``, in rising order, lie before ``cell``."""
+    """Number of ``cells``, in rising order, that lie before ``cell``."""
     low, high = 0, cells.shape[0]
     while low < high:
         middle = (low + high) // 2
@@ -120,3 +119,87 @@ def sums_by_cube(cells, values, scale, row_cubes, column_cubes, reached, sums):
         cube = row_cubes[row] + column_cubes[cells[s] - first]
         reached[cube] = True
         sums[cube] += np.float64(values[s] * scale)
+
+
+@kernel
+def bin_of(value, low, per_value, bins):
+    """Bin below a value, and the share of the bin above it; values beyond the ends belong to the end bins."""
+    place = (np.float64(value) - low) * per_value
+    place = min(max(place, 0.0), bins - 1.0)
+    below = min(int(place), bins - 2)
+    return below, place - below
+
+
+@kernel(stage=Stage.ENERGY)
+def weighted_histogram(first_block, last_block, cells, weight, image, scale, sums):
+    """Per block of slots: sums[block] = histogram of the image at ``cells``, each times ``weight``.
+
+    ``scale`` = (value of the first bin, bins per value); the bins are the columns of ``sums``.
+    """
+    low, per_value = scale
+    bins = sums.shape[1]
+    for block in range(first_block, last_block):
+        for s in range(block * BLOCK, min((block + 1) * BLOCK, cells.shape[0])):
+            if weight[s] != 0.0:
+                below, share = bin_of(image[cells[s]], low, per_value, bins)
+                sums[block, below] += weight[s] * (1.0 - share)
+                sums[block, below + 1] += weight[s] * share
+
+
+@kernel(stage=Stage.ENERGY)
+def inside_histogram(first_plane, last_plane, dense, image, grid, scale, sums):
+    """Per plane of the volume: histogram of the image over the inside voxels not in the band."""
+    low, per_value = scale
+    bins = sums.shape[1]
+    size = grid.ny * grid.nx
+    for plane in range(first_plane, last_plane):
+        for cell in range(plane * size, (plane + 1) * size):
+            if dense.slot[cell] < 0 and dense.psi[cell] < 0.0:
+                below, share = bin_of(image[cell], low, per_value, bins)
+                sums[plane, below] += 1.0 - share
+                sums[plane, below + 1] += share
+
+
+@kernel(stage=Stage.ENERGY)
+def look_up(start, stop, values, scale, table, out):
+    """Write the ``table`` at each of the values of the range, linear between bins, to ``out``."""
+    low, per_value = scale
+    for s in range(start, stop):
+        below, share = bin_of(values[s], low, per_value, table.shape[0])
+        out[s] = table[below] + share * (table[below + 1] - table[below])
+
+
+@kernel
+def count_integers(values, least, counts):
+    """Add to ``counts`` (n,) int64 how often each of ``least``, ``least`` + 1, ... is among ``values`` (m,)."""
+    for i in range(values.shape[0]):
+        counts[np.int64(values[i]) - least] += 1
+
+
+@kernel
+def ordered_bits(bits):
+    """Bits of a float32 as a number that is in the order of the floats; -0 as 0."""
+    sign = np.uint32(0x80000000)
+    if bits & sign:
+        return ~bits if bits != sign else sign
+    return bits | sign
+
+
+@kernel
+def count_high_bits(bits, counts):
+    """Add to ``counts`` (65536,) int64 how often each upper half of `ordered_bits` is among ``bits`` (m,) uint32."""
+    for i in range(bits.shape[0]):
+        counts[ordered_bits(bits[i]) >> np.uint32(16)] += 1
+
+
+@kernel
+def count_low_bits(bits, row_of, counts):
+    """The same of the lower halves, into the row of ``counts`` (rows, 65536) that the upper half has.
+
+    ``row_of`` (65536,) int64 is -1 where an upper half is not counted.
+    """
+    for i in range(bits.shape[0]):
+        ordered = ordered_bits(bits[i])
+        row = row_of[ordered >> np.uint32(16)]
+        if row >= 0:
+            counts[row, ordered & np.uint32(0xFFFF)] += 1

@@ -93,19 +93,19 @@ def gather_block(cell, iz, iy, ix, psi, grid, memory, i):
     """
     if not (0 < iz < grid.nz - 1 and 0 < iy < grid.ny - 1 and 0 < ix < grid.nx - 1):
         return False
-    i, at, one = np.uint64(i), np.uint64(cell), np.uint64(1)
+    i, at, unit = np.uint64(i), np.uint64(cell), np.uint64(1)
     plane, row = np.uint64(grid.ny * grid.nx), np.uint64(grid.nx)
     below, above = at - plane, at + plane
     memory[i] = psi[at]
     memory[ROW[1] + i], memory[ROW[2] + i] = psi[below], psi[above]
     memory[ROW[3] + i], memory[ROW[4] + i] = psi[at - row], psi[at + row]
-    memory[ROW[5] + i], memory[ROW[6] + i] = psi[at - one], psi[at + one]
+    memory[ROW[5] + i], memory[ROW[6] + i] = psi[at - unit], psi[at + unit]
     memory[ROW[7] + i], memory[ROW[8] + i] = psi[below - row], psi[below + row]
     memory[ROW[9] + i], memory[ROW[10] + i] = psi[above - row], psi[above + row]
-    memory[ROW[11] + i], memory[ROW[12] + i] = psi[below - one], psi[below + one]
-    memory[ROW[13] + i], memory[ROW[14] + i] = psi[above - one], psi[above + one]
-    memory[ROW[15] + i], memory[ROW[16] + i] = psi[at - row - one], psi[at - row + one]
-    memory[ROW[17] + i], memory[ROW[18] + i] = psi[at + row - one], psi[at + row + one]
+    memory[ROW[11] + i], memory[ROW[12] + i] = psi[below - unit], psi[below + unit]
+    memory[ROW[13] + i], memory[ROW[14] + i] = psi[above - unit], psi[above + unit]
+    memory[ROW[15] + i], memory[ROW[16] + i] = psi[at - row - unit], psi[at - row + unit]
+    memory[ROW[17] + i], memory[ROW[18] + i] = psi[at + row - unit], psi[at + row + unit]
     return True
 
 

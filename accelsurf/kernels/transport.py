@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.kernels._jit import kernel
+from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.differences import gradient
 from accelsurf.kernels.grid import neighbours, unravel
 from accelsurf.kernels.interpolate import axis_weights, linear_band_value, value_and_gradient
-from accelsurf.kernels.stages import Stage
 
 #: Fixed-point iterations for a departure point; each gains a factor dt |grad V|, at most about 1/10. The first needs
 #: no more than linear interpolation.
@@ -169,7 +168,7 @@ def departure_point(velocity, slot, grid, target, dt, scratch, at):
 
 @kernel
 def has_stencil(slot, grid, position, w):
-    """Whether all nodes of the cubic interpolation at ``position`` are in the band."""
+    """Test if all nodes of the cubic interpolation at ``position`` are in the band."""
     bz, mz, _ = axis_weights(position[0], grid.nz, w, 0)
     by, my, _ = axis_weights(position[1], grid.ny, w, 8)
     bx, mx, _ = axis_weights(position[2], grid.nx, w, 16)
@@ -330,7 +329,7 @@ def advect_fields(start, stop, slot, grid, band, motion, values, out):
         target[1] = iy + band.to_closest[s, 1] / grid.hy
         target[2] = ix + band.to_closest[s, 2] / grid.hx
         departure_point(velocity, slot, grid, target, dt, (w, v), at)
-        own = slot[cell]
+        previous = slot[cell]
         known = band_vector_at(values, slot, grid, at, w, found)
         for c in range(limited, m):
             if known:
@@ -339,7 +338,7 @@ def advect_fields(start, stop, slot, grid, band, motion, values, out):
             if known:
                 out[s, c] = found[c]
             else:
-                out[s, c] = values[own, c] if own >= 0 and own < values.shape[0] else 0.0
+                out[s, c] = values[previous, c] if previous >= 0 and previous < values.shape[0] else 0.0
 
 
 @kernel(stage=Stage.EXTENSION)

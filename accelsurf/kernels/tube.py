@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelsurf.kernels._jit import kernel
+from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.grid import neighbours, unravel, voxels_along
-from accelsurf.kernels.stages import Stage
 
 
 @kernel(stage=Stage.FLOW)

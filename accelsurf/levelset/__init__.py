@@ -1,10 +1,8 @@
 """The surface on the grid: a narrow band of signed distance around the zero level of psi, without images."""
 
 from accelsurf.levelset.checkpoint import SurfaceState, checkpoint_surface, restore_surface
-from accelsurf.levelset.displacement import FAR, Snapshot
-from accelsurf.levelset.extent import extent_of, inside_extent_of
 from accelsurf.levelset.level_set import FRONT_WIDTH, NO_CELLS, LevelSet
-from accelsurf.levelset.measures import BandChange
+from accelsurf.levelset.measures import FAR, BandChange, Motion, Snapshot
 from accelsurf.levelset.threads import Workers, dot
 
 __all__ = [
@@ -13,12 +11,11 @@ __all__ = [
     "NO_CELLS",
     "BandChange",
     "LevelSet",
+    "Motion",
     "Snapshot",
     "SurfaceState",
     "Workers",
     "checkpoint_surface",
     "dot",
-    "extent_of",
-    "inside_extent_of",
     "restore_surface",
 ]

@@ -36,12 +36,7 @@ def checkpoint_surface(surface: LevelSet) -> SurfaceState:
 
     The arrays of the band are shared: a step makes new ones and leaves the old as they are.
     """
-    band = surface.band
-    inside = np.packbits(surface.dense.psi[_stretches(band.cells, surface.shape)] < 0)
-    small = surface.dense.psi.size < 2**32
-    cells = band.cells.astype(np.uint32) if small else band.cells
-    beyond, width = surface.inside_beyond_band, surface.requested_half_width
-    return SurfaceState(cells, band.psi, band.to_closest, inside, beyond, width)
+    return complete_state(band_state(surface), surface)
 
 
 def band_state(surface: LevelSet) -> SurfaceState:
@@ -79,7 +74,7 @@ def psi_of(state: SurfaceState, shape: tuple[int, int, int], far: float) -> np.n
 
 
 def _sides(state: SurfaceState, cells: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
-    """Whether each voxel of the raveled grid lies inside; of no meaning in the band."""
+    """Mask of the voxels of the raveled grid that lie inside; of no meaning in the band."""
     total = shape[0] * shape[1] * shape[2]
     first = _stretches(cells, shape)
     signs = np.unpackbits(state.inside, count=first.size).astype(np.bool_)

@@ -11,6 +11,7 @@ from accelsurf.levelset.extension import FAST_MARCHING
 
 if TYPE_CHECKING:
     from accelsurf.levelset.level_set import LevelSet
+    from accelsurf.levelset.measures import Motion
 
 #: Rounds in which closest points are passed on: more than the cells of a path through the band.
 MAX_ROUNDS = 64
@@ -60,34 +61,35 @@ def find_closest_points(surface: LevelSet) -> ClosestPoints:
         if cells.size > residue.size:
             more = cells.size - residue.size
             residue, refined_later = np.pad(residue, (0, more)), np.pad(refined_later, (0, more))
-        on = surface.workers.serial(march.take_active, open_slots, n, size, active)
-        if on.size == 0:
+        active_slots = surface.workers.serial(march.take_active, open_slots, n, size, active)
+        if active_slots.size == 0:
             break
-        changed, was_open = np.empty(on.size, np.bool_), state[on] == march.OPEN
-        nearer = np.empty((on.size, 3), np.float32), changed, np.empty(on.size, np.float32)
-        parallel(march.propagate_feet, on.size, dense, grid, (cells, to_closest, state, residue), on, nearer)
-        parallel(march.update_feet, on.size, on, nearer, (to_closest, state, residue))
+        changed, was_open = np.empty(active_slots.size, np.bool_), state[active_slots] == march.OPEN
+        nearer = np.empty((active_slots.size, 3), np.float32), changed, np.empty(active_slots.size, np.float32)
+        rows = cells, to_closest, state, residue
+        parallel(march.propagate_feet, active_slots.size, dense, grid, rows, active_slots, nearer)
+        parallel(march.update_feet, active_slots.size, active_slots, nearer, (to_closest, state, residue))
         # The first closest point of a cell is refined at once, as neighbours take it over; the others at the end.
-        sources, first = surface.workers.serial(march.sort_changes, on, changed, was_open, refined_later)
+        sources, first = surface.workers.serial(march.sort_changes, active_slots, changed, was_open, refined_later)
         parallel(march.refine_feet, first.size, dense.psi, grid, cells, first, to_closest, (residue, limited))
     later = np.flatnonzero(refined_later[:size])
     parallel(march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest, (residue, limited))
     return ClosestPoints(cells, to_closest, state, size)
 
 
-def find_residues(surface: LevelSet, velocity: np.ndarray, dt: float) -> np.ndarray:
-    """Residues (n,) float32 of psi at the closest points of the band, moved by ``dt`` of ``velocity`` (n, 3) since."""
+def find_residues(surface: LevelSet, moved: Motion) -> np.ndarray:
+    """Residues (n,) float32 of psi at the closest points of the band, ``moved`` since."""
     parallel, psi, slot = surface.workers.parallel, surface.dense.psi, surface.dense.slot
-    motion = np.ascontiguousarray(velocity, np.float32), float(dt)
-    out, own = np.empty(surface.size, np.float32), np.empty(surface.size, np.bool_)
-    parallel(residues.own_residues, surface.size, psi, surface.grid, surface.band, motion, (out, own))
+    motion = np.ascontiguousarray(moved.velocity, np.float32), float(moved.dt)
+    out, near = np.empty(surface.size, np.float32), np.empty(surface.size, np.bool_)
+    parallel(residues.own_residues, surface.size, psi, surface.grid, surface.band, motion, (out, near))
     # A smooth surface has none that count.
     if out.any() and surface.extension == FAST_MARCHING:
         beside = beside_surface(surface, surface.band.psi)
         where = slot, surface.grid, surface.band, motion
         parallel(fast_marching.front_residues, surface.size, *where, beside, out)
     elif out.any():
-        parallel(residues.distant_residues, surface.size, slot, surface.grid, surface.band, motion, (out, own))
+        parallel(residues.distant_residues, surface.size, slot, surface.grid, surface.band, motion, (out, near))
     return out
 
 

@@ -13,6 +13,7 @@ from accelsurf.kernels.grid import Band
 
 if TYPE_CHECKING:
     from accelsurf.levelset.level_set import LevelSet
+    from accelsurf.levelset.measures import Motion
     from accelsurf.levelset.threads import Workers
 
 
@@ -21,7 +22,7 @@ CLOSEST_POINT, FAST_MARCHING = "closest-point", "fast-marching"
 
 
 class ExtensionTable(NamedTuple):
-    """Where cells off the front read the front's values, see `kernels.band.outward_table`.
+    """Table of the places where cells off the front read the front's values, see `kernels.band.outward_table`.
 
     ``front`` (n,) bool; ``off`` (m,) uint32 slots that are extended to; ``slots`` (m, 8) uint32 and ``shares`` (m, 8)
     float32 of the cells that they read. Unsigned: a kernel tests a signed index for being negative.
@@ -105,7 +106,7 @@ def front_rows(surface: LevelSet, front: np.ndarray) -> FrontRows:
 def _quadratic_table(
     surface: LevelSet, row_of: np.ndarray, off: np.ndarray, component: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How the slots ``off`` (k,) read the rows ``row_of`` (n,) has: (read, shares, mirrored), see `FrontRows`."""
+    """Find how the slots ``off`` (k,) read the rows ``row_of`` (n,) has: (read, shares, mirrored), see `FrontRows`."""
     table = np.empty((off.size, 10), np.uint32), np.empty((off.size, 10), np.float32), np.empty(off.size, np.int8)
     where = surface.dense.slot, surface.grid, surface.band
     surface.workers.parallel(band_kernels.quadratic_table, off.size, *where, row_of, off, component, table)
@@ -127,9 +128,9 @@ def sampled(
 
 
 def advected(
-    surface: LevelSet, new: Band, fields: Sequence[np.ndarray], velocity: np.ndarray, dt: float
+    surface: LevelSet, new: Band, fields: Sequence[np.ndarray], moved: Motion
 ) -> list[np.ndarray]:
-    """Return fields (n_old,) on a new band, from the points that ``velocity`` (n_old, 3) moved there in ``dt``.
+    """Return fields (n_old,) on a new band, from the points that ``moved`` there.
 
     The first three are the velocity's components; what it transports, such as a density, is interpolated and limited.
     """
@@ -137,7 +138,7 @@ def advected(
         return []
     values = np.stack(fields, axis=1).astype(np.float32, copy=False)
     out = np.empty((new.cells.size, len(fields)), np.float32)
-    motion = four_columns(velocity), dt, 3
+    motion = four_columns(moved.velocity), moved.dt, 3
     surface.workers.parallel(
         transport.advect_fields, new.cells.size, surface.dense.slot, surface.grid, new, motion, values, out
     )

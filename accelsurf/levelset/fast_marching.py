@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from accelsurf.kernels import fast_marching, march, upwind_extension
+from accelsurf.kernels import fast_marching, march
 from accelsurf.kernels.band import MIN_DISTANCE
 from accelsurf.kernels.eikonal import ACCEPTED, FAR
 from accelsurf.levelset.closest_points import MAX_ROUNDS, ClosestPoints, beside_surface
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def march_outwards(surface: LevelSet) -> ClosestPoints:
-    """As `closest_points.find_closest_points`, with those of the cells beside the surface alone sought in psi.
+    """Find closest points as `closest_points.find_closest_points`, with only those beside the surface sought in psi.
 
     Distances further off are those of a fast march, and the closest points fields that it carries.
     """
@@ -47,8 +47,8 @@ def march_outwards(surface: LevelSet) -> ClosestPoints:
 def _with_room(known: tuple[np.ndarray, ...], heap: tuple[np.ndarray, ...]) -> tuple[tuple[np.ndarray, ...], ...]:
     """The arrays of a march with room for half as many entries again."""
     more = known[0].size // 2 + 1024
-    rows = tuple(np.concatenate([one, np.zeros((more, *one.shape[1:]), one.dtype)]) for one in known)
-    return rows, tuple(np.concatenate([one, np.zeros(more, one.dtype)]) for one in heap)
+    rows = tuple(np.concatenate([row, np.zeros((more, *row.shape[1:]), row.dtype)]) for row in known)
+    return rows, tuple(np.concatenate([row, np.zeros(more, row.dtype)]) for row in heap)
 
 
 def _find_closest_beside(surface: LevelSet, front: np.ndarray, to_closest: np.ndarray) -> None:
@@ -74,7 +74,7 @@ def _find_closest_beside(surface: LevelSet, front: np.ndarray, to_closest: np.nd
 
 
 class UpwindExtension(NamedTuple):
-    """Order and weights in which the band reads the values known beside the surface, see `kernels.upwind_extension`.
+    """Order and weights in which the band reads the values known beside the surface, see `kernels.fast_marching`.
 
     ``front`` (n,) bool is where values are given; of these, those beside the surface count. ``beside`` fills in the
     cells there that are not on the front. ``off`` (m,) int64 are the other slots in order of distance; ``slots`` (m, 6)
@@ -90,7 +90,7 @@ class UpwindExtension(NamedTuple):
     def extend(self, workers: Workers, values: np.ndarray) -> None:
         """Overwrite ``values`` (n,) at all slots but those on the front and beside the surface."""
         self.beside.extend(workers, values)
-        workers.serial(upwind_extension.carry_outwards, self.off, self.slots, self.shares, values)
+        workers.serial(fast_marching.carry_outwards, self.off, self.slots, self.shares, values)
 
 
 def extension_from(surface: LevelSet, front: np.ndarray) -> ExtensionTable | UpwindExtension:
@@ -99,12 +99,12 @@ def extension_from(surface: LevelSet, front: np.ndarray) -> ExtensionTable | Upw
         return extension_table(surface, front, np.flatnonzero(~front))
     workers, band = surface.workers, surface.band
     beside = beside_surface(surface, band.psi)
-    order = workers.serial(upwind_extension.order_of, np.abs(band.psi))
+    order = workers.serial(fast_marching.order_of, np.abs(band.psi))
     off = order[~beside[order]]
     slots, shares = np.empty((off.size, 6), np.int32), np.empty((off.size, 6), np.float32)
     known = band.cells, band.to_closest, band.psi, np.full(surface.size, ACCEPTED, np.int8)
     workers.parallel(
-        upwind_extension.upwind_table, off.size, surface.dense.slot, surface.grid, known, off, (slots, shares)
+        fast_marching.upwind_table, off.size, surface.dense.slot, surface.grid, known, off, (slots, shares)
     )
     missing = extension_table(surface, front & beside, np.flatnonzero(beside & ~front))
     return UpwindExtension(front, missing, off, slots, shares)

@@ -6,13 +6,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.kernels import band as band_kernels
-from accelsurf.kernels import components, differences, motion, region, residues, surface_voxels, transport
+from accelsurf.kernels import components, differences, motion, region, residues, transport
 from accelsurf.kernels.grid import Band, DenseArrays, Grid
 from accelsurf.levelset.closest_points import find_closest_points, find_residues
-from accelsurf.levelset.displacement import Displacement, Snapshot, displacement
 from accelsurf.levelset.extension import (
     CLOSEST_POINT,
     FAST_MARCHING,
@@ -25,7 +25,7 @@ from accelsurf.levelset.extension import (
     sampled,
 )
 from accelsurf.levelset.fast_marching import UpwindExtension, extension_from, march_outwards
-from accelsurf.levelset.measures import BandChange, Measures
+from accelsurf.levelset.measures import BandChange, Displacement, Measures, Motion, Snapshot, displacement
 from accelsurf.levelset.threads import Workers
 
 #: Distance from the surface, in voxels, within which cells count as the front: forces, curvature and kicks
@@ -83,9 +83,9 @@ class LevelSet:
         spacings = axis_steps(self.shape, spacing)
         # Nothing happens along an axis of one voxel: for the kernels it is as fine as the others, and the thickness
         # of the slice only scales volumes and areas.
-        own = [float(h) if n > 1 else min(spacings) for n, h in zip(self.shape, spacing, strict=True)]
-        self.grid = Grid(*self.shape, *own)
-        self._thickness = math.prod(spacing) / math.prod(own)
+        steps = [float(h) if n > 1 else min(spacings) for n, h in zip(self.shape, spacing, strict=True)]
+        self.grid = Grid(*self.shape, *steps)
+        self._thickness = math.prod(spacing) / math.prod(steps)
         # A stencil across a slanted surface extends further, in voxels along the normal, the less the spacings are
         # alike: at most by |n/h| |h n| <= (ratio + 1/ratio)/2 (Kantorovich).
         self._slant = 0.5 * (max(spacings) / min(spacings) + min(spacings) / max(spacings))
@@ -109,11 +109,11 @@ class LevelSet:
         workers, psi, voxels = self.workers, self.dense.psi, self.dense.psi.size
         rows = self.shape[0] * self.shape[1]
         row_inside, counts = np.empty(rows, np.int32), np.empty(rows, np.int64)
-        workers.parallel(surface_voxels.count_inside, rows, psi, self.grid, row_inside)
-        workers.parallel(surface_voxels.count_front, rows, psi, self.grid, row_inside, counts)
+        workers.parallel(band_kernels.count_inside, rows, psi, self.grid, row_inside)
+        workers.parallel(band_kernels.count_front, rows, psi, self.grid, row_inside, counts)
         ends = np.cumsum(counts)
         cells = np.empty(int(counts.sum()), np.int64)
-        workers.parallel(surface_voxels.front_cells, rows, psi, self.grid, row_inside, ends, cells)
+        workers.parallel(band_kernels.front_cells, rows, psi, self.grid, row_inside, ends, cells)
         self.dense.slot[cells] = np.arange(cells.size, dtype=np.int32)
         self.band = Band(cells, psi[cells], np.zeros((cells.size, 3), np.float32))
         inside = int(row_inside.sum(dtype=np.int64))
@@ -134,7 +134,7 @@ class LevelSet:
     def psi(self) -> np.ndarray:
         """Signed distance (nz, ny, nx), float32, mm; a read-only view, +-gamma outside the band."""
         view = self.dense.psi.reshape(self.shape)
-        view.flags.writeable = False
+        view.setflags(write=False)
         return view
 
     @property
@@ -221,9 +221,16 @@ class LevelSet:
         """Volume inside (mm3), ``fraction`` being the shares of `fraction_and_area`."""
         return (self.inside_beyond_band + float(fraction.sum())) * self.voxel_volume
 
+    def extent(self, inside_only: bool = False) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First voxel (3,) of the band, or of its voxels inside, and the one after the last; both 0 without any."""
+        cells, out = self.band.cells[self.band.psi < 0] if inside_only else self.band.cells, np.zeros((2, 3), np.int64)
+        if cells.size:
+            self.workers.serial(band_kernels.extent, cells, self.grid, out)
+        return out[0], out[1]
+
     @property
     def is_filled(self) -> bool:
-        """Whether there is no surface because everything is inside."""
+        """True if there is no surface because everything is inside."""
         return self.size == 0 and bool(self.dense.psi[0] < 0)
 
     def snapshot(self) -> Snapshot:
@@ -259,7 +266,7 @@ class LevelSet:
         self.dense.psi[self.band.cells] = out
         # The interpolation at the departure points errs too: what it leaves at the points that V moved is known now.
         self._residues = None
-        self._find_residues((velocity, dt))
+        self._find_residues(Motion(velocity, dt))
 
     def normals(self) -> np.ndarray:
         """Inward unit normal N (n, 3), z y x, of the surface at the closest point of every cell."""
@@ -303,7 +310,7 @@ class LevelSet:
         return self._rows if component < 0 else self._rows.turned(self, component)
 
     def redistance(
-        self, fields: Sequence[np.ndarray] = (), advection: tuple[np.ndarray, float] | None = None
+        self, fields: Sequence[np.ndarray] = (), advection: Motion | None = None
     ) -> BandChange:
         """Make psi a distance again about its zero level, move the band after it, extend ``fields``.
 
@@ -312,7 +319,7 @@ class LevelSet:
         fields : sequence of ndarray (n,)
             Values on the present band. Each comes back on the new band, constant along normals: at the front by its
             value at the closest point of every cell, further off as `extend_outwards` has it.
-        advection : (velocity (n, 3), dt), optional
+        advection : Motion, optional
             The motion since the last redistancing, when the fields are advected with it: they are then
             sampled at the point that moved to the closest point.
 
@@ -335,7 +342,7 @@ class LevelSet:
         parallel(band_kernels.gather_band, size, self.dense.psi, self.grid, order, old, new)
         front = np.empty(size, np.bool_)
         parallel(band_kernels.front_mask, size, self.grid, new, FRONT_WIDTH, front)
-        extended = sampled(self, new, front, fields) if advection is None else advected(self, new, fields, *advection)
+        extended = sampled(self, new, front, fields) if advection is None else advected(self, new, fields, advection)
 
         entered_cells, left_cells = cells[entered], cells[:n][~keep[:n]]
         change = BandChange(
@@ -361,10 +368,10 @@ class LevelSet:
             self._find_residues()
         return self._residues
 
-    def _find_residues(self, motion: tuple[np.ndarray, float] | None = None) -> None:
-        """Find the residues if they are not known: of psi as a distance, or moved by ``motion`` = (velocity, dt)."""
+    def _find_residues(self, motion: Motion | None = None) -> None:
+        """Find the residues if they are not known: of psi as a distance, or moved by ``motion`` since."""
         if self._residues is None:
-            self._residues = find_residues(self, *((self.band.to_closest, 0.0) if motion is None else motion))
+            self._residues = find_residues(self, motion or Motion(self.band.to_closest, 0.0))
 
     def _replace_band(self, band: Band) -> None:
         """Replace the band by the one in the dense arrays, and clear what is cached for the old one."""

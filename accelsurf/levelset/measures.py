@@ -1,14 +1,18 @@
-"""What is measured on the band: shares of voxels, area, curvature, and what a redistancing did to it."""
+"""Measures on the band: shares of voxels, area, curvature, displacement, and what a redistancing did to it."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from accelsurf.kernels import statistics
+
+if TYPE_CHECKING:
+    from accelsurf.levelset.level_set import LevelSet
 
 class Measures(NamedTuple):
-    """What was measured on the band, see `LevelSet.fraction_and_area` and `LevelSet.curvature`.
+    """Measures on the band, see `LevelSet.fraction_and_area` and `LevelSet.curvature`.
 
     ``fraction`` and ``area`` (n,); ``curvature`` and ``variation`` (n,), where they could be measured, as ``resolved``
     (n,) says.
@@ -21,8 +25,15 @@ class Measures(NamedTuple):
     resolved: np.ndarray
 
 
+class Motion(NamedTuple):
+    """Motion of the band by ``velocity`` (n, 3), mm per unit time, for a time ``dt``."""
+
+    velocity: np.ndarray
+    dt: float
+
+
 class BandChange(NamedTuple):
-    """What a redistancing did to the band.
+    """Change of the band by a redistancing.
 
     ``entered_inside`` and ``left_inside`` are the raveled cells with psi < 0 that came into the band and
     that left it; ``fields`` are the extended fields on the new band.
@@ -31,3 +42,39 @@ class BandChange(NamedTuple):
     entered_inside: np.ndarray
     left_inside: np.ndarray
     fields: list[np.ndarray]
+
+
+#: A part of the surface that is further than so many voxels from an earlier surface is still moving.
+FAR = 2.0
+
+
+class Snapshot(NamedTuple):
+    """Band cells in raster order and their psi (mm) at one moment."""
+
+    cells: np.ndarray
+    psi: np.ndarray
+
+
+class Displacement(NamedTuple):
+    """Displacement of a surface, voxels: the ``mean`` over its area, and the share of it beyond `FAR`."""
+
+    mean: float
+    far: float
+
+
+def displacement(surface: LevelSet, before: Snapshot) -> Displacement:
+    """Distance of a surface from an earlier one, in voxels along the normal and weighted by area.
+
+    Measured at the voxels that the surface cuts now; where the earlier band did not extend, its half width counts.
+    """
+    _, area = surface.fraction_and_area()
+    if before.cells.size == 0:
+        return Displacement(surface.half_width, 1.0)
+    # A run keeps cells as uint32: the kernel shall not be compiled for both.
+    earlier, limits = (before.cells.astype(np.int64, copy=False), before.psi), (FAR, surface.half_width)
+    whole, moved, far = surface.workers.block_sums(
+        statistics.displacement_sums, area.size, 3, surface.grid, surface.band, area, earlier, limits
+    )
+    if whole == 0:
+        return Displacement(surface.half_width, 1.0)
+    return Displacement(float(moved / whole), float(far / whole))

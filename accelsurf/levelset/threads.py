@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.grid.slabs import sum_in_order
+from accelsurf.grid.boxes import sum_in_order
 from accelsurf.kernels.grid import BATCH, BLOCK
 
 #: Slots of a range are a multiple of this: vectors and their batches are the same for any ranges.
@@ -42,7 +42,7 @@ class Workers:
         self.threads = threads
         #: Band cells handed to kernels so far: the cost of a run that does not depend on the machine.
         self.visited = 0
-        #: Wall seconds by name of kernel, for `--profile`; `kernels.stages` has the stage of each.
+        #: Wall seconds by name of kernel, for `--profile`; `kernels._jit` has the stage of each.
         self.seconds: dict[str, float] = {}
         #: Seconds that a slot, block or plane took one thread in the last call of more than a grain, by name of kernel.
         self._pace: dict[str, float] = {}
@@ -50,21 +50,14 @@ class Workers:
 
     def parallel(self, kernel: Callable[..., Any], size: int, *args: Any) -> None:
         """Call ``kernel(start, stop, *args)`` so that the ranges cover ``0 .. size``."""
-        if size == 0:
-            return
-        self.visited += size
-        began = time.perf_counter()
-        self._share_out(kernel, size, GRAIN, args)
-        self._count(kernel, began)
+        if size:
+            self._run(kernel, size, size, GRAIN, args)
 
     def block_sums(self, kernel: Callable[..., Any], size: int, columns: int, *args: Any) -> np.ndarray:
         """Sum the rows that ``kernel(first_block, last_block, *args, rows)`` leaves, one per block, in order."""
         blocks = -(-size // BLOCK)
-        self.visited += size
         rows = np.zeros((blocks, columns))
-        began = time.perf_counter()
-        self._share_out(kernel, blocks, 1, (*args, rows))
-        self._count(kernel, began)
+        self._run(kernel, size, blocks, 1, (*args, rows))
         total: np.ndarray = rows.sum(axis=0)
         return total
 
@@ -75,11 +68,8 @@ class Workers:
 
         Rows of planes with nothing to add are 0: what is summed has the same bytes on every box that contains it.
         """
-        self.visited += math.prod(shape)
         rows = np.zeros((shape[0], columns))
-        began = time.perf_counter()
-        self._share_out(kernel, shape[0], 1, (*args, rows))
-        self._count(kernel, began)
+        self._run(kernel, math.prod(shape), shape[0], 1, (*args, rows))
         return sum_in_order(rows)
 
     def serial(self, kernel: Callable[..., Any], *args: Any) -> Any:
@@ -88,6 +78,13 @@ class Workers:
         result = kernel(*args)
         self._count(kernel, began)
         return result
+
+    def _run(self, kernel: Callable[..., Any], cells: int, size: int, grain: int, args: tuple[Any, ...]) -> None:
+        """Call a kernel on the ranges of ``0 .. size``, which have so many ``cells``; both are counted."""
+        self.visited += cells
+        began = time.perf_counter()
+        self._share_out(kernel, size, grain, args)
+        self._count(kernel, began)
 
     def _count(self, kernel: Callable[..., Any], began: float) -> None:
         name = kernel.__name__

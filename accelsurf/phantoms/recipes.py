@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from accelsurf.errors import UsageError
+from accelsurf.grid.boxes import slabs
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.slabs import slabs
 from accelsurf.grid.volume import Volume
 from accelsurf.phantoms.recipe_files import checked, read_recipe
 from accelsurf.phantoms.solids import SOLIDS, Solid

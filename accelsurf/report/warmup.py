@@ -6,12 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 from accelsurf.report.rasterizer import render
-from accelsurf.tracking import warmup
+from accelsurf.segmentation import warmup
+from accelsurf.tracking import track
 
 
 def small_runs() -> dict[str, Callable[[], Any]]:
     """Runs by name, that together call every kernel."""
-    return {**warmup.small_runs(), "a picture": _picture}
+    return {**warmup.small_runs(), **track.small_runs(), "a picture": _picture}
 
 
 def _picture() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Corner
-from accelsurf.grid.distances import ball_distance
+from accelsurf.grid.geometry import ball_distance
 from accelsurf.grid.pyramid import Level
 
 

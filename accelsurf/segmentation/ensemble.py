@@ -24,7 +24,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
 from accelsurf.initialization.object_starts import ObjectStart
-from accelsurf.levelset import Workers, inside_extent_of
+from accelsurf.levelset import Workers
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 
@@ -125,7 +125,7 @@ class Ensemble:
 
     def _meet(self) -> list[list[int]]:
         """Set the neighbours of each object; return their positions in the list of objects."""
-        ends = [np.array(one.corner) + inside_extent_of(one.surface) for one in self._objects]
+        ends = [np.array(one.corner) + one.surface.extent(inside_only=True) for one in self._objects]
         low, high = np.array([end[0] for end in ends]), np.array([end[1] for end in ends])
         there = np.all(low < high, axis=1).tolist()
         boxes = meeting(low - NEAR, high + NEAR)

@@ -18,7 +18,7 @@ from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Box, Corner, box_at, corner_of
 from accelsurf.grid.pyramid import Level, prolong
 from accelsurf.initialization.object_starts import ObjectStart
-from accelsurf.levelset import LevelSet, Workers, extent_of
+from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.transfer import shift_fields
 from accelsurf.segmentation.balls import BallEdit, apply_balls
 from accelsurf.segmentation.image_context import ImageContext
@@ -126,7 +126,7 @@ class EvolvingObject:
 
     def extent(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """First voxel of the band and the one after its last, on the level's grid; an empty box without a band."""
-        return tuple(np.array(self.corner) + extent_of(self.surface))
+        return tuple(np.array(self.corner) + self.surface.extent())
 
     def seen(self) -> Box:
         """The voxels of the level's grid that its step depends on: its box, or its band and what its energy sees."""
@@ -225,8 +225,7 @@ class EvolvingObject:
         self.evolution = Evolution(
             surface, energy, flow, limits, self._max_steps, setup.restart, rule, self.level, state, fields
         )
-        self.evolution.corner, self.evolution.end = self.corner, setup.end
-        self.evolution.stop_at_rest = setup.stop_at_rest
+        self.evolution.configure(setup.end, setup.stop_at_rest, self.corner)
         if self._among_others:
             # Neighbours need its speed and band before its first step.
             self.evolution.initialize()

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from accelsurf.energies.seeded.appearance import EVEN_REACH, MIN_EVEN_REACH, radius_of
 from accelsurf.energies.seeded.contest import WALKS_REACH
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.boxes import Box, bounding_box, enclosing, whole_box, widened
+from accelsurf.grid.boxes import Box, bounding_box, enclosing, slabs, whole_box, widened
 from accelsurf.grid.clicks import SIDES, Click
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.slabs import slabs
 from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import GUARD, Window
 from accelsurf.initialization import starts

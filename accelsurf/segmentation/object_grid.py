@@ -12,7 +12,7 @@ from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.grid.boxes import Box, Corner, corner_of, shared, widened
 from accelsurf.grid.click_bounds import ClickBounds
-from accelsurf.grid.distances import farthest
+from accelsurf.grid.geometry import farthest
 from accelsurf.grid.pyramid import Level
 
 #: Margin of an object's box around the object: at least `ROOM` voxels and the fraction `ROOM_PART` of its extent; the

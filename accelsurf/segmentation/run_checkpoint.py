@@ -13,18 +13,17 @@ from numpy.typing import NDArray
 
 from accelsurf import __version__
 from accelsurf.errors import AccelsurfError, InputError
-from accelsurf.evolution.energy_budget import EnergyBudget
 from accelsurf.evolution.lowest import LowestState
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepFields, StepRecord, Stop
 from accelsurf.evolution.rests import FoundRest, RestWatch, Slowest
 from accelsurf.evolution.serialization import from_bytes, to_bytes
-from accelsurf.evolution.state import Checkpoint, LoopState
+from accelsurf.evolution.state import Checkpoint, EnergyBudget, LoopState
 from accelsurf.flows import EnergyRates
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
 from accelsurf.io.files import bytes_within, write_bytes
-from accelsurf.kernels.host import compiler_version, processor_name
+from accelsurf.kernels.storage import compiler_version, processor_name
 from accelsurf.levelset import Snapshot, SurfaceState
 from accelsurf.segmentation.late_growth import GrowthState
 from accelsurf.segmentation.object_records import ObjectCheckpoint

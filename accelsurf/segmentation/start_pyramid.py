@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box, Corner, corner_of
-from accelsurf.grid.distances import farthest
+from accelsurf.grid.geometry import farthest
 from accelsurf.grid.pyramid import Level, prolong, restrict
 from accelsurf.initialization.object_starts import ObjectStart
 

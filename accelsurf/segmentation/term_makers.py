@@ -27,7 +27,13 @@ from accelsurf.energies import (
 from accelsurf.energies.geodesic import edge_contrast as strong_edge
 from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude
 from accelsurf.energies.image_noise import area_against_noise, noise_of
-from accelsurf.energies.likelihood import gaussian_of_sums, least_variance, robust_gaussian_of
+from accelsurf.energies.likelihood import (
+    TwoGaussians,
+    TwoHistograms,
+    gaussian_of_sums,
+    least_variance,
+    robust_gaussian_of,
+)
 from accelsurf.energies.local_region import TENT
 from accelsurf.energies.region_sums import RegionMoments, moments_of
 from accelsurf.energies.threshold import soft_edge
@@ -105,7 +111,7 @@ def likelihood(inputs: TermInputs) -> Made:
         learned = None
         if update == "no":
             counts = parzen.histogram(context.sample(channel))
-            learned = counts, context.sums_of_background(channel, "histogram", parzen.histogram)
+            learned = TwoHistograms(counts, context.sums_of_background(channel, "histogram", parzen.histogram))
         elsewhere = context.histograms_elsewhere(channel, parzen)
         whole = context.whole_sums(channel, inputs.spacing, "histogram", parzen.histogram)
         return HistogramLikelihood(image, inputs.alpha, learned, epsilon, parzen, elsewhere, whole), used
@@ -120,7 +126,7 @@ def likelihood(inputs: TermInputs) -> Made:
     low, width = context.scales[channel]
     for name, (mean, variance) in (("inside", one), ("outside", other)):
         used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}
-    return GaussianLikelihood(image, inputs.alpha, (one, other), epsilon, whole=everything), used
+    return GaussianLikelihood(image, inputs.alpha, TwoGaussians(one, other), epsilon, whole=everything), used
 
 
 def threshold(inputs: TermInputs) -> Made:

@@ -15,12 +15,11 @@ from accelsurf.energies.image_noise import noise_of, noise_of_samples, sample_pl
 from accelsurf.energies.likelihood import END_PERCENTILES, least_variance
 from accelsurf.energies.region_sums import RegionMoments, Summing, moments_of
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import Box, corner_of
+from accelsurf.grid.boxes import Box, corner_of, sum_in_order
 from accelsurf.grid.image_check import ImageCheck, Places
 from accelsurf.grid.image_filters import NO_FILTERS, ImageFilters
 from accelsurf.grid.order_statistics import FloatCounts, IntegerCounts, OrderStatistics
 from accelsurf.grid.pyramid import Level
-from accelsurf.grid.slabs import sum_in_order
 from accelsurf.initialization.region_growing import between_means, otsu_level, sums_beside
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.segmentation.image_context import Scale

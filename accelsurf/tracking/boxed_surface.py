@@ -1,18 +1,20 @@
-"""A surface on a box of the frames' grid that goes with it; the box may extend beyond the grid."""
+"""A surface on a box of the frames' grid that goes with it, also beyond the grid; parts and contacts of surfaces."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.volume import Volume
 from accelsurf.kernels import point_sampling
-from accelsurf.levelset import LevelSet, Workers, extent_of
+from accelsurf.levelset import LevelSet, Workers
 from accelsurf.tracking.records import SurfacePiece
 
 Floats = NDArray[np.float64]
@@ -46,7 +48,7 @@ class BoxedSurface(NamedTuple):
 
     @property
     def is_cut(self) -> bool:
-        """Whether an edge of the box cuts the object: at the border of the frames."""
+        """True if an edge of the box cuts the object: at the border of the frames."""
         return bool((self._cut_sides() & self.wide).any())
 
     def centroid(self) -> Floats:
@@ -75,8 +77,8 @@ class BoxedSurface(NamedTuple):
         return self._replace(corner=(z, y, x))
 
     def is_tight(self) -> bool:
-        """Whether the band comes near an edge of the box beyond which it could go on."""
-        low, high = extent_of(self.surface)
+        """Test if the band comes near an edge of the box beyond which it could go on."""
+        low, high = self.surface.extent()
         box, beyond = np.array(self.surface.shape), ~self._cut_sides() & self.wide
         near = np.array([low < GUARD, high > box - GUARD])
         return self.surface.size > 0 and bool((near & beyond).any())
@@ -95,7 +97,7 @@ class BoxedSurface(NamedTuple):
         shape, corner = np.array(self.surface.shape), np.array(self.corner)
         if not self.surface.size:
             return self
-        low, high = extent_of(self.surface)
+        low, high = self.surface.extent()
         around = np.array(room) + MARGIN
         first, last = corner + low - around, corner + high + around
         cut = self._cut_sides()
@@ -129,7 +131,7 @@ class BoxedSurface(NamedTuple):
         return SurfacePiece((int(first[0]), int(first[1]), int(first[2])), psi)
 
 
-def boxed(
+def boxed_surface(
     psi: NDArray[np.float32], corner: Corner, geometry: Geometry, half_width: float, workers: Workers
 ) -> BoxedSurface:
     """A surface on a box of the frames' grid, with a band of its own."""
@@ -147,22 +149,24 @@ def on_larger_box(
     return np.ascontiguousarray(psi[np.ix_(*index)], np.float32)
 
 
-def sample_fields(on: BoxedSurface, fields: Sequence[np.ndarray], points: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def sample_fields(
+    boxed: BoxedSurface, fields: Sequence[np.ndarray], points: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Fields (n,) of a band at points (m, 3), mm along the grid's axes: values (m, k), and where they are known.
 
     Where the band is not, it is the mean of the nearest cells of the front.
     """
-    surface = on.surface
+    surface = boxed.surface
     values = np.stack([np.asarray(field, np.float32) for field in fields], axis=1)
     out, known = np.empty((len(points), values.shape[1])), np.empty(len(points), np.bool_)
-    index = on.index_on_box(points)
+    index = boxed.index_on_box(points)
     surface.workers.parallel(
         point_sampling.fields_at_points, len(points), surface.dense.slot, surface.grid, values, index, out, known
     )
     if not known.all() and surface.size:
         front = np.flatnonzero(surface.front())
         count = min(NEIGHBOURS, front.size)
-        _, near = cKDTree(on.closest_points()[front]).query(points[~known], count)
+        _, near = cKDTree(boxed.closest_points()[front]).query(points[~known], count)
         out[~known] = values[front[near.reshape(-1, count)]].mean(axis=1, dtype=np.float64)
     return out, known
 
@@ -184,3 +188,92 @@ def transferred(old: BoxedSurface, fields: Sequence[np.ndarray], new: BoxedSurfa
         column[same] = field[slot[same]]
         out.append(column)
     return out
+
+
+#: A part is an object of its own from this part of the largest one's volume on; smaller ones are left out.
+OWN_PART = 0.2
+#: Two objects become one where they touch along at least this part of the surface of the smaller one.
+TOUCHING_PART = 0.1
+
+
+def separate_parts(surface: SurfacePiece) -> list[SurfacePiece]:
+    """The parts of a surface that are connected by faces of voxels, the largest first, without small ones.
+
+    Parameters
+    ----------
+    surface : SurfacePiece
+
+    Returns
+    -------
+    list of SurfacePiece
+        Of none where nothing is inside; of the surface itself where it is one.
+    """
+    labels, count = ndimage.label(surface.psi < 0)
+    if count == 0:
+        return []
+    if count == 1:
+        return [surface]
+    sizes = np.bincount(labels.ravel())[1:]
+    order = np.argsort(-sizes, kind="stable")
+    large = [int(i) + 1 for i in order if sizes[i] >= OWN_PART * sizes.max()]
+    return [_one_part(surface, labels == number) for number in large]
+
+
+def _one_part(surface: SurfacePiece, inside: NDArray[np.bool_]) -> SurfacePiece:
+    """A surface without the voxels inside that are not of one part."""
+    return surface._replace(psi=np.where(inside, surface.psi, np.abs(surface.psi))).tight()
+
+
+def touching(surfaces: Sequence[SurfacePiece], image: Volume, edge: float) -> list[tuple[int, int]]:
+    """Pairs of surfaces that have become one, as positions in the list, rising.
+
+    They touch along enough of the smaller one's surface, and the image has no edge between them: its mean there is on
+    the object's side of ``edge``.
+
+    Parameters
+    ----------
+    surfaces : sequence of SurfacePiece
+    image : Volume
+        The frame.
+    edge : float
+        Value half-way between objects and what is around them.
+    """
+    labels = np.zeros(image.geometry.shape, np.int32)
+    for place, surface in enumerate(surfaces, start=1):
+        labels[surface.box][surface.psi < 0] = place
+    inner = float(np.mean(image.array[labels > 0])) if labels.any() else edge
+    faces, between = np.zeros(len(surfaces) + 1, np.int64), dict[tuple[int, int], list[float]]()
+    for axis, n in enumerate(labels.shape):
+        low, high = _layers(labels, axis, 0, n - 1), _layers(labels, axis, 1, n)
+        differs = low != high
+        a, b = low[differs], high[differs]
+        faces += np.bincount(a, minlength=faces.size) + np.bincount(b, minlength=faces.size)
+        values = 0.5 * (_layers(image.array, axis, 0, n - 1)[differs] + _layers(image.array, axis, 1, n)[differs])
+        for i, j, value in zip(a.tolist(), b.tolist(), values.tolist(), strict=True):
+            if i and j:
+                between.setdefault((min(i, j), max(i, j)), []).append(value)
+    out = []
+    for (i, j), there in sorted(between.items()):
+        enough = len(there) >= TOUCHING_PART * min(int(faces[i]), int(faces[j]))
+        if enough and (float(np.mean(there)) - edge) * (inner - edge) > 0:
+            out.append((i - 1, j - 1))
+    return out
+
+
+def _layers(array: NDArray[Any], axis: int, first: int, end: int) -> NDArray[Any]:
+    return array[(slice(None),) * axis + (slice(first, end),)]
+
+
+def groups_of(pairs: Sequence[tuple[int, int]]) -> list[list[int]]:
+    """Positions that pairs connect, in groups.
+
+    Examples
+    --------
+    >>> groups_of([(0, 2), (2, 5), (3, 4)])
+    [[0, 2, 5], [3, 4]]
+    """
+    found: list[set[int]] = []
+    for pair in pairs:
+        joined = set(pair).union(*(group for group in found if group & set(pair)))
+        found = [group for group in found if not group & joined] + [joined]
+    return sorted(sorted(group) for group in found)

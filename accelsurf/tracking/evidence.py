@@ -1,4 +1,4 @@
-"""Whether a frame shows an object: the image across its surface, its volume and its area, beside what they were."""
+"""Evidence that a frame shows an object: the image across its surface, its volume and its area, and what they were."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Profile(NamedTuple):
     values: tuple[float, ...]
 
     def strength(self, before: Profile) -> float:
-        """How much of the structure ``before`` is there: 1 for all of it, 0 for none, below 0 for its reverse.
+        """Part of the structure ``before`` that is there: 1 for all of it, 0 for none, below 0 for its reverse.
 
         The coefficient of the regression of these values on those before. Where there was no structure it is 1.
 
@@ -64,7 +64,7 @@ def median_profile(profiles: Sequence[Profile]) -> Profile:
     >>> median_profile([Profile((1.0, float("nan"))), Profile((3.0, float("nan"))), Profile((9.0, 2.0))])
     Profile(values=(3.0, 2.0))
     """
-    layers = zip(*(one.values for one in profiles), strict=True)
+    layers = zip(*(profile.values for profile in profiles), strict=True)
     known = ([value for value in layer if np.isfinite(value)] for layer in layers)
     return Profile(tuple(float(np.median(layer)) if layer else float("nan") for layer in known))
 
@@ -84,8 +84,8 @@ def profile(image: Volume, surface: SurfacePiece, others: Sequence[SurfacePiece]
     step = min(geometry.steps)
     layer = np.floor(psi / np.float32(step)).astype(np.int64) + LAYERS
     layer[(layer < 0) | (layer >= 2 * LAYERS)] = 2 * LAYERS
-    for one in others:
-        _leave_out(layer, surface, one, APART * step)
+    for other in others:
+        _leave_out(layer, surface, other, APART * step)
     values = image.array[surface.box].astype(np.float64)
     count = np.bincount(layer.ravel(), minlength=2 * LAYERS + 1)[:-1]
     total = np.bincount(layer.ravel(), values.ravel(), 2 * LAYERS + 1)[:-1]
@@ -107,7 +107,7 @@ def _leave_out(layer: NDArray[np.int64], surface: SurfacePiece, other: SurfacePi
 
 
 def is_shown(now: Profile, before: Profile, volumes: tuple[float, float], areas: tuple[float, float]) -> bool:
-    """Whether a frame shows an object.
+    """Decide if a frame shows an object.
 
     Parameters
     ----------
@@ -128,5 +128,5 @@ def volume_in_grid(psi: NDArray[np.float32], geometry: Geometry) -> float:
 
 
 def _mean(values: Sequence[float]) -> float:
-    known = [one for one in values if np.isfinite(one)]
+    known = [value for value in values if np.isfinite(value)]
     return float(np.mean(known)) if known else float("nan")

@@ -4,16 +4,78 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from accelsurf.analysis import surface_mesh
 from accelsurf.grid.geometry import Geometry
-from accelsurf.tracking.carried_mesh import MeshCarrier
+from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.tracking.evidence import Profile
 from accelsurf.tracking.frame_run import Measured
 from accelsurf.tracking.momentum import SurfaceMomentum, Triple
-from accelsurf.tracking.records import SurfacePiece, TrackedObject
+from accelsurf.tracking.records import CarriedMesh, SurfacePiece, TrackedObject
+
+#: A new mesh is made where the volume of a carried one differs from that of its surface by more than this part, or
+#: where more than this part of its triangles has turned over.
+MAX_DIFFERENCE = 0.05
+
+
+class MeshCarrier:
+    """The mesh of one object, carried along with the points that are attached to its momentum.
+
+    A new mesh begins, and with it a new generation, where the topology changes, triangles turn over, or the carried
+    mesh does not describe the surface any more.
+    """
+
+    def __init__(
+        self, faces: ArrayLike = (), topology: tuple[int, ...] = (0, 0), generation: int = 0
+    ) -> None:
+        self._faces = np.array(faces, np.int64).reshape(-1, 3)
+        self._topology, self._generation = tuple(topology), int(generation)
+
+    def in_frame(self, momentum: SurfaceMomentum, geometry: Geometry) -> CarriedMesh | None:
+        """The mesh now, in an image of more than one slice; None where nothing of the object lies in the grid."""
+        piece = momentum.piece
+        if geometry.slice_axis is not None or not piece.has_inside or (piece.psi < 0).all():
+            return None
+        topology = _topology_of(piece)
+        points = momentum.points
+        if topology != self._topology or not len(points) or not self._describes(points, momentum.volume()):
+            made = surface_mesh.extract(piece.psi, cropped(geometry, piece.box))
+            momentum.attach_points(made.vertices)
+            self._faces, self._topology = made.faces.astype(np.int64), topology
+            self._generation += 1
+            points = momentum.points
+        return CarriedMesh(points, self._faces, self._generation)
+
+    def _describes(self, points: NDArray[np.float64], volume: float) -> bool:
+        """Test if the carried points are still a mesh of the surface."""
+        mesh = surface_mesh.Surface(points, self._faces.astype(np.int32))
+        return abs(mesh.volume - volume) <= MAX_DIFFERENCE * abs(volume)
+
+    def state(self) -> dict[str, Any]:
+        """State as a value: the arguments of a carrier that goes on; the points are of the momentum's."""
+        return {"faces": self._faces, "topology": self._topology, "generation": self._generation}
+
+
+def _topology_of(piece: SurfacePiece) -> tuple[int, int]:
+    """Parts inside, and parts of what is outside: they change where an object divides, merges or encloses something."""
+    inside = np.pad(piece.psi < 0, 1, mode="edge")
+    outside = np.pad(piece.psi >= 0, 1, constant_values=True)
+    return int(ndimage.label(inside)[1]), int(ndimage.label(outside)[1])
+
 
 VANISHED, LEFT = "vanished", "left"
+
+
+class Whole(NamedTuple):
+    """An object that no border of the grid cuts: the image across its surface, and its volume."""
+
+    profile: Profile
+    volume_mm3: float
 
 
 @dataclass
@@ -63,13 +125,21 @@ class Followed:
             self.whole_profile, self.whole_mm3 = self.profile, self.volume_mm3
 
     @property
-    def like(self) -> Profile:
-        """What it looks like when it lies within the grid as a whole."""
-        return self.whole_profile or self.profile
+    def whole(self) -> Whole:
+        """The object as it was when it last lay within the grid as a whole."""
+        return Whole(self.whole_profile or self.profile, self.whole_mm3)
+
+    def note_cut(self, whole: Whole) -> None:
+        """Note that the border cuts the object, which is known as a ``whole`` from elsewhere."""
+        self.whole_profile, self.whole_mm3 = whole.profile, max(whole.volume_mm3, self.volume_mm3)
+
+    def note_missing(self) -> None:
+        """Note that a frame does not show the object."""
+        self.missing += 1
 
     @property
     def is_in_grid(self) -> bool:
-        """Whether something of it lies within the grid."""
+        """True if a part of the object lies within the grid."""
         return self.momentum.piece.has_inside
 
     @property
@@ -78,7 +148,7 @@ class Followed:
         return LEFT if self.at_border or not self.is_in_grid else VANISHED
 
     def predicted_place(self, time: float) -> Triple:
-        """Where its centroid would be, world mm."""
+        """Predict the centroid, world mm."""
         x, y, z = (c + v * (time - self.time) for c, v in zip(self.centroid, self.velocity, strict=True))
         return x, y, z
 
@@ -92,7 +162,7 @@ class Followed:
             self.whole_profile, self.whole_mm3 = profile, found.volume_mm3
 
     def in_frame(self, predicted: SurfacePiece | None, geometry: Geometry) -> TrackedObject:
-        """What is told of it in a frame."""
+        """Return the record of the object in a frame."""
         seen = self.missing == 0
         mesh = None
         if self.mesh is not None and seen:
@@ -104,22 +174,22 @@ class Followed:
 
     def state(self) -> dict[str, Any]:
         """State as a value, for `restored`."""
-        plain = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
+        plain = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         mesh = None if self.mesh is None else self.mesh.state()
-        looks = {"profile": self.profile.values, "whole_profile": self.like.values}
+        looks = {"profile": self.profile.values, "whole_profile": self.whole.profile.values}
         return plain | looks | {"momentum": self.momentum.state(), "mesh": mesh}
 
 
 def restored(state: dict[str, Any], momentum: SurfaceMomentum, geometry: Geometry) -> Followed:
     """An object as it was; ``momentum`` is one without a surface yet."""
     momentum.restore(state["momentum"], geometry)
-    mesh = None if state["mesh"] is None else MeshCarrier.restored(state["mesh"])
+    mesh = None if state["mesh"] is None else MeshCarrier(**state["mesh"])
     looks = {key: Profile(tuple(state[key])) for key in ("profile", "whole_profile")}
     return Followed(**(state | looks | {"momentum": momentum, "mesh": mesh}))
 
 
 def lies_on_border(surface: SurfacePiece, geometry: Geometry) -> bool:
-    """Whether a voxel inside lies on the border of the grid; axes with one slice do not count."""
+    """Test if a voxel inside lies on the border of the grid; axes with one slice do not count."""
     inside = surface.psi < 0
     for axis, n in enumerate(geometry.shape):
         if n == 1:

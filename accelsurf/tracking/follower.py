@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy import ndimage
 
+from accelsurf.grid.boxes import corner_of, widened
 from accelsurf.grid.sequence import ImageSequence
+from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import Workers
@@ -16,15 +19,15 @@ from accelsurf.segmentation.run_setup import EnergyLike
 from accelsurf.settings.refinements import Refinement
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.tracking import entering, evidence, parts
-from accelsurf.tracking.carried_mesh import MeshCarrier
+from accelsurf.tracking import evidence
+from accelsurf.tracking.boxed_surface import groups_of, separate_parts, touching
 from accelsurf.tracking.evidence import FACTOR, Profile, profile, volume_in_grid
-from accelsurf.tracking.followed import Followed, lies_on_border, restored
+from accelsurf.tracking.followed import Followed, MeshCarrier, Whole, lies_on_border, restored
 from accelsurf.tracking.frame_run import Measured, following_settings, measure
 from accelsurf.tracking.lineage import Identities
 from accelsurf.tracking.momentum import Gains, SurfaceMomentum, Triple
 from accelsurf.tracking.momentum_models import make_momentum
-from accelsurf.tracking.records import SurfacePiece, TrackedObject
+from accelsurf.tracking.records import BAND, SurfacePiece, TrackedObject
 
 
 @dataclass(frozen=True)
@@ -84,10 +87,10 @@ class Follower:
 
     # -- the first frame -----------------------------------------------------------------------------------
 
-    def start(self, found: Sequence[tuple[int, Measured]], arrival: Arrival, velocity: dict[int, Triple]) -> None:
+    def start(self, objects: Sequence[tuple[int, Measured]], arrival: Arrival, velocity: dict[int, Triple]) -> None:
         """Begin with the objects of a frame; ``velocity`` of those of which it is known."""
-        for id, one in found:
-            self._add(id, one, arrival, velocity.get(id))
+        for id, measured in objects:
+            self._add(id, measured, arrival, velocity.get(id))
 
     def _add(self, id: int, found: Measured, arrival: Arrival, velocity: Triple | None) -> Followed:
         """Begin to follow an object."""
@@ -97,14 +100,14 @@ class Follower:
 
     def _put(self, id: int, momentum: SurfaceMomentum, found: Measured, arrival: Arrival) -> Followed:
         seen = profile(arrival.channels[0], found.surface)
-        one = Followed(
+        followed = Followed(
             id, momentum, seen, found.volume_mm3, found.area_mm2, momentum.centroid(), momentum.mean_velocity(),
             arrival.time, lies_on_border(found.surface, self._geometry), found.quality, 0,
             MeshCarrier() if self._meshes else None,
         )
-        self.objects.append(one)
+        self.objects.append(followed)
         self._identities.see(id, arrival.number)
-        return one
+        return followed
 
     def _new_momentum(self) -> SurfaceMomentum:
         return make_momentum(self._config.model, self._friction, self._workers)
@@ -119,7 +122,7 @@ class Follower:
         tuple of TrackedObject
             In order of their ids.
         """
-        predicted = {one.id: one.momentum.predict(arrival.duration) for one in self.objects}
+        predicted = {followed.id: followed.momentum.predict(arrival.duration) for followed in self.objects}
         found = self._measure(predicted, arrival)
         self._decide(found, predicted, arrival)
         self._begin_clicked(found, arrival)
@@ -127,66 +130,66 @@ class Follower:
         if self._config.merge == "yes":
             self._merge(arrival)
         self._look_for_more(arrival)
-        for one in [one for one in self.objects if one.missing > self._config.max_gap]:
-            self._end(one, arrival)
-        self.objects.sort(key=lambda one: one.id)
+        for followed in [followed for followed in self.objects if followed.missing > self._config.max_gap]:
+            self._end(followed, arrival)
+        self.objects.sort(key=lambda followed: followed.id)
         return self.in_frame(predicted)
 
     def in_frame(self, predicted: dict[int, SurfacePiece]) -> tuple[TrackedObject, ...]:
-        """What is told of the objects in the frame."""
-        return tuple(one.in_frame(predicted.get(one.id), self._geometry) for one in self.objects)
+        """Return the records of the objects in the frame."""
+        return tuple(followed.in_frame(predicted.get(followed.id), self._geometry) for followed in self.objects)
 
     def _measure(self, predicted: dict[int, SurfacePiece], arrival: Arrival) -> dict[int, Measured]:
-        """What the frame shows: of those that were seen last, then of the others in what these leave free."""
-        there = [one for one in self.objects if predicted[one.id].has_inside]
-        starts = {one.id: ObjectStart(one.id, *predicted[one.id]) for one in there}
-        first = [starts[one.id] for one in there if one.missing == 0]
-        then = [starts[one.id] for one in there if one.missing > 0]
+        """Segment the frame: the objects that were seen last, then the others in the voxels that these leave free."""
+        predictable = [followed for followed in self.objects if predicted[followed.id].has_inside]
+        starts = [(followed.missing, ObjectStart(followed.id, *predicted[followed.id])) for followed in predictable]
+        first = [start for missing, start in starts if missing == 0]
+        then = [start for missing, start in starts if missing > 0]
         if arrival.refinements:
             first, then = [*first, *then], []
         run, energy = self._run, self._energy
         found = measure(arrival.channels, first, run, energy, arrival.refinements)
         if then:
-            taken = [one.surface for one in found.values() if one.surface.psi.size]
-            found |= measure(arrival.channels, then, run, energy, taken=taken)
+            occupied = [measured.surface for measured in found.values() if measured.surface.psi.size]
+            found |= measure(arrival.channels, then, run, energy, occupied=occupied)
         return found
 
     def _decide(
         self, found: dict[int, Measured], predicted: dict[int, SurfacePiece], arrival: Arrival
     ) -> None:
         """Correct the objects that are seen; of the others the prediction stands."""
-        clicked = {one.object for one in arrival.refinements if one.kind == "clicks"}
+        clicked = {followed.object for followed in arrival.refinements if followed.kind == "clicks"}
         image, duration = arrival.channels[0], arrival.duration
-        for one in self.objects:
-            shown = found.get(one.id)
-            others = [other.surface for id, other in found.items() if id != one.id]
+        for followed in self.objects:
+            shown = found.get(followed.id)
+            others = [other.surface for id, other in found.items() if id != followed.id]
             if shown is None or not shown.surface.psi.size:
-                one.missing += 1
+                followed.note_missing()
                 continue
             now = profile(image, shown.surface, others)
-            sure = bool(clicked & {None, one.id})
-            if not sure and not self._is_shown(one, shown, now, predicted[one.id]):
-                one.missing += 1
+            sure = bool(clicked & {None, followed.id})
+            if not sure and not self._is_shown(followed, shown, now, predicted[followed.id]):
+                followed.note_missing()
                 continue
-            one.momentum.correct(self._largest(shown).surface, duration, self._gains)
-            one.note_seen(shown, now, arrival.time, self._geometry)
-            self._identities.see(one.id, arrival.number)
+            followed.momentum.correct(self._largest(shown).surface, duration, self._gains)
+            followed.note_seen(shown, now, arrival.time, self._geometry)
+            self._identities.see(followed.id, arrival.number)
 
-    def _is_shown(self, one: Followed, shown: Measured, now: Profile, predicted: SurfacePiece) -> bool:
-        expected, seen = (volume_in_grid(piece.psi, self._geometry) for piece in (predicted, shown.surface))
-        if one.at_border:  # the prediction knows only what the border has left; more of it may come in
-            expected = max(expected, min(seen, one.whole_mm3))
-        ratio = expected / one.volume_mm3 if one.volume_mm3 > 0 else 1.0
+    def _is_shown(self, followed: Followed, measured: Measured, now: Profile, predicted: SurfacePiece) -> bool:
+        expected, seen = (volume_in_grid(piece.psi, self._geometry) for piece in (predicted, measured.surface))
+        if followed.at_border:  # the prediction knows only what the border has left; more of it may come in
+            expected = max(expected, min(seen, followed.whole_mm3))
+        ratio = expected / followed.volume_mm3 if followed.volume_mm3 > 0 else 1.0
         volumes = seen, expected
-        areas = shown.area_mm2, one.area_mm2 * ratio ** (2.0 / 3.0)
-        return evidence.is_shown(now, one.profile, volumes, areas)
+        areas = measured.area_mm2, followed.area_mm2 * ratio ** (2.0 / 3.0)
+        return evidence.is_shown(now, followed.profile, volumes, areas)
 
-    def _largest(self, shown: Measured) -> Measured:
-        """What was found without crumbs, where parts are objects; the parts of a division stay together here."""
+    def _largest(self, measured: Measured) -> Measured:
+        """Remove crumbs from a surface where parts are objects; the parts of a division stay together here."""
         if self._config.divide == "no":
-            return shown
-        large = parts.separate_parts(shown.surface)
-        return shown if len(large) != 1 else shown._replace(surface=large[0])
+            return measured
+        large = separate_parts(measured.surface)
+        return measured if len(large) != 1 else measured._replace(surface=large[0])
 
     # -- identities ----------------------------------------------------------------------------------------
 
@@ -194,137 +197,187 @@ class Follower:
         """Begin what corrections of the frame have made, and end what they have taken away."""
         if not arrival.refinements:
             return
-        ids = {one.id for one in self.objects}
+        ids = {followed.id for followed in self.objects}
         for id in sorted(found.keys() - ids):
             if found[id].surface.psi.size:
                 self._add(id, found[id], arrival, None)
-        for one in [one for one in self.objects if one.id not in found and one.is_in_grid]:
-            self.objects.remove(one)
+        for followed in [followed for followed in self.objects if followed.id not in found and followed.is_in_grid]:
+            self.objects.remove(followed)
 
     def _divide(self, found: dict[int, Measured], arrival: Arrival) -> None:
         """Let the parts of an object that has come apart be objects of their own."""
         if self._config.divide == "no":
             return
-        for one in [one for one in self.objects if one.missing == 0 and one.id in found]:
-            pieces = parts.separate_parts(found[one.id].surface)
+        for followed in [followed for followed in self.objects if followed.missing == 0 and followed.id in found]:
+            pieces = separate_parts(found[followed.id].surface)
             if len(pieces) < 2:
                 continue
-            self.objects.remove(one)
-            self._identities.forget(one.id, arrival.number)
+            self.objects.remove(followed)
+            self._identities.forget(followed.id, arrival.number)
             ids = []
-            for momentum, piece in zip(one.momentum.split(pieces), pieces, strict=True):
+            for momentum, piece in zip(followed.momentum.split(pieces), pieces, strict=True):
                 ids.append(self._identities.new_id())
-                self._put(ids[-1], momentum, measured_part(piece, momentum, found[one.id].quality), arrival)
-            self._identities.divide(one.id, ids, arrival.number, arrival.before)
+                self._put(ids[-1], momentum, measured_part(piece, momentum, found[followed.id].quality), arrival)
+            self._identities.divide(followed.id, ids, arrival.number, arrival.before)
 
     def _merge(self, arrival: Arrival) -> None:
         """Let objects that have become one be one."""
-        seen = [one for one in self.objects if one.missing == 0]
+        seen = [followed for followed in self.objects if followed.missing == 0]
         if len(seen) < 2:
             return
-        like = evidence.median_profile([one.like for one in seen])
+        like = evidence.median_profile([followed.whole.profile for followed in seen])
         edge = 0.5 * (like.inner + like.outer)
-        pairs = parts.touching([one.momentum.piece for one in seen], arrival.channels[0], edge)
-        for group in parts.groups_of(pairs):
+        pairs = touching([followed.momentum.piece for followed in seen], arrival.channels[0], edge)
+        for group in groups_of(pairs):
             old = [seen[place] for place in group]
-            momentum = old[0].momentum.merged([one.momentum for one in old[1:]])
-            for one in old:
-                self.objects.remove(one)
-                self._identities.forget(one.id, arrival.number)
+            momentum = old[0].momentum.merged([followed.momentum for followed in old[1:]])
+            for followed in old:
+                self.objects.remove(followed)
+                self._identities.forget(followed.id, arrival.number)
             id = self._identities.new_id()
-            self._put(id, momentum, measured_part(momentum.piece, momentum, min(one.quality for one in old)), arrival)
-            self._identities.merge([one.id for one in old], id, arrival.number, arrival.before)
+            quality = min(followed.quality for followed in old)
+            self._put(id, momentum, measured_part(momentum.piece, momentum, quality), arrival)
+            self._identities.merge([followed.id for followed in old], id, arrival.number, arrival.before)
 
     def _look_for_more(self, arrival: Arrival) -> None:
         """Find objects that come back, and where asked for such as enter."""
-        absent = [one for one in self.objects if one.missing > 0]
+        absent = [followed for followed in self.objects if followed.missing > 0]
         if not absent and self._config.enter == "no":
             return
-        known = [one for one in self.objects if one.missing == 0] or absent
+        known = [followed for followed in self.objects if followed.missing == 0] or absent
         if not known:
             return
-        like = evidence.median_profile([one.like for one in known])
-        volumes = [one.whole_mm3 for one in self.objects]
-        there = [one.momentum.piece for one in self.objects if one.missing == 0]
-        first = entering.appearing(arrival.channels[0], there, like, (min(volumes), max(volumes)))
+        like = evidence.median_profile([followed.whole.profile for followed in known])
+        volumes = [followed.whole_mm3 for followed in self.objects]
+        there = [followed.momentum.piece for followed in self.objects if followed.missing == 0]
+        first = appearing(arrival.channels[0], there, like, (min(volumes), max(volumes)))
         if not first:
             return
         starts = [ObjectStart(place, *piece) for place, piece in enumerate(first, start=1)]
-        found = measure(arrival.channels, starts, self._run, self._energy, taken=there)
-        usual = float(np.median([one.whole_mm3 for one in known]))
+        found = measure(arrival.channels, starts, self._run, self._energy, occupied=there)
+        usual = float(np.median([followed.whole_mm3 for followed in known]))
         for place in sorted(found):
-            self._take_in(found[place], (like, usual), absent, arrival)
+            self._take_in(found[place], Whole(like, usual), absent, arrival)
 
-    def _take_in(
-        self, found: Measured, whole: tuple[Profile, float], absent: list[Followed], arrival: Arrival
-    ) -> None:
-        """Link what has appeared to an object that was missing, or let it enter.
-
-        ``whole`` is what an object that the border does not cut looks like, and its volume.
-        """
+    def _take_in(self, found: Measured, whole: Whole, absent: list[Followed], arrival: Arrival) -> None:
+        """Link what has appeared to an object that was missing, or let it enter; ``whole`` is a usual object."""
         if not found.surface.psi.size:
             return
         found = self._largest(found)
         momentum = self._new_momentum()
         momentum.start(found.surface.psi, found.surface.corner, self._geometry)
-        if profile(arrival.channels[0], found.surface).strength(whole[0]) * FACTOR < 1.0:
+        if profile(arrival.channels[0], found.surface).strength(whole.profile) * FACTOR < 1.0:
             return
         place, size = np.array(momentum.centroid()), momentum.volume()
         cut = lies_on_border(found.surface, self._geometry)
         nearest, old = np.inf, None
-        for one in absent:
+        for followed in absent:
             away = min(
                 float(np.linalg.norm(place - np.array(there)))
-                for there in (one.centroid, one.predicted_place(arrival.time))
+                for there in (followed.centroid, followed.predicted_place(arrival.time))
             )
-            fits = size <= FACTOR * one.whole_mm3 and (cut or one.whole_mm3 <= FACTOR * size)
-            if fits and away < nearest and away <= self._search_range(one, arrival.time):
-                nearest, old = away, one
+            fits = size <= FACTOR * followed.whole_mm3 and (cut or followed.whole_mm3 <= FACTOR * size)
+            if fits and away < nearest and away <= self._search_range(followed, arrival.time):
+                nearest, old = away, followed
         if old is not None:
             absent.remove(old)
             self.objects.remove(old)
             way = (place - np.array(old.centroid)) / (arrival.time - old.time)
-            one = self._add(old.id, found, arrival, (float(way[0]), float(way[1]), float(way[2])))
-            whole = old.like, old.whole_mm3
+            followed = self._add(old.id, found, arrival, (float(way[0]), float(way[1]), float(way[2])))
+            whole = old.whole
         elif self._config.enter == "yes":
-            one = self._put(self._identities.new_id(), momentum, found, arrival)
+            followed = self._put(self._identities.new_id(), momentum, found, arrival)
         else:
             return
         if cut:
-            one.whole_profile, one.whole_mm3 = whole[0], max(whole[1], one.volume_mm3)
+            followed.note_cut(whole)
 
-    def _search_range(self, one: Followed, time: float) -> float:
-        """How far from where it was an object may come back, mm: its diameter, and as far as it would have moved."""
+    def _search_range(self, followed: Followed, time: float) -> float:
+        """Range (mm) in which an object may come back: its diameter, and as far as it would have moved."""
         geometry = self._geometry
         if geometry.slice_axis is None:
-            diameter = 2.0 * (3.0 * one.whole_mm3 / (4.0 * np.pi)) ** (1.0 / 3.0)
+            diameter = 2.0 * (3.0 * followed.whole_mm3 / (4.0 * np.pi)) ** (1.0 / 3.0)
         else:
-            diameter = 2.0 * (one.whole_mm3 / geometry.spacing[geometry.slice_axis] / np.pi) ** 0.5
-        return float(diameter + np.linalg.norm(one.velocity) * abs(time - one.time))
+            diameter = 2.0 * (followed.whole_mm3 / geometry.spacing[geometry.slice_axis] / np.pi) ** 0.5
+        return float(diameter + np.linalg.norm(followed.velocity) * abs(time - followed.time))
 
-    def _end(self, one: Followed, arrival: Arrival) -> None:
+    def _end(self, followed: Followed, arrival: Arrival) -> None:
         """End an object that was not seen for too long."""
-        self.objects.remove(one)
+        self.objects.remove(followed)
         if arrival.before < arrival.number:
-            self._identities.end(one.id, one.why_gone)
+            self._identities.end(followed.id, followed.why_gone)
 
     def note_missing(self) -> None:
         """Note why objects are not seen in the last frame of a rising order."""
-        for one in self.objects:
-            if one.missing:
-                self._identities.end(one.id, one.why_gone)
+        for followed in self.objects:
+            if followed.missing:
+                self._identities.end(followed.id, followed.why_gone)
 
     # -- checkpoints ---------------------------------------------------------------------------------------
 
     def state(self) -> list[dict[str, Any]]:
         """State as a value, for `restore`."""
-        return [one.state() for one in self.objects]
+        return [followed.state() for followed in self.objects]
 
     def restore(self, state: Sequence[dict[str, Any]]) -> None:
         """Go back to a `state`."""
-        self.objects = [restored(one, self._new_momentum(), self._geometry) for one in state]
+        self.objects = [restored(saved, self._new_momentum(), self._geometry) for saved in state]
 
 
 def measured_part(piece: SurfacePiece, momentum: SurfaceMomentum, quality: float) -> Measured:
-    """What is known of a part of a surface."""
+    """Measure a part of a surface."""
     return Measured(piece, momentum.volume(), momentum.area(), quality)
+
+
+#: What is nearer to a tracked object than so many voxels is no object of its own.
+APART = 2
+#: Of an object that the border of the grid cuts at least so many voxels must be there.
+MIN_CUT = 8
+
+
+def appearing(
+    image: Volume, surfaces: Sequence[SurfacePiece], like: Profile, volumes: tuple[float, float]
+) -> list[SurfacePiece]:
+    """First surfaces of objects that appear in a frame, the largest first.
+
+    They are what is nearer to the values inside ``like`` than to those outside, after a Gaussian of one voxel, does not
+    come near any of the ``surfaces``, and is about as large as these, or is cut by the border of the grid.
+
+    Parameters
+    ----------
+    image : Volume
+        The frame.
+    surfaces : sequence of SurfacePiece
+        Objects that are there.
+    like : Profile
+        Values across the surface of a tracked object.
+    volumes : (float, float)
+        Of the smallest and the largest tracked object, mm3: what appears lies within a factor of two of them. What the
+        border cuts may be smaller, down to `MIN_CUT` voxels: it has only begun to come in.
+    """
+    inner, outer, geometry = like.inner, like.outer, image.geometry
+    if not (np.isfinite(inner) and np.isfinite(outer)) or inner == outer:
+        return []
+    smooth = gaussian_mm(image.as_float32(), geometry.spacing, min(geometry.steps))
+    edge = 0.5 * (inner + outer)
+    inside = smooth > edge if inner > outer else smooth < edge
+    taken = np.zeros(geometry.shape, np.bool_)
+    for surface in surfaces:
+        taken[surface.box] |= surface.psi < 0
+    if taken.any():
+        taken = ndimage.binary_dilation(taken, iterations=APART)
+    labels, count = ndimage.label(inside | taken)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1) * geometry.voxel_volume
+    low, high = volumes[0] / FACTOR, volumes[1] * FACTOR
+    cut_low = min(MIN_CUT * geometry.voxel_volume, low)
+    near = set(np.unique(labels[taken]).tolist()) | {0}
+    found = [number for number in np.argsort(-sizes, kind="stable").tolist()
+             if number not in near and cut_low <= sizes[number] <= high]
+    half, boxes = np.float32(0.5 * min(geometry.steps)), ndimage.find_objects(labels) if found else []
+    out = []
+    for number in found:
+        box = widened(boxes[number - 1], labels.shape, (BAND, BAND, BAND))
+        piece = SurfacePiece(corner_of(box), np.where(labels[box] == number, -half, half))
+        if sizes[number] >= low or lies_on_border(piece, geometry):
+            out.append(piece)
+    return out

@@ -31,20 +31,20 @@ class JoinedSequence(ImageSequence):
         self.times, self.time_unit, self.geometry, self.source = (
             first.times, first.time_unit, first.geometry, first.source,
         )
-        self.notes = tuple(dict.fromkeys(note for one in self._sequences for note in one.notes))
-        for one in others:
-            if len(one) != len(first):
-                raise InputError(f"channel {one.source}: it has {len(one)} frames, {len(first)} expected")
-            if difference := first.geometry.difference(one.geometry):
-                raise GeometryError(f"channel {one.source}: on another grid than the first: {difference}")
+        self.notes = tuple(dict.fromkeys(note for sequence in self._sequences for note in sequence.notes))
+        for sequence in others:
+            if len(sequence) != len(first):
+                raise InputError(f"channel {sequence.source}: it has {len(sequence)} frames, {len(first)} expected")
+            if difference := first.geometry.difference(sequence.geometry):
+                raise GeometryError(f"channel {sequence.source}: on another grid than the first: {difference}")
 
     @property
     def frame_values(self) -> int:
-        """How many values a frame has, those of all channels together."""
-        return sum(one.frame_values for one in self._sequences)
+        """Number of values of a frame, all channels together."""
+        return sum(sequence.frame_values for sequence in self._sequences)
 
     def _channels(self, number: int) -> list[Volume]:
-        return [volume for one in self._sequences for volume in one.channels(number)]
+        return [volume for sequence in self._sequences for volume in sequence.channels(number)]
 
 
 def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any
 
 from accelsurf.tracking.records import Lineage, Link, Track
@@ -46,34 +47,37 @@ class Identities:
         """Note why an object is not seen after its last frame."""
         self._lives[id].end = why
 
-    def divide(self, one: int, several: Sequence[int], frame: int, before: int) -> None:
+    def divide(self, whole: int, parts: Sequence[int], frame: int, before: int) -> None:
         """Note that an object became several.
 
         Parameters
         ----------
-        one : int
-        several : sequence of int
+        whole : int
+        parts : sequence of int
             Seen in ``frame``.
         frame, before : int
             The frame, and the one that was done before it: in falling order that is the later one.
         """
         if before < frame:
-            self._links += [Link(one, id, frame, "division") for id in several]
-            self.end(one, "divided")
+            self._link_division(whole, parts, frame)
         else:
-            self._links += [Link(id, one, before, "merging") for id in several]
-            for id in several:
-                self.end(id, "merged")
+            self._link_merging(parts, whole, before)
 
-    def merge(self, several: Sequence[int], one: int, frame: int, before: int) -> None:
+    def merge(self, parts: Sequence[int], union: int, frame: int, before: int) -> None:
         """Note that several objects became one, seen in ``frame``; ``before`` as for `divide`."""
         if before < frame:
-            self._links += [Link(id, one, frame, "merging") for id in several]
-            for id in several:
-                self.end(id, "merged")
+            self._link_merging(parts, union, frame)
         else:
-            self._links += [Link(one, id, before, "division") for id in several]
-            self.end(one, "divided")
+            self._link_division(union, parts, before)
+
+    def _link_division(self, whole: int, parts: Sequence[int], frame: int) -> None:
+        self._links += [Link(whole, id, frame, "division") for id in parts]
+        self.end(whole, "divided")
+
+    def _link_merging(self, parts: Sequence[int], union: int, frame: int) -> None:
+        self._links += [Link(id, union, frame, "merging") for id in parts]
+        for id in parts:
+            self.end(id, "merged")
 
     def lineage(self) -> Lineage:
         """All tracks and links so far."""
@@ -83,14 +87,14 @@ class Identities:
                 first, last = min(life.seen), max(life.seen)
                 gaps = tuple(n for n in range(first, last) if n not in life.seen)
                 tracks.append(Track(id, first, last, gaps, life.end))
-        return Lineage(tuple(tracks), tuple(sorted(self._links, key=lambda one: (one.frame, one.parent, one.child))))
+        return Lineage(tuple(tracks), tuple(sorted(self._links, key=attrgetter("frame", "parent", "child"))))
 
     def state(self) -> dict[str, Any]:
         """State as a value, for `restore`."""
         lives = [[id, life.end, sorted(life.seen)] for id, life in sorted(self._lives.items())]
-        return {"lives": lives, "links": [list(one) for one in self._links]}
+        return {"lives": lives, "links": [list(link) for link in self._links]}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go back to a `state`."""
         self._lives = {id: _Life(set(seen), end) for id, end, seen in state["lives"]}
-        self._links = [Link(*one) for one in state["links"]]
+        self._links = [Link(*link) for link in state["links"]]

@@ -1,4 +1,4 @@
-"""What an object has between two frames: its surface, and the velocity that takes it to the next frame."""
+"""Momentum of an object between two frames: its surface, and the velocity that takes it to the next frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet, SurfaceState, Workers, checkpoint_surface, restore_surface
-from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, boxed, on_larger_box, sample_fields
+from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, boxed_surface, on_larger_box, sample_fields
 from accelsurf.tracking.observer import Displacement, Fit, between, displacement, measured_surface
 from accelsurf.tracking.records import SurfacePiece
 
@@ -55,7 +55,7 @@ class SurfaceMomentum(ABC):
 
     def __init__(self, friction: float = 0.0, workers: Workers | None = None) -> None:
         self.friction, self.workers = float(friction), workers or Workers(1)
-        self._on: BoxedSurface
+        self._boxed: BoxedSurface
         self._fields: list[np.ndarray] = []
         #: Material points (m, 3), mm along the grid's axes from its first voxel.
         self._points: Floats = np.zeros((0, 3))
@@ -100,9 +100,9 @@ class SurfaceMomentum(ABC):
         velocity : (x, y, z), optional
             Mean velocity, world mm per unit of time; at rest by default.
         """
-        self._on = boxed(psi, corner, geometry, self.half_width, self.workers)
+        self._boxed = boxed_surface(psi, corner, geometry, self.half_width, self.workers)
         moving = np.zeros(3) if velocity is None else self._to_grid(np.array([velocity]))[0]
-        self._fields = self._fields_at_start(np.where(self._on.wide, moving, 0.0))
+        self._fields = self._fields_at_start(np.where(self._boxed.wide, moving, 0.0))
         self._points = np.zeros((0, 3))
         return self.piece
 
@@ -112,7 +112,7 @@ class SurfaceMomentum(ABC):
         Velocities are always those of rising time, also after a step back; friction takes from them in both directions.
         Returns the surface on the frame's grid: see `piece`.
         """
-        if duration != 0.0 and self._on.surface.size:
+        if duration != 0.0 and self._boxed.surface.size:
             self._coast(duration)
         return self.piece
 
@@ -130,10 +130,10 @@ class SurfaceMomentum(ABC):
             As given to the last `predict`.
         gains : Gains
         """
-        predicted, measured = self._on, measured_surface(piece, self._on)
+        predicted, measured = self._boxed, measured_surface(piece, self._boxed)
         if not predicted.surface.size:
             self._fields = []
-            self._on = measured
+            self._boxed = measured
             self._fields = self._fields_at_start(np.zeros(3))
             return self.piece
         found = displacement(predicted, measured, self.fit)
@@ -141,7 +141,7 @@ class SurfaceMomentum(ABC):
         new = between(predicted, measured, found, gains.psi)
         way = gains.psi * found.shift
         values, known = sample_fields(predicted, fields, new.closest_points() - way)
-        self._on = new
+        self._boxed = new
         self._fields = self._fields_on(new, values, known)
         if len(self._points):
             self._points = _onto(new, self._points + way)
@@ -152,33 +152,33 @@ class SurfaceMomentum(ABC):
     @property
     def piece(self) -> SurfacePiece:
         """The surface now, on the frame's grid; a box of no voxels (shape 0, 0, 0) where it has left."""
-        return self._on.on_frame()
+        return self._boxed.on_frame()
 
     def mean_velocity(self) -> Triple:
         """Mean velocity over the surface (x, y, z), world mm per unit of time; 0 without a surface."""
-        if not self._on.surface.size:
+        if not self._boxed.surface.size:
             return 0.0, 0.0, 0.0
-        index = self._mean_velocity() / self._on.spacing
-        x, y, z = self._on.geometry.index_to_world(index) - self._on.geometry.index_to_world(np.zeros(3))
+        index = self._mean_velocity() / self._boxed.spacing
+        x, y, z = self._boxed.geometry.index_to_world(index) - self._boxed.geometry.index_to_world(np.zeros(3))
         return float(x), float(y), float(z)
 
     def volume(self) -> float:
         """Volume inside, mm3, to parts of a voxel."""
-        return self._on.surface.volume(self._on.surface.fraction_and_area()[0])
+        return self._boxed.surface.volume(self._boxed.surface.fraction_and_area()[0])
 
     def area(self) -> float:
         """Area of the surface, mm2."""
-        return float(self._on.surface.fraction_and_area()[1].sum())
+        return float(self._boxed.surface.fraction_and_area()[1].sum())
 
     def centroid(self) -> Triple:
         """Centroid of the volume (x, y, z), world mm; of an empty surface, of no meaning."""
-        x, y, z = self._to_world(self._on.centroid()[None])[0]
+        x, y, z = self._to_world(self._boxed.centroid()[None])[0]
         return float(x), float(y), float(z)
 
     def attach_points(self, points: NDArray[np.float64]) -> None:
         """Attach material points (n, 3), world mm, near the surface: `predict` and `correct` move them with it."""
-        geometry = self._on.geometry
-        self._points = geometry.world_to_index(np.reshape(points, (-1, 3))) * self._on.spacing
+        geometry = self._boxed.geometry
+        self._points = geometry.world_to_index(np.reshape(points, (-1, 3))) * self._boxed.spacing
 
     @property
     def points(self) -> NDArray[np.float64]:
@@ -187,50 +187,53 @@ class SurfaceMomentum(ABC):
 
     def _to_world(self, points: Floats) -> Floats:
         """Points (n, 3), mm along the grid's axes, in the world."""
-        return self._on.geometry.index_to_world(points / self._on.spacing)
+        return self._boxed.geometry.index_to_world(points / self._boxed.spacing)
 
     def _to_grid(self, vectors: Floats) -> Floats:
         """World vectors (n, 3), x y z, along the grid's axes, z y x."""
-        geometry = self._on.geometry
-        return np.asarray(geometry.world_to_index(vectors + np.asarray(geometry.origin)) * self._on.spacing)
+        geometry = self._boxed.geometry
+        return np.asarray(geometry.world_to_index(vectors + np.asarray(geometry.origin)) * self._boxed.spacing)
 
     # -- several -------------------------------------------------------------------------------------------
 
     def split(self, pieces: Sequence[SurfacePiece]) -> list[SurfaceMomentum]:
         """One momentum for each piece that this surface divided into: velocities by the closest points, no points."""
-        return [self._on_surface(measured_surface(piece, self._on), [self]) for piece in pieces]
+        return [self._on_surface(measured_surface(piece, self._boxed), [self]) for piece in pieces]
 
     def merged(self, others: Sequence[SurfaceMomentum]) -> SurfaceMomentum:
         """The momentum of the union with others of the same model, each with its own velocities; without points."""
-        sources = [one for one in (self, *others) if one._on.surface.size]
+        sources = [momentum for momentum in (self, *others) if momentum._boxed.surface.size]
         if not sources:
-            return self._on_surface(self._on, [self])
-        return self._on_surface(_union([one._on for one in sources]), sources)
+            return self._on_surface(self._boxed, [self])
+        return self._on_surface(_union([momentum._boxed for momentum in sources]), sources)
 
     def _on_surface(self, new: BoxedSurface, sources: Sequence[SurfaceMomentum]) -> SurfaceMomentum:
         """A momentum like this on another surface, with the fields of the source that is nearest to each place."""
-        made = type(self)(self.friction, self.workers)
-        made._on = new
         points, nearest = new.closest_points(), np.full(new.surface.size, np.inf)
         values = np.zeros((new.surface.size, len(self._fields)))
-        for one in sources:
-            if not one._on.surface.size:
+        for source in sources:
+            if not source._boxed.surface.size:
                 continue
-            front = one._on.surface.front()
-            distance, _ = cKDTree(one._on.closest_points()[front]).query(points)
-            found, _ = sample_fields(one._on, one._fields, points)
+            front = source._boxed.surface.front()
+            distance, _ = cKDTree(source._boxed.closest_points()[front]).query(points)
+            found, _ = sample_fields(source._boxed, source._fields, points)
             nearer = distance < nearest
             values[nearer], nearest[nearer] = found[nearer], distance[nearer]
-        made._fields = made._fields_on(new, values, np.ones(len(values), np.bool_))
-        return made
+        momentum = type(self)(self.friction, self.workers)
+        return momentum._put_on(new, momentum._fields_on(new, values, np.ones(len(values), np.bool_)))
+
+    def _put_on(self, boxed: BoxedSurface, fields: list[np.ndarray]) -> SurfaceMomentum:
+        """Put this momentum on a surface with its fields."""
+        self._boxed, self._fields = boxed, fields
+        return self
 
     # -- checkpoints ---------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
         """State as a value: arrays and numbers by name, for `restore`."""
-        surface = checkpoint_surface(self._on.surface)
+        surface = checkpoint_surface(self._boxed.surface)
         return {
-            "corner": self._on.corner, "shape": self._on.surface.shape, "points": self._points,
+            "corner": self._boxed.corner, "shape": self._boxed.surface.shape, "points": self._points,
             "fields": np.array(self._fields, np.float32).reshape(len(self._fields), -1),
             **{f"surface_{name}": value for name, value in surface._asdict().items()},
         }
@@ -243,25 +246,25 @@ class SurfaceMomentum(ABC):
         surface = LevelSet(np.ones(shape, np.float32), geometry.spacing, self.half_width, self.workers)
         restore_surface(surface, saved._replace(inside_beyond=int(saved.inside_beyond)))
         z, y, x = (int(c) for c in state["corner"])
-        self._on = BoxedSurface(surface, (z, y, x), geometry)
+        self._boxed = BoxedSurface(surface, (z, y, x), geometry)
         self._fields = [np.array(field, np.float32) for field in state["fields"]]
         self._points = np.array(state["points"], np.float64).reshape(-1, 3)
 
 
-def _onto(on: BoxedSurface, points: Floats) -> Floats:
+def _onto(boxed: BoxedSurface, points: Floats) -> Floats:
     """Points (m, 3) near a surface put on it; one that is not near stays where it is."""
-    band = [np.ascontiguousarray(on.surface.band.to_closest[:, c]) for c in range(3)]
-    steps, known = sample_fields(on, band, points)
+    band = [np.ascontiguousarray(boxed.surface.band.to_closest[:, c]) for c in range(3)]
+    steps, known = sample_fields(boxed, band, points)
     return points + np.where(known[:, None], steps, 0.0)
 
 
 def _union(surfaces: Sequence[BoxedSurface]) -> BoxedSurface:
     """The surface around all that is inside of one of several."""
-    first = np.min([one.corner for one in surfaces], axis=0)
-    last = np.max([np.array(one.corner) + one.surface.shape for one in surfaces], axis=0)
+    first = np.min([surface.corner for surface in surfaces], axis=0)
+    last = np.max([np.array(surface.corner) + surface.surface.shape for surface in surfaces], axis=0)
     psi = np.full(tuple(int(n) for n in last - first), np.inf, np.float32)
-    for one in surfaces:
-        psi = np.minimum(psi, on_larger_box(one.surface.psi, np.array(one.corner), first, last))
+    for surface in surfaces:
+        psi = np.minimum(psi, on_larger_box(surface.surface.psi, np.array(surface.corner), first, last))
     like = surfaces[0]
     corner = int(first[0]), int(first[1]), int(first[2])
-    return boxed(psi, corner, like.geometry, like.surface.requested_half_width, like.surface.workers)
+    return boxed_surface(psi, corner, like.geometry, like.surface.requested_half_width, like.surface.workers)

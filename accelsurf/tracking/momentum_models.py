@@ -1,4 +1,4 @@
-"""The models of momentum between frames: flowable mass, constant density, and two baselines without."""
+"""Models of momentum between frames: flowable mass, constant density, and two baselines; and how a surface coasts."""
 
 from __future__ import annotations
 
@@ -8,13 +8,108 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.flows import ConstantDensity, FlowableMass
-from accelsurf.levelset import Workers
-from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, transferred
-from accelsurf.tracking.coasting import coast
+from accelsurf.flows import ConstantDensity, FlowableMass, StepInput, StepLimits, StepPlan
+from accelsurf.flows.accelerated import Accelerated
+from accelsurf.flows.protocol import voxel_rates
+from accelsurf.levelset import Motion, Workers
+from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, sample_fields, transferred
 from accelsurf.tracking.momentum import Gains, SurfaceMomentum
 from accelsurf.tracking.observer import Displacement, missing_velocity
 from accelsurf.tracking.records import SurfacePiece
+
+#: Voxels that a surface may move in a step.
+CFL = 0.5
+#: Steps of a motion at most: speeds that run away, as where paths cross or a surface of constant density is folded, end
+#: it.
+MAX_STEPS = 200
+#: A remainder of the time below this part of it is rounding.
+END = 1e-9
+
+
+def coast(
+    boxed: BoxedSurface, flow: Accelerated, fields: list[np.ndarray], duration: float, points: Floats
+) -> tuple[BoxedSurface, list[np.ndarray], Floats]:
+    """Move a surface for ``duration`` > 0 by a flow without any force.
+
+    Parameters
+    ----------
+    boxed : BoxedSurface
+        Moved in place where its box has room enough.
+    flow : Accelerated
+        With a constant friction.
+    fields : list of ndarray (n,)
+        Of the flow, now.
+    duration : float
+    points : ndarray (m, 3)
+        Material points near the surface, mm along the grid's axes.
+
+    Returns
+    -------
+    BoxedSurface, list of ndarray, ndarray
+        The surface, its fields and the points, all of the same moment.
+    """
+    flow.start_moving(boxed.surface, fields)
+    left, points = duration, points.copy()
+    for _ in range(MAX_STEPS):
+        if left <= END * duration or not boxed.surface.size:
+            break
+        if boxed.is_tight():
+            boxed = _relaid(boxed, flow)
+        now = _now(boxed, flow)
+        # The step follows the speed now; its curvature may speed a surface up, which must not be clipped.
+        step = min(left, CFL / max(_fastest(now, flow), CFL / duration))
+        plan = flow.move(now, StepLimits(2.0 * CFL, 100.0, step))
+        if not plan.dt > 0:
+            break
+        if len(points):
+            points += plan.dt * _velocity_at(boxed, plan, points)
+        surface = boxed.surface
+        if plan.velocity is None:
+            surface.advance(plan.speed, plan.dt)
+            flow.set_fields(surface.redistance(flow.fields).fields)
+        else:
+            surface.advect(plan.velocity, plan.dt)
+            flow.set_fields(surface.redistance(flow.fields, Motion(plan.velocity, plan.dt)).fields)
+        left -= plan.dt
+    if boxed.surface.size:
+        flow.synchronize(_now(boxed, flow))
+    return boxed, flow.fields, points
+
+
+def _now(boxed: BoxedSurface, flow: Accelerated) -> StepInput:
+    """The surface without any force."""
+    surface = boxed.surface
+    front = surface.front(flow.stencil_width(surface))
+    none = np.zeros(surface.size, np.float32)
+    return StepInput(surface, front, none, surface.curvature(front), surface.fraction_and_area()[1], 0.0)
+
+
+def _fastest(now: StepInput, flow: Accelerated) -> float:
+    """The largest speed of the front, voxels per unit of time."""
+    surface, velocity = now.surface, flow.fields[:3]
+    if len(velocity) < 3:
+        rates = voxel_rates(surface, now.front, velocity[0])
+    else:
+        h = surface.grid.hz, surface.grid.hy, surface.grid.hx
+        rates = np.sqrt(sum((field / step) ** 2 for field, step in zip(velocity, h, strict=True)))
+    return float(rates[now.front].max(initial=0.0))
+
+
+def _relaid(boxed: BoxedSurface, flow: Accelerated) -> BoxedSurface:
+    """The surface on a box with more room, and the fields of the flow there."""
+    larger = boxed.with_room([max(8, n // 4) for n in boxed.surface.shape])
+    flow.set_fields(transferred(boxed, flow.fields, larger))
+    return larger
+
+
+def _velocity_at(boxed: BoxedSurface, plan: StepPlan, points: Floats) -> NDArray[np.float64]:
+    """Velocity (m, 3) of material points near the surface."""
+    velocity = plan.velocity
+    if velocity is None:
+        velocity = plan.speed[:, None] * boxed.surface.normals()
+    values, _ = sample_fields(boxed, [np.ascontiguousarray(velocity[:, c]) for c in range(3)], points)
+    return np.asarray(values)
+
 
 #: Density of new surface.
 RHO = 1.0
@@ -35,43 +130,43 @@ class FlowableMomentum(SurfaceMomentum):
     half_width = 4.0
 
     def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
-        size = self._on.surface.size
+        size = self._boxed.surface.size
         return [np.full(size, value, np.float32) for value in (*velocity, RHO)]
 
     def _mean_velocity(self) -> Floats:
-        mass = self._on.surface.fraction_and_area()[1] * self._fields[3]
+        mass = self._boxed.surface.fraction_and_area()[1] * self._fields[3]
         total = max(float(mass.sum()), 1e-300)
         return np.array([float((mass * field).sum()) / total for field in self._fields[:3]])
 
     def _coast(self, duration: float) -> None:
-        mean, h, sign = self._mean_velocity(), self._on.spacing, math.copysign(1.0, duration)
+        mean, h, sign = self._mean_velocity(), self._boxed.spacing, math.copysign(1.0, duration)
         voxels = np.rint(mean * duration / h)
         # Friction slows V - c: over the duration it moves as far as freely in this time.
         free = abs(duration) if self.friction == 0 else -math.expm1(-self.friction * abs(duration)) / self.friction
         slowed = math.exp(-self.friction * abs(duration))
         left = (mean * duration - voxels * h) / free
-        own = [sign * (field - m) + v for field, m, v in zip(self._fields[:3], mean, left, strict=True)]
-        voxel = min(self._on.surface.spacings)
-        own = list(_clipped(np.stack(own, axis=1), MAX_RELATIVE * voxel / free).T)
-        fields = [np.asarray(field, np.float32) for field in (*own, self._fields[3])]
-        on = self._with_room(fields[:3], free)
-        fields = transferred(self._on, fields, on)
+        relative = [sign * (field - m) + v for field, m, v in zip(self._fields[:3], mean, left, strict=True)]
+        voxel = min(self._boxed.surface.spacings)
+        relative = list(_clipped(np.stack(relative, axis=1), MAX_RELATIVE * voxel / free).T)
+        fields = [np.asarray(field, np.float32) for field in (*relative, self._fields[3])]
+        boxed = self._with_room(fields[:3], free)
+        fields = transferred(self._boxed, fields, boxed)
         flow = FlowableMass(rho=RHO, friction=0.0, diffusion=0.0)
-        on, fields, points = coast(on, flow, fields, free, self._points)
+        boxed, fields, points = coast(boxed, flow, fields, free, self._points)
         shift = [int(n) for n in voxels]
-        self._on, self._points = on.shifted(shift), points + voxels * h
+        self._boxed, self._points = boxed.shifted(shift), points + voxels * h
         moving = [sign * slowed * (field - v) + m for field, m, v in zip(fields[:3], mean, left, strict=True)]
         self._fields = [np.asarray(field, np.float32) for field in (*moving, fields[3])]
 
     def _with_room(self, velocity: list[np.ndarray], duration: float) -> BoxedSurface:
         """The surface on a box in which it can move for ``duration``, at most by the extent of the frames."""
-        h, frame = self._on.spacing, np.array(self._on.geometry.shape)
+        h, frame = self._boxed.spacing, np.array(self._boxed.geometry.shape)
         fastest = np.array([float(np.abs(field).max(initial=0.0)) for field in velocity])
         room = np.minimum(np.ceil(fastest * duration / h), frame).astype(np.int64)
-        return self._on.with_room(np.where(self._on.wide, room, 0).astype(np.int64))
+        return self._boxed.with_room(np.where(self._boxed.wide, room, 0).astype(np.int64))
 
     def _corrected_fields(self, found: Displacement, duration: float, gain: float) -> list[np.ndarray]:
-        missing = gain * missing_velocity(self._on, found, duration)
+        missing = gain * missing_velocity(self._boxed, found, duration)
         moving = [field + missing[:, c] for c, field in enumerate(self._fields[:3])]
         return [*(np.asarray(field, np.float32) for field in moving), self._fields[3]]
 
@@ -96,28 +191,28 @@ class ConstantDensityMomentum(SurfaceMomentum):
     half_width = 3.0
 
     def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
-        return [np.asarray(self._on.surface.normals() @ velocity, np.float32)]
+        return [np.asarray(self._boxed.surface.normals() @ velocity, np.float32)]
 
     def _mean_velocity(self) -> Floats:
-        """That of the centroid: 1/Vol int (x - x_c) (V . n) dA."""
-        on = self._on
-        fraction, area = on.surface.fraction_and_area()
-        arm = on.closest_points() - on.centroid()
+        """Velocity of the centroid: 1/Vol int (x - x_c) (V . n) dA."""
+        boxed = self._boxed
+        fraction, area = boxed.surface.fraction_and_area()
+        arm = boxed.closest_points() - boxed.centroid()
         # The area of a single slice counts its thickness, as the volume does.
         outward = -area * self._fields[0]
-        moved = (outward[:, None] * arm).sum(axis=0) / max(on.surface.volume(fraction), 1e-300)
-        return np.where(on.wide, moved, 0.0)
+        moved = (outward[:, None] * arm).sum(axis=0) / max(boxed.surface.volume(fraction), 1e-300)
+        return np.where(boxed.wide, moved, 0.0)
 
     def _coast(self, duration: float) -> None:
         sign = math.copysign(1.0, duration)
         flow = ConstantDensity(rho=RHO, friction=self.friction, diffusion=0.0)
         fields = [np.asarray(sign * self._fields[0], np.float32)]
-        self._on, (beta,), self._points = coast(self._on, flow, fields, abs(duration), self._points)
+        self._boxed, (beta,), self._points = coast(self._boxed, flow, fields, abs(duration), self._points)
         self._fields = [np.asarray(sign * beta, np.float32)]
 
     def _corrected_fields(self, found: Displacement, duration: float, gain: float) -> list[np.ndarray]:
-        normal = self._on.surface.normals()
-        along = (missing_velocity(self._on, found, duration) * normal).sum(axis=1)
+        normal = self._boxed.surface.normals()
+        along = (missing_velocity(self._boxed, found, duration) * normal).sum(axis=1)
         return [np.asarray(self._fields[0] + gain * along, np.float32)]
 
 
@@ -134,7 +229,7 @@ class LastDisplacement(SurfaceMomentum):
     moves: ClassVar[bool] = True
 
     def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
-        size = self._on.surface.size
+        size = self._boxed.surface.size
         return [np.full(size, value, np.float32) for value in velocity]
 
     def _mean_velocity(self) -> Floats:
@@ -142,25 +237,25 @@ class LastDisplacement(SurfaceMomentum):
 
     def _coast(self, duration: float) -> None:
         way = self._mean_velocity() * duration
-        voxels = np.rint(way / self._on.spacing)
-        left = np.asarray(way - voxels * self._on.spacing, np.float32)
+        voxels = np.rint(way / self._boxed.spacing)
+        left = np.asarray(way - voxels * self._boxed.spacing, np.float32)
         mean = self._mean_velocity()
         flow = FlowableMass(rho=RHO, friction=0.0, diffusion=0.0)
-        on = self._on.with_room((0, 0, 0))
-        size = on.surface.size
+        boxed = self._boxed.with_room((0, 0, 0))
+        size = boxed.surface.size
         fields = [np.full(size, value, np.float32) for value in (*left, RHO)]
-        on, _, points = coast(on, flow, fields, 1.0, self._points)
-        self._on, self._points = on.shifted([int(n) for n in voxels]), points + voxels * self._on.spacing
+        boxed, _, points = coast(boxed, flow, fields, 1.0, self._points)
+        self._boxed, self._points = boxed.shifted([int(n) for n in voxels]), points + voxels * self._boxed.spacing
         self._fields = self._fields_at_start(mean)
 
     def correct(self, piece: SurfacePiece, duration: float, gains: Gains) -> SurfacePiece:
         """Correct the surface; the velocity is the displacement of the centroid since the last correction."""
-        seen_before = self._on.surface.size > 0
-        before, mean = self._on.centroid(), self._mean_velocity() if seen_before and self.moves else np.zeros(3)
+        seen_before = self._boxed.surface.size > 0
+        before, mean = self._boxed.centroid(), self._mean_velocity() if seen_before and self.moves else np.zeros(3)
         super().correct(piece, duration, gains)
         if seen_before:
-            velocity = mean + gains.velocity / duration * (self._on.centroid() - before)
-            self._fields = self._fields_at_start(np.where(self._on.wide, velocity, 0.0))
+            velocity = mean + gains.velocity / duration * (self._boxed.centroid() - before)
+            self._fields = self._fields_at_start(np.where(self._boxed.wide, velocity, 0.0))
         return self.piece
 
     def _corrected_fields(self, found: Displacement, duration: float, gain: float) -> list[np.ndarray]:

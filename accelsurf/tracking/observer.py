@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.kernels import point_sampling
-from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, boxed
+from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, boxed_surface
 from accelsurf.tracking.records import SurfacePiece
 
 #: What is fitted: the shift of the whole, or nothing, so that all goes along the normal.
@@ -46,7 +46,7 @@ class Displacement(NamedTuple):
 
 
 def displacement(predicted: BoxedSurface, measured: BoxedSurface, fit: Fit = "shift") -> Displacement:
-    """How the ``predicted`` surface must move to be the ``measured`` one.
+    """Find how the ``predicted`` surface must move to be the ``measured`` one.
 
     Parameters
     ----------
@@ -76,15 +76,15 @@ def _fitted_shift(predicted: BoxedSurface, points: Floats, measured: BoxedSurfac
     return shift
 
 
-def _in_frame(on: BoxedSurface, points: Floats) -> NDArray[np.bool_]:
-    """Which points (m, 3), mm along the grid's axes, lie in a voxel of the frames."""
-    h, frame = on.spacing, np.array(on.geometry.shape)
+def _in_frame(boxed: BoxedSurface, points: Floats) -> NDArray[np.bool_]:
+    """Mask of the points (m, 3), mm along the grid's axes, that lie in a voxel of the frames."""
+    h, frame = boxed.spacing, np.array(boxed.geometry.shape)
     return np.asarray(((points >= -0.5 * h) & (points <= (frame - 0.5) * h)).all(axis=1))
 
 
-def _round(here: Floats, area: Floats, measured: BoxedSurface) -> Floats:
-    """One round: the small shift of the points ``here`` (m, 3) that brings them nearest to the measured surface."""
-    found = _psi_at(measured, here)
+def _round(points: Floats, area: Floats, measured: BoxedSurface) -> Floats:
+    """One round: the small shift of ``points`` (m, 3) that brings them nearest to the measured surface."""
+    found = _psi_at(measured, points)
     left, slope = found[:, 0], found[:, 1:]
     h, far = measured.surface.smallest_spacing, 0.95 * float(measured.surface.gamma)
     weight = np.where(np.abs(left) < far, area / np.maximum(1.0, np.abs(left) / (ROBUST * h)), 0.0)
@@ -98,12 +98,12 @@ def _round(here: Floats, area: Floats, measured: BoxedSurface) -> Floats:
     return np.asarray(-np.linalg.solve(normal + DAMPING * np.eye(3), pull))
 
 
-def _psi_at(on: BoxedSurface, points: Floats) -> Floats:
+def _psi_at(boxed: BoxedSurface, points: Floats) -> Floats:
     """Distance (mm) and its slopes at points (m, 3), mm along the grid's axes: (m, 4)."""
-    surface, out = on.surface, np.empty((len(points), 4))
+    surface, out = boxed.surface, np.empty((len(points), 4))
     surface.workers.parallel(
         point_sampling.value_and_gradient_at_points, len(points), surface.dense.psi, surface.grid,
-        on.index_on_box(points), out,
+        boxed.index_on_box(points), out,
     )
     return out
 
@@ -128,14 +128,14 @@ def between(predicted: BoxedSurface, measured: BoxedSurface, found: Displacement
     psi = (1.0 - gain) * _resampled(first, -gain * found.shift, low, shape)
     psi += gain * _resampled(second, (1.0 - gain) * found.shift, low, shape)
     corner = int(low[0]), int(low[1]), int(low[2])
-    return boxed(psi.astype(np.float32), corner, predicted.geometry, width, predicted.surface.workers)
+    return boxed_surface(psi.astype(np.float32), corner, predicted.geometry, width, predicted.surface.workers)
 
 
-def _resampled(on: BoxedSurface, shift: Floats, low: NDArray[np.int64], shape: tuple[int, ...]) -> Floats:
+def _resampled(boxed: BoxedSurface, shift: Floats, low: NDArray[np.int64], shape: tuple[int, ...]) -> Floats:
     """Psi at the voxels of the box at ``low``, each shifted by ``shift`` mm."""
-    surface, out = on.surface, np.empty(int(np.prod(shape)))
+    surface, out = boxed.surface, np.empty(int(np.prod(shape)))
     target = surface.grid._replace(nz=shape[0], ny=shape[1], nx=shape[2])
-    first = shift / on.spacing + low - np.array(on.corner)
+    first = shift / boxed.spacing + low - np.array(boxed.corner)
     surface.workers.parallel(
         point_sampling.resample_shifted, out.size, surface.dense.psi, surface.grid, first, target, out
     )
@@ -150,7 +150,7 @@ def missing_velocity(predicted: BoxedSurface, found: Displacement, duration: flo
 
 
 def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What is even in distances over a surface, weakened by as much of it as may be noise (Wiener's filter).
+    """Smooth distances over a surface, and weaken them by as much as may be noise (Wiener's filter).
 
     Parameters
     ----------
@@ -187,4 +187,4 @@ def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArr
 def measured_surface(piece: SurfacePiece, predicted: BoxedSurface) -> BoxedSurface:
     """The piece that a frame shows, as a surface with a band like the predicted one's."""
     surface = predicted.surface
-    return boxed(piece.psi, piece.corner, predicted.geometry, surface.requested_half_width, surface.workers)
+    return boxed_surface(piece.psi, piece.corner, predicted.geometry, surface.requested_half_width, surface.workers)

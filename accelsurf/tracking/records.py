@@ -1,4 +1,4 @@
-"""What tracking yields: the objects of one frame, and the links of who came from whom."""
+"""Records of a tracking: the objects of one frame, and the links between parents and children."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class SurfacePiece(NamedTuple):
 
     @property
     def has_inside(self) -> bool:
-        """Whether a voxel is inside."""
+        """True if a voxel is inside."""
         return bool((self.psi < 0).any())
 
     def tight(self) -> SurfacePiece:
@@ -133,19 +133,19 @@ class FrameResult:
         seen_only : bool
             Leave out the objects that the frame does not show.
         """
-        shown = [one for one in self.objects if one.seen or not seen_only]
-        labels = np.zeros(self.geometry.shape, label_type(max((one.id for one in shown), default=0)))
+        shown = [tracked for tracked in self.objects if tracked.seen or not seen_only]
+        labels = np.zeros(self.geometry.shape, label_type(max((tracked.id for tracked in shown), default=0)))
         deepest = np.zeros(self.geometry.shape, np.float32)
-        for one in shown:
-            box = one.surface.box
-            deeper = one.surface.psi < deepest[box]
-            labels[box][deeper] = one.id
-            deepest[box][deeper] = one.surface.psi[deeper]
+        for tracked in shown:
+            box = tracked.surface.box
+            deeper = tracked.surface.psi < deepest[box]
+            labels[box][deeper] = tracked.id
+            deepest[box][deeper] = tracked.surface.psi[deeper]
         return labels
 
 
 class Link(NamedTuple):
-    """Who came from whom: ``parent`` was last in a frame before ``frame``, where ``child`` is first.
+    """Link of two identities: ``parent`` was last in a frame before ``frame``, where ``child`` is first.
 
     A division is several links of one parent in a frame, a merging several links of one child.
     """

@@ -1,26 +1,126 @@
-"""track(): objects through a sequence of images, frame by frame."""
+"""track(): objects through a sequence of images, frame by frame, from a first frame that is segmented as an image."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.sequence import ImageSequence
+import numpy as np
+
+from accelsurf.errors import EmptyResultError, InputError, UsageError
+from accelsurf.evolution.records import StepRecord
+from accelsurf.grid.boxes import whole_box
+from accelsurf.grid.sequence import ImageSequence, VolumeSequence
 from accelsurf.grid.volume import Volume
 from accelsurf.levelset import Workers
+from accelsurf.segmentation.api import segment, segment_objects
+from accelsurf.segmentation.refiner import Refiner
+from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike, seeded, thread_count
+from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.tracking import track_state
-from accelsurf.tracking.first_frame import OnStep, first_objects
+from accelsurf.tracking.boxed_surface import separate_parts
 from accelsurf.tracking.follower import Arrival, Follower
-from accelsurf.tracking.frame_run import Measured
+from accelsurf.tracking.frame_run import Measured, measured
 from accelsurf.tracking.lineage import Identities
 from accelsurf.tracking.momentum import Triple
 from accelsurf.tracking.records import FrameResult, Lineage
+
+#: Called with each step and the id of its object; a true value ends the run.
+OnStep = Callable[[StepRecord, int], bool | None]
+
+
+class FirstObjects(NamedTuple):
+    """Objects of the first frame: ids and surfaces, and the warnings of the run."""
+
+    found: tuple[tuple[int, Measured], ...]
+    warnings: tuple[str, ...]
+    interrupted: bool
+
+
+def first_objects(
+    channels: Sequence[Volume],
+    config: RunConfig,
+    refinements: Sequence[Refinement],
+    divide: bool,
+    energy: EnergyLike | None = None,
+    objects: ObjectsLike | None = None,
+    on_step: OnStep | None = None,
+) -> FirstObjects:
+    """Segment the first frame.
+
+    Parameters
+    ----------
+    channels : sequence of Volume
+    config : RunConfig
+    refinements : sequence of Refinement
+        Corrections of this frame.
+    divide : bool
+        Whether parts that are no crumbs are objects of their own.
+    energy : Energy or callable, optional
+        One of the user's own.
+    objects : str, Volume or ndarray, optional
+        First voxels of several objects, in place of those of ``config``.
+    on_step : callable, optional
+
+    Raises
+    ------
+    EmptyResultError
+        When nothing is left to be followed.
+    UsageError, InputError
+        As of `accelsurf.segment`.
+    """
+    if refinements:
+        config = config.replace(keep_state="yes")
+    first, more = channels[0], channels[1:]
+    if config.objects is None and objects is None:
+        on_record = None if on_step is None else lambda record: on_step(record, 1)
+        result = segment(first, channels=more, config=config, energy=energy, on_step=on_record)
+    else:
+        result = segment_objects(first, objects, channels=more, config=config, energy=energy, on_step=on_step)
+    interrupted = result.stop.reason == "interrupted"
+    if refinements and not interrupted:
+        refiner = Refiner(result)
+        for refinement in refinements:
+            refiner.apply(refinement)
+        result = refiner.result()
+    found = _separated(result) if divide else _as_found(result)
+    if not found:
+        raise EmptyResultError(
+            "no surface is left in the first frame: nothing can be followed",
+            "try the settings with accelsurf segment on that frame (--time-index)",
+        )
+    return FirstObjects(tuple(found), tuple(result.warnings), interrupted)
+
+
+def _as_found(result: Result) -> list[tuple[int, Measured]]:
+    box = whole_box(result.geometry.shape)
+    found = [(tracked.id, measured(tracked, box)) for tracked in result.objects if tracked.has_surface]
+    return [(id, tracked) for id, tracked in found if tracked.surface.psi.size]
+
+
+def _separated(result: Result) -> list[tuple[int, Measured]]:
+    """Each part that is no crumb as an object of its own: the largest has the id, the others new ones."""
+    found = _as_found(result)
+    out, following = [], max((id for id, _ in found), default=0)
+    for id, whole in found:
+        pieces = separate_parts(whole.surface)
+        for place, piece in enumerate(pieces):
+            new_id = id
+            if place > 0:
+                new_id = following = following + 1
+            share = (piece.psi < 0).sum() / sum(int((other.psi < 0).sum()) for other in pieces)
+            is_whole = len(pieces) == 1
+            volume, area = (1.0, 1.0) if is_whole else (float(share), float(share) ** (2.0 / 3.0))
+            out.append((new_id, whole._replace(
+                surface=piece, volume_mm3=volume * whole.volume_mm3, area_mm2=area * whole.area_mm2
+            )))
+    return sorted(out, key=lambda pair: pair[0])
 
 
 class Visit(NamedTuple):
@@ -112,12 +212,12 @@ class Tracking:
         self._workers = Workers(thread_count(config.run))
         self._follower = self._new_follower()
         if self._path is not None and self._path.exists():
-            self._restore(track_state.read(self._path))
+            self._restore(self._path)
 
     @staticmethod
     def _check(sequence: ImageSequence, config: TrackConfig) -> None:
         count = len(sequence)
-        for key, number in (("frame", config.frame), *(("correct", one.frame) for one in config.correct)):
+        for key, number in (("frame", config.frame), *(("correct", correction.frame) for correction in config.correct)):
             if number >= count:
                 raise UsageError(f"{key}: frame {number} was given, expected 0 to {count - 1}")
 
@@ -138,7 +238,7 @@ class Tracking:
     def _step(self) -> FrameResult:
         began, (number, before) = time.perf_counter(), self.visits[self.done]
         times = self.sequence.times
-        wanted = tuple(one.refinement for one in self.config.correct if one.frame == number)
+        wanted = tuple(correction.refinement for correction in self.config.correct if correction.frame == number)
         arrival = Arrival(number, before, times[number], times[number] - times[before], self._frame(number), wanted)
         if number == before:
             objects = self._begin_at(arrival)
@@ -147,7 +247,7 @@ class Tracking:
                 self._turn_back()
             objects = self._follower.advance(arrival)
             if before == self.config.frame and number > before:
-                self._note_velocities(before)
+                self._note_velocities()
         self.done += 1
         if self.done == len(self.visits) or self.visits[self.done].number < self.visits[self.done - 1].number:
             if number >= before:
@@ -178,11 +278,13 @@ class Tracking:
         self._follower = self._new_follower()
         self._follower.start(self._first, arrival, self._velocities)
 
-    def _note_velocities(self, before: int) -> None:
+    def _note_velocities(self) -> None:
         """Note the velocities of the first objects after the first step."""
         ids = {id for id, _ in self._first}
         self._velocities = {
-            one.id: one.velocity for one in self._follower.objects if one.id in ids and one.missing == 0
+            followed.id: followed.velocity
+            for followed in self._follower.objects
+            if followed.id in ids and followed.missing == 0
         }
 
     @property
@@ -213,12 +315,11 @@ class Tracking:
             tuple(self._follower.state()), tuple(self.warnings),
         )
 
-    def _restore(self, found: tuple[track_state.Header, track_state.TrackState]) -> None:
-        header, state = found
+    def _restore(self, path: Path) -> None:
+        header, state = track_state.read(path)
         if state.seed is not None and self.config.run.seed != state.seed:
             self.config = self.config.replace(run=self.config.run.replace(seed=state.seed))
-        assert self._path is not None  # it was read
-        track_state.refuse_another(self._path, header, self._header)
+        track_state.refuse_another(path, header, self._header)
         self._identities.restore(state.identities)
         self._follower = self._new_follower()
         self._follower.restore(state.objects)
@@ -278,3 +379,29 @@ def track(
     return Tracking(
         sequence, settings.replace(**options) if options else settings, energy, objects, meshes, on_step, checkpoint_to
     )
+
+
+#: Voxels along each axis, and the radius of the ball that moves.
+WARMUP_SIDE, WARMUP_RADIUS = 24, 6.0
+
+
+def small_runs() -> dict[str, Callable[[], Any]]:
+    """Return runs by name of the kernels that only a tracking calls, for ``accelsurf warmup``."""
+    return {
+        "tracking": lambda: _warm_up("flowable-mass"),
+        "tracking by constant density": lambda: _warm_up("constant-density"),
+    }
+
+
+def _warm_up(model: str) -> None:
+    """A ball through three frames, with a mesh that is moved along, the way of the observer gone in part."""
+    frames = [_warmup_frame(x) for x in (-1.0, 0.0, 1.0)]
+    start = frames[0].with_array((frames[0].array > 0.5).astype(np.uint8))
+    config = TrackConfig(model=model, observer="0.7,0.5", levels=1, max_steps=12)
+    for _ in Tracking(VolumeSequence(frames), config, objects=start, meshes=True):
+        pass
+
+
+def _warmup_frame(shift: float) -> Volume:
+    z, y, x = np.indices([WARMUP_SIDE] * 3) - WARMUP_SIDE / 2
+    return Volume.from_array((z**2 + y**2 + (x - shift) ** 2 < WARMUP_RADIUS**2).astype(np.float32), 1.0)

@@ -24,7 +24,7 @@ _BEGIN = "begin anew without --resume, with --overwrite"
 
 
 class Header(NamedTuple):
-    """Of which tracking a state is: ``version`` of the file, ``versions`` of what the numbers depend on, ``digest`` of
+    """Header of a state: ``version`` of the file, ``versions`` of what the numbers depend on, ``digest`` of
     the sequence, and ``settings``.
     """
 
@@ -73,8 +73,8 @@ def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Hea
     sha.update(f"{geometry.shape}{geometry.spacing}{geometry.origin}{sequence.times}{sequence.time_unit}".encode())
     sha.update(digest_of({"direction": geometry.direction, "image": sequence.frame(config.frame).array}).encode())
     run = config.run.model_dump(mode="json", exclude=set(FREE))
-    own = config.model_dump(mode="json", exclude={"run"})
-    return Header(VERSION, versions(), sha.hexdigest(), {**run, **own, "meshes": meshes})
+    tracking = config.model_dump(mode="json", exclude={"run"})
+    return Header(VERSION, versions(), sha.hexdigest(), {**run, **tracking, "meshes": meshes})
 
 
 def write(path: Path, state: TrackState, header: Header) -> None:
@@ -108,18 +108,18 @@ def read(path: Path) -> tuple[Header, TrackState]:
         raise InputError(f"{path}: the state is damaged ({error})", _BEGIN) from None
 
 
-def refuse_another(path: Path, header: Header, here: Header) -> None:
+def refuse_another(path: Path, header: Header, expected: Header) -> None:
     """Refuse the state of another tracking; what differs is named.
 
     Raises
     ------
     InputError
     """
-    if (header.digest, header.settings) == (here.digest, here.settings):
+    if (header.digest, header.settings) == (expected.digest, expected.settings):
         return
-    other = [key for key in here.settings if header.settings.get(key) != here.settings[key]]
+    other = [key for key in expected.settings if header.settings.get(key) != expected.settings[key]]
     what = "another sequence"
     if other:
         key = other[0]
-        what = f"other settings: {key} was {shown(header.settings.get(key))}, is {shown(here.settings[key])}"
+        what = f"other settings: {key} was {shown(header.settings.get(key))}, is {shown(expected.settings[key])}"
     raise InputError(f"{path}: a state of {what}", "give those of the run that wrote it, or begin anew")

@@ -265,13 +265,13 @@ def test_a_sample_of_the_inside_tells_as_much(monkeypatch):
 
 def test_slabs_make_no_difference(monkeypatch):
     from accelsurf.analysis import edges
-    from accelsurf.grid import slabs
+    from accelsurf.grid import boxes
 
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
     scan = mask + np.random.default_rng(1).normal(0, 0.3, SHAPE)
     whole = look(mask, scan)
-    monkeypatch.setattr(slabs, "SLAB_VOXELS", 1)
+    monkeypatch.setattr(boxes, "SLAB_VOXELS", 1)
     monkeypatch.setattr(edges, "MIN_SLAB_HALOS", 1)
     assert look(mask, scan).no_edge_fraction == pytest.approx(whole.no_edge_fraction, abs=0.01)
 

@@ -11,7 +11,7 @@ import pytest
 import accelsurf
 from accelsurf import kernels
 from accelsurf.cli import profile
-from accelsurf.kernels.stages import STAGE_OF_KERNEL, Stage
+from accelsurf.kernels._jit import STAGE_OF_KERNEL, Stage
 
 MODULES = {
     one.name.rsplit(".", 1)[1]: importlib.import_module(one.name)

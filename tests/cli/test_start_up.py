@@ -8,9 +8,7 @@ import sys
 import pytest
 
 from accelsurf import io
-from accelsurf.kernels.ahead import called_kernels
 from accelsurf.phantoms import recipes
-from benchmarks.called_kernels import COMMANDS
 
 #: What only a run needs: compiled code, numerics, readers of images, drawing.
 OF_A_RUN = {"numba", "scipy", "skimage", "SimpleITK", "nibabel", "PIL"}
@@ -30,12 +28,10 @@ numba = sys.modules.get("numba")
 kernels = []
 if numba is not None:
     import gc
-    from accelsurf.kernels.signatures import to_text
-
     for one in gc.get_objects():
         if isinstance(one, numba.core.dispatcher.Dispatcher) and one.__module__.startswith("accelsurf"):
             name = f"{one.__module__.removeprefix('accelsurf.kernels.')}.{one.__name__}"
-            kernels += [f"{name}: {to_text(types)}" for types in one.stats.cache_hits]
+            kernels += [f"{name}: {types}" for types in one.stats.cache_hits]
 print(json.dumps([code, sorted(sys.modules), kernels]))
 """
 
@@ -124,16 +120,6 @@ def test_a_run_loads_the_kernels_that_it_calls_and_no_library_of_others(given, b
     assert code == 0
     assert not packages_of(modules) & (OF_OTHERS | OF_DICOM)
     assert 20 < len(kernels) <= MOST_KERNELS[given[0].strip("-")], sorted(kernels)
-
-
-def test_what_runs_and_a_correction_call_is_known_before(ball, monkeypatch):
-    """Another process compiles it ahead; ``python -m benchmarks.called_kernels`` writes the list anew."""
-    monkeypatch.chdir(ball.parent)
-    called = set()
-    for words in COMMANDS:
-        loaded(*words)  # compiles what nobody has compiled before
-        called.update(loaded(*words, "--overwrite")[2])
-    assert called == {str(one) for one in called_kernels()}
 
 
 def test_only_whole_settings_get_a_validator():

@@ -9,7 +9,7 @@ from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
 from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev, StepLimits
 from accelsurf.levelset import LevelSet
-from accelsurf.levelset.checks import check_level_set
+from tests.support.level_set_checks import check_level_set
 
 N = 24
 

@@ -11,7 +11,7 @@ from accelsurf.evolution.convergence import Restart, StopRule
 from accelsurf.evolution.loop import Evolution
 from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall
 from accelsurf.levelset import LevelSet
-from accelsurf.levelset.checks import check_level_set
+from tests.support.level_set_checks import check_level_set
 
 N = 20
 

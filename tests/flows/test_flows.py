@@ -4,7 +4,7 @@ from scipy.special import sph_harm_y
 
 from accelsurf.flows import ConstantDensity, Gradient, StepInput, StepLimits
 from accelsurf.flows.diffusion import SAFETY, STAGES, diffuse, largest_diffusion, one_stage_diffusion
-from accelsurf.flows.step_limits import clip_speed, percentile, voxel_rates
+from accelsurf.flows.protocol import clip_speed, percentile, voxel_rates
 from accelsurf.levelset import LevelSet
 
 R = 12.0

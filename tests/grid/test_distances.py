@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from accelsurf.grid import slabs
-from accelsurf.grid.distances import ball_distance
+from accelsurf.grid import boxes
+from accelsurf.grid.geometry import ball_distance
 
 BOX, SPACING, CENTRE, RADIUS = (slice(2, 9), slice(0, 11), slice(5, 13)), (2.5, 0.8, 1.1), (4.3, 5.1, 8.7), 3.3
 
@@ -24,5 +24,5 @@ def test_distance_at_every_voxel(precision):
 @pytest.mark.parametrize("precision", [np.float32, np.float64])
 def test_slabs_make_no_difference(monkeypatch, precision):
     whole = ball_distance(BOX, SPACING, CENTRE, RADIUS, precision)
-    monkeypatch.setattr(slabs, "SLAB_VOXELS", 1)
+    monkeypatch.setattr(boxes, "SLAB_VOXELS", 1)
     np.testing.assert_array_equal(ball_distance(BOX, SPACING, CENTRE, RADIUS, precision), whole)

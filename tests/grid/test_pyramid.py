@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.grid import slabs
+from accelsurf.grid import boxes
 from accelsurf.grid.pyramid import levels, prolong, restrict
 from accelsurf.grid.resolved_levels import count_resolved_levels, min_component_depth
 from accelsurf.levelset import LevelSet
@@ -201,5 +201,5 @@ def test_slabs_make_no_difference(monkeypatch):
     fine, coarse = levels((33, 30, 27), (1.0, 1.1, 1.2), 2)
     psi = np.random.default_rng(5).normal(size=coarse.shape).astype(np.float32)
     whole = prolong(psi, coarse, fine)
-    monkeypatch.setattr(slabs, "SLAB_VOXELS", 2 * 30 * 27)
+    monkeypatch.setattr(boxes, "SLAB_VOXELS", 2 * 30 * 27)
     assert np.array_equal(prolong(psi, coarse, fine), whole)

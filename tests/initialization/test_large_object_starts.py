@@ -7,7 +7,7 @@ import pytest
 
 from accelsurf import io
 from accelsurf.errors import GeometryError, InputError, UsageError
-from accelsurf.grid import slabs
+from accelsurf.grid import boxes
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import large_object_starts, object_starts
@@ -21,7 +21,7 @@ GEOMETRY = Geometry(SHAPE, (1.5, 1.0, 0.8), (4.0, -3.0, 2.0))
 @pytest.fixture(autouse=True)
 def thin_slabs(monkeypatch):
     """Planes are read three at a time."""
-    monkeypatch.setattr(slabs, "SLAB_VOXELS", 3 * SHAPE[1] * SHAPE[2])
+    monkeypatch.setattr(boxes, "SLAB_VOXELS", 3 * SHAPE[1] * SHAPE[2])
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.grid.image_filters import closed_mm, lines_of_ball
-from accelsurf.kernels.closing import dilate
+from accelsurf.kernels.smoothing import dilate
 
 
 def footprint(spacing, radius):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.kernels.cosine import bump, sine_of_pi
+from accelsurf.kernels.waves import bump, sine_of_pi
 
 pytestmark = pytest.mark.nojit
 

@@ -7,9 +7,8 @@ import pytest
 
 from accelsurf.kernels import fast_marching, march
 from accelsurf.kernels.eikonal import ACCEPTED
-from accelsurf.kernels.fast_marching import insert, pop
+from accelsurf.kernels.fast_marching import insert, order_of, pop
 from accelsurf.kernels.grid import Grid
-from accelsurf.kernels.upwind_extension import order_of
 from accelsurf.levelset import LevelSet
 from tests.support import reference
 from tests.support.fast_march import PlainMarch

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.kernels import front_sampling
+from accelsurf.kernels import point_sampling
 from tests.support import reference
 
 pytestmark = pytest.mark.nojit
@@ -26,7 +26,7 @@ def scene(shape, seed):
 def test_normals_are_the_centred_gradient_of_length_1(shape):
     dense, band, front, _ = scene(shape, 1)
     out = np.full((front.size, 3), np.nan, np.float32)
-    front_sampling.outward_normals(0, front.size, dense.psi, reference.grid_of(shape, SPACING), band, front, out)
+    point_sampling.outward_normals(0, front.size, dense.psi, reference.grid_of(shape, SPACING), band, front, out)
     gradient = reference.derivatives(dense.psi.reshape(shape), SPACING)[0].reshape(-1, 3)
     want = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
     np.testing.assert_allclose(out[front], want[front], atol=1e-5)
@@ -38,7 +38,7 @@ def test_where_psi_is_flat_there_is_no_normal():
     dense, band = reference.whole_band(np.full(shape, 2.0))
     out = np.full((60, 3), np.nan, np.float32)
     grid = reference.grid_of(shape, SPACING)
-    front_sampling.outward_normals(0, 60, dense.psi, grid, band, np.ones(60, bool), out)
+    point_sampling.outward_normals(0, 60, dense.psi, grid, band, np.ones(60, bool), out)
     assert not out.any()
 
 
@@ -48,7 +48,7 @@ def test_value_and_slope_are_the_interpolants_held_at_the_border(shape):
     normals = np.random.default_rng(3).normal(size=(front.size, 3)).astype(np.float32)
     out = np.full((front.size, 2), np.nan, np.float32)
     grid = reference.grid_of(shape, SPACING)
-    front_sampling.value_and_slope(0, front.size, image.ravel(), grid, band, normals, front, out)
+    point_sampling.value_and_slope(0, front.size, image.ravel(), grid, band, normals, front, out)
     feet = np.argwhere(np.ones(shape, bool)) + band.to_closest.astype(float) / SPACING
     value, gradient = reference.interpolate(image, np.clip(feet, 0, np.array(shape) - 1.0))
     slope = (gradient / SPACING * normals).sum(axis=1)
@@ -61,7 +61,7 @@ def test_only_the_range_is_touched():
     dense, band, _, image = scene(shape, 5)
     grid, front = reference.grid_of(shape, SPACING), np.ones(60, bool)
     normals, out = np.full((60, 3), 7, np.float32), np.full((60, 2), 7, np.float32)
-    front_sampling.outward_normals(10, 20, dense.psi, grid, band, front, normals)
-    front_sampling.value_and_slope(10, 20, image.ravel(), grid, band, normals, front, out)
+    point_sampling.outward_normals(10, 20, dense.psi, grid, band, front, normals)
+    point_sampling.value_and_slope(10, 20, image.ravel(), grid, band, normals, front, out)
     for array in (normals, out):
         assert (array[:10] == 7).all() and (array[20:] == 7).all() and not (array[10:20] == 7).any()

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.kernels import closest, march, surface_voxels
+from accelsurf.kernels import band as band_kernels
+from accelsurf.kernels import closest, march
 from accelsurf.kernels.grid import Band, neighbours, unravel, unravel_in_vectors, voxels_along
 from accelsurf.kernels.guesses import first_guess, guess_feet, guess_memory
 from accelsurf.levelset import Workers
@@ -930,16 +931,16 @@ def test_front_cells_of_some_rows():
         grid, rows = reference.grid_of(shape, UNEQUAL), shape[0] * shape[1]
         front = reference.front_cells(psi).reshape(rows, -1)
         inside, counts = np.full(rows, -7, np.int32), np.full(rows, -7)
-        surface_voxels.count_inside(0, rows, dense.psi, grid, inside)
+        band_kernels.count_inside(0, rows, dense.psi, grid, inside)
         np.testing.assert_array_equal(inside, (psi < 0).reshape(rows, -1).sum(axis=1))
-        surface_voxels.count_front(0, rows, dense.psi, grid, inside, counts)
+        band_kernels.count_front(0, rows, dense.psi, grid, inside, counts)
         np.testing.assert_array_equal(counts, front.sum(axis=1))
         ends, cells = np.cumsum(counts), np.full(front.sum(), -7)
         half = rows // 2
-        surface_voxels.front_cells(half, rows, dense.psi, grid, inside, ends, cells)
+        band_kernels.front_cells(half, rows, dense.psi, grid, inside, ends, cells)
         before = ends[half - 1] if half else 0
         assert (cells[:before] == -7).all()
-        surface_voxels.front_cells(0, half, dense.psi, grid, inside, ends, cells)
+        band_kernels.front_cells(0, half, dense.psi, grid, inside, ends, cells)
         np.testing.assert_array_equal(cells, np.flatnonzero(front))
 
 

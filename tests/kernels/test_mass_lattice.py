@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from accelsurf.kernels import mass_lattice
+from accelsurf.kernels import windows
 from tests.support import reference
 
 SPACING = (1.0, 0.5, 2.0)
@@ -25,7 +25,7 @@ def test_all_mass_is_on_the_lattice_with_its_centre(shape):
     grid, band, stride, lattice, rng = scene(shape)
     mass = rng.random(band.cells.size)
     velocity, dt = rng.standard_normal((mass.size, 3)).astype(np.float32), 0.4
-    mass_lattice.deposit(grid, band, mass, (velocity, dt), stride, lattice)
+    windows.deposit(grid, band, mass, (velocity, dt), stride, lattice)
     assert lattice.sum() == pytest.approx(mass.sum()) and lattice.min() >= 0.0
     at = np.argwhere(np.ones(shape, bool)) + (band.to_closest + dt * velocity) / SPACING
     middle = 0.5 * (np.array(shape) - 1.0)
@@ -41,14 +41,14 @@ def test_the_mirrored_volume_has_the_mirrored_lattice(shape):
     """The nodes lie about the middle of the volume, wherever that is between the voxels."""
     grid, band, stride, lattice, rng = scene(shape, 2)
     mass, rest = rng.random(band.cells.size), (np.zeros((band.cells.size, 3), np.float32), 0.0)
-    mass_lattice.deposit(grid, band, mass, rest, stride, lattice)
+    windows.deposit(grid, band, mass, rest, stride, lattice)
     feet = band.to_closest.reshape(*shape, 3)
     for axis in range(3):
         sign = np.where(np.arange(3) == axis, -1.0, 1.0)
         _, turned = reference.whole_band(np.ones(shape), (np.flip(feet, axis) * sign).reshape(-1, 3))
         other = np.zeros_like(lattice)
         mirrored = np.ascontiguousarray(np.flip(mass.reshape(shape), axis)).ravel()
-        mass_lattice.deposit(grid, turned, mirrored, rest, stride, other)
+        windows.deposit(grid, turned, mirrored, rest, stride, other)
         np.testing.assert_allclose(np.flip(other, axis), lattice, rtol=1e-9, atol=1e-12)
 
 
@@ -56,12 +56,12 @@ def test_what_is_read_is_the_transpose_of_what_is_added():
     grid, band, stride, lattice, rng = scene((13, 9, 12), 1)
     mass, ratio = rng.random(band.cells.size), rng.random(lattice.shape)
     rest = np.zeros((mass.size, 3), np.float32), 0.0
-    mass_lattice.deposit(grid, band, mass, rest, stride, lattice)
+    windows.deposit(grid, band, mass, rest, stride, lattice)
     out = np.empty(mass.size, np.float32)
-    mass_lattice.lattice_factors(0, mass.size, grid, band, ratio, stride, out)
+    windows.lattice_factors(0, mass.size, grid, band, ratio, stride, out)
     assert (mass * out).sum() == pytest.approx((lattice * ratio).sum(), rel=1e-5)
     part = np.full(mass.size, np.nan, np.float32)
-    mass_lattice.lattice_factors(5, 20, grid, band, ratio, stride, part)
+    windows.lattice_factors(5, 20, grid, band, ratio, stride, part)
     np.testing.assert_array_equal(part[5:20], out[5:20])
     assert np.isnan(part[:5]).all() and np.isnan(part[20:]).all()
 
@@ -71,7 +71,7 @@ def test_outflow_is_that_through_the_faces_of_the_border():
     grid, cells = reference.grid_of(shape, SPACING), np.arange(20)
     velocity = np.tile(np.array([3.0, 1.0, 2.0], np.float32), (20, 1))
     out = np.full(20, np.nan, np.float32)
-    mass_lattice.border_outflow(0, 20, grid, cells, (velocity, 0.1), out)
+    windows.border_outflow(0, 20, grid, cells, (velocity, 0.1), out)
     want = np.zeros((4, 5))
     want[0] -= 0.1 / 0.5
     want[-1] += 0.1 / 0.5

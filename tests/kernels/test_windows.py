@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from accelsurf.kernels import histogram, windows
+from accelsurf.kernels import statistics, windows
 from accelsurf.kernels.grid import BLOCK, Band, Grid
 from tests.support import reference
 
@@ -101,12 +101,12 @@ def test_histograms_share_values_between_bins():
     weight[0] = 0.0
     rows = np.zeros((-(-image.size // BLOCK), bins))
     cells = np.arange(image.size)
-    histogram.weighted_histogram(0, len(rows), cells, weight.ravel(), image.ravel(), scale, rows)
+    statistics.weighted_histogram(0, len(rows), cells, weight.ravel(), image.ravel(), scale, rows)
     np.testing.assert_allclose(rows.sum(axis=0), reference.histogram(image, weight, *scale, bins), atol=1e-9)
     lattice, _ = reference.whole_band(rng.normal(size=shape))
     lattice.slot[rng.random(image.size) < 0.6] = -1
     rows, grid = np.zeros((shape[0], bins)), Grid(*shape, 1.0, 1.0, 1.0)
-    histogram.inside_histogram(0, len(rows), lattice, image.ravel(), grid, scale, rows)
+    statistics.inside_histogram(0, len(rows), lattice, image.ravel(), grid, scale, rows)
     counted = ((lattice.slot < 0) & (lattice.psi < 0)).astype(float)
     np.testing.assert_allclose(rows.sum(axis=0), reference.histogram(image, counted, *scale, bins), atol=1e-9)
 
@@ -114,5 +114,5 @@ def test_histograms_share_values_between_bins():
 def test_look_up_is_linear_between_bins():
     image, table = np.linspace(-3, 3, 31).astype(np.float32), np.array([0.0, 1.0, 4.0, 9.0])
     out = np.zeros(31, np.float32)
-    histogram.look_up(0, 31, image, (-1.0, 2.0), table, out)
+    statistics.look_up(0, 31, image, (-1.0, 2.0), table, out)
     np.testing.assert_allclose(out, np.interp(image, [-1.0, -0.5, 0.0, 0.5], table), atol=1e-6)

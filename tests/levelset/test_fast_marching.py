@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.levelset import LevelSet, Workers, checkpoint_surface, restore_surface
-from accelsurf.levelset.checks import check_level_set
+from tests.support.level_set_checks import check_level_set
 
 UNIT = (1.0, 1.0, 1.0)
 OBLIQUE = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)

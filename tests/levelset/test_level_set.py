@@ -9,8 +9,8 @@ from scipy import ndimage
 from accelsurf.kernels.closest import FIRST_TOLERANCE
 from accelsurf.kernels.grid import DenseArrays
 from accelsurf.levelset import LevelSet
-from accelsurf.levelset.checks import check_level_set
 from tests.support import reference
+from tests.support.level_set_checks import check_level_set
 
 ISOTROPIC, UNEQUAL = (1.0, 1.0, 1.0), (3.0, 1.0, 0.7)
 

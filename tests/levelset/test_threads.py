@@ -9,9 +9,9 @@ import pytest
 from accelsurf.kernels.grid import BLOCK
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset import threads as sharing
-from accelsurf.levelset.checks import check_level_set
 from accelsurf.levelset.closest_points import find_closest_points
 from tests.support import reference
+from tests.support.level_set_checks import check_level_set
 
 GRAIN = sharing.GRAIN
 SIZES = [0, 1, GRAIN - 1, GRAIN, GRAIN + 1, BLOCK - 1, BLOCK, BLOCK + 1, 7 * BLOCK + 3, 40 * BLOCK]

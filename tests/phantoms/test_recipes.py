@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from scipy.special import erf
 
 from accelsurf.errors import AccelsurfError, InputError, UsageError
-from accelsurf.grid import slabs
+from accelsurf.grid import boxes
 from accelsurf.phantoms import recipe_files
 from accelsurf.phantoms.recipe_files import recipe_folder, recipe_names
 from accelsurf.phantoms.recipes import (
@@ -274,7 +274,7 @@ def test_middle_of_the_volume_is_the_worlds_origin() -> None:
 def test_slabs_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     recipe = load_recipe("ball_anisotropic").changed(noise=0.1)
     whole, psi = make(recipe), signed_distance(recipe)
-    monkeypatch.setattr(slabs, "SLAB_VOXELS", 5000)
+    monkeypatch.setattr(boxes, "SLAB_VOXELS", 5000)
     pieces = make(recipe)
     np.testing.assert_array_equal(pieces.image.array, whole.image.array)
     np.testing.assert_array_equal(pieces.truth.array, whole.truth.array)

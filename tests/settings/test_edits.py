@@ -8,12 +8,12 @@ from accelsurf.energies import ChanVese
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.volume import Volume
 from accelsurf.levelset import LevelSet, checkpoint_surface, restore_surface
-from accelsurf.levelset.checks import check_level_set
 from accelsurf.segmentation.api import result_of, segment
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.edits import Edit, edits_of
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig
+from tests.support.level_set_checks import check_level_set
 
 
 def volume(shape=(24, 30, 34), spacing=(1.5, 1.0, 1.0), seed=0):

@@ -35,7 +35,7 @@ def ball(geometry: Geometry, centre: Sequence[float], radius: float) -> np.ndarr
 
 def off_ellipsoid(momentum: SurfaceMomentum, centre: Sequence[float], axes: Sequence[float]) -> float:
     """The largest distance (mm, first order) of a surface's points from an ellipsoid."""
-    on = momentum._on
+    on = momentum._boxed
     points = on.closest_points()[on.surface.front(1.0)] - np.asarray(centre, float)
     points, half = points[:, on.wide], np.asarray(axes, float)[on.wide]
     level = np.sqrt(((points / half) ** 2).sum(axis=1))

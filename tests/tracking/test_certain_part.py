@@ -7,7 +7,7 @@ import pytest
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import Workers
-from accelsurf.tracking.boxed_surface import BoxedSurface, boxed
+from accelsurf.tracking.boxed_surface import BoxedSurface, boxed_surface
 from accelsurf.tracking.momentum import Gains
 from accelsurf.tracking.momentum_models import make_momentum
 from accelsurf.tracking.observer import certain_part
@@ -19,7 +19,7 @@ MIDDLE = np.full(3, 15.5)
 
 @pytest.fixture(scope="module")
 def sphere() -> BoxedSurface:
-    return boxed(ball(ROOM, tuple(MIDDLE), 9.0), (0, 0, 0), ROOM, 4.0, Workers(1))
+    return boxed_surface(ball(ROOM, tuple(MIDDLE), 9.0), (0, 0, 0), ROOM, 4.0, Workers(1))
 
 
 def along(on: BoxedSurface) -> np.ndarray:
@@ -69,7 +69,7 @@ def test_it_is_the_same_with_unequal_spacing_and_in_one_slice() -> None:
     flat = Geometry((1, 36, 36), (1.0, 1.0, 5.0))
     disc = np.hypot(y[:, None] - 17.5, x - 17.5)[None]
     for psi, geometry in ((away - 10.0, spaced), (disc - 10.0, flat)):
-        on = boxed(psi.astype(np.float32), (0, 0, 0), geometry, 4.0, Workers(1))
+        on = boxed_surface(psi.astype(np.float32), (0, 0, 0), geometry, 4.0, Workers(1))
         np.testing.assert_allclose(certain_part(on, np.full(on.surface.size, -0.4)), -0.4, rtol=1e-3)
 
 

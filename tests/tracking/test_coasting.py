@@ -10,9 +10,8 @@ import pytest
 from accelsurf.flows import ConstantDensity, FlowableMass
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import Workers
-from accelsurf.tracking.boxed_surface import BoxedSurface, boxed
-from accelsurf.tracking.coasting import coast
-from accelsurf.tracking.momentum_models import make_momentum
+from accelsurf.tracking.boxed_surface import BoxedSurface, boxed_surface
+from accelsurf.tracking.momentum_models import coast, make_momentum
 from tests.support.travelling import CUBE, ball, ellipsoid, off_ellipsoid
 
 NO_POINTS = np.zeros((0, 3))
@@ -41,7 +40,7 @@ def affine_misfit(n: int, duration: float = 4.0) -> tuple[float, float]:
     h = 24.0 / n
     geometry = Geometry((n, n, n), (h, h, h))
     centre, radius = np.full(3, 0.5 * (n - 1) * h), 6.0
-    on = boxed(ball(geometry, tuple(centre), radius), (0, 0, 0), geometry, 4.0, Workers(1))
+    on = boxed_surface(ball(geometry, tuple(centre), radius), (0, 0, 0), geometry, 4.0, Workers(1))
     velocity = (on.closest_points() - centre) @ AFFINE.T
     fields = [np.asarray(f, np.float32) for f in (*velocity.T, np.ones(on.surface.size))]
     on, fields, _ = coast(on, FlowableMass(friction=0.0, diffusion=0.0), fields, duration, NO_POINTS)
@@ -76,7 +75,7 @@ def radius_after(n: int, flat: bool, beta: float, duration: float) -> tuple[floa
     h = 24.0 / n
     geometry = Geometry((1 if flat else n, n, n), (h, h, h))
     centre = np.where(np.array(geometry.shape) > 1, 0.5 * (n - 1) * h, 0.0)
-    on = boxed(ball(geometry, tuple(centre), 7.0), (0, 0, 0), geometry, 3.0, Workers(1))
+    on = boxed_surface(ball(geometry, tuple(centre), 7.0), (0, 0, 0), geometry, 3.0, Workers(1))
     flow = ConstantDensity(friction=0.0, diffusion=0.0)
     on, _, _ = coast(on, flow, [np.full(on.surface.size, beta, np.float32)], duration, NO_POINTS)
     radii = np.linalg.norm(on.closest_points()[on.surface.front(1.0)] - centre, axis=1)
@@ -98,7 +97,7 @@ def test_friction_takes_what_differs_from_the_mean() -> None:
     geometry, friction = CUBE, 0.5
     momentum = make_momentum("flowable-mass", friction)
     momentum.start(ball(geometry, (11.5, 11.5, 9.0), 5.0), (0, 0, 0), geometry, (1.0, 0.0, 0.0))
-    away = momentum._on.closest_points() - np.array([11.5, 11.5, 9.0])
+    away = momentum._boxed.closest_points() - np.array([11.5, 11.5, 9.0])
     *velocity, density = momentum._fields
     momentum._fields = [np.float32(f + 0.2 * a) for f, a in zip(velocity, away.T, strict=True)] + [density]
     for _ in range(3):
@@ -165,5 +164,5 @@ def test_the_box_follows_the_surface() -> None:
     momentum.start(ball(small, (9.5, 9.5, 9.5), 4.0), (30, 30, 30), large, (9.0, 9.0, 9.0))
     for _ in range(15):
         momentum.predict(1.0)
-    assert isinstance(momentum._on, BoxedSurface) and max(momentum._on.surface.shape) < 32
+    assert isinstance(momentum._boxed, BoxedSurface) and max(momentum._boxed.surface.shape) < 32
     assert momentum.centroid() == pytest.approx((174.5, 174.5, 174.5), abs=0.01)

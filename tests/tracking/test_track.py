@@ -12,8 +12,8 @@ from accelsurf.grid.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.tracking import track_state
-from accelsurf.tracking.entering import appearing
 from accelsurf.tracking.evidence import Profile
+from accelsurf.tracking.follower import appearing
 from accelsurf.tracking.frame_run import following_settings, measure
 from accelsurf.tracking.lineage import Identities
 from accelsurf.tracking.records import FrameResult, Lineage, SurfacePiece
@@ -58,10 +58,10 @@ def test_of_a_prediction_that_lies_in_another_object_nothing_is_run() -> None:
     y, x = np.indices(SHAPE)[:, None].astype(np.float32)
     small, large = (np.hypot(x - 20, y - 20).astype(np.float32) - r for r in (3, 8))
     config, taken = following_settings(RunConfig(threads=1), "auto"), [SurfacePiece((0, 0, 0), large)]
-    found = measure([frame], [ObjectStart(2, (0, 0, 0), small)], config, taken=taken)
+    found = measure([frame], [ObjectStart(2, (0, 0, 0), small)], config, occupied=taken)
     assert not found[2].surface.psi.size
     beside = np.hypot(x - 27, y - 20).astype(np.float32) - 3
-    found = measure([frame], [ObjectStart(2, (0, 0, 0), beside)], config, taken=taken)
+    found = measure([frame], [ObjectStart(2, (0, 0, 0), beside)], config, occupied=taken)
     assert not (found[2].surface.psi.size and (found[2].surface.psi[:, 20:21, 20:24] < 0).any())
 
 

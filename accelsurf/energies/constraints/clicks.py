@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.constraints.constrained import ConstrainedEnergy
+from accelsurf.energies.constraints.mask import ConstrainedEnergy
 from accelsurf.energies.energy import Energy
 from accelsurf.flows import Flow
 from accelsurf.grid.click_bounds import ClickBounds

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.constraints.constrained import ConstrainedEnergy
+from accelsurf.energies.constraints.mask import ConstrainedEnergy
 from accelsurf.energies.energy import Energy
 from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner
@@ -29,7 +29,7 @@ class Neighbour(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Where a surface is near a neighbour: ``near`` (m,) indices of the points; the neighbour's ``cells`` and ``slots``
+    """Contact with a neighbour: ``near`` (m,) indices of the points; the neighbour's ``cells`` and ``slots``
     there; ``share`` (m,), 1 where the two touch and 0 from `CONTACT_RANGE` on.
     """
 
@@ -72,7 +72,7 @@ class NonOverlap(ConstrainedEnergy):
 
     @property
     def is_disturbed(self) -> bool:
-        """Whether there are neighbours, which may push the surface, or lie where it was before."""
+        """Test if there are neighbours, which may push the surface, or lie where it was before."""
         return len(self.neighbours) > 0 or super().is_disturbed
 
     def state(self) -> Any:
@@ -86,24 +86,25 @@ class NonOverlap(ConstrainedEnergy):
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,) at the front, with the reaction of neighbours that do not shrink."""
-        own = np.asarray(self._energy.force(surface, front, curvature), np.float32)
-        self._cells, self._forces = surface.band.cells[front], own[front]
-        on = np.flatnonzero(front)
-        reaction = np.zeros(on.size, np.float32)
-        for touch in self._contacts(surface, on):
+        force = np.asarray(self._energy.force(surface, front, curvature), np.float32)
+        self._cells, self._forces = surface.band.cells[front], force[front]
+        front_slots = np.flatnonzero(front)
+        reaction = np.zeros(front_slots.size, np.float32)
+        for touch in self._contacts(surface, front_slots):
             theirs = touch.other.energy.force_in(touch.cells)
-            one = contact_reaction(own[on[touch.near]], theirs, touch.share)
-            reaction[touch.near] = np.maximum(reaction[touch.near], one)
-        own[on] += reaction
-        return own
+            stopped = contact_reaction(force[front_slots[touch.near]], theirs, touch.share)
+            reaction[touch.near] = np.maximum(reaction[touch.near], stopped)
+        force[front_slots] += reaction
+        return force
 
-    def _contacts(self, surface: LevelSet, on: NDArray[np.intp]) -> Iterator[Contact]:
-        """Where the surface, at slots ``on`` of its band, is near each neighbour."""
+    def _contacts(self, surface: LevelSet, front_slots: NDArray[np.intp]) -> Iterator[Contact]:
+        """Find the contacts of the surface, at ``front_slots`` of its band, with each neighbour."""
         if not self.neighbours:
             return
         steps = np.array([surface.grid.hz, surface.grid.hy, surface.grid.hx])
-        index = np.stack(np.unravel_index(surface.band.cells[on], surface.shape), axis=1) + np.array(self._corner)
-        points = index + np.where(np.array(surface.shape) > 1, surface.band.to_closest[on] / steps, 0.0)
+        cells = surface.band.cells[front_slots]
+        index = np.stack(np.unravel_index(cells, surface.shape), axis=1) + np.array(self._corner)
+        points = index + np.where(np.array(surface.shape) > 1, surface.band.to_closest[front_slots] / steps, 0.0)
         width = CONTACT_RANGE * float(steps.min())
         for other in self.neighbours:
             theirs = other.surface
@@ -125,16 +126,16 @@ class NonOverlap(ConstrainedEnergy):
         if not self.neighbours or surface.size == 0:
             return
         speed, front = np.asarray(flow.normal_velocity(surface), np.float32), surface.front()
-        on = np.flatnonzero(front)
-        own, grows = speed[on], self.force_in(surface.band.cells[on]) < 0
-        stopped, slowed = np.zeros(on.size, np.float32), np.zeros(on.size, np.float32)
-        for other, near, cells, slots, share in self._contacts(surface, on):
+        front_slots = np.flatnonzero(front)
+        mine, grows = speed[front_slots], self.force_in(surface.band.cells[front_slots]) < 0
+        stopped, slowed = np.zeros(front_slots.size, np.float32), np.zeros(front_slots.size, np.float32)
+        for other, near, cells, slots, share in self._contacts(surface, front_slots):
             theirs = other.flow.normal_velocity(other.surface)[slots]
-            stopped[near] = np.maximum(stopped[near], contact_reaction(own[near], theirs, share))
+            stopped[near] = np.maximum(stopped[near], contact_reaction(mine[near], theirs, share))
             both = grows[near] & (other.energy.force_in(cells) < 0)
-            slowed[near] = np.minimum(slowed[near], np.where(both, -share * np.maximum(own[near], 0.0), 0.0))
+            slowed[near] = np.minimum(slowed[near], np.where(both, -share * np.maximum(mine[near], 0.0), 0.0))
         reaction = np.zeros(surface.size, np.float32)
-        reaction[on] = stopped + slowed
+        reaction[front_slots] = stopped + slowed
         if reaction.any():
             surface.extend_outwards(reaction, front)
             flow.add_velocity(surface, reaction)

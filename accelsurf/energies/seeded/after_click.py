@@ -75,7 +75,7 @@ def stage_after(
 def unlike_object(
     images: Sequence[Image], spacing: Spacing, click: Click, before: Shown, after: Shown, open: Mask | None = None
 ) -> float:
-    """How surely what an inside click added far from it looks like the surroundings: from 0 to 1.
+    """Certainty that what an inside click added far from it looks like the surroundings: from 0 to 1.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def unlike_object(
 
 
 def _likeness(image: Image, added: Mask, inside: Mask, outside: Mask) -> tuple[float, float]:
-    """By how many spreads inside and outside differ, and what is added: 0 like outside, 1 like inside."""
+    """Spreads by which inside and outside differ, and what is added: 0 like outside, 1 like inside."""
     within, beyond = image[inside].astype(np.float64), image[outside].astype(np.float64)
     step = float(within.mean() - beyond.mean())
     if step == 0.0:

@@ -1,4 +1,4 @@
-"""What each click changes: the field of the first one, and corrections that stay near the later ones.
+"""Change of the field by each click: the field of the first one, and corrections that stay near the later ones.
 
 The first click's field balances arrival times from inside and from the surroundings, the likelihood of the values, and
 the level of the size. A later inside click is answered by the balance with all clicks, without the first size; a later
@@ -40,7 +40,7 @@ MAX_OFFSET = 0.5
 
 
 class Proposed(NamedTuple):
-    """Where the first proposal lies, for as much as it rests on the even tissue around the first click: on a ``box`` of
+    """Voxels of the first proposal, for as much as it rests on the even tissue around the first click: on a ``box`` of
     ``blocks`` a ``mask``; ``spacing`` (hz, hy, hx) of the voxels, mm.
     """
 
@@ -50,7 +50,7 @@ class Proposed(NamedTuple):
     spacing: Spacing
 
     def disowned(self, clicks: Clicks) -> Iterator[Click]:
-        """Those of some clicks, the first inside click before all others, that say that it is far too large.
+        """Select the clicks, the first inside click before all others, that say that it is far too large.
 
         An outside click in it that is much wider than all inside clicks before: people click about as wide as what they
         mean is, so that what is wrong is wider than the object.
@@ -64,13 +64,13 @@ class Proposed(NamedTuple):
                 yield click
 
     def _holds(self, click: Click) -> bool:
-        """Whether most of a click lies in it."""
-        own = self.blocks.click(click, ())
-        return own is not None and bool(np.mean(on_box(self.mask, self.box, own.box, False)[own.mask]) > 0.5)
+        """Test if most of a click lies in it."""
+        blocks = self.blocks.click(click, ())
+        return blocks is not None and bool(np.mean(on_box(self.mask, self.box, blocks.box, False)[blocks.mask]) > 0.5)
 
 
 class FirstTimes(NamedTuple):
-    """What tells whether a click contradicts the first one, on the voxels: arrival ``times`` from the first click alone
+    """Evidence that a click contradicts the first one, on the voxels: arrival ``times`` from the first click alone
     on a ``box``, beyond which it is later. An outside click that its front comes to until ``early`` says that the first
     proposal was far too large; -inf of a stated size, which no click contradicts. ``proposed`` is None where the even
     tissue says nothing.
@@ -86,7 +86,7 @@ class FirstTimes(NamedTuple):
         return float(self.times[click.mask_on(self.box)].min(initial=np.inf))
 
     def contradicted(self, clicks: Clicks) -> Iterator[Click]:
-        """Those of some clicks, the first inside click before all others, that say that the proposal was too large.
+        """Select the clicks, the first inside click before all others, that say that the proposal was too large.
 
         Not one that came after an inside click to which the front comes later: then the object goes on beyond the
         outside click, and times do not tell how large it is.
@@ -100,7 +100,7 @@ class FirstTimes(NamedTuple):
                 yield click
 
     def contradict(self, clicks: Clicks) -> list[Click]:
-        """Those of some clicks, the first inside click before all others, after which the proposal is made anew."""
+        """Select the clicks, the first inside click before all others, after which the proposal is made anew."""
         disowned = () if self.proposed is None else self.proposed.disowned(clicks)
         return [*self.contradicted(clicks), *disowned]
 
@@ -108,7 +108,7 @@ class FirstTimes(NamedTuple):
     def of(
         cls, field: Field, times: Times, order: Order, early: float, proposed: Proposed | None = None
     ) -> FirstTimes:
-        """Of a march over voxels, which come in ``order``."""
+        """Make the times of a march over voxels, which come in ``order``."""
         arrived = order[: int(np.searchsorted(times[order], early, "right"))]
         z, y, x = (slice(int(i.min()), int(i.max()) + 1) for i in np.unravel_index(arrived, field.shape))
         return cls((z, y, x), times.reshape(field.shape)[z, y, x].copy(), early, proposed)
@@ -259,7 +259,7 @@ def with_click(answer: Answer, field: Field, click: Click, marched: Times) -> An
 
 
 def offset_to(force: Image, count: int, most: float = np.inf) -> np.float32:
-    """What F is to be lowered by so that F < 0 in so many voxels, as far as that is allowed.
+    """Find what F is to be lowered by so that F < 0 in a number of voxels, as far as that is allowed.
 
     0 where one of this number and the present one is more than ``most`` times the other.
     """
@@ -275,7 +275,7 @@ def offset_to(force: Image, count: int, most: float = np.inf) -> np.float32:
 
 
 def object_of(force: Image, box: Box, clicks: Sequence[Click]) -> Mask:
-    """Where F < 0 on a box, connected to inside clicks, and its holes where no outside click lies."""
+    """Voxels of F < 0 on a box, connected to inside clicks, and its holes where no outside click lies."""
     clicked = {side: np.zeros(force.shape, np.bool_) for side in CLICKED}
     for click in clicks:
         clicked[click.side] |= click.mask_on(box)
@@ -291,7 +291,7 @@ def _box_of(field: Field, where: NDArray[np.bool_]) -> Box:
 
 
 def _is_far(field: Field, box: Box, times_in: Times, last: float) -> Mask:
-    """Where the surroundings begin: arrival is late, or the object may not be there."""
+    """Mask of the surroundings: arrival is late, or the object may not be there."""
     far = ~(times_in <= last)
     if field.medium.open.size:
         far |= ~field.medium.open.reshape(field.shape)[box]

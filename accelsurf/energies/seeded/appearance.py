@@ -1,4 +1,4 @@
-"""What the tissue under a click looks like, robustly: medians and median-based spreads."""
+"""Appearance of the tissue under a click, robustly: medians and median-based spreads."""
 
 from __future__ import annotations
 
@@ -172,15 +172,15 @@ def even_radius(
     """
     middle = np.argwhere(click.mask).mean(axis=0) + [s.start for s in click.box]
     flat = images[0].shape[0] == 1
-    own = radius_of(float(np.count_nonzero(click.mask)), spacing, flat)
+    radius = radius_of(float(np.count_nonzero(click.mask)), spacing, flat)
     # A slice may be thinner than its pixels are wide.
     step = min(spacing[1:]) if flat else min(spacing)
-    reach = max(EVEN_REACH * own, MIN_EVEN_REACH * step)
-    looked = min(max(FIRST_LOOK * own, MIN_EVEN_REACH * step), reach)
+    reach = max(EVEN_REACH * radius, MIN_EVEN_REACH * step)
+    looked = min(max(FIRST_LOOK * radius, MIN_EVEN_REACH * step), reach)
     while True:
         counts, alike = _shells(images, spacing, middle, (looked, step), tissue, window)
         radii = np.arange(counts.size) * step
-        ends = np.flatnonzero((counts > 0) & (alike < EVEN_PART * counts) & (radii > own))
+        ends = np.flatnonzero((counts > 0) & (alike < EVEN_PART * counts) & (radii > radius))
         # Of a shell that the ball looked at holds only in part the others' voxels are not known yet.
         if ends.size and radii[ends[0]] + step <= looked:
             return float(radii[ends[0]])
@@ -197,7 +197,7 @@ def _shells(
     tissue: Tissue,
     window: Window | None,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """How many voxels each shell around an index (z, y, x) has, and how many of them look like the tissue.
+    """Count the voxels of each shell around an index (z, y, x), and those of them that look like the tissue.
 
     ``ball`` is (radius, thickness of a shell), mm; errors as of `even_radius`.
     """

@@ -1,4 +1,4 @@
-"""What lies around voxels: windows of voxels to each side, alike in mm."""
+"""Windows of voxels to each side of voxels, alike in mm."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from accelsurf.energies.seeded.appearance import Mask, Spacing
 
 
 def voxels_within(reach: float, spacing: Spacing, shape: Sequence[int]) -> list[int]:
-    """How many voxels so many of the smallest spacings are along each axis, one at least; 0 along one of one voxel.
+    """Number of voxels in a number of the smallest spacings along each axis, at least 1; 0 along an axis of 1.
 
     Examples
     --------
@@ -22,7 +22,7 @@ def voxels_within(reach: float, spacing: Spacing, shape: Sequence[int]) -> list[
 
 
 def any_around(mask: Mask, reach: Sequence[int]) -> Mask:
-    """Where a voxel of a mask lies in the window that reaches so many voxels to each side along each axis.
+    """Mask of the voxels that have one of a mask in the window of a number of voxels to each side along each axis.
 
     Examples
     --------

@@ -67,7 +67,7 @@ class Blocks(NamedTuple):
         return math.prod(self.steps)
 
     def count(self, voxels: float) -> int:
-        """How many blocks so many voxels fill, at least one."""
+        """Number of blocks that a number of voxels fills, at least one."""
         return max(round(voxels / self.size), 1)
 
     def box_of(self, box: Box) -> Box:
@@ -82,8 +82,8 @@ class Blocks(NamedTuple):
         """Values of the blocks of a box on their voxels, linearly between the middles of the blocks."""
         voxels = self.box_of(box)
         z, y, x = (
-            own.start - (side.start * step - lacks)
-            for own, side, step, lacks in zip(voxels, box, self.steps, self.missing, strict=True)
+            part.start - (side.start * step - lacks)
+            for part, side, step, lacks in zip(voxels, box, self.steps, self.missing, strict=True)
         )
         return Balance(voxels, values, self.steps, (z, y, x))
 
@@ -146,5 +146,5 @@ def in_blocks(
 
 
 def field_in(blocks: Blocks) -> Field:
-    """What marches over blocks need."""
+    """Field that marches over blocks need."""
     return field_of(blocks.images, blocks.spacing, blocks.passes, blocks.window, blocks.steps)

@@ -22,7 +22,7 @@ _NEVER_LATE = (0, np.inf)
 
 
 class Field(NamedTuple):
-    """What marches need: the channels in one array, where nothing passes, the grid, and of what it is a window.
+    """Field of a march: the channels in one array, where nothing passes, the grid, and of what it is a window.
 
     A voxel of the grid is a block of ``steps`` voxels of the window.
     """

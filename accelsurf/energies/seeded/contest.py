@@ -1,4 +1,4 @@
-"""What the clicks say without a model: each voxel to the side that it is nearer to, on a box around the clicks.
+"""Contest of the clicks without a model: each voxel to the side that it is nearer to, on a box around the clicks.
 
 Two contests, each -1 at inside clicks and 1 at outside ones: by the shortest paths, where a change of the values is
 what costs (Criminisi et al. 2008), and by random walks (Grady 2006). The first finds edges that leak little, the second
@@ -84,10 +84,10 @@ class Balance(NamedTuple):
     def add_to(self, out: Image, box: Box, share: float) -> None:
         """Add ``share`` times the values to an array on a box of the grid that holds the own one."""
         axes = []
-        for axis, (side, own, step, begin) in enumerate(zip(box, self.box, self.steps, self.first, strict=True)):
-            at = (np.arange(begin, begin + own.stop - own.start) - 0.5 * (step - 1)) / step
+        for axis, (side, extent, step, begin) in enumerate(zip(box, self.box, self.steps, self.first, strict=True)):
+            at = (np.arange(begin, begin + extent.stop - extent.start) - 0.5 * (step - 1)) / step
             below = np.clip(np.floor(at).astype(np.int64), 0, self.values.shape[axis] - 1)
-            axes.append((own.start - side.start, below, np.clip(at - below, 0.0, 1.0).astype(np.float32)))
+            axes.append((extent.start - side.start, below, np.clip(at - below, 0.0, 1.0).astype(np.float32)))
         add_between(out, np.float32(share), self.values, *axes)
 
     def on_box(self, box: Box) -> Image:
@@ -161,8 +161,8 @@ def _by_walks(part: Around) -> Balance:
     balance = np.clip(found, -1.0, 1.0).astype(np.float32)
     seen = bounding_box(balance < CERTAIN, 1) or whole_box(balance.shape)
     z, y, x = (
-        slice(whole.start + own.start * step, min(whole.start + own.stop * step, whole.stop))
-        for whole, own, step in zip(part.box, seen, part.steps, strict=True)
+        slice(whole.start + part_seen.start * step, min(whole.start + part_seen.stop * step, whole.stop))
+        for whole, part_seen, step in zip(part.box, seen, part.steps, strict=True)
     )
     return Balance((z, y, x), balance[seen].copy(), part.steps)
 

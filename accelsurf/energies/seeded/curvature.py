@@ -1,4 +1,4 @@
-"""How strongly the area pulls on an object of clicks as a whole, so that it smooths the surface and does not shrink it.
+"""Pull of the area on an object of clicks as a whole, so that it smooths the surface and does not shrink it.
 
 F says where the object is, F = 0 is its boundary. With a weight alpha of the area the surface rests where F = -alpha H,
 inside of it wherever it is convex, the farther the more gently F rises: .3 voxels and more where no edge is near. So
@@ -61,12 +61,12 @@ def mean_curvature(inside: Mask, spacing: Spacing) -> float:
 
 
 def _room(voxels: int, step: int, margin: int) -> int:
-    """How many blocks lie beyond, at most as many as are needed."""
+    """Number of blocks that lie beyond, at most as many as are needed."""
     return min(-(-voxels // step), margin)
 
 
 def offset(area_weight_mm: float, curvature: float) -> float:
-    """What F is lowered by for a weight of the area (mm) and a mean curvature (1/mm); 0 of a hollow object.
+    """Find what F is lowered by for a weight of the area (mm) and a mean curvature (1/mm); 0 of a hollow object.
 
     Examples
     --------

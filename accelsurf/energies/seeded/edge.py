@@ -1,4 +1,4 @@
-"""Where the object's edge is, within a voxel: halfway between the values on both sides of the model's boundary.
+"""Edge of the object, within a voxel: halfway between the values on both sides of the model's boundary.
 
 The model of clicks tells voxels apart; its field knows neither the brightness outside nor the place of an edge between
 two voxels. In a window around each voxel near the boundary the mean values inside and outside are compared, without
@@ -57,7 +57,7 @@ AREA, NOISY_AREA = 0.1, 0.2
 def edge_balance(
     images: Sequence[Image], spacing: Spacing, inside: Mask, open: Mask | None, pool: Executor | None = None
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Which side each voxel near a boundary is on by its value, and how much that counts.
+    """Find the side that each voxel near a boundary is on by its value, and how much that counts.
 
     Parameters
     ----------
@@ -102,13 +102,14 @@ def edge_balance(
         counted = counts * values
         sum_in, sum_both, squares = windows(counted * inside, counted, counted * values)
         sum_out = sum_both - sum_in
-        one, other = sum_in / within, sum_out / beyond
+        mean_in, mean_out = sum_in / within, sum_out / beyond
         least = max(MIN_RANGE * float(np.ptp(values)), 1e-20)
-        variance = np.maximum((squares - sum_in * one - sum_out * other) / (within + beyond), 0.0)
+        variance = np.maximum((squares - sum_in * mean_in - sum_out * mean_out) / (within + beyond), 0.0)
         variance += np.float32(least**2)
-        half = 0.5 * (one - other)
+        half = 0.5 * (mean_in - mean_out)
         contrast = 4.0 * half * half / variance
-        side = np.clip((0.5 * (one + other) - values[near]) * half / np.maximum(half * half, least**2), -1.0, 1.0)
+        middle = 0.5 * (mean_in + mean_out)
+        side = np.clip((middle - values[near]) * half / np.maximum(half * half, least**2), -1.0, 1.0)
         balance += contrast * side
         total += contrast
     weight = total**2 / (total**2 + np.float32(CLEAR_CONTRAST**4)) * found * (0.5 + 0.5 * next_to_it[near])
@@ -139,7 +140,7 @@ def at_edges(
     *,
     stated_mm3: float | None = None,
 ) -> Shown:
-    """What is shown, with its boundary at the edges of the image: F near it is w f + (1 - w) F.
+    """Put the boundary of what is shown at the edges of the image: F near it is w f + (1 - w) F.
 
     Parameters
     ----------
@@ -168,7 +169,7 @@ def at_edges(
         passes = None if open is None else open[here]
         near = _near(seen, passes)
         pairs = zip(images, smooth, strict=True)
-        parts = [_as_smooth_as_needed(one[here], other[here], seen, near) for one, other in pairs]
+        parts = [_as_smooth_as_needed(first[here], second[here], seen, near) for first, second in pairs]
         balance, weight = edge_balance(parts, spacing, seen, passes, pool)
         for click in clicks.clicks:
             weight[click.mask_on(here)] = 0.0
@@ -195,7 +196,7 @@ def _with_edges(
     best = with_offset(np.float32(0.0))
     if stated is None:
         return best
-    now, then = (int(np.count_nonzero(one)) for one in (shown.inside, best[1]))
+    now, then = (int(np.count_nonzero(mask)) for mask in (shown.inside, best[1]))
     aim = min(max(then, min(now, stated)), max(now, stated))
     ranked = shown.force.copy()
     ranked[part] += weight / np.maximum(1.0 - weight, np.float32(MIN_FIELD_PART)) * balance
@@ -218,7 +219,7 @@ def _around(inside: Mask, box: Box, spacing: Spacing, shape: Sequence[int]) -> B
 
 
 def _near(inside: Mask, open: Mask | None) -> Mask:
-    """Where noise and contrast are read off."""
+    """Mask of the voxels where noise and contrast are read off."""
     near = _seen_both(inside, REACH)
     return near if open is None else near & open
 
@@ -254,10 +255,10 @@ def area_weight(images: Sequence[Image], spacing: Spacing, inside: Mask, open: M
 
 def _noise_share(image: Image, inside: Mask, near: Mask) -> float:
     """Noise in parts of the contrast near a boundary, at most 1."""
-    one, other = near & inside, near & ~inside
-    if not (one.any() and other.any()):
+    within, beyond = near & inside, near & ~inside
+    if not (within.any() and beyond.any()):
         return 1.0
-    contrast = abs(float(np.median(image[one])) - float(np.median(image[other])))
+    contrast = abs(float(np.median(image[within])) - float(np.median(image[beyond])))
     found = []
     for axis in (i for i in range(3) if image.shape[i] > 2):
         before, at, after = ((slice(None),) * axis + (slice(k, k - 2 or None),) for k in range(3))

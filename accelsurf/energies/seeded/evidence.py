@@ -1,4 +1,4 @@
-"""What else tells the level of an arrival time that is the object: edges along it, and what a wrong level costs."""
+"""Further evidence for the level of an arrival time that is the object: edges along it, and the cost of a wrong one."""
 
 from __future__ import annotations
 
@@ -88,8 +88,8 @@ def safest(counts: NDArray[np.int64], score: NDArray[np.float64]) -> int:
     2
     """
     likely = np.exp(score - score.max())
-    one, other = counts[:, None].astype(np.float64), counts[None, :].astype(np.float64)
-    return int(np.argmax(2.0 * np.minimum(one, other) / (one + other) @ likely))
+    rows, columns = counts[:, None].astype(np.float64), counts[None, :].astype(np.float64)
+    return int(np.argmax(2.0 * np.minimum(rows, columns) / (rows + columns) @ likely))
 
 
 def spread_of(counts: NDArray[np.int64], score: NDArray[np.float64]) -> float:

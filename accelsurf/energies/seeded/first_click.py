@@ -64,14 +64,14 @@ class Front(NamedTuple):
     @classmethod
     def of(cls, blocks: Blocks, click: Click, tissue: Tissue, voxels: float) -> Front:
         """March from a click, on the voxels, until about so many voxels are accepted."""
-        own, field = blocks.click(click, ()), field_in(blocks)
-        assert own is not None  # no click was before it
-        found = arrival(field, tissue, seeds_of(own, field), int(voxels / blocks.size) + 1)
-        return cls(blocks, field, own, *found)
+        placed, field = blocks.click(click, ()), field_in(blocks)
+        assert placed is not None  # no click was before it
+        found = arrival(field, tissue, seeds_of(placed, field), int(voxels / blocks.size) + 1)
+        return cls(blocks, field, placed, *found)
 
     @property
     def voxels(self) -> int:
-        """How many voxels have arrived."""
+        """Number of voxels that have arrived."""
         return len(self.order) * self.blocks.size
 
     def at(self, voxels: float) -> float:
@@ -79,14 +79,14 @@ class Front(NamedTuple):
         return float(self.times[self.order[min(self.blocks.count(voxels), len(self.order)) - 1]])
 
     def proposed(self, voxels: float, spacing: Spacing) -> Proposed:
-        """Where the first so many voxels have arrived; ``spacing`` of the voxels, mm."""
+        """Make the proposal of the first so many voxels that have arrived; ``spacing`` of the voxels, mm."""
         mask = (self.times <= self.at(voxels)).reshape(self.field.shape)
         box = bounding_box(mask)
         assert box is not None  # the click is in it
         return Proposed(self.blocks, box, mask[box].copy(), spacing)
 
     def evidence(self, tissue: Tissue) -> LevelEvidence:
-        """What the image says of each level."""
+        """Evidence of the image for each level."""
         edges = edges_of(self.blocks.images, self.blocks.spacing, tissue, self.order)
         first = int(np.count_nonzero(self.click.mask))
         return level_evidence(self.field.medium.values, edges, self.times, self.order, first, self.blocks.size)
@@ -187,7 +187,7 @@ def _by_evidence(
             return _by_evidence(images, spacing, where, clicks, asked, boxed, by_tissue=False)
     early = near.at(int(FAR_TOO_LARGE * proposal.volume_mm3 / voxel) + 1)
     first, front = FirstTimes.of(near.field, near.times, near.order, early, proposed), near
-    earliest = min((first.comes_to(one) for one in first.contradicted(in_order(clicks))), default=np.inf)
+    earliest = min((first.comes_to(click) for click in first.contradicted(in_order(clicks))), default=np.inf)
     if np.isfinite(earliest):
         most = float(np.searchsorted(near.times[near.order], earliest)) / FAR_TOO_LARGE
         proposal = by_evidence(evidence, prior, voxel, most)
@@ -209,7 +209,7 @@ def _expected(
     boxed: bool,
     by_tissue: bool,
 ) -> tuple[Prior, int]:
-    """What is expected of the number of voxels, and how many a march may accept."""
+    """Find the expected number of voxels, and how many a march may accept."""
     (click, tissue), (allowed, window), flat = asked, where, images[0].shape[0] == 1
     whole = math.prod(images[0].shape) if window is None else window.voxels
     open_count = whole if allowed is None else int(np.count_nonzero(allowed))

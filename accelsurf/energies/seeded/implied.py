@@ -1,4 +1,4 @@
-"""What a click implies of the voxels around it: people click inside of what they mean, not along its edge.
+"""Voxels that a click implies around it: people click inside of what they mean, not along its edge.
 
 So what lies around a click, half as far again as the click is wide, is on its side too, unless it looks different or a
 click that says the opposite is nearer. That is a guess: it guides the contests of the clicks, and holds nothing.
@@ -32,7 +32,7 @@ MOST = 100_000
 
 
 def implied(images: Sequence[Image], spacing: Spacing, clicks: Clicks, within: Box) -> list[Click]:
-    """What the clicks imply, one more for each that is wide enough: a single voxel implies nothing.
+    """Add what the clicks imply, one more for each that is wide enough: a single voxel implies nothing.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def implied(images: Sequence[Image], spacing: Spacing, clicks: Clicks, within: B
     for click in clicks.clicks:
         if overlap(click.box, within):
             more = (WIDER - 1.0) * half_width(click.mask, spacing, clicks.shape)
-            against = [one for one in clicks.clicks if one.side != click.side]
+            against = [other for other in clicks.clicks if other.side != click.side]
             out += _implied_by(images, spacing, (click, against), more, (clicks.shape, within))
     return out
 
@@ -89,7 +89,7 @@ def _implied_by(
     more: float,
     where: tuple[tuple[int, int, int], Box],
 ) -> list[Click]:
-    """What one click implies within ``more`` mm of it, as a list of one or of none.
+    """Find what one click implies within ``more`` mm of it, as a list of one or of none.
 
     ``asked`` are the click and those that say the opposite, ``where`` the grid's shape and the box to stay in.
     """
@@ -100,23 +100,23 @@ def _implied_by(
     box = common(widened(click.box, shape, margin), within)
     # An opposite click may be nearer though it lies beyond that box, no farther than a margin.
     larger = common(widened(box, shape, margin), within)
-    near = [one for one in against if overlap(one.box, larger)]
+    near = [other for other in against if overlap(other.box, larger)]
     seen = larger if near else box
     steps = coarsening(seen, spacing, MOST)
     alike = _looks_alike(images, click, seen, steps)
 
     def distance(ones: Sequence[Click]) -> Image:
         mask = np.zeros([s.stop - s.start for s in seen], np.float32)
-        for one in ones:
-            mask[one.mask_on(seen)] = 1.0
+        for click in ones:
+            mask[click.mask_on(seen)] = 1.0
         far = block_means(mask, steps) == 0.0
         return np.asarray(ndimage.distance_transform_edt(far, sampling=np.multiply(spacing, steps)), np.float32)
 
-    own = distance([click])
-    alike &= own <= more
+    distances = distance([click])
+    alike &= distances <= more
     if near:
-        alike &= own < distance(near)
-    mask = connected_to(alike | (own == 0.0), own == 0.0)
+        alike &= distances < distance(near)
+    mask = connected_to(alike | (distances == 0.0), distances == 0.0)
     for axis, step in enumerate(steps):
         mask = np.repeat(mask, step, axis)
     z, y, x = (slice(0, s.stop - s.start) for s in seen)
@@ -124,7 +124,7 @@ def _implied_by(
 
 
 def _looks_alike(images: Sequence[Image], click: Click, box: Box, steps: tuple[int, int, int]) -> Mask:
-    """Which blocks of a box have values like those of a click: within `ALIKE` spreads of its median in each channel."""
+    """Mask of the blocks of a box that look like a click: within `ALIKE` spreads of each channel's median."""
     alike = np.array(True)
     for image in images:
         part = image[box]

@@ -1,4 +1,4 @@
-"""How much more likely a value is inside than around: ratios of smoothed histograms."""
+"""Likelihood of a value inside and around: ratios of smoothed histograms."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class SeededModel:
 
     @property
     def answer(self) -> Answer | None:
-        """What the next click's answer is made from; None of a partition."""
+        """Answer that the next click's is made from; None of a partition."""
         return self.stages[-1].answer if self.stages else None
 
     def mean_curvature(self, spacing: Spacing) -> float:
@@ -154,8 +154,8 @@ def _stages_after(
     """
     for click, answer in answers:
         known = stages[-1].clicks.with_more([click])
-        one = _stage_of(stages[-1], known, answer, sized, images, spacing, where, pool)
-        stages = (one,) if any(click is other for other in contradicts) else (*stages[:1], one)
+        stage = _stage_of(stages[-1], known, answer, sized, images, spacing, where, pool)
+        stages = (stage,) if any(click is other for other in contradicts) else (*stages[:1], stage)
     return stages
 
 
@@ -175,12 +175,12 @@ def _stage_of(
         window.check_box(box_around(clicks, spacing, WALKS_REACH, answer.count)[0])
     parts = contest(images, spacing, clicks, allowed, answer.count, pool)
     if before is None:
-        one = Stage(clicks, answer, mixed_answer(answer, parts, clicks, sized, None))
+        stage = Stage(clicks, answer, mixed_answer(answer, parts, clicks, sized, None))
     else:
-        one = stage_after(before, clicks, answer, parts, sized, images, spacing, allowed)
+        stage = stage_after(before, clicks, answer, parts, sized, images, spacing, allowed)
     if window is not None:
-        window.check_box(one.shown.box)
-    return one
+        window.check_box(stage.shown.box)
+    return stage
 
 
 def learned_images(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ...]:
@@ -189,7 +189,7 @@ def learned_images(images: Sequence[Image], spacing: Spacing) -> tuple[Image, ..
 
 
 def _allowed(shape: tuple[int, ...], box: Box | None, mask: Mask | None) -> Mask | None:
-    """Where the object may be; None for everywhere."""
+    """Mask of the voxels where the object may be; None for everywhere."""
     if box is None:
         return mask
     out = np.zeros(shape, np.bool_)
@@ -201,16 +201,17 @@ def _answers(
     answer: Answer, clicks: Sequence[Click], images: Sequence[Image], spacing: Spacing, pool: ThreadPoolExecutor
 ) -> Iterator[Answer]:
     """The answer after each of some later clicks; one without blocks of its own changes nothing."""
-    first, field, owns = answer, field_in(answer.blocks), list[Click | None]()
+    first, field, known = answer, field_in(answer.blocks), list[Click | None]()
     for click in clicks:
-        owns.append(first.blocks.click(click, [*first.clicks, *(own for own in owns if own is not None)]))
+        before = [*first.clicks, *(placed for placed in known if placed is not None)]
+        known.append(first.blocks.click(click, before))
 
-    def marched(click: Click, own: Click | None) -> Times | None:
-        return None if own is None else later_times(field, learn(images, spacing, click), own, first)
+    def marched(click: Click, placed: Click | None) -> Times | None:
+        return None if placed is None else later_times(field, learn(images, spacing, click), placed, first)
 
-    for own, times in zip(owns, pool.map(marched, clicks, owns), strict=True):
-        if own is not None and times is not None:
-            answer = with_click(answer, field, own, times)
+    for placed, times in zip(known, pool.map(marched, clicks, known), strict=True):
+        if placed is not None and times is not None:
+            answer = with_click(answer, field, placed, times)
         yield answer
 
 
@@ -236,6 +237,6 @@ def later_times(field: Field, tissue: Tissue, click: Click, answer: Answer) -> T
     late = (count, answer.last / faster) if ends else (0, np.inf)
     times, cells = reached(field, tissue, seeds, int(FARTHER * BEYOND * count), late=late)
     found, rank = times[cells], min(count, len(cells)) - 1
-    own = float(np.partition(found, rank)[rank])
-    times[cells] = found * np.float32(faster / own if own > 0.0 else 1.0)  # all others are inf
+    rank_time = float(np.partition(found, rank)[rank])
+    times[cells] = found * np.float32(faster / rank_time if rank_time > 0.0 else 1.0)  # all others are inf
     return times

@@ -1,4 +1,4 @@
-"""How near voxels are to a click, measured in its half widths: what it says is of its neighbourhood, by its size."""
+"""Nearness of voxels to a click, measured in its half widths: it speaks of its neighbourhood, by its size."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Nearness(NamedTuple):
 def nearness(
     click: Click, within: Box, half_widths: float, spacing: Spacing, shape: tuple[int, int, int]
 ) -> Nearness:
-    """How near voxels are to a click.
+    """Nearness of voxels to a click.
 
     Parameters
     ----------

@@ -32,14 +32,14 @@ def heard(clicks: Clicks, answer: Answer, spacing: Spacing) -> Clicks:
     spacing : (hz, hy, hx)
         mm.
     """
-    own = Clicks(tuple(click for click in clicks.clicks if not _is_foreign(click)), clicks.shape)
-    if len(own) == len(clicks) or all(click.side == "outside" for click in own.clicks):
+    known = Clicks(tuple(click for click in clicks.clicks if not _is_foreign(click)), clicks.shape)
+    if len(known) == len(clicks) or all(click.side == "outside" for click in known.clicks):
         return clicks
-    near, far = (box_around(own, spacing, reach, answer.count)[0] for reach in (PATHS_REACH, WALKS_REACH))
+    near, far = (box_around(known, spacing, reach, answer.count)[0] for reach in (PATHS_REACH, WALKS_REACH))
     contradict = answer.first.contradict(in_order(clicks))
 
     def counts(click: Click) -> bool:
-        if not _is_foreign(click) or any(click is one for one in contradict):
+        if not _is_foreign(click) or any(click is other for other in contradict):
             return True
         return any(overlap(click.box, box) for box in (far if click.owner == NO_OBJECT else near, answer.around))
 

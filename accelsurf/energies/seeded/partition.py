@@ -31,7 +31,7 @@ _FACES = ndimage.generate_binary_structure(3, 1)
 
 
 class Basins(NamedTuple):
-    """What all objects share.
+    """Basins, which all objects share.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class BasinsOnce:
 
     def of(self, images: Sequence[Image], spacing: Spacing, clicks: Clicks, mask: Mask | None) -> Basins:
         """The basins of clicks as one object sees them; those of the last time where clicks and images are the same."""
-        owned, last = tuple(one for one in clicks.clicks if _is_owned(one)), self._last
+        owned, last = tuple(click for click in clicks.clicks if _is_owned(click)), self._last
         if last is None or not _are_same(self._seen, images) or not _are_same(_masks(last.clicks), _masks(owned)):
             last = basins_of(images, spacing, owned, mask)
             self._last, self._seen = last, tuple(images)
@@ -70,16 +70,16 @@ class BasinsOnce:
 
 
 def _is_owned(click: Click) -> bool:
-    """Whether it lies inside of something, and so says the same to all objects."""
+    """Test if it lies inside of something, and says the same to all objects."""
     return click.side == "inside" or click.owner is not None
 
 
-def _are_same(one: Sequence[object], other: Sequence[object]) -> bool:
-    return len(one) == len(other) and all(a is b for a, b in zip(one, other, strict=True))
+def _are_same(first: Sequence[object], second: Sequence[object]) -> bool:
+    return len(first) == len(second) and all(a is b for a, b in zip(first, second, strict=True))
 
 
 def _masks(clicks: Sequence[Click]) -> list[Mask]:
-    return [one.mask for one in clicks]
+    return [click.mask for click in clicks]
 
 
 def basins_of(images: Sequence[Image], spacing: Spacing, clicks: tuple[Click, ...], mask: Mask | None) -> Basins:
@@ -98,9 +98,9 @@ def basins_of(images: Sequence[Image], spacing: Spacing, clicks: tuple[Click, ..
     """
     smooth = learned_images(images, spacing)
     field = field_of(smooth, spacing, mask)
-    firsts = {one.owner: one for one in reversed(clicks) if one.owner != NO_OBJECT}
-    tissue = _common([learn(smooth, spacing, one) for one in firsts.values()])
-    seeds = [seeds_of(one, field) for one in clicks]
+    firsts = {click.owner: click for click in reversed(clicks) if click.owner != NO_OBJECT}
+    tissue = _common([learn(smooth, spacing, click) for click in firsts.values()])
+    seeds = [seeds_of(click, field) for click in clicks]
     times, _ = reached(field, tissue, np.unique(np.concatenate(seeds)), field.size)
     return Basins(field, tissue, clicks, times, _nearest(times.reshape(field.shape), seeds))
 
@@ -128,8 +128,8 @@ def _nearest(times: Image, seeds: Sequence[NDArray[np.int64]]) -> NDArray[np.int
             earliest[mine][is_earlier] = times[theirs][is_earlier]
             before[mine][is_earlier] = voxels[theirs][is_earlier]
     out, came = np.full(times.size, -1, np.int32), before.ravel()
-    for number, own in enumerate(seeds):
-        out[own], came[own] = number, own
+    for number, seed in enumerate(seeds):
+        out[seed], came[seed] = number, seed
     while True:
         farther = came[came]
         if np.array_equal(farther, came):
@@ -182,14 +182,14 @@ def partition_model(
         times, seeds = np.where(outside, np.float32(0.0), np.float32(np.inf)), outside
         box = whole_box(inside.shape)
     else:
-        box, times, seeds = _at_other_basins(found, [one.side == "inside" for one in clicks.clicks])
+        box, times, seeds = _at_other_basins(found, [click.side == "inside" for click in clicks.clicks])
     field = field_of(found.field.images_on(box), spacing, None if mask is None else mask[box])
     others = times_from(field, found.tissue, times, seeds)
     # Where others come earlier it is none of the object's: the march need not go there.
     own_seeds = np.flatnonzero(inside[box]).astype(np.int64)
-    own, _ = reached(field, found.tissue, own_seeds, field.size, others.ravel())
+    times_of_own, _ = reached(field, found.tissue, own_seeds, field.size, others.ravel())
     force = np.ones(inside.shape, np.float32)
-    force[box] = balance(own.reshape(others.shape), others)
+    force[box] = balance(times_of_own.reshape(others.shape), others)
     force[inside], force[outside] = CLICKED["inside"], CLICKED["outside"]
     start = connected_to(force < 0, inside)
     volume = float(np.count_nonzero(start)) * float(np.prod(spacing))
@@ -199,8 +199,8 @@ def partition_model(
 def _at_other_basins(found: Basins, is_own: Sequence[bool]) -> tuple[Box, Image, Mask]:
     """A box that holds the basins of own clicks, the times in all others there, and their voxels beside the own."""
     shape = found.field.shape
-    own = np.append(is_own, False)[found.nearest].reshape(shape)  # of -1 the last
-    box = bounding_box(own, 1)
+    mine = np.append(is_own, False)[found.nearest].reshape(shape)  # of -1 the last
+    box = bounding_box(mine, 1)
     assert box is not None  # the clicks are among them
-    times = np.where(own[box], np.float32(np.inf), found.times.reshape(shape)[box])
-    return box, times, ndimage.binary_dilation(own[box], _FACES) & np.isfinite(times)
+    times = np.where(mine[box], np.float32(np.inf), found.times.reshape(shape)[box])
+    return box, times, ndimage.binary_dilation(mine[box], _FACES) & np.isfinite(times)

@@ -1,4 +1,4 @@
-"""Which level of an arrival time is the object: by a stated size, or by evidence."""
+"""Choice of the level of an arrival time that is the object: by a stated size, or by evidence."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Proposal(NamedTuple):
 
 
 class LevelEvidence(NamedTuple):
-    """What the image says of levels: their ``counts`` of voxels, ascending, and the logarithm of the evidence for each;
+    """Evidence of the image for levels: their ``counts`` of voxels, ascending, and the logarithm of each one's;
     ``reached`` voxels have arrived.
     """
 
@@ -77,7 +77,7 @@ def of_size(reached: int, voxel_volume: float, size_mm3: float) -> Proposal:
 
 
 class Prior(NamedTuple):
-    """What is expected of the number of voxels before it is looked for: its logarithm is normally distributed.
+    """Prior of the number of voxels, before it is looked for: its logarithm is normally distributed.
 
     ``voxels`` is the number by the click's width or a box, ``spread`` inf where they say nothing; ``even`` the number
     by the even tissue around the click, 0 where that does not count. Either may be right.
@@ -104,7 +104,7 @@ class Prior(NamedTuple):
 
 
 def prior_of(click: int, box: int | None, even: float, flat: bool) -> Prior:
-    """What a click's voxels, the even tissue around it and a box say of the object's.
+    """Make the prior from a click's voxels, the even tissue around it and a box.
 
     A person who clicks a ball deep inside makes it about half as wide as the object is thick there, or much smaller;
     then the tissue around it tells how thick. Objects are larger than the largest ball in them. A box is filled to
@@ -137,7 +137,7 @@ def level_evidence(
     first: int,
     size: int = 1,
 ) -> LevelEvidence:
-    """What the image says of the levels of a march.
+    """Evidence of the image for the levels of a march.
 
     A level is the likelier, the slower the front is there (d log T / d log V), the more what arrives next differs from
     what has arrived (difference of the means in units of both spreads), and the stronger the edges along it are.
@@ -222,7 +222,7 @@ def with_finer_evidence(
 
 
 def _below(counts: NDArray[np.int64], most: float) -> NDArray[np.bool_]:
-    """Which numbers of voxels are below a bound; the smallest one where none is."""
+    """Mask of the numbers of voxels below a bound; the smallest one where none is."""
     below = counts < most
     below[0] = below[0] or not below.any()
     return below

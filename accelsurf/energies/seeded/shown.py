@@ -1,4 +1,4 @@
-"""What is shown after some clicks: the learned answer and the contests of the clicks alone, mixed.
+"""Result shown after some clicks: the learned answer and the contests of the clicks alone, mixed.
 
 It is their mean, after the first click with as many voxels as the answer has, later between the answer's size and its
 own. A later click changes labels towards its own side alone, F by a part, F around it by more, and from the third on F
@@ -36,7 +36,7 @@ SIZE_PART, MAX_RATIO = 0.5, 4.0
 
 
 class Shown(NamedTuple):
-    """What a person sees after some clicks: on a ``box`` of the grid F, ``force``, and where it is ``inside``.
+    """Field that a person sees after some clicks: on a ``box`` of the grid F, ``force``, and where it is ``inside``.
 
     Beyond the box F is 1 and nothing is inside.
     """
@@ -51,14 +51,14 @@ class Shown(NamedTuple):
 
 
 class Shift(NamedTuple):
-    """What F is moved ``by`` on a ``box`` of the grid."""
+    """Shift of F, ``by`` on a ``box`` of the grid."""
 
     box: Box
     by: Image
 
 
 class Neighbourhood(NamedTuple):
-    """What a click says of what is around it: a ``shift`` of F, None for none; ``near`` tells of a box where in it F
+    """Neighbourhood of a click: a ``shift`` of F, None for none; ``near`` tells of a box where in it F
     changes, None for everywhere.
     """
 
@@ -94,14 +94,14 @@ def mixed_answer(
     neighbourhood : Neighbourhood, optional
         Of the last click, see `accelsurf.energies.seeded.surprise.neighbourhood`.
     """
-    own = answer.blocks.on_voxels(answer.box, np.clip(answer.force, -1.0, 1.0))
-    box = own.box if before is None else enclosing(own.box, before.box)
+    learned = answer.blocks.on_voxels(answer.box, np.clip(answer.force, -1.0, 1.0))
+    box = learned.box if before is None else enclosing(learned.box, before.box)
     for other in (*(part.box for part in parts), *(click.box for click in clicks.clicks)):
         box = enclosing(box, other)
     by_count = OWN_SIZED if sized else OWN
     weights = (by_count[min(len(clicks), len(by_count)) - 1], PATHS, WALKS)
     mixed = np.zeros([s.stop - s.start for s in box], np.float32)
-    for weight, part in zip(weights, (own, *parts), strict=True):
+    for weight, part in zip(weights, (learned, *parts), strict=True):
         part.add_to(mixed, box, weight / sum(weights))
     if before is None:
         mixed -= offset_to(mixed, answer.voxels)

@@ -47,7 +47,7 @@ def in_order(clicks: Clicks) -> Clicks:
 
 
 def first_and_last(stages: Sequence[Stage]) -> tuple[Stage, ...]:
-    """Of the stages of a model the first and the last ones."""
+    """Select the first and the last of the stages of a model."""
     return (*stages[:1], *stages[1:][1 - MAX_STAGES :])
 
 
@@ -73,7 +73,7 @@ def unchanged(stages: Sequence[Stage], clicks: Clicks) -> tuple[tuple[Stage, ...
 
 
 def mostly_left(before: Clicks, after: Clicks) -> bool:
-    """Whether clicks keep at least the part `MOSTLY` of their voxels each, and with it what they say.
+    """Test if clicks keep at least the part `MOSTLY` of their voxels each, and with it what they say.
 
     Parameters
     ----------
@@ -84,10 +84,10 @@ def mostly_left(before: Clicks, after: Clicks) -> bool:
     if len(after) != len(before) + 1:
         return False
     pairs = zip(before.clicks, after.clicks, strict=False)
-    return all(np.count_nonzero(left.mask) >= MOSTLY * np.count_nonzero(one.mask) for one, left in pairs)
+    return all(np.count_nonzero(left.mask) >= MOSTLY * np.count_nonzero(click.mask) for click, left in pairs)
 
 
 def contradicting(answer: Answer, clicks: Clicks, asked: Sequence[Click]) -> tuple[Click, ...]:
-    """Those of the clicks ``asked`` that contradict the first proposal; ``clicks`` are all heard, in order."""
+    """Select the clicks ``asked`` that contradict the first proposal; ``clicks`` are all heard, in order."""
     found = answer.first.contradict(clicks)
-    return tuple(click for click in asked if any(click is one for one in found))
+    return tuple(click for click in asked if any(click is other for other in found))

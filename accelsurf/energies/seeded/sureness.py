@@ -1,4 +1,4 @@
-"""How sure the model of the clicks is of its object, as numbers."""
+"""Sureness of the model of the clicks about its object, as numbers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ AROUND = 0.5
 
 
 class Sureness(NamedTuple):
-    """What a model of clicks knows of how good it is.
+    """Sureness of a model of clicks.
 
     Attributes
     ----------
@@ -59,8 +59,8 @@ def sureness_of(shown: Shown, clicks: Clicks, proposal: Proposal, corrections: S
     corrections : sequence of float
         See `corrections_with`.
     """
-    own = bounding_box(shown.inside) or whole_box(shown.inside.shape)
-    part = widened(own, shown.inside.shape, [math.ceil(AROUND * (side.stop - side.start)) for side in own])
+    extent = bounding_box(shown.inside) or whole_box(shown.inside.shape)
+    part = widened(extent, shown.inside.shape, [math.ceil(AROUND * (side.stop - side.start)) for side in extent])
     force, inside = shown.force[part], shown.inside[part]
     corner = [a.start + b.start for a, b in zip(shown.box, part, strict=True)]
     here = box_at((corner[0], corner[1], corner[2]), force.shape)
@@ -87,7 +87,7 @@ def corrections_with(
     spacing: Spacing,
     shape: Sequence[int],
 ) -> tuple[float, ...]:
-    """How far clicks were off, with one more: from its middle to its side of what was shown before it.
+    """Distances by which clicks were off, with one more: from its middle to its side of what was shown before it.
 
     In radii of what is shown after it. A person clicks where most is wrong: far from its side is very wrong. A click
     that was on its side already corrects nothing, and is left out.

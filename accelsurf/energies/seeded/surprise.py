@@ -1,4 +1,4 @@
-"""What a click says of its neighbourhood, and of nothing else.
+"""Surprise of a click: what it says of its neighbourhood, and of nothing else.
 
 A click inside where F > 0, or outside where F < 0, is a surprise of so much as F lies on the wrong side. What made F
 wrong there (a value that both sides have, a size that is too small) made it wrong around it as well, so F is moved
@@ -29,7 +29,7 @@ CHANGES_REACH = (np.inf, 24.0, 12.0, 8.0, 6.0)
 def neighbourhood(
     click: Click, number: int, before: Shown, spacing: Spacing, shape: tuple[int, int, int], held: float = 0.0
 ) -> Neighbourhood:
-    """What the last one of some clicks says of its neighbourhood.
+    """Find what the last of some clicks says of its neighbourhood.
 
     Parameters
     ----------
@@ -51,10 +51,10 @@ def neighbourhood(
         far = nearness(click, box, half_widths, spacing, shape)
         if held == 0.0:
             return far
-        own = nearness(click, far.box, REACH, spacing, shape)
+        close = nearness(click, far.box, REACH, spacing, shape)
         changes = np.full(far.values.shape, 1.0 - held, np.float32)
-        part = counted_from(own.box, corner_of(far.box))
-        changes[part] = np.maximum(changes[part], own.values)
+        part = counted_from(close.box, corner_of(far.box))
+        changes[part] = np.maximum(changes[part], close.values)
         return Nearness(far.box, far.values * changes)
 
     shift = shift_around(click, before, spacing, shape)
@@ -62,7 +62,7 @@ def neighbourhood(
 
 
 def surprise(click: Click, before: Shown) -> float:
-    """By how much F was on the wrong side where a click lies: its mean there, cut at -1 and 1; 0 on the right side.
+    """Mean of F on the wrong side where a click lies, cut at -1 and 1; 0 on the right side.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def surprise(click: Click, before: Shown) -> float:
 
 
 def shift_around(click: Click, before: Shown, spacing: Spacing, shape: tuple[int, int, int]) -> Shift | None:
-    """What F is moved by around a new click; None where the click lies on its side already.
+    """Shift of F around a new click; None where the click lies on its side already.
 
     Parameters
     ----------

@@ -38,8 +38,8 @@ class _Emitter:
         self.b = builder
 
     def broadcast(self, scalar: Any) -> Any:
-        one = self.b.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
-        return self.lane(one, 0)
+        first = self.b.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+        return self.lane(first, 0)
 
     def lane(self, vector: Any, i: int) -> Any:
         """All lanes set to lane ``i``."""

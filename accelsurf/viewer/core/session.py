@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -181,19 +180,14 @@ class Session(SessionCommands):
     def _loop(self) -> None:
         """All that the session's thread does."""
         try:
-            with ExitStack() as meanwhile:
-                self._prepare_and_run(meanwhile)
+            self._prepare_and_run()
         finally:
             self._commands.abandon()
 
-    def _prepare_and_run(self, meanwhile: ExitStack) -> None:
-        """Make the run, and carry out commands until the session is closed; what goes on meanwhile ends after that."""
+    def _prepare_and_run(self) -> None:
+        """Make the run, and carry out commands until the session is closed."""
         try:
-            from accelsurf.kernels import ahead
-
             timeline = _solver()(self.volume, self._config, self._checkpoint_mb, self._channels)
-            # What the first strokes need is compiled while the person looks at the image.
-            meanwhile.enter_context(ahead.compiling_ahead())
         except Exception as error:
             self._status = Status.preparing(self._config, error_line(error), True)
             self.ready.set_exception(error)

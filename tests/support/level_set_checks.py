@@ -1,4 +1,4 @@
-"""Whether a level set is valid: numbered checks from cheap to expensive, no output when it is."""
+"""Checks that a level set is valid: numbered from cheap to expensive, no output when it is."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def upwind_slopes(surface: LevelSet) -> np.ndarray:
 
 
 def closest_point_residuals(surface: LevelSet) -> np.ndarray:
-    """How far psi is from 0 (m,), in voxels of the smallest spacing, at the closest points within a voxel."""
+    """Distance of psi from 0 (m,), in voxels of the smallest spacing, at the closest points within a voxel."""
     front, value = surface.front(1.0), np.empty(surface.size, np.float32)
     surface.workers.parallel(
         motion.sample_image, surface.size, surface.dense.psi, surface.grid, surface.band, front, value
