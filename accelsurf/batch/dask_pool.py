@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from accelsurf import __version__
-from accelsurf.batch.pool import Ended, Interrupted, Job, Started
-from accelsurf.batch.worker import Failure, done
+from accelsurf.batch.pool import Ended, Failure, Interrupted, Job, Started, done
 from accelsurf.errors import AccelsurfError, UsageError
 
 if TYPE_CHECKING:
@@ -133,7 +132,7 @@ def _refuse_threads(place: str, count: int) -> None:
 def _call(
     function: Callable[[Any], Any], payload: Any, folder: str, version: str
 ) -> tuple[Any, Failure | None]:
-    """What a worker does: call the function in a folder, unless its own accelsurf is another."""
+    """Call the function in a folder, on a worker; fail where the accelsurf of the worker is another version."""
     from distributed import get_worker
 
     worker = get_worker()

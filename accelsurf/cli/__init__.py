@@ -15,9 +15,17 @@ from typing import NoReturn
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 from accelsurf import __version__
-from accelsurf.cli.error_lines import MAX_ERROR, MAX_HINT, printable, shown_warnings, without_garbage
-from accelsurf.cli.interrupts import Interrupts, say
-from accelsurf.cli.streams import guarded, open_missing
+from accelsurf.cli.interrupts import (
+    MAX_ERROR,
+    MAX_HINT,
+    Interrupts,
+    guarded,
+    open_missing,
+    printable,
+    say,
+    shown_warnings,
+    without_garbage,
+)
 from accelsurf.errors import AccelsurfError
 
 INTERRUPTED = 130
@@ -48,7 +56,7 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,  # it would end the process without a line
 )
-app.command("accelsurf.cli.demo:demo", name="demo", help="Segment a cube in noise with and without momentum.")
+app.command("accelsurf.cli.compare:demo", name="demo", help="Segment a cube in noise with and without momentum.")
 app.command("accelsurf.cli.look:look", name="look", help="Show slices of an image with a grid in mm, without a run.")
 app.command("accelsurf.cli.segment:segment", name="segment", help="Segment one object in a volume.")
 app.command("accelsurf.cli.batch:batch", name="batch", help="Segment many images, or track many sequences.")

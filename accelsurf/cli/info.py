@@ -118,7 +118,7 @@ def _show_volumes(volumes: list[dict[str, Any]], as_json: bool) -> None:
 
 
 def _facts_of(path: Path, asked: ReadOptions) -> dict[str, Any]:
-    """What an image is; lengths in mm, all in the order (x, y, z)."""
+    """Describe an image; lengths in mm, all in the order (x, y, z)."""
     from accelsurf import io
     from accelsurf.errors import InputError
     from accelsurf.io import headers

@@ -132,8 +132,7 @@ def _read(source: Path, level: int | None, asked: ReadOptions) -> tuple[list[Vol
     """
     import math
 
-    from accelsurf.grid.boxes import whole_box
-    from accelsurf.grid.volume import Volume
+    from accelsurf.cli.large_image import whole_volume
     from accelsurf.io import channels
     from accelsurf.io.formats.nibabel_import import import_nibabel_for
     from accelsurf.io.headers import is_store
@@ -153,8 +152,7 @@ def _read(source: Path, level: int | None, asked: ReadOptions) -> tuple[list[Vol
     if len(layout.levels) > 1 or asked.time_index is not None:
         moment = f", time point {asked.time_index} of {layout.time_points}" if asked.time_index is not None else ""
         print(f"level    {shown} of 0 to {len(layout.levels) - 1}{moment}")
-    found = [Volume(one.read(whole_box(one.shape)), one.geometry, dict(one.metadata), one.source) for one in opened]
-    return found, layout.levels[level or 0]
+    return [whole_volume(channel) for channel in opened], layout.levels[level or 0]
 
 
 def _labels(path: Path, geometry: Geometry) -> NDArray[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -68,7 +69,7 @@ def track(
     if dump_config:
         print(wanted.to_toml(), end="")
         return 0
-    from accelsurf.cli.place import Place
+    from accelsurf.cli.case import Place
     from accelsurf.cli.progress import Watcher
     from accelsurf.cli.track_case import TrackCase, run_track_case
 
@@ -95,10 +96,8 @@ def _front_end() -> PageOptions:
 
 
 def _summary(case: TrackCase, done: Tracked) -> list[str]:
-    """How the tracking ended, for a person."""
-    ends: dict[str, int] = {}
-    for one in done.lineage.tracks:
-        ends[one.end] = ends.get(one.end, 0) + 1
+    """Return lines about the end of the tracking."""
+    ends = Counter(track.end for track in done.lineage.tracks)
     objects = len(done.lineage.tracks)
     lines = [f"{case.place.name}: {objects} object{'' if objects == 1 else 's'} in {done.frames} frames"]
     words = {"end of sequence": "to the end of the sequence"}

@@ -65,10 +65,10 @@ def membrane_cells(
     distances = np.full((2, len(voxels)), np.inf)
     labels = np.zeros(len(voxels), np.int32)
     for number, point in enumerate(points, 1):
-        own = np.linalg.norm(voxels - point, axis=1)
-        nearest = own < distances[0]
-        distances[1] = np.where(nearest, distances[0], np.minimum(distances[1], own))
-        distances[0] = np.where(nearest, own, distances[0])
+        distance = np.linalg.norm(voxels - point, axis=1)
+        nearest = distance < distances[0]
+        distances[1] = np.where(nearest, distances[0], np.minimum(distances[1], distance))
+        distances[0] = np.where(nearest, distance, distances[0])
         labels[nearest] = number
     wall = 0.5 * (distances[1] - distances[0]).reshape(shape) < membrane
     found = labels.reshape(shape)
@@ -85,13 +85,13 @@ def bone(shape: Shape = (40, 64, 64), *, noise: float = 18.0, seed: int = 0) -> 
     random = np.random.default_rng(seed)
     z, y, x = (axis - 0.5 * (n - 1) for axis, n in zip(np.indices(shape), shape, strict=True))
     body = (np.abs(x) / 17) ** 4 + (np.abs(y) / 14) ** 4 + (np.abs(z) / 11) ** 4
-    own, marrow = body < 1, ndimage.binary_erosion(body < 1, iterations=3)
+    inside, marrow = body < 1, ndimage.binary_erosion(body < 1, iterations=3)
     trabeculae = ndimage.gaussian_filter(random.normal(0, 1, shape), 1.2)
     other = (np.abs(x) / 17) ** 4 + (np.abs(y) / 14) ** 4 + (np.abs(z - 25) / 11) ** 4 < 1
     values = np.full(shape, 50.0)
-    values[own | other] = 650.0
+    values[inside | other] = 650.0
     values[marrow] = 190.0 + 60.0 * trabeculae[marrow] / trabeculae.std()
-    return _finished(values, 0.6, noise, random), own.astype(np.int32)
+    return _finished(values, 0.6, noise, random), inside.astype(np.int32)
 
 
 def tumour(shape: Shape = (40, 64, 64), *, noise: float = 8.0, seed: int = 0) -> tuple[Image, Labels]:
@@ -100,13 +100,13 @@ def tumour(shape: Shape = (40, 64, 64), *, noise: float = 8.0, seed: int = 0) ->
     z, y, x = (axis - 0.5 * (n - 1) for axis, n in zip(np.indices(shape), shape, strict=True))
     angle = np.arctan2(y, x)
     radius = np.sqrt(x**2 + y**2 + (1.3 * z) ** 2) / (1 + 0.15 * np.sin(3 * angle) + 0.1 * np.cos(2 * angle + z / 6))
-    own = radius < 15
+    inside = radius < 15
     values = np.full(shape, 80.0)
-    values[own] = 130.0
+    values[inside] = 130.0
     values[radius < 9] = 112.0
     texture = ndimage.gaussian_filter(random.normal(0, 1, shape), 2.0)
     values += 4.0 * texture / texture.std()
-    return _finished(values, 0.7, noise, random), own.astype(np.int32)
+    return _finished(values, 0.7, noise, random), inside.astype(np.int32)
 
 
 def organelle(shape: Shape = (40, 72, 72), *, noise: float = 12.0, seed: int = 0) -> tuple[Image, Labels]:
@@ -114,11 +114,11 @@ def organelle(shape: Shape = (40, 72, 72), *, noise: float = 12.0, seed: int = 0
     random = np.random.default_rng(seed)
     z, y, x = (axis - 0.5 * (n - 1) for axis, n in zip(np.indices(shape), shape, strict=True))
     radius = np.sqrt((x / 1.15) ** 2 + y**2 + (1.4 * z) ** 2)
-    own = radius < 21
+    inside = radius < 21
     values = np.full(shape, 150.0)
     values[np.abs(radius - 21) < 1.5] = 70.0
     for _ in range(14):  # organelles, inside and outside
         place = random.uniform(-1, 1, 3) * np.array([14, 30, 30])
         at = np.sqrt(((z - place[0]) * 1.2) ** 2 + (y - place[1]) ** 2 + (x - place[2]) ** 2)
         values[at < random.uniform(1.5, 3.0)] = 95.0
-    return _finished(values, 0.6, noise, random), own.astype(np.int32)
+    return _finished(values, 0.6, noise, random), inside.astype(np.int32)

@@ -129,7 +129,7 @@ class TermSpec:
     needs_whole: bool = False
 
     def is_used(self, key: str, settings: Values) -> bool:
-        """Whether a setting of the run acts on the term with these settings of its own."""
+        """Return True if a setting of the run acts on the term with these settings of its own."""
         return key in self.uses or (key in self.uses_to_learn and self.learns(settings))
 
 

@@ -11,7 +11,7 @@ import pytest
 from accelsurf import cli, io
 from accelsurf.batch import pool as pools
 from accelsurf.batch.outcome import CaseTask
-from accelsurf.batch.worker import Failure
+from accelsurf.batch.pool import Failure
 from accelsurf.cli import batch_case
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume

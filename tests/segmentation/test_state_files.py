@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.cli.place import Place
-from accelsurf.cli.resume import code_of_ended
+from accelsurf.cli.case import Place, code_of_ended
 from accelsurf.errors import InputError
 from accelsurf.evolution import serialization
 from accelsurf.grid.volume import Volume

@@ -62,8 +62,7 @@ class InlinePool:
         self.waiting.append(job)
 
     def events(self):
-        from accelsurf.batch.pool import Ended, Started
-        from accelsurf.batch.worker import Failure, done
+        from accelsurf.batch.pool import Ended, Failure, Started, done
 
         for job in self.waiting:
             if job.bytes > (self.options.get("bytes") or job.bytes):
