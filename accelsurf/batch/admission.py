@@ -121,7 +121,7 @@ def need_of(
     """
     try:
         values = count_values(image, options)
-        values += sum(count_values(Path(path), options.among(options_of(path))) for path in channels)
+        values += sum(count_values(Path(path), options.restricted_to(options_of(path))) for path in channels)
     except (AccelsurfError, OSError) as error:
         return Need(None, PROCESS_BYTES, str(getattr(error, "strerror", None) or error))
     return Need(values, run_bytes(values, clicks, flow))

@@ -33,12 +33,12 @@ class Shard(NamedTuple):
     def __str__(self) -> str:
         return f"{self.number}/{self.total}"
 
-    def of(self, everything: Sequence[T]) -> list[T]:
+    def part_of(self, everything: Sequence[T]) -> list[T]:
         """Return its part: every ``total``-th.
 
         Examples
         --------
-        >>> Shard(2, 3).of("abcdefgh")
+        >>> Shard(2, 3).part_of("abcdefgh")
         ['b', 'e', 'h']
         """
         return list(everything[self.number - 1 :: self.total])

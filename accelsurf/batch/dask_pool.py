@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from accelsurf import __version__
-from accelsurf.batch.pool import Ended, Failure, Interrupted, Job, Started, done
+from accelsurf.batch.pool import Ended, Failure, Interrupted, Job, Started, run_job
 from accelsurf.errors import AccelsurfError, UsageError
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ def _call(
         _refuse_threads(worker.address, worker.state.nthreads)  # one that came later
     except UsageError as error:
         return None, Failure("error", f"{error.message}; {error.hint}")
-    return done(partial(_in_folder, folder, function), payload)
+    return run_job(partial(_in_folder, folder, function), payload)
 
 
 def _in_folder(folder: str, function: Callable[[Any], Any], payload: Any) -> Any:

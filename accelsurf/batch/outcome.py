@@ -121,7 +121,7 @@ COLUMNS = ("id", "status", "reason", "ml", "quality", "dice", "steps", "seconds"
 TRACK_COLUMNS = ("id", "status", "reason", "objects", "frames", "quality", "seconds", "folder")
 
 
-def of_report(task: CaseTask, report: Mapping[str, Any], dice: float | None) -> Outcome:
+def outcome_of_report(task: CaseTask, report: Mapping[str, Any], dice: float | None) -> Outcome:
     """Return the line of a case that has a result, from the report of its run or of its tracking.
 
     Parameters

@@ -353,7 +353,7 @@ class InlinePool:
                 raise Interrupted
             job = self._waiting.popleft()
             yield Started(job.key)
-            yield Ended(job.key, *done(self._function, job.payload))
+            yield Ended(job.key, *run_job(self._function, job.payload))
 
     def interrupt(self) -> None:
         """Let `events` raise `Interrupted` soon; the only method that another thread may call."""
@@ -385,12 +385,12 @@ def serve(connection: Connection, function: Callable[[Any], Any], prepare: Calla
             prepare()
         connection.send(READY)
         while (job := connection.recv()) is not None:
-            _send(connection, done(function, job[0]))
+            _send(connection, run_job(function, job[0]))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return  # nobody is there any more
 
 
-def done(function: Callable[[Any], Any], payload: Any) -> Reply:
+def run_job(function: Callable[[Any], Any], payload: Any) -> Reply:
     """Return what a function makes of a payload, and why it makes nothing: one of them is None."""
     try:
         return function(payload), None

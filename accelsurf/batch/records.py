@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf import io
-from accelsurf.batch.outcome import CaseTask, Outcome, of_report
+from accelsurf.batch.outcome import CaseTask, Outcome, outcome_of_report
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.grid.volume import Volume
 from accelsurf.io.files import read_json, write_bytes
@@ -63,7 +63,7 @@ def finished(task: CaseTask) -> Outcome | None:
             return None
         if record.get("files", {}) != {str(path): io.sha256(path) for path in named_files(task.config)}:
             return None
-        return of_report(task, report, _dice(task, report, record))
+        return outcome_of_report(task, report, _dice(task, report, record))
     except (AccelsurfError, LookupError, TypeError, AttributeError):
         return None  # it is run again, and says what is wrong
 

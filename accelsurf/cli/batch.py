@@ -18,10 +18,11 @@ from accelsurf.batch.case import Case
 from accelsurf.cli.interrupts import Interrupts, say
 from accelsurf.cli.options import (
     FILES,
-    SHOW,
     Display,
+    File,
     Output,
     Overwrite,
+    Switch,
     given_options,
     options_class,
     required,
@@ -108,9 +109,9 @@ class BatchOptions:
 def batch(
     *cases: Annotated[str, Parameter(group=BATCH)],
     output: Output = None,
-    config: Annotated[Path | None, Parameter(group=FILES)] = None,
+    config: File = None,
     overwrite: Overwrite = False,
-    strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    strict: Switch = False,
     options: BatchOptions | None = None,
     settings: BatchSettings | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
@@ -156,7 +157,7 @@ def batch(
     pairs = zip(found, configs, strict=True)
     tasks = [task_of(CaseTask(case, folder.absolute(), settings_of_case, *how)) for case, settings_of_case in pairs]
     if shard is not None:
-        tasks = shard.of(tasks)
+        tasks = shard.part_of(tasks)
     work = Batch.planned(tasks, limits, shard, words, sys.argv)
     if options.plan:
         return _print_plan(work, options.scheduler)
@@ -242,11 +243,11 @@ def _run(
         batch_case.refuse_inputs_of(work.tasks, [folder / name for name in work.names.all], given)
         if not display.quiet:
             say(_at_once(work, limits.scheduler))
-        pool = batch_case.made_pool(work, limits)
+        pool = batch_case.make_pool(work, limits)
         tables = work.tables(files)
         with BatchProgress(display, len(work.tasks)) as progress:
             try:
-                work.run(pool, tables, progress, batch_case.lost, resume)
+                work.run(pool, tables, progress, batch_case.lost_outcome, resume)
             except BaseException as error:
                 with uninterrupted():
                     work.end_early(pool, tables, interrupts.exit_code(getattr(error, "exit_code", 1)))

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from accelsurf.batch import records
-from accelsurf.batch.outcome import CaseTask, Outcome, of_report
+from accelsurf.batch.outcome import CaseTask, Outcome, outcome_of_report
 from accelsurf.batch.pool import Failure
 from accelsurf.cli import track_case
 from accelsurf.cli.case import Place, check_reference, report_failure, run_case
@@ -92,7 +92,7 @@ def run_on_cluster(task: CaseTask) -> Outcome:
     return run_one(replace(task, resume=True)) if done is None else done
 
 
-def lost(task: CaseTask, failure: Failure) -> Outcome:
+def lost_outcome(task: CaseTask, failure: Failure) -> Outcome:
     """Return the line of a case whose worker could not say how it ended; remove its drafts, and write its report.
 
     Parameters
@@ -139,7 +139,7 @@ def _outputs(place: Place, config: RunConfig | TrackConfig) -> Iterable[Path]:
     return place.paths(config).values()
 
 
-def made_pool(work: Batch, limits: Limits) -> Pool:
+def make_pool(work: Batch, limits: Limits) -> Pool:
     """Return the workers of this machine, or those of a cluster."""
     from accelsurf.batch.pool import LocalPool
 
@@ -182,7 +182,7 @@ def _concluded(task: CaseTask, path: Path, dice: float | None = None, is_good: b
         return _failed(task, f"{path}: cannot be read", "run it again", 7)
     if is_good:
         records.write_record(task, report, dice)
-    return of_report(task, report, dice)
+    return outcome_of_report(task, report, dice)
 
 
 def _truth_of(task: CaseTask) -> Volume | None:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from accelsurf.io.file_set import FileSet
     from accelsurf.segmentation.result import Result
 
+
 @dataclass(frozen=True)
 class Place:
     """The image of a case, and the folder and names of its outputs.
@@ -74,7 +75,7 @@ class Place:
     further: tuple[Path | None, ...] = ()
 
     @classmethod
-    def of(cls, source: Path, folder: Path, overwrite: bool = False, *further: Path | None) -> Place:
+    def for_image(cls, source: Path, folder: Path, overwrite: bool = False, *further: Path | None) -> Place:
         """The place of an image whose outputs have its name, without suffix; ``further`` files are read, too."""
         from accelsurf.io.headers import name_of
 
@@ -260,7 +261,7 @@ def run_case(
                 _write_failure(case, config, failure)
             raise
     for warning in log.warnings:
-        if warning not in watcher.said:
+        if warning not in watcher.printed_warnings:
             say(doubt_line(warning))
     if finished.error is not None:
         say(f"error: {finished.error.message}\nhint: {finished.error.hint}")
@@ -480,7 +481,7 @@ def _write_report(
     write_bytes(case.files.drafts / place.report_path.name, (document.to_json(contents) + "\n").encode())
 
 
-def code_of_ended(place: Place, config: RunConfig, quiet: bool = False) -> int | None:
+def exit_code_of_finished(place: Place, config: RunConfig, quiet: bool = False) -> int | None:
     """The exit code of a run that has ended with these settings, of this image, which is said unless ``quiet``.
 
     None where there is something to do.
@@ -506,7 +507,7 @@ def code_of_ended(place: Place, config: RunConfig, quiet: bool = False) -> int |
     return int(document["exit_code"])
 
 
-def taken_up(place: Place, config: RunConfig) -> Place:
+def resumed_place(place: Place, config: RunConfig) -> Place:
     """The place to go on at: the files of a run that was interrupted or failed may be replaced."""
     is_free = result_sets.unfinished_alone(place.report_path, place.paths(config).values())
     return replace(place, resume=True, overwrite=place.overwrite or is_free)

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from accelsurf.cli.options import (
-    FILES,
     RUN,
     WITHOUT_FILES,
     Display,
+    File,
     InputFile,
     Output,
     OutputFolder,
@@ -47,8 +47,8 @@ def compare(
     *,
     output: Output = None,
     flows: Annotated[str, Parameter(group=RUN)] = "gradient,constant-density",
-    reference: Annotated[Path | None, Parameter(group=FILES)] = None,
-    config: Annotated[Path | None, Parameter(group=FILES)] = None,
+    reference: File = None,
+    config: File = None,
     overwrite: Overwrite = False,
     settings: SharedSettings | None = None,  # type: ignore[valid-type]
     display: Display | None = None,

@@ -27,7 +27,7 @@ Table = Annotated[str | None, Parameter(name="--csv", metavar="FILE", group=FILE
 
 
 @dataclass(frozen=True)
-class Asked:
+class Request:
     """Requested measures: ``labels`` one by one (None: all as one object); ``tolerances`` of surface Dice, mm."""
 
     labels: IdRanges | None
@@ -81,7 +81,7 @@ def evaluate(
     """
     from accelsurf.report.evaluation import document, table_csv
 
-    asked = Asked(_labels(labels), _tolerances(tolerance))
+    requested = Request(_labels(labels), _tolerances(tolerance))
     _check_table(table, as_json, overwrite)
     if tracks:
         _refuse_with_tracks({"labels": labels, "tolerance": tolerance, "pairs": pairs, "label-table": names})
@@ -91,7 +91,7 @@ def evaluate(
     many = isinstance(found, list)
     sides = [side for pair in (found if isinstance(found, list) else [found]) for side in (pair.pred, pair.ref)]
     _refuse_input_as_table(table, [pairs, names, *(side.path for side in sides if side is not None)])
-    results = [_try(pair, asked) for pair in found] if isinstance(found, list) else [_result(found, asked)]
+    results = [_try(pair, requested) for pair in found] if isinstance(found, list) else [_result(found, requested)]
     _put(
         table, as_json, lambda: table_csv(results, known),
         lambda: document(results, known) if many else _one_pair(results[0], known), lambda: _show(results, known, many),
@@ -166,21 +166,21 @@ def _pairs(pred: str | None, ref: str | None, table: Path | None) -> list[Pair] 
     return in_folders(*sides) if all(folders) else Pair("", *sides)
 
 
-def _try(pair: Pair, asked: Asked) -> CaseResult:
+def _try(pair: Pair, requested: Request) -> CaseResult:
     """Compare a pair; an error is noted and does not stop the others."""
     from accelsurf.cli.interrupts import say
     from accelsurf.errors import AccelsurfError
     from accelsurf.report.evaluation import CaseResult
 
     try:
-        return _result(pair, asked)
+        return _result(pair, requested)
     except (AccelsurfError, MemoryError) as error:
         failure = str(error) or "not enough memory"
         say(f"warning: {pair.case}: {failure}")
         return CaseResult(pair.case, _written(pair.pred), _written(pair.ref), (), failure)
 
 
-def _result(pair: Pair, asked: Asked) -> CaseResult:
+def _result(pair: Pair, requested: Request) -> CaseResult:
     """Compare a pair."""
     from accelsurf import io
     from accelsurf.analysis.label_metrics import LabelMap, evaluate_labels, evaluate_object
@@ -193,10 +193,10 @@ def _result(pair: Pair, asked: Asked) -> CaseResult:
         finish_killed_runs(path.parent)
     volumes = io.on_one_grid(*(_read(side) for side in (pair.pred, pair.ref)))
     pred, ref = (LabelMap(volume, side.ids) for volume, side in zip(volumes, (pair.pred, pair.ref), strict=True))
-    if asked.labels is None:
-        agreements = [evaluate_object(pred, ref, asked.tolerances)]
+    if requested.labels is None:
+        agreements = [evaluate_object(pred, ref, requested.tolerances)]
     else:
-        agreements = evaluate_labels(pred, ref, asked.labels, asked.tolerances)
+        agreements = evaluate_labels(pred, ref, requested.labels, requested.tolerances)
     return CaseResult(pair.case, _written(pair.pred), _written(pair.ref), tuple(agreements))
 
 

@@ -44,20 +44,19 @@ class ImageParts:
         return allowed_bytes(self.max_memory, io.available_memory())
 
 
-def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunConfig, Compute | None]:
+def choose_computation(place: Place, config: RunConfig, image: LargeImage | None) -> tuple[RunConfig, Compute | None]:
     """Return the settings and the function by which a case is computed: None where the image is read as a whole.
 
     Raises
     ------
-    InputError
-        When the header cannot be read; UsageError when a setting needs the whole image in memory.
+    UsageError
+        When a setting needs the whole image in memory.
     """
-    image = large_image(place.source, config, parts)
     if image is None:
         return config, None
     if fits(image, config):
         return config, _in_memory(image, not config.reading.given)
-    return for_windows(place, config), _in_windows(image)
+    return settings_in_windows(place, config), _in_windows(image)
 
 
 def fits(image: LargeImage, config: RunConfig) -> bool:
@@ -68,8 +67,12 @@ def fits(image: LargeImage, config: RunConfig) -> bool:
     return run_bytes(values, energy_expression.uses_model(config.energy), config.flow) <= image.max_bytes
 
 
-def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | None:
+def large_image(
+    source: Path, config: RunConfig, parts: ImageParts, in_parts: bool = False
+) -> LargeImage | None:
     """Return the image, opened, where it may be read in parts; None where it is an ordinary one that fits.
+
+    With ``in_parts`` it is opened even if it fits.
 
     Raises
     ------
@@ -82,7 +85,8 @@ def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImag
     from accelsurf.settings.file_formats import image_format
 
     form = image_format(split_name(source)[1])
-    if not ((form is not None and form.folder_marks and config.reading.given) or is_store(source)):
+    is_level = form is not None and form.folder_marks and config.reading.given
+    if not (in_parts or is_level or is_store(source)):
         if parts.max_memory is None and (form is None or form.open is None):
             return None  # it is read as a whole or not at all
         try:
@@ -92,17 +96,6 @@ def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImag
             return None  # said again where it is read, with the name of the file
         if needed <= parts.allowed_bytes:
             return None
-    return opened(source, config, parts)
-
-
-def opened(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage:
-    """Return the image, opened to be read in parts.
-
-    Raises
-    ------
-    InputError
-        When it cannot be.
-    """
     from accelsurf.io.lazy_volume import open_channels
     from accelsurf.segmentation.windowed import LargeImage
 
@@ -139,7 +132,7 @@ def with_level(source: Path, config: RunConfig, parts: ImageParts, quiet: bool) 
     return config.replace(level=found.level)
 
 
-def for_windows(place: Place, config: RunConfig) -> RunConfig:
+def settings_in_windows(place: Place, config: RunConfig) -> RunConfig:
     """The settings of a run in windows: its label map is written box by box."""
     if config.format is not None and config.format not in STORES:
         raise UsageError(
@@ -232,19 +225,3 @@ class ObjectOptions:
         if config.objects is None:
             raise UsageError("--jobs, --scheduler: were given without --objects", "accelsurf batch runs many images")
         Limits(self.jobs, scheduler=self.scheduler)
-
-    def image(self, place: Place, config: RunConfig, parts: ImageParts) -> LargeImage | None:
-        """Return the image where its objects are to be run in groups; None where all is read into memory.
-
-        Raises
-        ------
-        UsageError, InputError
-            When the options do not fit together, or the image cannot be opened.
-        """
-        self.check(config)
-        if config.objects is None:
-            return None
-        if self.given:
-            return opened(place.source, config, parts)
-        image = large_image(place.source, config, parts)
-        return None if image is None or fits(image, config) else image

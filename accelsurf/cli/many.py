@@ -94,7 +94,7 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
     def _run_in(self, files: FileSet) -> None:
         tables = self._work.tables(files)
         try:
-            self._work.run(self._pool, tables, _Watch(self._futures, tables), batch_case.lost, self._resume)
+            self._work.run(self._pool, tables, _Watch(self._futures, tables), batch_case.lost_outcome, self._resume)
         except BaseException:
             self._work.end_early(self._pool, tables, 1)
             raise
@@ -191,7 +191,7 @@ def segment_many(
     work = Batch.planned(tasks, limits, None, words, sys.argv)
     if not (overwrite or resume):
         refuse_results(folder, work)
-    return SegmentedMany(work, batch_case.made_pool(work, limits), folder, resume)
+    return SegmentedMany(work, batch_case.make_pool(work, limits), folder, resume)
 
 
 def _cases(given: str | Path | Sequence[CaseLike]) -> tuple[list[Case], str]:

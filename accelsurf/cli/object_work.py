@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from accelsurf import __version__
 from accelsurf.batch.pool import Ended, Job, Pool
 from accelsurf.cli import large_image
-from accelsurf.cli.case import Place, taken_up
+from accelsurf.cli.case import Place, resumed_place
 from accelsurf.cli.interrupts import Interrupts
 from accelsurf.cli.large_image import ObjectOptions
 from accelsurf.cli.options import Display
@@ -129,7 +129,7 @@ def run_objects(
     """
     from accelsurf.segmentation.group_run import check_settings
 
-    config = large_image.for_windows(place, config)
+    config = large_image.settings_in_windows(place, config)
     check_settings(config)
     image.check()
     report = result_sets.load_report(place.report_path) if resume else None
@@ -138,7 +138,7 @@ def run_objects(
             print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
         return int(report["exit_code"])
     if report is not None and report["status"] != "ok" and report.get("objects"):
-        place = taken_up(place, config)
+        place = resumed_place(place, config)
     inputs = place.inputs(config)
     with output_folder.opened_set(place.folder, place.name, inputs) as files:
         output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
@@ -231,7 +231,7 @@ class _Work:
                 while self._groups.waiting:
                     self._round(pool, number, progress)
                     for group in self._groups.unite():
-                        progress.taken_back(len(group) if group in self._records else 0)
+                        progress.take_back(len(group) if group in self._records else 0)
                         self._records.pop(group, None)
                     number += 1
             except BaseException:

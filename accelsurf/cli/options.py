@@ -31,6 +31,8 @@ InputFile = Annotated[
 ]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)]
 OutputFolder = Annotated[Path, Parameter(name=("--output", "-o"), group=FILES)]
+File = Annotated[Path | None, Parameter(group=FILES)]
+Switch = Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)]
 
 def settings_class(

@@ -44,7 +44,7 @@ class Watcher:
         self._is_quiet, self._label = display.quiet, ""
         self._has_noticed = False
         #: Warnings that have been printed before the first step.
-        self.said: set[str] = set()
+        self.printed_warnings: set[str] = set()
 
     @contextmanager
     def watch(self, label: str, max_steps: int) -> Iterator[Watcher]:
@@ -109,7 +109,7 @@ class Watcher:
 
     def on_warning(self, text: str) -> None:
         """Print a doubt about the start, before the first step."""
-        self.said.add(text)
+        self.printed_warnings.add(text)
         say(doubt_line(text))
 
     def on_window(self, window: Window) -> None:
@@ -269,7 +269,7 @@ class BatchProgress:
             say(printable(f"failed: {name}: {failure}", MAX_ERROR))
         self._show_state(None)
 
-    def taken_back(self, count: int) -> None:
+    def take_back(self, count: int) -> None:
         """Take back the end of ``count`` objects, which are run once more."""
         self._done -= count
 

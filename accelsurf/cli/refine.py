@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, RUN, SHOW, Display, Overwrite, required
+from accelsurf.cli.options import FILES, RUN, Display, File, Overwrite, Switch, required
 from accelsurf.errors import InputError, OutputError
 from accelsurf.settings.refinements import Refinement, refinements_of
 
@@ -60,7 +60,7 @@ class _Source:
 
 
 def refine(
-    result: Annotated[Path | None, Parameter(group=FILES)] = None,
+    result: File = None,
     *,
     inside: Where = (),
     outside: Where = (),
@@ -68,9 +68,9 @@ def refine(
     object: Annotated[str | None, Parameter(group=RUN)] = None,
     objects: ObjectOptions | None = None,
     output: Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)] = None,
-    image: Annotated[Path | None, Parameter(group=FILES)] = None,
+    image: File = None,
     overwrite: Overwrite = False,
-    strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    strict: Switch = False,
     display: Display | None = None,
 ) -> int:
     """Correct the result of a run by clicks: the surface moves near them, and beyond it every byte stays.

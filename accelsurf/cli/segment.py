@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
@@ -11,11 +10,12 @@ from cyclopts import Parameter
 from accelsurf.cli.large_image import ImageParts, ObjectOptions
 from accelsurf.cli.options import (
     FILES,
-    SHOW,
     Display,
+    File,
     InputFile,
     Output,
     Overwrite,
+    Switch,
     required,
     run_config,
     settings_class,
@@ -33,12 +33,12 @@ def segment(
     input: InputFile = None,
     *,
     output: Output = None,
-    config: Annotated[Path | None, Parameter(group=FILES)] = None,
-    dump_config: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    config: File = None,
+    dump_config: Switch = False,
     overwrite: Overwrite = False,
     resume: Annotated[bool, Parameter(negative=(), show_default=False, group=FILES)] = False,
-    strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
-    profile: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    strict: Switch = False,
+    profile: Switch = False,
     parts: ImageParts | None = None,
     work: ObjectOptions | None = None,
     settings: Settings | None = None,  # type: ignore[valid-type]
@@ -72,18 +72,21 @@ def segment(
         print(run_config(settings, config).to_toml(), end="")
         return 0
     from accelsurf.cli.case import Place, report_failure
-    from accelsurf.cli.large_image import computed, with_level
+    from accelsurf.cli.large_image import choose_computation, fits, large_image, with_level
 
     display, work = display or Display(), work or ObjectOptions()
-    place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite, config)
+    place = Place.for_image(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite, config)
     try:
         run, parts = run_config(settings, config), parts or ImageParts()
         run, place = with_level(place.source, run, parts, display.quiet), place.laid_out(run)
-        if (image := work.image(place, run, parts)) is not None:
+        work.check(run)
+        image = large_image(place.source, run, parts, in_parts=work.given)
+        if image is not None and run.objects is not None and (work.given or not fits(image, run)):
             from accelsurf.cli.object_work import run_objects
+
             _refuse_switches(strict, profile, run)
             return run_objects(place, run, image, work, resume, display)
-        run, compute = computed(place, run, parts)
+        run, compute = choose_computation(place, run, image)
     except AccelsurfError as error:
         report_failure(place, error)
         raise
@@ -98,10 +101,10 @@ def _run(
     from accelsurf.cli.progress import Watcher
 
     if resume:
-        from accelsurf.cli.case import code_of_ended, taken_up
-        if (code := code_of_ended(place, run, display.quiet)) is not None:
+        from accelsurf.cli.case import exit_code_of_finished, resumed_place
+        if (code := exit_code_of_finished(place, run, display.quiet)) is not None:
             return code
-        place = taken_up(place, run)
+        place = resumed_place(place, run)
     done = run_case(place, run, Watcher(display), strict, compute)
     return _summed_up(place.name, done, display.quiet, profile)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, SHOW, Display, Output, Overwrite, required
+from accelsurf.cli.options import FILES, Display, File, Output, Overwrite, Switch, required
 from accelsurf.cli.track_options import FrameSettings, TrackSettings, track_config
 from accelsurf.settings.file_formats import input_help
 
@@ -32,11 +32,11 @@ def track(
     input: SequenceFile = None,
     *,
     output: Output = None,
-    config: Annotated[Path | None, Parameter(group=FILES)] = None,
-    dump_config: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    config: File = None,
+    dump_config: Switch = False,
     overwrite: Overwrite = False,
     resume: Annotated[bool, Parameter(negative=(), show_default=False, group=FILES)] = False,
-    view: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    view: Switch = False,
     follow: TrackSettings | None = None,  # type: ignore[valid-type]
     settings: FrameSettings | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
@@ -77,7 +77,7 @@ def track(
     source = required(input, "SEQUENCE")
     folder = required(output, "-o DIR, the output folder,")
     page = _front_end() if view else None
-    case = TrackCase(replace(Place.of(source, folder, overwrite, config), resume=resume), wanted)
+    case = TrackCase(replace(Place.for_image(source, folder, overwrite, config), resume=resume), wanted)
     done = run_track_case(case, Watcher(display))
     if not display.quiet:
         print("\n".join(_summary(case, done)))

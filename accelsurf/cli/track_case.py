@@ -182,7 +182,7 @@ def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
             tracking.lineage, status="ok" if complete else "interrupted", exit_code=code, warnings=warnings
         )
     for warning in warnings:
-        if warning not in watcher.said:
+        if warning not in watcher.printed_warnings:
             say(f"warning: {warning}")
     report = case.place.report_path.absolute()
     watcher.note(f"the {'result' if complete else 'result so far'} is written: {report}")

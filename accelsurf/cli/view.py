@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, SHOW, InputFile, Overwrite, run_config, settings_class
+from accelsurf.cli.options import FILES, SHOW, File, InputFile, Overwrite, Switch, run_config, settings_class
 from accelsurf.cli.track_options import SequenceSettings, track_config
 from accelsurf.errors import UsageError
 from accelsurf.settings.reading import ReadOptions
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from accelsurf.viewer.core.opening import OpenedImage
     from accelsurf.viewer.core.session import Session
     from accelsurf.viewer.workplace.opening import Opening
+
 
 @dataclass(frozen=True)
 class FirstImage:
@@ -131,7 +132,7 @@ _OF_READING = {field.name for field in fields(ReadOptions)} - {"time_index", "ch
 class PageOptions:
     """Options of the page."""
 
-    browser: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False
+    browser: Switch = False
     """Open a page in the browser, served from this machine, instead of a window; needs no screen. Ctrl-C ends it."""
 
     host: Annotated[str | None, Parameter(group=SHOW, show_default="127.0.0.1, this machine alone")] = None
@@ -165,10 +166,10 @@ class ViewerOptions:
 def view(
     input: InputFile = None,
     *,
-    result: Annotated[Path | None, Parameter(group=FILES)] = None,
-    config: Annotated[Path | None, Parameter(group=FILES)] = None,
-    reference: Annotated[Path | None, Parameter(group=FILES)] = None,
-    tracks: Annotated[Path | None, Parameter(group=FILES)] = None,
+    result: File = None,
+    config: File = None,
+    reference: File = None,
+    tracks: File = None,
     overwrite: Overwrite = False,
     page: PageOptions | None = None,
     viewer: ViewerOptions | None = None,

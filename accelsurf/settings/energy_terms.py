@@ -61,14 +61,6 @@ class Word(NamedTuple):
         return " or ".join(self.words)
 
 
-def _no_complaint(settings: Values) -> str:
-    return ""
-
-
-def _never(settings: Values) -> bool:
-    return False
-
-
 @dataclass(frozen=True)
 class TermSpec:
     """The entry of a term.
@@ -123,8 +115,8 @@ class TermSpec:
     example: str | None = None
     keeps_fine_edges: bool = False
     reach: str | Callable[[Values, float], float] | None = None
-    check: Callable[[Values], str] = _no_complaint
-    learns: Callable[[Values], bool] = _never
+    check: Callable[[Values], str] = lambda settings: ""
+    learns: Callable[[Values], bool] = lambda settings: False
     uses_model: bool = False
     needs_whole: bool = False
 

@@ -14,6 +14,14 @@ from accelsurf.settings.track_fields import GAINS
 from accelsurf.settings.wording import did_you_mean, shown
 from accelsurf.settings.written_values import INTERVAL, VOLUME, VOXELS
 
+#: Words for texts of a form.
+_FORMS = {
+    VOXELS: "a number of voxels such as 1.5vox",
+    VOLUME: "a volume such as 250ml",
+    INTERVAL: "a number of steps such as 50, or a time such as 30s",
+    GAINS: "two numbers from 0 to 1, such as 1,0.5",
+}
+
 
 def usage_error(
     error: ValidationError, values: dict[str, Any], fields: type[BaseModel] = SettingFields
@@ -95,16 +103,8 @@ def _in_words(schema: dict[str, Any]) -> list[str]:
             return ["true", "false"]
         case "null":
             return []
-        case "string" if schema.get("pattern") == VOXELS:
-            return ["a number of voxels such as 1.5vox"]
-        case "string" if schema.get("pattern") == VOLUME:
-            return ["a volume such as 250ml"]
-        case "string" if schema.get("pattern") == INTERVAL:
-            return ["a number of steps such as 50, or a time such as 30s"]
-        case "string" if schema.get("pattern") == GAINS:
-            return ["two numbers from 0 to 1, such as 1,0.5"]
         case _:
-            return ["a text"]
+            return [_FORMS.get(schema.get("pattern", ""), "a text")]
 
 
 def _bounds(schema: dict[str, Any]) -> str:

@@ -59,12 +59,12 @@ class ReadOptions:
         """
         return tuple(f.name for f in fields(self) if getattr(self, f.name) != f.default)
 
-    def among(self, names: Collection[str]) -> ReadOptions:
+    def restricted_to(self, names: Collection[str]) -> ReadOptions:
         """Return the options that a format has; the others as if they had not been given.
 
         Examples
         --------
-        >>> ReadOptions(level=2, series="7").among(("level",)).given
+        >>> ReadOptions(level=2, series="7").restricted_to(("level",)).given
         ('level',)
         """
         absent: dict[str, Any] = {f.name: f.default for f in fields(self) if f.name not in names}
