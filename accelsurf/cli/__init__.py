@@ -161,7 +161,7 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
         command = " ".join(["accelsurf", *(error.command_chain or ())])
         problem = str(error)
         if isinstance(error, UnusedCliTokensError):
-            problem = f"{command}: {' '.join(error.unused_tokens or ())}: it takes no such word"
+            problem = f"{command}: {' '.join(error.unused_tokens or ())}: unexpected argument"
         return _say(2, without_garbage(problem, arguments), f"{command} --help lists the options")
     except AccelsurfError as error:
         if debug:

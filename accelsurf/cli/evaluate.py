@@ -79,19 +79,18 @@ def evaluate(
     overwrite
         Replace a table that exists.
     """
-    from accelsurf.report.evaluation import document, table_csv
-
     requested = Request(_labels(labels), _tolerances(tolerance))
     _check_table(table, as_json, overwrite)
     if tracks:
         _refuse_with_tracks({"labels": labels, "tolerance": tolerance, "pairs": pairs, "label-table": names})
         return _evaluate_tracks(pred, ref, as_json, table)
     known = _names(names)
-    found = _pairs(pred, ref, pairs)
-    many = isinstance(found, list)
-    sides = [side for pair in (found if isinstance(found, list) else [found]) for side in (pair.pred, pair.ref)]
-    _refuse_input_as_table(table, [pairs, names, *(side.path for side in sides if side is not None)])
-    results = [_try(pair, requested) for pair in found] if isinstance(found, list) else [_result(found, requested)]
+    found, many = _pairs(pred, ref, pairs)
+    sides = [side for pair in found for side in (pair.pred, pair.ref) if side is not None]
+    _refuse_input_as_table(table, [pairs, names, *(side.path for side in sides)])
+    results = [(_try if many else _result)(pair, requested) for pair in found]
+    from accelsurf.report.evaluation import document, table_csv
+
     _put(
         table, as_json, lambda: table_csv(results, known),
         lambda: document(results, known) if many else _one_pair(results[0], known), lambda: _show(results, known, many),
@@ -150,20 +149,20 @@ def _tolerances(text: str | None) -> tuple[float, ...]:
     return values
 
 
-def _pairs(pred: str | None, ref: str | None, table: Path | None) -> list[Pair] | Pair:
-    """One pair, or those of a table or of two folders."""
+def _pairs(pred: str | None, ref: str | None, table: Path | None) -> tuple[list[Pair], bool]:
+    """Return one pair, or those of a table or of two folders, and whether they may be many."""
     from accelsurf.batch.pairs import Pair, in_folders, in_table, is_folder_of_maps, label_file
 
     if table is not None:
         if pred is not None:
             raise UsageError("--pairs: was given with PRED, which the table names", "leave one of them out")
-        return in_table(table)
+        return in_table(table), True
     pred, ref = _both(pred, ref)
     sides = label_file(pred), label_file(ref)
     folders = [is_folder_of_maps(side.path) for side in sides]
     if any(folders) and not all(folders):
         raise InputError(f"{pred}, {ref}: one of them is a folder of files", "name two files, or two folders")
-    return in_folders(*sides) if all(folders) else Pair("", *sides)
+    return (in_folders(*sides), True) if all(folders) else ([Pair("", *sides)], False)
 
 
 def _try(pair: Pair, requested: Request) -> CaseResult:
