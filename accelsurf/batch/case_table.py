@@ -106,11 +106,10 @@ def _columns(header: list[str], tracking: bool) -> list[str]:
         if name not in known:
             if name in (of_images if tracking else followed):
                 raise _of_the_others(name, tracking)
-            guess = did_you_mean(name.replace("_", "-"), [key.replace("_", "-") for key in known])
             raise InputError(
                 f"{shown(given)}: there is no such column, {IMAGE}, {ID}{'' if tracking else f', {REFERENCE}'} or a "
                 "setting expected",
-                f"{guess.replace('-', '_')}leave out columns that are none",
+                f"{did_you_mean(name, known)}leave out columns that are no settings",
             )
         if names.count(name) > 1:
             raise InputError(f"the column {name} is given twice", "leave one of them out")

@@ -35,7 +35,9 @@ if TYPE_CHECKING:
     from accelsurf.segmentation.whole_image import Numbers
     from accelsurf.segmentation.windowed import LargeImage
 
-#: What a group loads, so that a worker has it before its first one.
+#: Settings that change nothing of what a group leaves.
+_WITHOUT_EFFECT = ("threads", "checkpoint", "format")
+#: Modules that a group loads, so that a worker has it before its first one.
 _LOADED = ("accelsurf.segmentation.many_objects", "accelsurf.report.document")
 
 
@@ -300,8 +302,6 @@ class _Work:
         return self._folder / f"group-{self._starts.ids[group[0]]}-{name}"
 
     def _task(self, group: Places, alone: bool = False) -> GroupTask:
-        from accelsurf.cli.object_work import GroupTask
-
         others = self._groups.others(group)
         names = self._place.names(self._config, self._image.geometry.slice_axis is not None)
         return GroupTask(
@@ -316,17 +316,14 @@ class _Work:
         )
 
     def _pool(self) -> Pool:
+        from accelsurf.batch.pool import InlinePool, LocalPool
+
         if self._options.scheduler is not None:
             from accelsurf.batch.dask_pool import DaskPool
 
             return DaskPool(run_task, self._options.scheduler)
-        if self._options.jobs is None or self._options.jobs == 1:
-            from accelsurf.batch.pool import InlinePool
-
-            return InlinePool(run_task)
-        from accelsurf.batch.pool import LocalPool
-
-        return LocalPool(run_task, self._options.jobs, prepare=load)
+        jobs = self._options.jobs or 1
+        return InlinePool(run_task) if jobs == 1 else LocalPool(run_task, jobs, prepare=load)
 
 
 def _with_threads(config: RunConfig, options: ObjectOptions) -> RunConfig:
@@ -352,10 +349,6 @@ def _key_of(config: RunConfig, image: LargeImage, numbers: Any) -> str:
 def _name_of(key: tuple[Any, ...]) -> str:
     """A number of the whole image in words: the function that finds it, and its arguments."""
     return f"{getattr(key[0], '__name__', key[0])} {key[1:]}"
-
-
-#: Settings that change nothing of what a group leaves.
-_WITHOUT_EFFECT = ("threads", "checkpoint", "format")
 
 
 def _version_of(path: Path | None) -> list[Any]:
