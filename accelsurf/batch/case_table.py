@@ -1,4 +1,4 @@
-"""Cases in a table: a CSV file with a row for each, and a column for what is particular about it."""
+"""Tables that people write, as CSV; and cases in a table, with a row for each and a column for each setting."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """One segmentation from file to files: what `segment` does once and `demo` for each flow.
 
 Existing outputs are refused before anything is computed. The files of a run appear all at once or not at all. A report
-says how the case ended, also when it failed; a failed run leaves an earlier result as it was.
+says how the case ended, also when it failed; a failed run leaves an earlier result as it was. ``--resume`` goes on from
+what an earlier run has left.
 """
 
 from __future__ import annotations

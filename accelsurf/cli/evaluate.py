@@ -1,4 +1,4 @@
-"""``accelsurf evaluate``: how well label maps agree with their references."""
+"""``accelsurf evaluate``: agreement of label maps, or of tracks, with their references."""
 
 from __future__ import annotations
 

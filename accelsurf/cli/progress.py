@@ -1,4 +1,4 @@
-"""Progress of a run on stderr, and how Ctrl-C ends it."""
+"""Progress on stderr, of a run and of a batch: a bar, or a line of JSON for each event; Ctrl-C ends a run."""
 
 from __future__ import annotations
 

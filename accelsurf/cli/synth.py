@@ -1,4 +1,4 @@
-"""``accelsurf synth``: a synthetic volume and its truth from a recipe."""
+"""``accelsurf synth``: a synthetic volume or sequence and its truth, from a recipe; all files or none."""
 
 from __future__ import annotations
 

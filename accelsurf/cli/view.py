@@ -1,4 +1,7 @@
-"""``accelsurf view``: watch a segmentation run, and steer it."""
+"""``accelsurf view``: watch a segmentation run, and steer it.
+
+The image is read in a thread, while window or page load.
+"""
 
 from __future__ import annotations
 

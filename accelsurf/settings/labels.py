@@ -1,4 +1,4 @@
-"""Names and colours of labels, as files and people give them."""
+"""Labels as files and people write them: ids and ranges of ids, names, colours."""
 
 from __future__ import annotations
 

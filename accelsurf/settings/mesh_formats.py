@@ -1,7 +1,7 @@
-"""The formats of meshes and contours: one entry each, with what it holds and what reads and writes it.
+"""Formats of meshes, contours and further files of the objects: one entry each, with what reads and writes it.
 
-From an entry follow the values and the help of ``--mesh``, ``accelsurf info`` and the reference page. Functions are
-named as in `accelsurf.settings.file_formats`.
+From an entry follow the values and the help of ``--mesh`` and ``--also``, ``accelsurf info`` and the reference page.
+Functions are named as in `accelsurf.settings.file_formats`.
 """
 
 from __future__ import annotations
