@@ -82,7 +82,7 @@ class Interrupts:
         """Raise KeyboardInterrupt a little later where Python cannot: in a callback of compiled code, say."""
         if issubclass(lost.exc_type, KeyboardInterrupt):
             again = threading.Timer(_AGAIN_SECONDS, _thread.interrupt_main)
-            again.daemon = True
+            again.daemon = True  # Timer takes it in no other way
             again.start()
         else:
             self._hooks[-1](lost)
@@ -236,7 +236,7 @@ def shown_warnings() -> Iterator[None]:
                 say("warning: " + printable(str(message), MAX_HINT))
 
         warnings.simplefilter("always", AccelsurfWarning)
-        warnings.showwarning = show
+        warnings.showwarning = show  # the hook that Python documents for this
         yield
 
 
