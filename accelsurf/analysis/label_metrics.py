@@ -25,7 +25,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, enclosing, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.settings.label_ids import IdRanges, holds
+from accelsurf.settings.labels import IdRanges, holds
 
 #: Ids up to this are looked for in a list; larger ones are sorted, so many voxels at a time.
 _MAX_LISTED, _SORTED_VOXELS = 65_535, 1 << 21

@@ -1,4 +1,4 @@
-"""How many cases run at once, on how many threads each, with how much memory; nothing is read but headers."""
+"""Admission of cases: how many run at once, on how many threads, with how much memory, by their headers alone."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from accelsurf.errors import AccelsurfError
+from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.io.headers import count_values, options_of
-from accelsurf.segmentation.memory_need import FREE_SHARE, PROCESS_BYTES, bytes_text, run_bytes
+from accelsurf.segmentation.memory_need import FREE_SHARE, PROCESS_BYTES, bytes_text, memory_of, run_bytes
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.tracking.joined_sequence import open_sequence
@@ -20,7 +20,7 @@ _HELD_BYTES = 8
 
 @dataclass(frozen=True)
 class Need:
-    """What a case needs, by its header.
+    """Need of a case, by its header.
 
     Attributes
     ----------
@@ -38,8 +38,50 @@ class Need:
 
 
 @dataclass(frozen=True)
+class Limits:
+    """Limits of a batch, as the person gave them; a cluster decides them itself.
+
+    Attributes
+    ----------
+    jobs : int, optional
+        Cases at the same time.
+    case_timeout : float, optional
+        Seconds that a case may take.
+    max_memory : str, optional
+        Memory of all cases together, such as 4GB.
+    scheduler : str, optional
+        Address of a Dask scheduler.
+
+    Raises
+    ------
+    UsageError
+        When a number is out of bounds, or is given with a scheduler.
+    """
+
+    jobs: int | None = None
+    case_timeout: float | None = None
+    max_memory: str | None = None
+    scheduler: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.jobs is not None and self.jobs < 1:
+            raise UsageError(f"--jobs: {self.jobs} was given, expected a whole number at least 1", "leave it out")
+        decided = {"--jobs": self.jobs, "--case-timeout": self.case_timeout, "--max-memory": self.max_memory}
+        given = [name for name, value in decided.items() if value is not None]
+        if self.scheduler is not None and given:
+            raise UsageError(f"{given[0]}: was given with --scheduler, which decides that itself", "leave one out")
+        if self.case_timeout is not None and not 0 < self.case_timeout < float("inf"):
+            raise UsageError(f"--case-timeout: {self.case_timeout:g} was given, expected seconds above 0", "as in 600")
+
+    @property
+    def memory(self) -> int | None:
+        """Bytes of all cases together, where they were given."""
+        return None if self.max_memory is None else memory_of(self.max_memory)
+
+
+@dataclass(frozen=True)
 class Admission:
-    """What runs at once.
+    """Cases that run at once.
 
     Attributes
     ----------
@@ -79,7 +121,7 @@ def need_of(
     """
     try:
         values = count_values(image, options)
-        values += sum(count_values(Path(path), options.among(options_of(path))) for path in channels)
+        values += sum(count_values(Path(path), options.restricted_to(options_of(path))) for path in channels)
     except (AccelsurfError, OSError) as error:
         return Need(None, PROCESS_BYTES, str(getattr(error, "strerror", None) or error))
     return Need(values, run_bytes(values, clicks, flow))

@@ -49,7 +49,7 @@ class Case:
     def channels(self) -> tuple[Path, ...]:
         """Files of its further channels, where it has some of its own."""
         given = self.settings.get("channel", ())
-        return tuple(Path(one) for one in ((given,) if isinstance(given, str) else given))
+        return tuple(Path(path) for path in ((given,) if isinstance(given, str) else given))
 
 
 def checked_ids(cases: Sequence[Case]) -> list[Case]:

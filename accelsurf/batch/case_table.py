@@ -1,22 +1,62 @@
-"""Cases in a table: a CSV file with a row for each, and a column for what is particular about it."""
+"""Tables that people write, as CSV; and cases in a table, with a row for each and a column for each setting."""
 
 from __future__ import annotations
 
+import csv
+import io
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any, TypeVar
 
-from accelsurf.batch import csv_table
 from accelsurf.batch.case import Case, check_id
 from accelsurf.errors import InputError
 from accelsurf.io import split_name
+from accelsurf.io.files import naming
 from accelsurf.io.headers import name_of
 from accelsurf.report.inputs import FILE_KINDS, PLACES
+from accelsurf.settings import budgets
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.track_config import FRAME_SETTINGS, setting_entry
 from accelsurf.settings.track_fields import TrackFields
 from accelsurf.settings.wording import did_you_mean, shown
+
+T = TypeVar("T")
+
+
+def read_rows(path: Path, what: str, parse: Callable[[list[str], Any], list[T]]) -> list[T]:
+    """Read a table that a person has written: CSV with a header, cells separated by commas, or by tabs in a .tsv file.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        What a row stands for, for messages.
+    parse : callable
+        Of the cells of the first line and a reader of the others, returns what the rows say.
+
+    Raises
+    ------
+    InputError
+        With the file, the line and what is wrong in it.
+    """
+    with naming(path):
+        budgets.CASES.check(path.stat().st_size, "the table")
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+        except UnicodeDecodeError:
+            raise InputError("the table is not text in UTF-8", "save it as CSV UTF-8") from None
+        lines = csv.reader(io.StringIO(text), delimiter="\t" if path.suffix.lower() == ".tsv" else ",", strict=True)
+        try:
+            rows = parse(next(lines, []), lines)
+        except csv.Error as error:
+            message = f"line {lines.line_num}: not a line of a CSV file ({error})"
+            raise InputError(message, "is a quote missing?") from None
+        if not rows:
+            raise InputError("the table has no row below its header", f"write a row for each {what}")
+    return rows
+
 
 IMAGE, ID, REFERENCE = "image", "id", "reference"
 #: Setting of tracking whose words may name files.
@@ -51,26 +91,25 @@ def read(path: Path, tracking: bool = False) -> list[Case]:
     def cases(header: list[str], lines: Iterator[list[str]]) -> list[Case]:
         return list(_cases(path, _columns(header, tracking), lines, tracking))
 
-    return csv_table.read(path, "sequence" if tracking else "image", cases)
+    return read_rows(path, "sequence" if tracking else "image", cases)
 
 
 def _columns(header: list[str], tracking: bool) -> list[str]:
     """Names of the columns, as settings are called."""
     names = [name.strip().lower().replace("-", "_") for name in header]
-    own = (REFERENCE, *SettingFields.model_fields)
+    of_images = (REFERENCE, *SettingFields.model_fields)
     followed = (*FRAME_SETTINGS, *TrackFields.model_fields)
-    known = (IMAGE, ID, *(followed if tracking else own))
+    known = (IMAGE, ID, *(followed if tracking else of_images))
     if len(names) == 1 and re.search(r"[;\t]", names[0]):
         raise InputError("columns separated by commas expected", "separate them by commas, or by tabs in a .tsv file")
     for name, given in zip(names, header, strict=True):
         if name not in known:
-            if name in (own if tracking else followed):
+            if name in (of_images if tracking else followed):
                 raise _of_the_others(name, tracking)
-            guess = did_you_mean(name.replace("_", "-"), [one.replace("_", "-") for one in known])
             raise InputError(
                 f"{shown(given)}: there is no such column, {IMAGE}, {ID}{'' if tracking else f', {REFERENCE}'} or a "
                 "setting expected",
-                f"{guess.replace('-', '_')}leave out columns that are none",
+                f"{did_you_mean(name, known)}leave out columns that are no settings",
             )
         if names.count(name) > 1:
             raise InputError(f"the column {name} is given twice", "leave one of them out")

@@ -1,20 +1,24 @@
-"""Which cases a batch has: what a person names, in any layout, and the part of it that one of several machines does."""
+"""Cases of a batch: files, folders, tables and patterns that a person names, and the part that one machine does."""
 
 from __future__ import annotations
 
+import glob
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from accelsurf.batch import case_table, layouts, sequence_cases
+from accelsurf.batch import case_table, layouts
 from accelsurf.batch.case import Case, checked_ids
 from accelsurf.batch.layouts import Layout
 from accelsurf.errors import InputError, UsageError
-from accelsurf.io import is_stored
+from accelsurf.io import is_stored, split_name
+from accelsurf.settings.file_formats import input_help
 
 T = TypeVar("T")
 
+#: What makes a name a pattern.
+_PATTERN = re.compile(r"[*?\[]")
 _SHARD = re.compile(r"([0-9]{1,6})/([0-9]{1,6})")
 #: Set in each task of an array of jobs of SLURM.
 _TASK, _COUNT, _MIN, _STEP = (f"SLURM_ARRAY_TASK_{name}" for name in ("ID", "COUNT", "MIN", "STEP"))
@@ -29,12 +33,12 @@ class Shard(NamedTuple):
     def __str__(self) -> str:
         return f"{self.number}/{self.total}"
 
-    def of(self, everything: Sequence[T]) -> list[T]:
-        """Its part: every ``total``-th.
+    def part_of(self, everything: Sequence[T]) -> list[T]:
+        """Return its part: every ``total``-th.
 
         Examples
         --------
-        >>> Shard(2, 3).of("abcdefgh")
+        >>> Shard(2, 3).part_of("abcdefgh")
         ['b', 'e', 'h']
         """
         return list(everything[self.number - 1 :: self.total])
@@ -60,7 +64,7 @@ def read_cases(given: Sequence[str], layout: Layout = "auto", tracking: bool = F
     """
     if not given:
         raise UsageError("CASES is missing", "name a folder of images, a pattern in quotes, or a CSV table")
-    cases, words = sequence_cases.read(given) if tracking else _read(given, layout)
+    cases, words = _read(given, layout, tracking)
     return checked_cases(cases), words
 
 
@@ -79,22 +83,55 @@ def checked_cases(cases: Sequence[Case]) -> list[Case]:
     return list(cases)
 
 
-def _read(given: Sequence[str], layout: Layout) -> tuple[list[Case], str]:
-    path = Path(given[0])
-    if len(given) == 1 and path.is_dir() and not is_stored(path):
-        return layouts.in_folder(path, layout)
+def _read(given: Sequence[str], layout: Layout, tracking: bool) -> tuple[list[Case], str]:
+    path, alone = Path(given[0]), len(given) == 1
+    if alone and path.is_dir() and not is_stored(path):
+        return _sequences_in(path) if tracking else layouts.in_folder(path, layout)
     if layout != "auto":
         raise UsageError(f"--layout {layout} was given, but {given[0]} is no folder", "name the folder of the images")
-    if len(given) == 1 and path.suffix.lower() in case_table.SUFFIXES:
-        return case_table.read(path), "a table"
-    if len(given) == 1 and layouts.PATTERN.search(given[0]) and not path.exists():
-        return layouts.by_pattern(given[0]), "a pattern"
-    for one in given:
-        if Path(one).is_dir() and not is_stored(Path(one)):
-            raise UsageError(f"{one}: a folder among several CASES", "name one folder alone, or files")
-        if not Path(one).exists():
-            raise InputError(f"{one}: there is no such file or folder", "check the path")
-    return layouts.of_files([Path(one) for one in given]), "files"
+    if alone and path.suffix.lower() in case_table.SUFFIXES:
+        return case_table.read(path, tracking), "a table"
+    if alone and _PATTERN.search(given[0]) and not path.exists():
+        return layouts.of_files(_matches(given[0], tracking)), "a pattern"
+    for name in given:
+        if not tracking and Path(name).is_dir() and not is_stored(Path(name)):
+            raise UsageError(f"{name}: a folder among several CASES", "name one folder alone, or files")
+        if not Path(name).exists():
+            raise InputError(f"{name}: there is no such file or folder", "check the path")
+    return layouts.of_files([Path(name) for name in given]), "files"
+
+
+def _matches(pattern: str, tracking: bool) -> list[Path]:
+    """Return the images or sequences that a pattern names; ``**`` stands for folders at any depth."""
+    paths = [Path(name) for name in glob.glob(pattern, recursive=True)]
+    if tracking:
+        kind, found, hint = "sequence", _sequences(paths), "is the pattern in quotes?"
+    else:
+        kind, found, hint = "image", layouts.images_among(paths), f"is it in quotes? images are {input_help()}"
+    if not found:
+        raise InputError(f"{pattern}: no {kind} has a name like this", hint)
+    return found
+
+
+def _sequences_in(folder: Path) -> tuple[list[Case], str]:
+    found = _sequences(folder.iterdir())
+    if not found:
+        raise InputError(
+            f"{folder}: no sequence in this folder, files with time ({input_help()}) or folders of frames expected",
+            "for sequences in folders below write a pattern in quotes, such as 'cells/*/frames'",
+        )
+    return layouts.of_files(found), "a folder of sequences"
+
+
+def _sequences(paths: Iterable[Path]) -> list[Path]:
+    """Return the files with names of images and the folders with images, in order, without hidden ones."""
+    visible = [path for path in paths if not path.name.startswith(".")]
+    folders = [path for path in visible if path.is_dir() and not is_stored(path) and _has_images(path)]
+    return sorted([*layouts.images_among(visible), *folders], key=str)
+
+
+def _has_images(folder: Path) -> bool:
+    return any(split_name(entry)[1] and not entry.name.startswith(".") for entry in folder.iterdir())
 
 
 def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[Shard | None, str]:

@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from accelsurf import __version__
-from accelsurf.batch.pool import Ended, Interrupted, Job, Started
-from accelsurf.batch.worker import Failure, done
+from accelsurf.batch.pool import Ended, Failure, Interrupted, Job, Started, run_job
 from accelsurf.errors import AccelsurfError, UsageError
 
 if TYPE_CHECKING:
@@ -133,7 +132,7 @@ def _refuse_threads(place: str, count: int) -> None:
 def _call(
     function: Callable[[Any], Any], payload: Any, folder: str, version: str
 ) -> tuple[Any, Failure | None]:
-    """What a worker does: call the function in a folder, unless its own accelsurf is another."""
+    """Call the function in a folder, on a worker; fail where the accelsurf of the worker is another version."""
     from distributed import get_worker
 
     worker = get_worker()
@@ -143,7 +142,7 @@ def _call(
         _refuse_threads(worker.address, worker.state.nthreads)  # one that came later
     except UsageError as error:
         return None, Failure("error", f"{error.message}; {error.hint}")
-    return done(partial(_in_folder, folder, function), payload)
+    return run_job(partial(_in_folder, folder, function), payload)
 
 
 def _in_folder(folder: str, function: Callable[[Any], Any], payload: Any) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -17,8 +16,6 @@ from accelsurf.settings.file_formats import input_help
 #: How a folder is read; auto looks at its names.
 Layout = Literal["auto", "folder", "nnunet", "bids"]
 
-#: What makes a name a pattern.
-PATTERN = re.compile(r"[*?\[]")
 _CHANNEL = re.compile(r"(.+)_(\d{4})")
 _SUBJECTS = ("sub-*/anat/*", "sub-*/ses-*/anat/*")
 #: Endings of BIDS names that are no images of a scanner.
@@ -55,20 +52,6 @@ def in_folder(folder: Path, layout: Layout = "auto") -> tuple[list[Case], str]:
     return [Case(split_name(image)[0], image.absolute(), place=str(image)) for image in images], "a folder of images"
 
 
-def by_pattern(pattern: str) -> list[Case]:
-    """Return the images that a pattern names; ``**`` stands for folders at any depth.
-
-    Raises
-    ------
-    InputError
-        When there is none.
-    """
-    found = images_among(Path(one) for one in glob.glob(pattern, recursive=True))
-    if not found:
-        raise InputError(f"{pattern}: no image has a name like this", f"is it in quotes? images are {input_help()}")
-    return of_files(found)
-
-
 def of_files(images: Sequence[Path]) -> list[Case]:
     """Return a case for each file; its id is its name, or where names repeat its path from their common folder on."""
     names = [split_name(image)[0] for image in images]
@@ -80,9 +63,9 @@ def of_files(images: Sequence[Path]) -> list[Case]:
 
 
 def images_among(paths: Iterable[Path]) -> list[Path]:
-    """Those that are images by their names, in order; hidden files are none."""
-    own = tuple(f"_{name}.npz" for name in ("state", "checkpoint"))  # files of a run
-    visible = (path for path in paths if not path.name.startswith(".") and not path.name.endswith(own))
+    """Return the files with names of images, in order, without hidden files and those of a run."""
+    of_runs = ("_state.npz", "_checkpoint.npz")
+    visible = (path for path in paths if not path.name.startswith(".") and not path.name.endswith(of_runs))
     named = (path for path in visible if split_name(path)[1] in image_suffixes())
     return sorted((path for path in named if not path.is_dir() or is_stored(path)), key=str)
 
@@ -105,7 +88,7 @@ def _channels(images: Sequence[Path]) -> dict[str, dict[int, Path]]:
 
 
 def _is_nnunet(folder: Path, images: Sequence[Path], channels: dict[str, dict[int, Path]]) -> bool:
-    """Whether names are those of nnU-Net; raises where they may as well number the images of a series."""
+    """Return True if names are those of nnU-Net; raise where they may as well number the images of a series."""
     if sum(map(len, channels.values())) < len(images) or not all(0 in numbers for numbers in channels.values()):
         return False
     if len(channels) > 1 or len(images) == 1 or any((at / "dataset.json").is_file() for at in (folder, folder.parent)):
@@ -125,10 +108,9 @@ def _nnunet(folder: Path, images: Sequence[Path], channels: dict[str, dict[int, 
     cases = []
     for name, numbers in sorted(channels.items()):
         if missing := [number for number in range(most + 1) if number not in numbers]:
+            of_others = f", other cases have {most + 1} channels" if len(channels) > 1 else ""
             raise InputError(
-                f"{folder}: case {name} has no channel {name}_{missing[0]:04d}, other cases have {most + 1} channels"
-                if len(channels) > 1
-                else f"{folder}: case {name} has no channel {name}_{missing[0]:04d}",
+                f"{folder}: case {name} has no channel {name}_{missing[0]:04d}{of_others}",
                 "copy the missing file, or use --layout folder",
             )
         first, *more = (numbers[number].absolute() for number in range(most + 1))

@@ -1,4 +1,4 @@
-"""What has become of a case: a line of the batch's tables."""
+"""Outcomes of cases: lines of the batch's tables."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ COLUMNS = ("id", "status", "reason", "ml", "quality", "dice", "steps", "seconds"
 TRACK_COLUMNS = ("id", "status", "reason", "objects", "frames", "quality", "seconds", "folder")
 
 
-def of_report(task: CaseTask, report: Mapping[str, Any], dice: float | None) -> Outcome:
+def outcome_of_report(task: CaseTask, report: Mapping[str, Any], dice: float | None) -> Outcome:
     """Return the line of a case that has a result, from the report of its run or of its tracking.
 
     Parameters
@@ -138,7 +138,7 @@ def of_report(task: CaseTask, report: Mapping[str, Any], dice: float | None) -> 
         status="ok" if report["status"] == "ok" else "failed",
         **({**of_kind, "reason": error["message"]} if error else of_kind),
         folder=task.shown_folder,
-        picture=next((Path(one["path"]).name for one in report["outputs"] if one["kind"] == "preview"), ""),
+        picture=next((Path(output["path"]).name for output in report["outputs"] if output["kind"] == "preview"), ""),
         hint=error["hint"] if error else "",
         exit_code=report["exit_code"],
         warnings=tuple(report["warnings"]),
@@ -146,7 +146,7 @@ def of_report(task: CaseTask, report: Mapping[str, Any], dice: float | None) -> 
 
 
 def _of_run(report: Mapping[str, Any]) -> dict[str, Any]:
-    """What a line says of a run."""
+    """Return the cells of a run."""
     volume, is_2d = report["volume_mm3"], report["enclosed_mm2"] is not None
     return {
         "reason": report["stop"]["reason"],
@@ -158,20 +158,20 @@ def _of_run(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _of_tracking(report: Mapping[str, Any]) -> dict[str, Any]:
-    """What a line says of a tracking: how its objects ended, and of their qualities the least."""
+    """Return the cells of a tracking: the ends of its objects, and the least of their qualities."""
     tracks, frames = report["tracks"], report["frames"]
-    ends = Counter(one["end"] for one in tracks)
-    qualities = [one["quality_lowest"] for one in tracks if one["quality_lowest"] is not None]
+    ends = Counter(track["end"] for track in tracks)
+    qualities = [track["quality_lowest"] for track in tracks if track["quality_lowest"] is not None]
     return {
         "reason": ", ".join(f"{count} {end}" for end, count in ends.items()),
         "quality": min(qualities, default=None),
         "objects": len(tracks),
         "frames": len(frames),
-        "seconds": sum(one["seconds"] for one in frames),
+        "seconds": sum(frame["seconds"] for frame in frames),
     }
 
 
 def _quality(report: Mapping[str, Any]) -> float | None:
-    several = [one["quality"] for one in report["objects"] or ()]
-    found = [one["probability"] for one in (several or [report["quality"]]) if one is not None]
+    several = [entry["quality"] for entry in report["objects"] or ()]
+    found = [quality["probability"] for quality in (several or [report["quality"]]) if quality is not None]
     return min(found, default=None)

@@ -41,9 +41,9 @@ def page_html(
     columns : sequence of str, optional
         Of the table in CSV; the page has those of them that it has a heading for.
     """
-    counts = {key: sum(one.status == key for one in outcomes) for key in ("ok", "failed", "waiting")}
+    counts = {key: sum(outcome.status == key for outcome in outcomes) for key in ("ok", "failed", "waiting")}
     summary = ", ".join(f"{number} {key}" for key, number in counts.items() if number) or "no case"
-    ended = [one for one in sorted(outcomes, key=doubt) if one.status != "waiting"]
+    ended = [outcome for outcome in sorted(outcomes, key=doubt) if outcome.status != "waiting"]
     links = " ".join(f'<a href="{quote(name)}">{escape(name)}</a>' for name in files)
     lines = [
         "<!DOCTYPE html>",
@@ -52,7 +52,7 @@ def page_html(
         f"<h1>{len(outcomes)} cases: {summary}</h1>",
         f"<p>{escape(status)}; the most doubtful first. {links}</p>",
         *_table(ended, columns),
-        *(line for number, one in enumerate(ended) for line in _section(number, one)),
+        *(line for number, outcome in enumerate(ended) for line in _section(number, outcome)),
         "</body></html>",
     ]
     return "\n".join(lines) + "\n"
@@ -75,37 +75,38 @@ def _table(outcomes: Sequence[Outcome], columns: Sequence[str]) -> list[str]:
     numbers = [name for name in _HEADS if name in columns]
     heads = "".join(f"<th>{_HEADS[name]}</th>" for name in numbers)
     lines = ["<table>", f"<tr><th>case</th>{heads}<th class=text>end</th></tr>"]
-    for number, one in enumerate(outcomes):
-        name = f'<a href="#case{number}">{escape(one.id)}</a>'
-        kind = ' class="failed"' if one.status == "failed" else ""
-        values = {key: getattr(one, key) for key in numbers}
+    for number, outcome in enumerate(outcomes):
+        name = f'<a href="#case{number}">{escape(outcome.id)}</a>'
+        kind = ' class="failed"' if outcome.status == "failed" else ""
+        values = {key: getattr(outcome, key) for key in numbers}
         cells = (_percent(value) if key == "quality" else _number(value) for key, value in values.items())
         line = "".join(f"<td>{cell}</td>" for cell in (name, *cells))
-        lines.append(f'<tr{kind}>{line}<td class=text>{escape(one.reason)}</td></tr>')
+        lines.append(f'<tr{kind}>{line}<td class=text>{escape(outcome.reason)}</td></tr>')
     return [*lines, "</table>"]
 
 
-def _section(number: int, one: Outcome) -> list[str]:
-    head = f'<section id="case{number}"><h2>{escape(one.id)}</h2>'
-    texts = [f"<p>{_summary(one)}</p>"]
-    if one.status == "failed":
-        texts = [f'<p class="failed">{escape(one.reason)}</p>', f"<p>{escape(one.hint)}</p>" if one.hint else ""]
-    texts += [f"<p>{escape(warning)}</p>" for warning in one.warnings]
-    picture = ""
-    if one.picture:
-        place = quote(f"{one.folder}/{one.picture}")
-        picture = f'<a href="{quote(one.folder)}/"><img loading="lazy" alt="{escape(one.id)}" src="{place}"></a>'
-    return [head, *(text for text in texts if text), *([picture] if picture else []), "</section>"]
+def _section(number: int, outcome: Outcome) -> list[str]:
+    head = f'<section id="case{number}"><h2>{escape(outcome.id)}</h2>'
+    texts = [f"<p>{_summary(outcome)}</p>"]
+    if outcome.status == "failed":
+        hint = f"<p>{escape(outcome.hint)}</p>" if outcome.hint else ""
+        texts = [f'<p class="failed">{escape(outcome.reason)}</p>', hint]
+    texts += [f"<p>{escape(warning)}</p>" for warning in outcome.warnings]
+    if outcome.picture:
+        image = f'<img loading="lazy" alt="{escape(outcome.id)}" src="{quote(f"{outcome.folder}/{outcome.picture}")}">'
+        texts.append(f'<a href="{quote(outcome.folder)}/">{image}</a>')
+    return [head, *(text for text in texts if text), "</section>"]
 
 
-def _summary(one: Outcome) -> str:
-    """What is known of a result, in a line."""
+def _summary(outcome: Outcome) -> str:
+    """Return the figures of a result, in a line."""
+    count = outcome.objects
     parts = [
-        f"{_percent(one.quality)} likely to be good" if one.quality is not None else "",
-        f"{_number(one.ml)} ml" if one.ml is not None else "",
-        f"Dice {_number(one.dice)}" if one.dice is not None else "",
-        f"{one.objects} object{'' if one.objects == 1 else 's'} in {one.frames} frames" if one.frames else "",
-        escape(one.reason),
+        f"{_percent(outcome.quality)} likely to be good" if outcome.quality is not None else "",
+        f"{_number(outcome.ml)} ml" if outcome.ml is not None else "",
+        f"Dice {_number(outcome.dice)}" if outcome.dice is not None else "",
+        f"{count} object{'' if count == 1 else 's'} in {outcome.frames} frames" if outcome.frames else "",
+        escape(outcome.reason),
     ]
     return ", ".join(part for part in parts if part)
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from accelsurf.batch import csv_table
+from accelsurf.batch.case_table import read_rows
 from accelsurf.errors import InputError, UsageError
 from accelsurf.io import image_suffixes, is_stored, split_name
 from accelsurf.io.files import naming
-from accelsurf.settings.label_ids import IdRanges, parse_ids
+from accelsurf.settings.labels import IdRanges, parse_ids
 from accelsurf.settings.wording import shown
 
 #: Columns of a table.
@@ -69,7 +69,7 @@ def label_file(text: str, base: Path | None = None) -> LabelFile:
 
 
 def is_folder_of_maps(path: Path) -> bool:
-    """Whether a path is a folder, and no image that is stored as one."""
+    """Return True if a path is a folder, and no image that is stored as one."""
     return path.is_dir() and not is_stored(path)
 
 
@@ -139,7 +139,7 @@ def in_table(path: Path) -> list[Pair]:
         columns = _columns(header)
         return [_pair_of(columns, cells, lines.line_num, base) for cells in lines if any(map(str.strip, cells))]
 
-    return csv_table.read(path, "pair", pairs)
+    return read_rows(path, "pair", pairs)
 
 
 def _columns(header: list[str]) -> list[str]:

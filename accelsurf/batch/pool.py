@@ -7,31 +7,59 @@ has failed. `Pool` is all that a batch asks for, so that another engine can take
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import signal
+import threading
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import connection, resource_tracker
+from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from accelsurf.batch.worker import READY, Failure, serve
+import psutil
+
 from accelsurf.errors import AccelsurfError
 
-#: A worker is replaced after so many jobs, so that memory which a library does not give back cannot pile up.
+#: Message of a worker that can take a job.
+READY = "ready"
+#: Jobs after which a worker is replaced, so that memory which a library does not give back cannot pile up.
 JOBS_PER_WORKER = 200
 #: Seconds between two looks at the memory of the workers, and that a worker has to end by itself.
 _LOOK_SECONDS, _LEAVE_SECONDS = 0.25, 5.0
-#: So many workers in a row that die before they are ready: more would do the same.
+#: Number of workers in a row that die before they are ready: more would do the same.
 _MAX_STILLBORN = 3
 
 
+class Failure(NamedTuple):
+    """Reason why a job has no result.
+
+    Attributes
+    ----------
+    kind : {"error", "memory", "timeout", "killed"}
+        An exception, too little memory, no end in time, a process that is gone.
+    message : str
+        One line.
+    details : str
+        The traceback of an exception.
+    """
+
+    kind: str
+    message: str
+    details: str = ""
+
+
+#: A result, or the failure in its place; the other is None.
+Reply = tuple[Any, Failure | None]
+
+
 class Job(NamedTuple):
-    """Something to do: its ``key``, the ``payload`` for the function, and the ``bytes`` that it is thought to take."""
+    """A job: its ``key``, the ``payload`` for the function, and the estimate of its ``bytes``."""
 
     key: str
     payload: Any
@@ -57,7 +85,7 @@ class Interrupted(Exception):
 
 
 class Pool(Protocol):
-    """What a batch asks of whatever runs its cases."""
+    """Interface of an engine that runs the cases of a batch."""
 
     def submit(self, job: Job) -> None:
         """Add a job."""
@@ -86,15 +114,25 @@ class _Worker:
         with _signals_wait():
             self.process.start()
         theirs.close()
-        self.ready, self.jobs_done = False, 0
+        self.is_ready, self.jobs_done, self.began = False, 0, 0.0
         self.job: Job | None = None
-        self.began = 0.0
 
     def give(self, job: Job) -> None:
         """Hand a job over; its time begins now, or when the worker has got ready."""
         self.job, self.began = job, time.monotonic()
         with suppress(OSError):  # it has died: the next look at it finds that
             self.connection.send((job.payload,))
+
+    def get_ready(self) -> None:
+        """Begin the time of its first job."""
+        self.is_ready, self.began = True, time.monotonic()
+
+    def end_job(self, value: Any, failure: Failure | None) -> Ended:
+        """Return the end of its job."""
+        job, self.job = self.job, None
+        assert job is not None
+        self.jobs_done += 1
+        return Ended(job.key, value, failure)
 
     def kill(self) -> None:
         """End it; one that waits for a disk that is gone ends when it can."""
@@ -117,8 +155,7 @@ class LocalPool:
     timeout : float, optional
         Seconds that a job may take.
     limit : int, optional
-        Bytes that all workers together may have; beyond it the largest is ended. Only where the system says how large
-        a process is (Linux).
+        Bytes that all workers together may have; beyond it the largest is ended.
     prepare : callable, optional
         What a worker calls before its first job, whose time does not count.
     """
@@ -134,7 +171,8 @@ class LocalPool:
         prepare: Callable[[], None] | None = None,
     ) -> None:
         self._function, self._prepare = function, prepare
-        self._jobs, self._bytes, self._timeout, self._limit = jobs, bytes, timeout, limit
+        self._jobs, self._timeout, self._limit = jobs, timeout, limit
+        self._bytes: float = math.inf if bytes is None else bytes
         self._waiting: deque[Job] = deque()
         self._workers: list[_Worker] = []
         self._leaving: list[_Worker] = []
@@ -156,7 +194,10 @@ class LocalPool:
             After `interrupt`.
         """
         while self._waiting or any(worker.job for worker in self._workers):
-            yield from self._refused()
+            for job in [job for job in self._waiting if job.bytes > self._bytes]:
+                self._waiting.remove(job)
+                text = f"needs about {job.bytes / 1e9:.2f} GB of memory, {self._bytes / 1e9:.2f} GB may be used"
+                yield Ended(job.key, None, Failure("memory", text))
             yield from self._started()
             yield from self._ended()
 
@@ -169,50 +210,36 @@ class LocalPool:
         """End all workers at once, those at work too."""
         self._bell.close()
         self._heard_bell.close()
-        for worker in (*self._workers, *self._leaving):
+        workers = [*self._workers, *self._leaving]
+        for worker in workers:
             worker.process.kill()
-        for worker in (*self._workers, *self._leaving):
+        for worker in workers:
             worker.kill()
         self._workers, self._leaving = [], []
         self._waiting.clear()
 
-    def _refused(self) -> Iterator[Ended]:
-        """Jobs that are larger than everything that there is."""
-        if self._bytes is None:
-            return
-        for job in [job for job in self._waiting if job.bytes > self._bytes]:
-            self._waiting.remove(job)
-            text = f"needs about {job.bytes / 1e9:.2f} GB of memory, {self._bytes / 1e9:.2f} GB may be used"
-            yield Ended(job.key, None, Failure("memory", text))
-
     def _started(self) -> Iterator[Started]:
         """Give jobs to workers while there are both, and room for the job."""
         while (job := self._next()) is not None:
-            for worker in [one for one in self._workers if one.job is None and not one.process.is_alive()]:
+            for worker in [worker for worker in self._workers if not (worker.job or worker.process.is_alive())]:
                 self._workers.remove(worker)  # it was ended while it had nothing to do
             idle = next((worker for worker in self._workers if worker.job is None), None)
             if idle is None:
                 if len(self._workers) >= self._jobs:
                     return
-                idle = self._new_worker()
+                try:
+                    idle = _Worker(self._function, self._prepare)
+                except OSError as error:
+                    raise _not_started(error.strerror or str(error)) from error
+                self._workers.append(idle)
             self._waiting.remove(job)
             idle.give(job)
             yield Started(job.key)
 
-    def _new_worker(self) -> _Worker:
-        try:
-            worker = _Worker(self._function, self._prepare)
-        except OSError as error:
-            raise _not_started(error.strerror or str(error)) from error
-        self._workers.append(worker)
-        return worker
-
     def _next(self) -> Job | None:
         """The first waiting job that fits beside those that run."""
-        running = [worker.job.bytes for worker in self._workers if worker.job is not None]
-        if self._bytes is None:
-            return self._waiting[0] if self._waiting else None
-        return next((job for job in self._waiting if sum(running) + job.bytes <= (self._bytes or 0)), None)
+        room = self._bytes - sum(worker.job.bytes for worker in self._workers if worker.job is not None)
+        return next((job for job in self._waiting if job.bytes <= room), None)
 
     def _ended(self) -> Iterator[Ended]:
         """Wait for a worker to say something, to die, or to have had its time."""
@@ -231,55 +258,47 @@ class LocalPool:
         """Seconds until something has to be looked at."""
         times = [_LOOK_SECONDS] if self._limit is not None else []
         if self._timeout is not None:
-            ends = [worker.began + self._timeout for worker in busy if worker.ready]
-            times += [max(0.0, min(ends) - time.monotonic())] if ends else []
+            times += [max(0.0, w.began + self._timeout - time.monotonic()) for w in busy if w.is_ready]
         return min(times, default=None)
 
     def _heard(self, worker: _Worker) -> Iterator[Ended]:
-        """What a worker says, or what has become of it."""
+        """Read the messages of a worker, or find out that it is dead or late."""
         alive = worker.process.is_alive()  # asked first: what it said before it died counts
         try:
             while worker.job is not None and worker.connection.poll():
-                said = worker.connection.recv()
-                if said == READY:
-                    worker.ready, worker.began, self._stillborn = True, time.monotonic(), 0
+                message = worker.connection.recv()
+                if message == READY:
+                    worker.get_ready()
+                    self._stillborn = 0
                 else:
-                    yield self._concluded(worker, *said)
+                    yield self._concluded(worker, *message)
         except (EOFError, OSError):
             alive = False
         if worker.job is None:
             return
         if not alive:
             yield self._lost(worker, Failure("killed", _death(worker.process)))
-        elif self._timeout is not None and worker.ready and time.monotonic() >= worker.began + self._timeout:
+        elif self._timeout is not None and worker.is_ready and time.monotonic() >= worker.began + self._timeout:
             yield self._lost(worker, Failure("timeout", f"did not end within {self._timeout:g} s"))
 
     def _concluded(self, worker: _Worker, value: Any, failure: Failure | None) -> Ended:
-        job, worker.job = worker.job, None
-        assert job is not None
-        worker.jobs_done += 1
+        ended = worker.end_job(value, failure)
         if worker.jobs_done >= JOBS_PER_WORKER or (failure is not None and failure.kind == "memory"):
-            self._let_go(worker)
+            with suppress(OSError):
+                worker.connection.send(None)  # it ends by itself
+            self._leaving.append(worker)
             self._workers.remove(worker)
-        return Ended(job.key, value, failure)
-
-    def _let_go(self, worker: _Worker) -> None:
-        """Let a worker end by itself."""
-        with suppress(OSError):
-            worker.connection.send(None)
-        self._leaving.append(worker)
+        return ended
 
     def _lost(self, worker: _Worker, failure: Failure) -> Ended:
         """End a worker, if it lives, and with it its job."""
         worker.kill()
         self._workers.remove(worker)
-        job, worker.job = worker.job, None
-        assert job is not None
-        if not worker.ready:
+        if not worker.is_ready:
             self._stillborn += 1
             if self._stillborn >= _MAX_STILLBORN:
                 raise _not_started(failure.message)
-        return Ended(job.key, None, failure)
+        return worker.end_job(None, failure)
 
     def _too_large(self, busy: list[_Worker]) -> Iterator[Ended]:
         """End the largest worker where all together have more than they may."""
@@ -295,12 +314,112 @@ class LocalPool:
         yield self._lost(largest, Failure("memory", text))
 
 
+class InlinePool:
+    """Jobs that are done when somebody waits for them.
+
+    Parameters
+    ----------
+    function : callable
+        Of a payload.
+
+    Examples
+    --------
+    >>> pool = InlinePool(lambda number: 1 / number)
+    >>> for number in (4, 0):
+    ...     pool.submit(Job(str(number), number))
+    >>> [(event.value, event.failure and event.failure.message) for event in pool.events() if isinstance(event, Ended)]
+    [(0.25, None), (None, 'ZeroDivisionError: division by zero')]
+    """
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        self._function = function
+        self._waiting: deque[Job] = deque()
+        self._interrupted = False
+
+    def submit(self, job: Job) -> None:
+        """Add a job."""
+        self._waiting.append(job)
+
+    def events(self) -> Iterator[Started | Ended]:
+        """Yield events as they come, until all jobs have ended.
+
+        Raises
+        ------
+        Interrupted
+            After `interrupt`, when the present job has ended.
+        """
+        while self._waiting:
+            if self._interrupted:
+                raise Interrupted
+            job = self._waiting.popleft()
+            yield Started(job.key)
+            yield Ended(job.key, *run_job(self._function, job.payload))
+
+    def interrupt(self) -> None:
+        """Let `events` raise `Interrupted` soon; the only method that another thread may call."""
+        self._interrupted = True
+
+    def close(self) -> None:
+        """Forget what waits."""
+        self._waiting.clear()
+
+
+def serve(connection: Connection, function: Callable[[Any], Any], prepare: Callable[[], None] | None) -> None:
+    """Run jobs as they come, and send back a pair of result and `Failure` of each, one of them None.
+
+    Ctrl-C in a terminal reaches all processes of a program; what it means is for the one that started this.
+
+    Parameters
+    ----------
+    connection : Connection
+        Gives payloads, and None at the end.
+    function : callable
+        Of a payload; makes the result.
+    prepare : callable, optional
+        Called once before the first job.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        if prepare is not None:
+            prepare()
+        connection.send(READY)
+        while (job := connection.recv()) is not None:
+            _send(connection, run_job(function, job[0]))
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return  # nobody is there any more
+
+
+def run_job(function: Callable[[Any], Any], payload: Any) -> Reply:
+    """Return what a function makes of a payload, and why it makes nothing: one of them is None."""
+    try:
+        return function(payload), None
+    except MemoryError as error:
+        return None, Failure("memory", f"not enough memory {error}".strip())
+    except Exception as error:
+        return None, Failure("error", f"{type(error).__name__}: {error}", traceback.format_exc())
+
+
+def _send(connection: Connection, reply: Reply) -> None:
+    try:
+        connection.send(reply)
+    except (TypeError, AttributeError, ValueError) as error:  # the result cannot be sent
+        connection.send((None, Failure("error", f"{type(error).__name__}: {error}", traceback.format_exc())))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
 def _not_started(reason: str) -> AccelsurfError:
     return AccelsurfError(f"worker processes cannot be started ({reason})", "is there memory left? try fewer jobs")
 
 
 def _death(process: SpawnProcess) -> str:
-    """How a process has ended, in words."""
+    """Say how a process has ended."""
     process.join(_LEAVE_SECONDS)
     code = process.exitcode
     if code is None or code >= 0:
@@ -314,12 +433,10 @@ def _death(process: SpawnProcess) -> str:
 
 
 def _resident(pid: int | None) -> int:
-    """Bytes of memory that a process has now; 0 where the system does not say."""
-    try:
-        fields = Path(f"/proc/{pid}/statm").read_text().split()
-    except OSError:
-        return 0
-    return int(fields[1]) * os.sysconf("SC_PAGE_SIZE")
+    """Bytes of memory that a process has now; 0 where it is gone."""
+    with suppress(psutil.Error):
+        return int(psutil.Process(pid).memory_info().rss)
+    return 0
 
 
 @contextmanager

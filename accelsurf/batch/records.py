@@ -1,4 +1,4 @@
-"""Which cases are finished: a result stands, of the same image with the same settings.
+"""Finished cases: a result stands, of the same image with the same settings.
 
 Beside the report of a run lies a record of what it does not say: the checksums of the other files that its settings
 name, and the Dice. Cases whose result somebody has corrected since, by ``accelsurf refine``, are finished too.
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf import io
-from accelsurf.batch.outcome import CaseTask, Outcome, of_report
+from accelsurf.batch.outcome import CaseTask, Outcome, outcome_of_report
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.grid.volume import Volume
 from accelsurf.io.files import read_json, write_bytes
@@ -22,7 +22,7 @@ from accelsurf.report.result_sets import is_of, is_output, load_report, report_n
 
 
 def record_path(task: CaseTask) -> Path:
-    """Where the record of a case lies."""
+    """Return the path of the record of a case."""
     return task.folder / f"{task.case.id}_case.json"
 
 
@@ -55,7 +55,7 @@ def finished(task: CaseTask) -> Outcome | None:
     report = load_report(task.folder / report_name(task.case.id))
     if report is None or report["status"] != "ok":
         return None
-    if not all(is_output(task.folder / Path(str(one.get("path"))).name) for one in report["outputs"]):
+    if not all(is_output(task.folder / Path(str(output.get("path"))).name) for output in report["outputs"]):
         return None
     record = _read(record_path(task))
     try:
@@ -63,7 +63,7 @@ def finished(task: CaseTask) -> Outcome | None:
             return None
         if record.get("files", {}) != {str(path): io.sha256(path) for path in named_files(task.config)}:
             return None
-        return of_report(task, report, _dice(task, report, record))
+        return outcome_of_report(task, report, _dice(task, report, record))
     except (AccelsurfError, LookupError, TypeError, AttributeError):
         return None  # it is run again, and says what is wrong
 
@@ -78,7 +78,7 @@ def _dice(task: CaseTask, report: Mapping[str, Any], record: Mapping[str, Any]) 
     if same and labels is not None and labels == record.get("labels"):
         value = record["dice"]
         return None if value is None else float(value)
-    (path,) = [one["path"] for one in report["outputs"] if one["kind"] == "labels"]
+    (path,) = [output["path"] for output in report["outputs"] if output["kind"] == "labels"]
     found = io.read_labels(task.folder / Path(path).name)
     return dice_with(found, io.read_labels(reference, grid=found.geometry))
 
@@ -92,7 +92,7 @@ def dice_with(found: Volume, truth: Volume) -> float | None:
 
 
 def _checksum_of_labels(report: Mapping[str, Any]) -> str | None:
-    return next((one["sha256"] for one in report["outputs"] if one["kind"] == "labels"), None)
+    return next((output["sha256"] for output in report["outputs"] if output["kind"] == "labels"), None)
 
 
 def _read(path: Path) -> dict[str, Any]:

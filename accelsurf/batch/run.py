@@ -6,19 +6,20 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, Self
 
-from accelsurf.batch.admission import Admission, Need
+from accelsurf.batch.admission import Admission, Limits, Need, admit, by_cluster, need_of, need_of_sequence
 from accelsurf.batch.cases import Shard
 from accelsurf.batch.outcome import COLUMNS, TRACK_COLUMNS, CaseTask, Outcome
-from accelsurf.batch.pool import Ended, Job, Pool, Started
+from accelsurf.batch.pool import Ended, Failure, Job, Pool, Started
 from accelsurf.batch.records import finished
 from accelsurf.batch.tables import TableNames, Tables
-from accelsurf.batch.worker import Failure
-from accelsurf.errors import OutputError
+from accelsurf.errors import OutputError, UsageError
 from accelsurf.io.file_set import FileSet, recover
-from accelsurf.io.memory import available_cores
+from accelsurf.io.memory import available_cores, available_memory
+from accelsurf.report import layouts
 from accelsurf.report.result_sets import is_failure_report, report_name
 from accelsurf.settings.track_config import TrackConfig
 
@@ -35,7 +36,7 @@ class Observer(Protocol):
     """Watches a batch."""
 
     def found(self, count: int) -> None:
-        """So many cases are finished already."""
+        """Note the number of cases that are finished already."""
         ...
 
     def started(self, id: str) -> None:
@@ -52,7 +53,7 @@ class Observer(Protocol):
 
 
 class TimeLeft:
-    """How long the rest of a batch will take, by the values of the images and the time so far.
+    """Estimate of the time that the rest of a batch takes, by the values of the images and the time so far.
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ def finished_cases(tasks: Sequence[CaseTask], threads: int) -> dict[str, Outcome
         That read at the same time.
     """
     with ThreadPoolExecutor(threads) as pool:
-        return {one.id: one for one in pool.map(finished, tasks) if one is not None}
+        return {outcome.id: outcome for outcome in pool.map(finished, tasks) if outcome is not None}
 
 
 class Batch:
@@ -130,6 +131,24 @@ class Batch:
         }
         self._running: set[str] = set()
 
+    @classmethod
+    def planned(
+        cls, tasks: Sequence[CaseTask], limits: Limits, shard: Shard | None, layout: str, argv: Sequence[str]
+    ) -> Self:
+        """Return a batch whose cases have their number of threads, and what runs of it at once."""
+        needs = {task.case.id: _need(task) for task in tasks}
+        given = {task.run.threads for task in tasks} - {"auto"}
+        threads = max((int(number) for number in given), default=None)
+        if limits.scheduler is not None:
+            admission = by_cluster(list(needs.values()), threads)
+        else:
+            admission = admit(
+                list(needs.values()), available_cores(), available_memory(),
+                jobs=limits.jobs, threads=threads, memory=limits.memory,
+            )
+        tasks = [task.with_threads(admission.threads) if task.run.threads == "auto" else task for task in tasks]
+        return cls(tasks, needs, admission, shard, layout, argv)
+
     def tables(self, files: FileSet) -> Tables:
         """The tables of this batch, with every case waiting."""
         waiting = [Outcome(task.case.id, folder=task.shown_folder) for task in self.tasks]
@@ -139,7 +158,7 @@ class Batch:
 
     @property
     def is_tracking(self) -> bool:
-        """Whether its cases are sequences."""
+        """True if its cases are sequences."""
         return any(isinstance(task.config, TrackConfig) for task in self.tasks)
 
     def run(self, pool: Pool, tables: Tables, observer: Observer, lost: Lost, resume: bool) -> None:
@@ -213,6 +232,13 @@ class Batch:
             tables.write("interrupted", exit_code)
 
 
+def _need(task: CaseTask) -> Need:
+    config, image = task.config, task.case.image
+    if isinstance(config, TrackConfig):
+        return need_of_sequence(image, config)
+    return need_of(image, config.channel, bool(config.inside), config.reading, config.flow)
+
+
 def refuse_results(folder: Path, work: Batch) -> None:
     """Refuse to begin where the tables of an earlier batch stand, or the result of a case.
 
@@ -231,3 +257,22 @@ def refuse_results(folder: Path, work: Batch) -> None:
             "add --resume to run what is not finished, --overwrite to run everything again, or choose another folder "
             "with -o",
         )
+
+
+def task_of(task: CaseTask) -> CaseTask:
+    """Return the task of a case in a folder of its own within the folder of the batch, or as the layout has it.
+
+    Raises
+    ------
+    UsageError
+        When the case cannot be in that layout.
+    """
+    case, folder, config = task.case, task.folder, task.run
+    if config.layout == "plain" or isinstance(task.config, TrackConfig):
+        return replace(task, folder=folder / case.id)
+    try:
+        layouts.check(config, case.image, folder, case.id)
+    except UsageError as error:
+        raise UsageError(f"{case.place}: {error.message}", error.hint) from None
+    laid_out = layouts.folder_of(config, case.image, folder)
+    return replace(task, folder=laid_out, place=laid_out.relative_to(folder).as_posix())

@@ -50,7 +50,7 @@ class TableNames:
 
 
 class Tables:
-    """What is known of each case, and the files that say it.
+    """The line of each case, and the files that have them.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Tables:
     ) -> None:
         self._columns = columns
         self._files, self._names, self._facts, self._images = files, names, facts, images
-        self._outcomes = {one.id: one for one in outcomes}
+        self._outcomes = {outcome.id: outcome for outcome in outcomes}
         self._began = self._written = time.monotonic()
         self._cost = 0.0
 
@@ -93,16 +93,16 @@ class Tables:
         return time.monotonic() - self._began
 
     def paths(self, folder: Path) -> list[Path]:
-        """Where the three are, in a folder."""
+        """Return the paths of the three in a folder."""
         return [folder / name for name in self._names.all]
 
     def count(self, status: str) -> int:
-        """How many cases have a status."""
-        return sum(one.status == status for one in self._outcomes.values())
+        """Count the cases with a status."""
+        return sum(outcome.status == status for outcome in self._outcomes.values())
 
     def put(self, outcomes: Iterable[Outcome]) -> None:
         """Take note of what has become of some cases, without writing anything."""
-        self._outcomes |= {one.id: one for one in outcomes}
+        self._outcomes |= {outcome.id: outcome for outcome in outcomes}
 
     def add(self, outcome: Outcome) -> None:
         """Take note of what has become of a case; write the tables if that was long ago.
@@ -152,9 +152,9 @@ class Tables:
 
     def _report(self, status: BatchStatus, exit_code: int) -> dict[str, Any]:
         cases = []
-        for one in self.outcomes:
-            entry = asdict(one)
-            cases.append({"id": one.id, "image": self._image_of(one.id), **entry})
+        for outcome in self.outcomes:
+            entry = asdict(outcome)
+            cases.append({"id": outcome.id, "image": self._image_of(outcome.id), **entry})
         counts = {key: self.count(key) for key in ("ok", "failed", "waiting")}
         return {
             "schema_version": SCHEMA_VERSION,
@@ -181,5 +181,5 @@ def table_csv(outcomes: Sequence[Outcome], columns: Sequence[str] = COLUMNS) -> 
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows([getattr(one, name) for name in columns] for one in outcomes)
+    writer.writerows([getattr(outcome, name) for name in columns] for outcome in outcomes)
     return stream.getvalue()

@@ -15,9 +15,17 @@ from typing import NoReturn
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 from accelsurf import __version__
-from accelsurf.cli.error_lines import MAX_ERROR, MAX_HINT, printable, shown_warnings, without_garbage
-from accelsurf.cli.interrupts import Interrupts, say
-from accelsurf.cli.streams import guarded, open_missing
+from accelsurf.cli.interrupts import (
+    MAX_ERROR,
+    MAX_HINT,
+    Interrupts,
+    guarded,
+    open_missing,
+    printable,
+    say,
+    shown_warnings,
+    without_garbage,
+)
 from accelsurf.errors import AccelsurfError
 
 INTERRUPTED = 130
@@ -48,19 +56,24 @@ app = App(
     help_format="plaintext",
     suppress_keyboard_interrupt=False,  # it would end the process without a line
 )
-app.command("accelsurf.cli.demo:demo", name="demo", help="Segment a cube in noise with and without momentum.")
-app.command("accelsurf.cli.look:look", name="look", help="Show slices of an image with a grid in mm, without a run.")
-app.command("accelsurf.cli.segment:segment", name="segment", help="Segment one object in a volume.")
-app.command("accelsurf.cli.batch:batch", name="batch", help="Segment many images, or track many sequences.")
-app.command("accelsurf.cli.refine:refine", name="refine", help="Correct a result by clicks; the rest stays as it is.")
-app.command("accelsurf.cli.track:track", name="track", help="Follow objects through a sequence of images.")
-app.command("accelsurf.cli.synth:synth", name="synth", help="Make a synthetic volume and its truth from a recipe.")
-app.command("accelsurf.cli.compare:compare", name="compare", help="Run several flows on one volume side by side.")
-app.command("accelsurf.cli.movie:movie", name="movie", help="Make a movie of a run, without a screen.")
-app.command("accelsurf.cli.evaluate:evaluate", name="evaluate", help="Measure how well two label maps agree.")
-app.command("accelsurf.cli.view:view", name="view", help="Watch and steer a segmentation in a window.")
-app.command("accelsurf.cli.warmup:warmup", name="warmup", help="Compile all kernels now, so that no run waits for it.")
-app.command("accelsurf.cli.info:info", name="info", help="Show versions, names, exit codes and settings.")
+#: Commands and their help; each is the function of this name in the module of this name.
+_COMMANDS = {
+    "demo": "Segment a cube in noise with and without momentum.",
+    "look": "Show slices of an image with a grid in mm, without a run.",
+    "segment": "Segment one object in a volume.",
+    "batch": "Segment many images, or track many sequences.",
+    "refine": "Correct a result by clicks; the rest stays as it is.",
+    "track": "Follow objects through a sequence of images.",
+    "synth": "Make a synthetic volume and its truth from a recipe.",
+    "compare": "Run several flows on one volume side by side.",
+    "movie": "Make a movie of a run, without a screen.",
+    "evaluate": "Measure how well two label maps agree.",
+    "view": "Watch and steer a segmentation in a window.",
+    "warmup": "Compile all kernels now, so that no run waits for it.",
+    "info": "Show versions, names, exit codes and settings.",
+}
+for _name, _help in _COMMANDS.items():
+    app.command(f"accelsurf.cli.{'compare' if _name == 'demo' else _name}:{_name}", name=_name, help=_help)
 app.command(
     "accelsurf.cli.completion:install_completion",
     name="--install-completion",
@@ -148,7 +161,7 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
         command = " ".join(["accelsurf", *(error.command_chain or ())])
         problem = str(error)
         if isinstance(error, UnusedCliTokensError):
-            problem = f"{command}: {' '.join(error.unused_tokens or ())}: it takes no such word"
+            problem = f"{command}: {' '.join(error.unused_tokens or ())}: unexpected argument"
         return _say(2, without_garbage(problem, arguments), f"{command} --help lists the options")
     except AccelsurfError as error:
         if debug:

@@ -1,31 +1,55 @@
-"""``accelsurf batch``: many images or sequences, each as ``segment`` or ``track`` does it, in worker processes."""
+"""``accelsurf batch``: many images or sequences, each as ``segment`` or ``track`` does it, in worker processes.
+
+The settings are those of images, or with ``--track`` those of tracking; never a mixture.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from accelsurf.cli.batch_settings import BatchSettings, run_configs, track_configs
+from accelsurf.batch.case import Case
 from accelsurf.cli.interrupts import Interrupts, say
-from accelsurf.cli.options import FILES, SHOW, Display, Output, Overwrite, required
+from accelsurf.cli.options import (
+    FILES,
+    Display,
+    File,
+    Output,
+    Overwrite,
+    Switch,
+    given_options,
+    options_class,
+    required,
+    run_config,
+    settings_class,
+)
+from accelsurf.cli.track_options import TrackSettings, track_config
 from accelsurf.errors import UsageError
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_config import FRAME_SETTINGS, TABLE, TrackConfig
+from accelsurf.settings.track_fields import TrackFields
 
 if TYPE_CHECKING:
-    from accelsurf.batch.admission import Admission, Need
-    from accelsurf.batch.case import Case
-    from accelsurf.batch.outcome import CaseTask
-    from accelsurf.batch.pool import Pool
+    from accelsurf.batch.admission import Limits
     from accelsurf.batch.run import Batch
     from accelsurf.batch.tables import Tables
-    from accelsurf.settings.run_config import RunConfig
     from accelsurf.settings.track_config import TrackConfig
 
+
+def _batch_settings() -> type:
+    """Return a dataclass with the options of images and of tracking; where both have one it is a text for either."""
+    of_images = settings_class("ImageSettings", leave_out=("layout",))  # a folder is read in a layout of its own
+    both = {field.name: field.type for kind in (TrackSettings, of_images) for field in fields(kind)}
+    return options_class("BatchSettings", [(name, kind, None) for name, kind in both.items()])
+
+
+BatchSettings = _batch_settings()
 BATCH = Group("Batch", sort_key=0)
 _SWITCH = Parameter(negative=(), show_default=False, group=BATCH)
 
@@ -33,7 +57,7 @@ _SWITCH = Parameter(negative=(), show_default=False, group=BATCH)
 @Parameter(name="*")
 @dataclass(frozen=True)
 class BatchOptions:
-    """What is particular about a batch."""
+    """Options of a batch."""
 
     track: Annotated[bool, _SWITCH] = False
     """The cases are sequences: each is followed as accelsurf track does it, with the settings of tracking."""
@@ -67,40 +91,27 @@ class BatchOptions:
     and outputs must have the same paths there."""
 
     @property
-    def memory(self) -> int | None:
-        """Bytes of all cases together, where they were given."""
-        from accelsurf.segmentation.memory_need import memory_of
-
-        return None if self.max_memory is None else memory_of(self.max_memory)
-
-    def checked(self) -> BatchOptions:
-        """These; numbers that are none are refused, and what a cluster decides itself.
+    def limits(self) -> Limits:
+        """Limits of what runs at once; options that do not go with others are refused.
 
         Raises
         ------
         UsageError
-            With what is expected.
         """
-        if self.jobs is not None and self.jobs < 1:
-            raise UsageError(f"--jobs: {self.jobs} was given, expected a whole number at least 1", "leave it out")
-        decided = {"--jobs": self.jobs, "--case-timeout": self.case_timeout, "--max-memory": self.max_memory}
-        given = [name for name, value in decided.items() if value is not None]
-        if self.scheduler is not None and given:
-            raise UsageError(f"{given[0]}: was given with --scheduler, which decides that itself", "leave one out")
-        if self.case_timeout is not None and not 0 < self.case_timeout < float("inf"):
-            raise UsageError(f"--case-timeout: {self.case_timeout:g} was given, expected seconds above 0", "as in 600")
+        from accelsurf.batch.admission import Limits
+
         layouts = {"--layout": self.layout not in ("auto", "folder"), "--output-layout": self.output_layout is not None}
-        for name in (name for name, other in layouts.items() if self.track and other):
+        for name in (name for name, is_other in layouts.items() if self.track and is_other):
             raise UsageError(f"{name} is of single images, --track was given", "leave one of them out")
-        return self
+        return Limits(self.jobs, self.case_timeout, self.max_memory, self.scheduler)
 
 
 def batch(
     *cases: Annotated[str, Parameter(group=BATCH)],
     output: Output = None,
-    config: Annotated[Path | None, Parameter(group=FILES)] = None,
+    config: File = None,
     overwrite: Overwrite = False,
-    strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    strict: Switch = False,
     options: BatchOptions | None = None,
     settings: BatchSettings | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
@@ -129,10 +140,11 @@ def batch(
     """
     from accelsurf.batch.cases import read_cases, shard_of
     from accelsurf.batch.outcome import CaseTask
-    from accelsurf.batch.run import Batch
+    from accelsurf.batch.run import Batch, task_of
     from accelsurf.io.headers import is_outside_data_allowed
 
-    options, display = (options or BatchOptions()).checked(), display or Display()
+    options, display = options or BatchOptions(), display or Display()
+    limits = options.limits
     if strict and options.track:
         raise UsageError("--strict is of single images, --track was given", "leave one of them out")
     shard, note = shard_of(options.shard, os.environ)
@@ -142,85 +154,59 @@ def batch(
     folder = Path() if options.plan else required(output, "-o DIR, the output folder,")
     configs = _configs(found, settings, config, options)
     how = overwrite or options.resume, strict, is_outside_data_allowed(), options.resume
-    tasks = [task_of(CaseTask(case, folder.absolute(), one, *how)) for case, one in zip(found, configs, strict=True)]
+    pairs = zip(found, configs, strict=True)
+    tasks = [task_of(CaseTask(case, folder.absolute(), settings_of_case, *how)) for case, settings_of_case in pairs]
     if shard is not None:
-        tasks = shard.of(tasks)
-    work = Batch(*admitted(tasks, options), shard, words, sys.argv)
+        tasks = shard.part_of(tasks)
+    work = Batch.planned(tasks, limits, shard, words, sys.argv)
     if options.plan:
         return _print_plan(work, options.scheduler)
     tables = [*(Path(text) for text in cases), *([config] if config is not None else [])]
-    return _conclude(_run(work, folder, options, overwrite, display, tables), folder, display)
-
-
-def task_of(task: CaseTask) -> CaseTask:
-    """The task of a case in the batch's folder put into a folder of its own, or where the layout has it.
-
-    Raises
-    ------
-    UsageError
-        When the case cannot be in that layout.
-    """
-    from accelsurf.report import layouts
-    from accelsurf.settings.track_config import TrackConfig
-
-    case, folder, config = task.case, task.folder, task.run
-    if config.layout == "plain" or isinstance(task.config, TrackConfig):
-        return replace(task, folder=folder / case.id)
-    try:
-        layouts.check(config, case.image, folder, case.id)
-    except UsageError as error:
-        raise UsageError(f"{case.place}: {error.message}", error.hint) from None
-    own = layouts.folder_of(config, case.image, folder)
-    return replace(task, folder=own, place=own.relative_to(folder).as_posix())
+    return _conclude(_run(work, folder, limits, overwrite, options.resume, display, tables), folder, display)
 
 
 def _configs(
     cases: Sequence[Case], settings: Any, file: Path | None, options: BatchOptions
 ) -> list[RunConfig | TrackConfig]:
-    """The settings of each case."""
+    """Return the settings of each case; cases without any of their own share one.
+
+    Raises
+    ------
+    UsageError
+        With the case where its setting is not valid; when settings of tracking and of images are mixed.
+    """
     from accelsurf.settings import toml
 
-    below = toml.read(file) if file is not None else {}
-    if options.track:
-        return track_configs(cases, settings, below)
-    return run_configs(cases, settings, below, options.output_layout)
+    below, given = toml.read(file) if file is not None else {}, given_options(settings)
+    for key in given:
+        name = "--" + key.replace("_", "-")
+        if options.track and key not in (*FRAME_SETTINGS, *TrackFields.model_fields):
+            raise UsageError(f"{name} is of single images, --track was given", "leave one of them out")
+        if not options.track and key in TrackFields.model_fields and key not in RunConfig.model_fields:
+            raise UsageError(f"{name} is a setting of tracking", "add --track, or leave it out")
+    if not options.track and TABLE in below:
+        raise UsageError(f"{TABLE}: the configuration file has a table of tracking", "add --track, or take it out")
+    if options.output_layout is not None:
+        given["layout"] = options.output_layout
 
+    def config(**more: Any) -> RunConfig | TrackConfig:
+        values = {**given, **more}
+        return track_config(None, None, below, **values) if options.track else run_config(None, below, **values)
 
-def admitted(
-    tasks: Sequence[CaseTask], options: BatchOptions
-) -> tuple[list[CaseTask], dict[str, Need], Admission]:
-    """The cases with their number of threads, what each needs, and what runs at once."""
-    from accelsurf.batch.admission import admit, by_cluster
-    from accelsurf.io.memory import available_cores, available_memory
-
-    needs = {task.case.id: _need(task) for task in tasks}
-    given = {task.run.threads for task in tasks} - {"auto"}
-    threads = max((int(number) for number in given), default=None)
-    free = available_cores(), available_memory()
-    admission = (
-        admit(list(needs.values()), *free, jobs=options.jobs, threads=threads, memory=options.memory)
-        if options.scheduler is None
-        else by_cluster(list(needs.values()), threads)
-    )
-    automatic = [task.with_threads(admission.threads) if task.run.threads == "auto" else task for task in tasks]
-    return automatic, needs, admission
-
-
-def _need(task: CaseTask) -> Need:
-    from accelsurf.batch.admission import need_of, need_of_sequence
-    from accelsurf.settings.track_config import TrackConfig
-
-    if isinstance(task.config, TrackConfig):
-        return need_of_sequence(task.case.image, task.config)
-    config = task.config
-    return need_of(task.case.image, config.channel, bool(config.inside), config.reading, config.flow)
+    common, configs = config(), []
+    for case in cases:
+        try:
+            configs.append(config(**case.settings) if case.settings else common)
+        except UsageError as error:
+            raise UsageError(f"{case.place}: {error.message}", error.hint) from None
+    return configs
 
 
 def _print_plan(work: Batch, scheduler: str | None) -> int:
     """Print what each case needs and what would run at once; some failed where one cannot be run."""
     from accelsurf.batch.admission import plan_rows
     from accelsurf.batch.run import SOME_FAILED
-    from accelsurf.cli.error_lines import MAX_ERROR, printable
+    from accelsurf.cli.interrupts import MAX_ERROR, printable
     from accelsurf.cli.progress import table
     from accelsurf.segmentation.memory_need import bytes_text
 
@@ -241,56 +227,36 @@ def _at_once(work: Batch, scheduler: str | None) -> str:
 
 
 def _run(
-    work: Batch, folder: Path, options: BatchOptions, overwrite: bool, display: Display, given: list[Path]
+    work: Batch, folder: Path, limits: Limits, overwrite: bool, resume: bool, display: Display, given: list[Path]
 ) -> Tables:
     """Run the cases; files of an earlier batch are refused before anything is computed, ``given`` files always."""
     from accelsurf.batch.run import refuse_results
     from accelsurf.cli import batch_case
-    from accelsurf.cli.batch_progress import BatchProgress
+    from accelsurf.cli.progress import BatchProgress
     from accelsurf.io.signals import uninterrupted
     from accelsurf.report.output_folder import opened_set
 
     interrupts = Interrupts.current()
     with opened_set(folder, work.names.set) as files:
-        if not (overwrite or options.resume):
+        if not (overwrite or resume):
             refuse_results(folder, work)
         batch_case.refuse_inputs_of(work.tasks, [folder / name for name in work.names.all], given)
         if not display.quiet:
-            say(_at_once(work, options.scheduler))
-        pool = made_pool(work, options)
+            say(_at_once(work, limits.scheduler))
+        pool = batch_case.make_pool(work, limits)
         tables = work.tables(files)
         with BatchProgress(display, len(work.tasks)) as progress:
             try:
-                work.run(pool, tables, progress, batch_case.lost, options.resume)
+                work.run(pool, tables, progress, batch_case.lost_outcome, resume)
             except BaseException as error:
                 with uninterrupted():
                     work.end_early(pool, tables, interrupts.exit_code(getattr(error, "exit_code", 1)))
-                interrupts.outcome = (
+                interrupts.note(
                     f"{tables.count('ok')} of {len(work.tasks)} cases are finished; "
                     "the same command with --resume goes on"
                 )
                 raise
     return tables
-
-
-def made_pool(work: Batch, options: BatchOptions) -> Pool:
-    """Workers of this machine, or those of a cluster."""
-    from accelsurf.cli import batch_case
-
-    if options.scheduler is not None:
-        from accelsurf.batch.dask_pool import DaskPool
-
-        return DaskPool(batch_case.run_on_cluster, options.scheduler)
-    from accelsurf.batch.pool import LocalPool
-
-    return LocalPool(
-        batch_case.run_one,
-        work.admission.jobs,
-        bytes=work.admission.bytes,
-        timeout=options.case_timeout,
-        limit=options.memory,
-        prepare=batch_case.load,
-    )
 
 
 def _conclude(tables: Tables, folder: Path, display: Display) -> int:

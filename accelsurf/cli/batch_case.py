@@ -16,13 +16,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from accelsurf.batch import records
-from accelsurf.batch.outcome import CaseTask, Outcome, of_report
-from accelsurf.batch.worker import Failure
+from accelsurf.batch.outcome import CaseTask, Outcome, outcome_of_report
+from accelsurf.batch.pool import Failure
 from accelsurf.cli import track_case
-from accelsurf.cli.case import report_failure, run_case
-from accelsurf.cli.compare import check_reference
+from accelsurf.cli.case import Place, check_reference, report_failure, run_case
 from accelsurf.cli.options import Display
-from accelsurf.cli.place import Place
 from accelsurf.cli.progress import Watcher
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
 from accelsurf.io import channels, read_labels
@@ -33,6 +31,9 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
+    from accelsurf.batch.admission import Limits
+    from accelsurf.batch.pool import Pool
+    from accelsurf.batch.run import Batch
     from accelsurf.grid.volume import Volume
 
 #: What a case loads, so that a worker has it before its first one.
@@ -91,7 +92,7 @@ def run_on_cluster(task: CaseTask) -> Outcome:
     return run_one(replace(task, resume=True)) if done is None else done
 
 
-def lost(task: CaseTask, failure: Failure) -> Outcome:
+def lost_outcome(task: CaseTask, failure: Failure) -> Outcome:
     """Return the line of a case whose worker could not say how it ended; remove its drafts, and write its report.
 
     Parameters
@@ -110,7 +111,7 @@ def lost(task: CaseTask, failure: Failure) -> Outcome:
 
 
 def place_of(task: CaseTask) -> Place:
-    """Where the image of a case is, and where its files go."""
+    """Return the image of a case and the folder of its files."""
     further = (task.case.reference,)
     return Place(task.case.image, task.folder, task.case.id, task.overwrite, task.resume, further=further)
 
@@ -136,6 +137,20 @@ def _outputs(place: Place, config: RunConfig | TrackConfig) -> Iterable[Path]:
     if isinstance(config, TrackConfig):
         return track_case.TrackCase(place, config).files.paths(place.folder, place.name).values()
     return place.paths(config).values()
+
+
+def make_pool(work: Batch, limits: Limits) -> Pool:
+    """Return the workers of this machine, or those of a cluster."""
+    from accelsurf.batch.pool import LocalPool
+
+    if limits.scheduler is not None:
+        from accelsurf.batch.dask_pool import DaskPool
+
+        return DaskPool(run_on_cluster, limits.scheduler)
+    admission = work.admission
+    return LocalPool(
+        run_one, admission.jobs, bytes=admission.bytes, timeout=limits.case_timeout, limit=limits.memory, prepare=load
+    )
 
 
 class LostCaseError(AccelsurfError):
@@ -167,7 +182,7 @@ def _concluded(task: CaseTask, path: Path, dice: float | None = None, is_good: b
         return _failed(task, f"{path}: cannot be read", "run it again", 7)
     if is_good:
         records.write_record(task, report, dice)
-    return of_report(task, report, dice)
+    return outcome_of_report(task, report, dice)
 
 
 def _truth_of(task: CaseTask) -> Volume | None:

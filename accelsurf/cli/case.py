@@ -1,7 +1,8 @@
 """One segmentation from file to files: what `segment` does once and `demo` for each flow.
 
 Existing outputs are refused before anything is computed. The files of a run appear all at once or not at all. A report
-says how the case ended, also when it failed; a failed run leaves an earlier result as it was.
+says how the case ended, also when it failed; a failed run leaves an earlier result as it was. ``--resume`` goes on from
+what an earlier run has left.
 """
 
 from __future__ import annotations
@@ -9,23 +10,33 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from accelsurf.cli import INTERRUPTED
-from accelsurf.cli.error_lines import doubt_line
-from accelsurf.cli.interrupts import Interrupts, say
+from accelsurf.cli.interrupts import Interrupts, doubt_line, say
 from accelsurf.cli.outcome import shortcoming
-from accelsurf.cli.place import Place
-from accelsurf.errors import AccelsurfError, OutputError
-from accelsurf.io import sha256
+from accelsurf.errors import AccelsurfError, GeometryError, OutputError
+from accelsurf.io import is_stored, sha256
+from accelsurf.io.file_set import finish_killed_runs
 from accelsurf.io.files import write_bytes
-from accelsurf.report import document, label_files, layouts, mesh_files, output_folder, output_names, result_sets
+from accelsurf.report import (
+    document,
+    label_files,
+    layouts,
+    mesh_files,
+    object_files,
+    output_folder,
+    output_names,
+    result_sets,
+)
 from accelsurf.report.file_entries import describe_drafts, describe_input
+from accelsurf.report.inputs import inputs_of
 from accelsurf.report.mesh_files import MeshNotes
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
@@ -33,6 +44,98 @@ if TYPE_CHECKING:
     from accelsurf.grid.volume import Volume
     from accelsurf.io.file_set import FileSet
     from accelsurf.segmentation.result import Result
+
+
+@dataclass(frozen=True)
+class Place:
+    """The image of a case, and the folder and names of its outputs.
+
+    Attributes
+    ----------
+    source : Path
+        The image.
+    folder : Path
+    name : str
+        First part of every output's name.
+    overwrite : bool
+        Whether existing outputs may be replaced.
+    resume : bool
+        Whether the run goes on from the checkpoint of an earlier one.
+    has_checkpoint : bool
+        Whether it may have one: a correction has none.
+    further : tuple of Path or None
+        Files that the command reads beside the image and what its settings name.
+    """
+
+    source: Path
+    folder: Path
+    name: str
+    overwrite: bool = False
+    resume: bool = False
+    has_checkpoint: bool = True
+    further: tuple[Path | None, ...] = ()
+
+    @classmethod
+    def for_image(cls, source: Path, folder: Path, overwrite: bool = False, *further: Path | None) -> Place:
+        """The place of an image whose outputs have its name, without suffix; ``further`` files are read, too."""
+        from accelsurf.io.headers import name_of
+
+        return cls(source, folder, name_of(source), overwrite, further=further)
+
+    def inputs(self, config: RunConfig | TrackConfig | None) -> list[Path]:
+        """All files that the command reads: none of them may be replaced."""
+        return inputs_of(self.source, config, *self.further)
+
+    @property
+    def report_path(self) -> Path:
+        """Path of the report."""
+        return self.folder / result_sets.report_name(self.name)
+
+    @property
+    def checkpoint_path(self) -> Path:
+        """Path of the state of the run while it goes on."""
+        return self.folder / f"{self.name}_checkpoint.npz"
+
+    def beside_result(self, config: RunConfig | None) -> Place:
+        """Return the place of a failed run's files: this one, or where a result stands, beside it under other names."""
+        planned = self.paths(config or RunConfig()).values()
+        if result_sets.result_stands(self.folder, self.name, planned):
+            return replace(self, name=self.name + result_sets.FAILED)
+        return self
+
+    def label_format(self, config: RunConfig) -> str:
+        """The format of the label map."""
+        from accelsurf.io import split_name
+
+        return output_names.label_format(config, split_name(self.source)[1])
+
+    def names(self, config: RunConfig, is_2d: bool | None = None) -> dict[str, str]:
+        """Name of every output by its kind; before the image is read (``is_2d`` is None), of all possible ones."""
+        names = output_names.names(config, self.label_format(config), is_2d)
+        names = {kind: f"{self.name}_{name}" for kind, name in names.items()}
+        return layouts.renamed(config, self.source, self.name, names)
+
+    def laid_out(self, config: RunConfig) -> Place:
+        """Return the place in the layout of the settings.
+
+        Raises
+        ------
+        UsageError
+            When the image cannot be in that layout.
+        """
+        layouts.check(config, self.source, self.folder, self.name)
+        return replace(self, folder=layouts.folder_of(config, self.source, self.folder))
+
+    def paths(self, config: RunConfig) -> dict[str, Path]:
+        """Every possible output by kind, the report last; of several objects those that exist already."""
+        names = self.names(config)
+        if not config.has_ids:
+            paths = {kind: self.folder / name for kind, name in names.items()}
+        else:
+            paths = {k: self.folder / name for k, name in names.items() if not k.startswith(object_files.EACH)}
+            paths |= {path.name: path for path in object_files.existing(self.folder, names)}
+        return paths | {"report": self.report_path}
+
 
 T = TypeVar("T")
 #: Bytes of the largest image whose checksum is in the report of a run that could not begin.
@@ -74,6 +177,24 @@ class Log:
             return work()
         finally:
             self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - began
+
+    def note_grid(self, geometry: Geometry) -> None:
+        """Take note of the image's grid."""
+        self.geometry = geometry
+
+    def take_checksum(self, image: Path) -> None:
+        """Read the image's checksum, unless it is known."""
+        if self.checksum is None:
+            self.checksum = sha256(image)
+
+
+@dataclass(frozen=True)
+class _Case:
+    """A case: its ``place``, the ``files`` that appear all at once, and the ``log`` for the report."""
+
+    place: Place
+    files: FileSet
+    log: Log
 
 
 @dataclass(frozen=True)
@@ -128,63 +249,60 @@ def run_case(
         output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
         if place.has_checkpoint:
             _refuse_checkpoint(place)
+        case = _Case(place, files, log)
         try:
             result = (compute or _compute)(place, config, watcher, log)
             config = result.config
             with watcher.writing():
-                ended = place.has_checkpoint and result.stop.reason != "interrupted"
-                gone = [place.checkpoint_path.name] if ended else []
-                finished = _write(place, config, result, log, files, strict, watcher, gone)
+                finished = _write(case, result, strict, watcher)
         except BaseException as failure:
             if not files.committed:
                 files.discard()
                 log.outputs.clear()
-                _write_failure(place, config, failure, log, files)
+                _write_failure(case, config, failure)
             raise
-    _warn(log, finished.error, watcher)
+    for warning in log.warnings:
+        if warning not in watcher.printed_warnings:
+            say(doubt_line(warning))
+    if finished.error is not None:
+        say(f"error: {finished.error.message}\nhint: {finished.error.hint}")
     return finished
 
 
-def _write(
-    place: Place,
-    config: RunConfig,
-    result: Result,
-    log: Log,
-    files: FileSet,
-    strict: bool,
-    watcher: Watcher,
-    gone: Sequence[str],
-) -> Finished:
-    """Write the outputs of a result, those of a failed run beside a result that stands; ``gone`` are removed."""
+def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finished:
+    """Write the outputs of a result, those of a failed run beside a result that stands; remove its checkpoint."""
     from accelsurf.report import outputs
 
+    place, files, log, config = case.place, case.files, case.log, result.config
     title = outputs.outcome_title(place.name, result)
     # The picture shows the surface, which is extracted here.
     content = log.timed("mesh", lambda: outputs.preview_content(result, title))
     error, warnings = shortcoming(place.name, result, strict)
-    log.warnings += warnings
+    log.warnings.extend(warnings)
+    interrupted = result.stop.reason == "interrupted"
+    gone = [place.checkpoint_path.name] if place.has_checkpoint and not interrupted else []
     target = place if error is None else _failed_place(place, config, error)
+    case = replace(case, place=target)
     names, meshes = target.names(config, result.geometry.slice_axis is not None), MeshNotes()
     with output_folder.naming_final(files):
         written = outputs.write_result(result, files.drafts, names, content, log.seconds, log.checksum, meshes)
         entries = describe_drafts(files, {path.name: kind for kind, path in written})
-        log.outputs += [entry | meshes.facts.get(Path(entry["path"]).name, {}) for entry in entries]
-        log.warnings += meshes.warnings
-        interrupted = result.stop.reason == "interrupted"
+        log.outputs.extend(entry | meshes.facts.get(Path(entry["path"]).name, {}) for entry in entries)
+        log.warnings.extend(meshes.warnings)
         code = INTERRUPTED if interrupted else error.exit_code if error is not None else 0
         code = watcher.exit_code(code)
         status: document.Status = "interrupted" if interrupted else "failed" if error is not None else "ok"
-        _write_report(target, config, log, status, code, error, result, files)
+        _write_report(case, config, status, code, error, result)
         layouts.complete(config, target.source, target.folder)
-        _commit(target, files, error is not None, gone)
+        _commit(case, error is not None, gone)
     if config.label_group is not None and error is None:
         log.timed("write", lambda: label_files.into_image(result, target.source, target.overwrite))
-    watcher.outcome = f"the {'result so far' if interrupted else 'result'} is written: {target.report_path.absolute()}"
+    watcher.note(f"the {'result so far' if interrupted else 'result'} is written: {target.report_path.absolute()}")
     return Finished(target, config, result, log, code, error)
 
 
 def _failed_place(place: Place, config: RunConfig, error: AccelsurfError) -> Place:
-    """Where the files of a failed result go; raises its error where they would replace a result that is called so."""
+    """Return the place of a failed result's files; raise its error where they would replace a result of that name."""
     target = place.beside_result(config)
     if target is not place and result_sets.result_stands(target.folder, target.name, target.paths(config).values()):
         say(f"warning: the result of this failed run is not written: {target.folder} has other files {target.name}_*")
@@ -192,23 +310,15 @@ def _failed_place(place: Place, config: RunConfig, error: AccelsurfError) -> Pla
     return target
 
 
-def _commit(target: Place, files: FileSet, failed: bool, gone: Sequence[str] = ()) -> None:
-    """Put the drafts in place, and take away ``gone`` and what the earlier run wrote and this one does not."""
+def _commit(case: _Case, failed: bool, gone: Sequence[str] = ()) -> None:
+    """Put the files in place, and take away ``gone`` and what the earlier run wrote and this one does not."""
+    target, files, report = case.place, case.files, case.place.report_path
     written = [path.name for path in files.drafts.iterdir()]
     if not (failed or target.overwrite):  # another program may have put a file there while the run went on
-        report = target.report_path
-        output_folder.refuse_existing({"report" if n == report.name else n: files.folder / n for n in written}, False)
+        paths = {"report" if name == report.name else name: files.folder / name for name in written}
+        output_folder.refuse_existing(paths, False)
     outdated = result_sets.outdated(files.folder, target.name, written, failed, target.overwrite)
-    files.commit(last=target.report_path.name, remove=[*outdated, *gone])
-
-
-def _warn(log: Log, error: AccelsurfError | None, watcher: Watcher) -> None:
-    for warning in log.warnings:
-        if warning in watcher.said:
-            continue
-        say(doubt_line(warning))
-    if error is not None:
-        say(f"error: {error.message}\nhint: {error.hint}")
+    files.commit(last=report.name, remove=[*outdated, *gone])
 
 
 def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
@@ -251,14 +361,12 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
     InputError
         When it cannot be read; UsageError when a format cannot hold the result.
     """
-    from accelsurf import io
     from accelsurf.io import channels
     from accelsurf.io.formats.nibabel_import import import_nibabel_for
 
     log.timed("load", lambda: import_nibabel_for(place.source))
     volume, *more = log.timed("load", lambda: channels.read(place.source, config.reading))
-    if log.checksum is None:
-        log.checksum = log.timed("load", lambda: io.sha256(place.source))
+    log.timed("load", lambda: log.take_checksum(place.source))
     check_formats(place, config, volume, log)
     return [volume, *more]
 
@@ -274,7 +382,7 @@ def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> 
     from accelsurf import io
     from accelsurf.io import images
 
-    log.geometry = volume.geometry
+    log.note_grid(volume.geometry)
     if note := volume.metadata.get(io.WARNING_KEY):
         log.warnings.append(note)
     labels = place.label_format(config)
@@ -285,6 +393,19 @@ def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> 
         keeps_size = IMAGE_FORMATS[labels].keeps != "none"
         what = "the size of a pixel but not" if keeps_size else "neither the size of a voxel nor"
         log.warnings.append(f"{labels} keeps {what} where the image lies in the world")
+
+
+def check_reference(truth: Volume, volume: Volume) -> None:
+    """Refuse a reference on another grid before anything is computed.
+
+    Raises
+    ------
+    GeometryError
+        When the grids differ.
+    """
+    if not truth.geometry.matches(volume.geometry):
+        difference = truth.geometry.difference(volume.geometry)
+        raise GeometryError(f"reference and image lie on different grids: {difference}", "resample the reference first")
 
 
 def evolve(
@@ -315,50 +436,37 @@ def report_failure(place: Place, error: BaseException) -> None:
     """
     try:
         with output_folder.opened_set(place.folder, place.name, place.inputs(None)) as files:
-            _write_failure(place, None, error, Log(), files)
+            _write_failure(_Case(place, files, Log()), None, error)
     except AccelsurfError as second:
         say(f"warning: the report could not be written: {second.message}")
 
 
-def _write_failure(
-    place: Place, config: RunConfig | None, error: BaseException, log: Log, files: FileSet
-) -> None:
+def _write_failure(case: _Case, config: RunConfig | None, error: BaseException) -> None:
     """Write the report of a run without a result, beside a result that stands; a warning when that fails too."""
-    stopped = isinstance(error, KeyboardInterrupt)
+    stopped, image = isinstance(error, KeyboardInterrupt), case.place.source
     code = error.exit_code if isinstance(error, AccelsurfError) else 3 if isinstance(error, MemoryError) else 1
     code = Interrupts.current().exit_code(INTERRUPTED if stopped else code)
-    target = place.beside_result(config)
+    target = case.place.beside_result(config)
     try:
-        if target is not place and result_sets.result_stands(target.folder, target.name, ()):
+        if target is not case.place and result_sets.result_stands(target.folder, target.name, ()):
             raise OutputError(f"{target.report_path}: is the report of a result")  # of an image that is called so
-        if log.checksum is None and not stopped:
-            log.checksum = _checksum(place.source)
-        with output_folder.naming_final(files):
-            _write_report(target, config, log, "interrupted" if stopped else "failed", code, error, None, files)
-            _commit(target, files, failed=True)
+        if not stopped and image.is_file() and image.stat().st_size <= MAX_HASHED:
+            case.log.take_checksum(image)
+        case = replace(case, place=target)
+        with output_folder.naming_final(case.files):
+            _write_report(case, config, "interrupted" if stopped else "failed", code, error, None)
+            _commit(case, failed=True)
     except AccelsurfError as second:
         say(f"warning: the report could not be written: {second.message}")
-
-
-def _checksum(image: Path) -> str | None:
-    """That of an image that could not be used; None where there is none, or where it would take long."""
-    if not image.is_file() or image.stat().st_size > MAX_HASHED:
-        return None
-    return sha256(image)
 
 
 def _write_report(
-    place: Place,
-    config: RunConfig | None,
-    log: Log,
-    status: document.Status,
-    code: int,
-    error: BaseException | None,
+    case: _Case, config: RunConfig | None, status: document.Status, code: int, error: BaseException | None,
     result: Result | None,
-    files: FileSet,
 ) -> None:
+    place, log = case.place, case.log
     log.seconds["total"] = time.perf_counter() - log.began
-    own = set(result.warnings) if result is not None else set()
+    of_result = set(result.warnings) if result is not None else set()
     contents: dict[str, Any] = document.build(
         status=status,
         exit_code=code,
@@ -369,6 +477,38 @@ def _write_report(
         error=document.describe_error(error) if error is not None else None,
         seconds=log.seconds,
         outputs=log.outputs,
-        warnings=[warning for warning in log.warnings if warning not in own],
+        warnings=[warning for warning in log.warnings if warning not in of_result],
     )
-    write_bytes(files.drafts / place.report_path.name, (document.to_json(contents) + "\n").encode())
+    write_bytes(case.files.drafts / place.report_path.name, (document.to_json(contents) + "\n").encode())
+
+
+def exit_code_of_finished(place: Place, config: RunConfig, quiet: bool = False) -> int | None:
+    """The exit code of a run that has ended with these settings, of this image, which is said unless ``quiet``.
+
+    None where there is something to do.
+
+    Raises
+    ------
+    OutputError
+        When files of a killed run cannot be put in place.
+    """
+    if not place.folder.is_dir():
+        return None
+    finish_killed_runs(place.folder)
+    document = result_sets.load_report(place.report_path)
+    if document is None or document["status"] != "ok" or not is_stored(place.source):
+        return None
+    if not result_sets.is_of(document, config, place.source):
+        return None
+    there = result_sets.unchanged_outputs(place.report_path, ())
+    if len(there) < len(document["outputs"]):
+        return None
+    if not quiet:
+        print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
+    return int(document["exit_code"])
+
+
+def resumed_place(place: Place, config: RunConfig) -> Place:
+    """The place to go on at: the files of a run that was interrupted or failed may be replaced."""
+    is_free = result_sets.unfinished_alone(place.report_path, place.paths(config).values())
+    return replace(place, resume=True, overwrite=place.overwrite or is_free)

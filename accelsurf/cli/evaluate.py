@@ -1,8 +1,9 @@
-"""``accelsurf evaluate``: how well label maps agree with their references."""
+"""``accelsurf evaluate``: agreement of label maps, or of tracks, with their references."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,11 +12,11 @@ from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES, Overwrite
 from accelsurf.errors import InputError, OutputError, UsageError
-from accelsurf.settings.label_ids import IdRanges, parse_ids
-from accelsurf.settings.labels import LabelTable
+from accelsurf.settings.labels import IdRanges, LabelTable, parse_ids
 
 if TYPE_CHECKING:
-    from accelsurf.analysis.label_metrics import LabelAgreement
+    from accelsurf.analysis.tracked_files import TrackedFile
+    from accelsurf.analysis.tracking_scores import TrackingScores
     from accelsurf.batch.pairs import LabelFile, Pair
     from accelsurf.grid.volume import Volume
     from accelsurf.report.evaluation import CaseResult
@@ -26,8 +27,8 @@ Table = Annotated[str | None, Parameter(name="--csv", metavar="FILE", group=FILE
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What is measured: labels one by one (or None: all as one object), and the tolerances of surface Dice in mm."""
+class Request:
+    """Requested measures: ``labels`` one by one (None: all as one object); ``tolerances`` of surface Dice, mm."""
 
     labels: IdRanges | None
     tolerances: tuple[float, ...]
@@ -78,22 +79,23 @@ def evaluate(
     overwrite
         Replace a table that exists.
     """
-    asked = Asked(_labels(labels), _tolerances(tolerance))
+    requested = Request(_labels(labels), _tolerances(tolerance))
     _check_table(table, as_json, overwrite)
     if tracks:
-        from accelsurf.cli.evaluate_tracks import evaluate_tracks
-
         _refuse_with_tracks({"labels": labels, "tolerance": tolerance, "pairs": pairs, "label-table": names})
-        return evaluate_tracks(pred, ref, as_json, table)
+        return _evaluate_tracks(pred, ref, as_json, table)
     known = _names(names)
-    found = _pairs(pred, ref, pairs)
-    _refuse_input_as_table(table, found, pairs, names)
-    if isinstance(found, list):
-        results = [_try(pair, asked) for pair in found]
-    else:
-        results = [_result(found, asked)]
-    _put(results, known, as_json, table, many=isinstance(found, list))
-    return SOME_FAILED if any(one.failure for one in results) else 0
+    found, many = _pairs(pred, ref, pairs)
+    sides = [side for pair in found for side in (pair.pred, pair.ref) if side is not None]
+    _refuse_input_as_table(table, [pairs, names, *(side.path for side in sides)])
+    results = [(_try if many else _result)(pair, requested) for pair in found]
+    from accelsurf.report.evaluation import document, table_csv
+
+    _put(
+        table, as_json, lambda: table_csv(results, known),
+        lambda: document(results, known) if many else _one_pair(results[0], known), lambda: _show(results, known, many),
+    )
+    return SOME_FAILED if any(result.failure for result in results) else 0
 
 
 def _check_table(table: str | None, as_json: bool, overwrite: bool) -> None:
@@ -109,15 +111,13 @@ def _check_table(table: str | None, as_json: bool, overwrite: bool) -> None:
         raise OutputError(f"{table}: exists already", "choose another name, or add --overwrite")
 
 
-def _refuse_input_as_table(table: str | None, found: list[Pair] | Pair, *further: Path | None) -> None:
+def _refuse_input_as_table(table: str | None, inputs: Iterable[Path | None]) -> None:
     """Refuse a table in the place of a file that is read."""
     from accelsurf.io.file_set import InputFiles
 
-    if table is None or table == "-":
-        return
-    sides = [side for pair in (found if isinstance(found, list) else [found]) for side in (pair.pred, pair.ref)]
-    inputs = [*(side.path for side in sides if side is not None), *(path for path in further if path is not None)]
-    InputFiles(inputs).refuse([Path(table)], "name of the table with --csv")
+    if table is not None and table != "-":
+        read = InputFiles([path for path in inputs if path is not None])
+        read.refuse([Path(table)], "name of the table with --csv")
 
 
 def _refuse_with_tracks(given: dict[str, Any]) -> None:
@@ -149,40 +149,37 @@ def _tolerances(text: str | None) -> tuple[float, ...]:
     return values
 
 
-def _pairs(pred: str | None, ref: str | None, table: Path | None) -> list[Pair] | Pair:
-    """One pair, or those of a table or of two folders."""
+def _pairs(pred: str | None, ref: str | None, table: Path | None) -> tuple[list[Pair], bool]:
+    """Return one pair, or those of a table or of two folders, and whether they may be many."""
     from accelsurf.batch.pairs import Pair, in_folders, in_table, is_folder_of_maps, label_file
 
     if table is not None:
         if pred is not None:
             raise UsageError("--pairs: was given with PRED, which the table names", "leave one of them out")
-        return in_table(table)
-    if pred is None or ref is None:
-        raise UsageError(
-            f"evaluate: no {'PRED' if pred is None else 'REF'} was given", "accelsurf evaluate --help lists the options"
-        )
+        return in_table(table), True
+    pred, ref = _both(pred, ref)
     sides = label_file(pred), label_file(ref)
     folders = [is_folder_of_maps(side.path) for side in sides]
     if any(folders) and not all(folders):
         raise InputError(f"{pred}, {ref}: one of them is a folder of files", "name two files, or two folders")
-    return in_folders(*sides) if all(folders) else Pair("", *sides)
+    return (in_folders(*sides), True) if all(folders) else ([Pair("", *sides)], False)
 
 
-def _try(pair: Pair, asked: Asked) -> CaseResult:
+def _try(pair: Pair, requested: Request) -> CaseResult:
     """Compare a pair; an error is noted and does not stop the others."""
     from accelsurf.cli.interrupts import say
     from accelsurf.errors import AccelsurfError
     from accelsurf.report.evaluation import CaseResult
 
     try:
-        return _result(pair, asked)
+        return _result(pair, requested)
     except (AccelsurfError, MemoryError) as error:
         failure = str(error) or "not enough memory"
         say(f"warning: {pair.case}: {failure}")
         return CaseResult(pair.case, _written(pair.pred), _written(pair.ref), (), failure)
 
 
-def _result(pair: Pair, asked: Asked) -> CaseResult:
+def _result(pair: Pair, requested: Request) -> CaseResult:
     """Compare a pair."""
     from accelsurf import io
     from accelsurf.analysis.label_metrics import LabelMap, evaluate_labels, evaluate_object
@@ -195,10 +192,10 @@ def _result(pair: Pair, asked: Asked) -> CaseResult:
         finish_killed_runs(path.parent)
     volumes = io.on_one_grid(*(_read(side) for side in (pair.pred, pair.ref)))
     pred, ref = (LabelMap(volume, side.ids) for volume, side in zip(volumes, (pair.pred, pair.ref), strict=True))
-    if asked.labels is None:
-        agreements = [evaluate_object(pred, ref, asked.tolerances)]
+    if requested.labels is None:
+        agreements = [evaluate_object(pred, ref, requested.tolerances)]
     else:
-        agreements = evaluate_labels(pred, ref, asked.labels, asked.tolerances)
+        agreements = evaluate_labels(pred, ref, requested.labels, requested.tolerances)
     return CaseResult(pair.case, _written(pair.pred), _written(pair.ref), tuple(agreements))
 
 
@@ -221,25 +218,23 @@ def _written(side: LabelFile | None) -> str:
     return str(side.path.absolute()) + (f"@{ids}" if ids else "")
 
 
-def _put(results: list[CaseResult], names: LabelTable, as_json: bool, table: str | None, many: bool) -> None:
-    """Print and write what was found."""
+def _put(
+    table: str | None, as_json: bool, csv: Callable[[], str], found: Callable[[], Any], show: Callable[[], None]
+) -> None:
+    """Write the table, and print it, or the numbers as JSON or for a person."""
     from accelsurf.io.files import write_bytes
     from accelsurf.report.document import to_json
-    from accelsurf.report.evaluation import document, table_csv
 
+    if table == "-":
+        print(csv(), end="")
+        return
     if table is not None:
-        text = table_csv(results, names)
-        if table == "-":
-            print(text, end="")
-            return
-        write_bytes(Path(table), text.encode())
+        write_bytes(Path(table), csv().encode())
     if as_json:
-        print(to_json(document(results, names) if many else _one_pair(results[0], names)))
-    elif many or results[0].agreements[:1] == () or results[0].agreements[0].label is not None:
-        _print_table(results, names, many)
-    else:
-        _print_object(results[0].agreements[0])
-    if table is not None and not as_json:
+        print(to_json(found()))
+        return
+    show()
+    if table is not None:
         print(f"table  {Path(table).absolute()}")
 
 
@@ -253,14 +248,21 @@ def _one_pair(result: CaseResult, names: LabelTable) -> dict[str, Any]:
     return {**head, **(found[0].values() if found and found[0].label is None else {"labels": case["labels"]}), **said}
 
 
-def _print_object(found: LabelAgreement) -> None:
+def _show(results: list[CaseResult], names: LabelTable, many: bool) -> None:
     from accelsurf.report.evaluation import notes
 
-    values = found.values()
+    agreements = results[0].agreements if results else ()
+    if many or not agreements or agreements[0].label is not None:
+        _print_table(results, names, many)
+    else:
+        _print_values(agreements[0].values(), notes(agreements[0]))
+
+
+def _print_values(values: Mapping[str, float | int | None], notes: Iterable[str]) -> None:
     width = max(map(len, values))
     for name, value in values.items():
         print(f"{name:{width}}  {'-' if value is None else format(value, '.6g')}")
-    for line in notes(found):
+    for line in notes:
         print(f"note: {line}")
 
 
@@ -268,13 +270,13 @@ def _print_table(results: list[CaseResult], names: LabelTable, many: bool) -> No
     from accelsurf.cli.progress import table
     from accelsurf.report.evaluation import label_entry, label_name, notes, printed_rows, summaries
 
-    named = any(label_name(found, names) for one in results for found in one.agreements)
+    named = any(label_name(found, names) for result in results for found in result.agreements)
     head, rows, said = (("case",) if many else ()) + ("label",) + (("name",) if named else ()), [], []
-    for one in results:
-        where = f"{one.case}: " if many else ""
-        for found in one.agreements:
+    for result in results:
+        where = f"{result.case}: " if many else ""
+        for found in result.agreements:
             entry = label_entry(found, names)
-            rows.append((_cells(one.case, entry, named, many), found.values()))
+            rows.append((_cells(result.case, entry, named, many), found.values()))
             said += [f"note: {where}{line}" for line in notes(found)]
     for summary in summaries(results, names) if many else ():
         for which in ("mean", "median", "count"):
@@ -282,7 +284,7 @@ def _print_table(results: list[CaseResult], names: LabelTable, many: bool) -> No
     print(table(*printed_rows(rows, head)))
     for line in said:
         print(line)
-    failed = sum(bool(one.failure) for one in results)
+    failed = sum(bool(result.failure) for result in results)
     if many:
         print(f"{len(results)} cases, {failed} failed")
 
@@ -290,3 +292,48 @@ def _print_table(results: list[CaseResult], names: LabelTable, many: bool) -> No
 def _cells(case: str, entry: dict[str, Any], named: bool, many: bool) -> tuple[str, ...]:
     label = "all" if entry["label"] is None else str(entry["label"])
     return ((case,) if many else ()) + (label,) + ((entry["name"] or "-",) if named else ())
+
+
+def _evaluate_tracks(pred: str | None, ref: str | None, as_json: bool, table: str | None) -> int:
+    """Compare tracks with a reference; the table has a row for each frame."""
+    from accelsurf.analysis.tracked_files import compare, open_tracks
+    from accelsurf.io.file_set import finish_killed_runs
+    from accelsurf.report.tables import csv_text
+
+    sides = [Path(name) for name in _both(pred, ref)]
+    for path in sides:
+        finish_killed_runs(path.parent)
+    _refuse_input_as_table(table, (path for side in sides for path in (side, *side.rglob("*"))))
+    given, wanted = (open_tracks(side) for side in sides)
+    found = compare(given, wanted)
+    _put(
+        table, as_json, lambda: csv_text(found.frames[0]._fields if found.frames else (), found.frames),
+        lambda: _document(given, wanted, found), lambda: _print_values(found.values(), _notes(given, wanted)),
+    )
+    return 0
+
+
+def _both(pred: str | None, ref: str | None) -> tuple[str, str]:
+    if pred is None or ref is None:
+        lacking = "PRED" if pred is None else "REF"
+        raise UsageError(f"evaluate: no {lacking} was given", "accelsurf evaluate --help lists the options")
+    return pred, ref
+
+
+def _document(given: TrackedFile, wanted: TrackedFile, found: TrackingScores) -> dict[str, Any]:
+    frames = [frame._asdict() for frame in found.frames]
+    return {
+        "pred": str(given.path.absolute()), "ref": str(wanted.path.absolute()), **found.values(),
+        "identities": found.identities, "frames": frames, "notes": _notes(given, wanted),
+    }
+
+
+def _notes(given: TrackedFile, wanted: TrackedFile) -> list[str]:
+    """Return notes on the numbers."""
+    said = [
+        f"{side.path.name}: no table of tracks beside it; an id is a track, and nothing says who came from whom"
+        for side in (given, wanted) if side.table is None
+    ]
+    if wanted.outlines:
+        said.append(f"SEG is measured on the {len(wanted.outlines)} frames with outlines of their own")
+    return said

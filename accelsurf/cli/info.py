@@ -60,15 +60,15 @@ def info(
     return 0
 
 
-def _show_image(path: Path, as_json: bool, asked: ReadOptions) -> None:
+def _show_image(path: Path, as_json: bool, requested: ReadOptions) -> None:
     """Print what an image is."""
     from accelsurf.report.document import to_json
 
     volumes = _listing(path)
-    if volumes is not None and asked.series is None:
+    if volumes is not None and requested.series is None:
         _show_volumes(volumes, as_json)
         return
-    facts = _facts_of(path, asked)
+    facts = _facts_of(path, requested)
     if as_json:
         print(to_json(facts))
         return
@@ -117,20 +117,21 @@ def _show_volumes(volumes: list[dict[str, Any]], as_json: bool) -> None:
         print("--series NUMBER chooses one" if len(volumes) > 1 else "it is the only one: no --series is needed")
 
 
-def _facts_of(path: Path, asked: ReadOptions) -> dict[str, Any]:
-    """What an image is; lengths in mm, all in the order (x, y, z)."""
+def _facts_of(path: Path, requested: ReadOptions) -> dict[str, Any]:
+    """Describe an image; lengths in mm, all in the order (x, y, z)."""
     from accelsurf import io
     from accelsurf.errors import InputError
     from accelsurf.io import headers
     from accelsurf.io.metadata import FRAME_KEY, UNIT_KEY
 
     first = replace(
-        asked, time_index=asked.time_index or 0, channel_index=asked.channel_index or 0, channels_from_time=False
+        requested, time_index=requested.time_index or 0, channel_index=requested.channel_index or 0,
+        channels_from_time=False,
     )
     try:
         lazy, by_boxes = io.open_volume(
-            path, level=asked.level, channel_index=first.channel_index, time_index=first.time_index,
-            spacing=asked.spacing,
+            path, level=requested.level, channel_index=first.channel_index, time_index=first.time_index,
+            spacing=requested.spacing,
         ), True
         channels, time_points = lazy.layout.channels, lazy.layout.time_points
     except InputError:  # packed as a whole, or damaged: reading says which

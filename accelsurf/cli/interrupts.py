@@ -1,16 +1,25 @@
-"""What SIGINT (Ctrl-C) and SIGTERM do: at each moment a line, an exit code, and files that belong together."""
+"""Signals and standard streams: SIGINT (Ctrl-C) and SIGTERM give a line, an exit code, and complete files.
+
+Lines about errors and doubts are short, on one line, in characters that a terminal prints. What a command has computed
+and written does not depend on whether somebody can read what it prints.
+"""
 
 from __future__ import annotations
 
 import _thread
+import io
 import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any
+from typing import IO, Any
+
+from accelsurf.errors import AccelsurfWarning
+from accelsurf.settings.wording import escaped, shown
 
 #: Signals that end a program on request; their exit code is 128 more than their number.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -29,14 +38,12 @@ class Interrupts:
         Signals that came, whether or not their exception was swallowed on its way.
     number : int
         The first of them.
-    outcome : str
-        What of the run is on the disk, for the last line that is printed.
     """
 
     def __init__(self) -> None:
         self.count = 0
         self.number: int = signal.SIGINT
-        self.outcome = "no result is written; what was there before is as it was"
+        self._outcome = "no result is written; what was there before is as it was"
         self._question: str | None = None
         self._was_patient = False  # a first signal may have been answered with a question
         self._ending = False
@@ -75,7 +82,7 @@ class Interrupts:
         """Raise KeyboardInterrupt a little later where Python cannot: in a callback of compiled code, say."""
         if issubclass(lost.exc_type, KeyboardInterrupt):
             again = threading.Timer(_AGAIN_SECONDS, _thread.interrupt_main)
-            again.daemon = True
+            again.daemon = True  # Timer takes it in no other way
             again.start()
         else:
             self._hooks[-1](lost)
@@ -115,6 +122,10 @@ class Interrupts:
         if self.count > 1:
             raise KeyboardInterrupt
 
+    def note(self, text: str) -> None:
+        """Take note of the files on the disk, for the last line that is printed."""
+        self._outcome = text
+
     def report(self, kind: str = "") -> None:
         """Print what is on the disk, once, if there was a signal.
 
@@ -125,14 +136,14 @@ class Interrupts:
         """
         if self.count and not self._reported:
             self._reported = True
-            say(f"{kind}interrupted: {self.outcome}")
+            say(f"{kind}interrupted: {self._outcome}")
 
     def end(self) -> None:
         """From now on signals are counted only: the program is about to end."""
         self._ending = True
 
     def exit_code(self, code: int) -> int:
-        """What the program returns: 128 more than the number of the signal, if there was one."""
+        """Return the exit code: 128 more than the number of the signal, if there was one."""
         return 128 + self.number if self.count else code
 
 
@@ -161,3 +172,144 @@ def say(line: str) -> None:
             os.write(2, f"{line}\n".encode(errors="replace"))
     except (OSError, ValueError):  # nobody reads it
         return
+
+
+#: Longest line of an error and of a hint, characters: most paths have room, a megabyte of garbage has not.
+MAX_ERROR, MAX_HINT = 390, 1000
+
+
+def without_garbage(message: str, arguments: Sequence[str]) -> str:
+    """Return a message of the command line's parser, with what was typed cut to a readable length.
+
+    Examples
+    --------
+    >>> len(without_garbage('Unknown option: "' + 200 * "x" + '"', [200 * "x"]))
+    78
+    """
+    for word in sorted(arguments, key=len, reverse=True):
+        for part in (word, *word.split("=", 1)):
+            if part and shown(part) != part:
+                message = message.replace(part, shown(part))
+    return message
+
+
+def printable(text: str, length: int) -> str:
+    """Return a text as one line that a terminal prints; if it is longer than ``length`` its middle is left out.
+
+    Examples
+    --------
+    >>> printable("abc" + 100 * "x" + "yz", 20)
+    'abcxxxxx...xxxxxxyz'
+    """
+    text = " ".join(text.split())
+    for _ in range(2):  # escapes make it longer again
+        if len(text) > length:
+            text = text[: length // 2 - 2] + "..." + text[2 - length // 2 :]
+        text = escaped(text)
+    return text
+
+
+def doubt_line(text: str) -> str:
+    """Return the line about a doubt: a warning, unless it says itself that it is a note.
+
+    Examples
+    --------
+    >>> doubt_line("area: it shrinks"), doubt_line("object 3: note: click: of two kinds")
+    ('warning: area: it shrinks', 'note: object 3: click: of two kinds')
+    """
+    before, note, after = text.partition("note: ")
+    is_note = note and (not before or before.startswith("object "))
+    return f"note: {before}{after}" if is_note else f"warning: {text}"
+
+
+@contextmanager
+def shown_warnings() -> Iterator[None]:
+    """Print each warning of accelsurf once, as a line; those of libraries go the usual way."""
+    with warnings.catch_warnings():
+        usual, seen = warnings.showwarning, set[str]()
+
+        def show(message, category, *args, **kwargs):  # type: ignore[no-untyped-def]
+            if not issubclass(category, AccelsurfWarning):
+                usual(message, category, *args, **kwargs)
+            elif str(message) not in seen:
+                seen.add(str(message))
+                say("warning: " + printable(str(message), MAX_HINT))
+
+        warnings.simplefilter("always", AccelsurfWarning)
+        warnings.showwarning = show  # the hook that Python documents for this
+        yield
+
+
+class GuardedStream:
+    """A text stream whose first error is remembered, and after which nothing more is written.
+
+    Parameters
+    ----------
+    stream : file object
+
+    Attributes
+    ----------
+    error : Exception or None
+        The first error.
+    """
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+        self.error: Exception | None = None
+
+    def write(self, text: str) -> int:
+        """Write text, unless there was an error before."""
+        if self.error is None:
+            try:
+                self._stream.write(text)
+            except (OSError, ValueError) as error:  # ValueError: it was closed
+                self._fail(error)
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what is still in memory."""
+        if self.error is None:
+            try:
+                self._stream.flush()
+            except (OSError, ValueError) as error:
+                self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        self.error = error
+        # What is left in its buffer would fail again when Python ends.
+        with suppress(OSError, ValueError, io.UnsupportedOperation):
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self._stream.fileno())
+            os.close(null)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def open_missing() -> None:
+    """Open streams that were closed before the program began on the null device.
+
+    Else the next file that is opened would get their number, and what a library prints would land in it.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number
+
+
+@contextmanager
+def guarded() -> Iterator[GuardedStream]:
+    """Guard both streams; yields standard output."""
+    before = sys.stdout, sys.stderr
+    # A stream that was closed is None, and print would write to the other one.
+    output, error = (
+        GuardedStream(open(os.devnull, "w", encoding="utf-8") if stream is None else stream) for stream in before
+    )
+    sys.stdout, sys.stderr = output, error
+    try:
+        yield output
+    finally:
+        output.flush()
+        error.flush()
+        sys.stdout, sys.stderr = before

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from accelsurf.cli.options import FILES
 from accelsurf.errors import UsageError
@@ -15,9 +15,10 @@ from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Compute, Log
-    from accelsurf.cli.place import Place
+    from accelsurf.cli.case import Compute, Log, Place
     from accelsurf.cli.progress import Watcher
+    from accelsurf.grid.volume import Volume
+    from accelsurf.io.lazy_volume import LazyVolume
     from accelsurf.segmentation.result import Result
     from accelsurf.segmentation.windowed import LargeImage
 
@@ -28,7 +29,7 @@ STORES = ("ome.zarr", "nii")
 @Parameter(name="*")
 @dataclass(frozen=True)
 class ImageParts:
-    """How much of an image may be in memory."""
+    """Options for the memory of a run."""
 
     max_memory: Annotated[str | None, Parameter(group=FILES, show_default="0.8 of what is free")] = None
     """Memory that the run may take, as 4GB. A larger image is read in parts near the object, with the same result; one
@@ -43,32 +44,35 @@ class ImageParts:
         return allowed_bytes(self.max_memory, io.available_memory())
 
 
-def computed(place: Place, config: RunConfig, parts: ImageParts) -> tuple[RunConfig, Compute | None]:
+def choose_computation(place: Place, config: RunConfig, image: LargeImage | None) -> tuple[RunConfig, Compute | None]:
     """Return the settings and the function by which a case is computed: None where the image is read as a whole.
 
     Raises
     ------
-    InputError
-        When the header cannot be read; UsageError when a setting needs the whole image in memory.
+    UsageError
+        When a setting needs the whole image in memory.
     """
-    image = large_image(place.source, config, parts)
     if image is None:
         return config, None
     if fits(image, config):
         return config, _in_memory(image, not config.reading.given)
-    return for_windows(place, config), _in_windows(image)
+    return settings_in_windows(place, config), _in_windows(image)
 
 
 def fits(image: LargeImage, config: RunConfig) -> bool:
-    """Whether a run on the whole image is within the memory that it may take."""
+    """Return True if a run on the whole image is within the memory that it may take."""
     from accelsurf.segmentation.memory_need import run_bytes
 
     values = math.prod(image.geometry.shape) * len(image.channels)
     return run_bytes(values, energy_expression.uses_model(config.energy), config.flow) <= image.max_bytes
 
 
-def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage | None:
+def large_image(
+    source: Path, config: RunConfig, parts: ImageParts, in_parts: bool = False
+) -> LargeImage | None:
     """Return the image, opened, where it may be read in parts; None where it is an ordinary one that fits.
+
+    With ``in_parts`` it is opened even if it fits.
 
     Raises
     ------
@@ -81,7 +85,8 @@ def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImag
     from accelsurf.settings.file_formats import image_format
 
     form = image_format(split_name(source)[1])
-    if not ((form is not None and form.folder_marks and config.reading.given) or is_store(source)):
+    is_level = form is not None and form.folder_marks and config.reading.given
+    if not (in_parts or is_level or is_store(source)):
         if parts.max_memory is None and (form is None or form.open is None):
             return None  # it is read as a whole or not at all
         try:
@@ -91,22 +96,20 @@ def large_image(source: Path, config: RunConfig, parts: ImageParts) -> LargeImag
             return None  # said again where it is read, with the name of the file
         if needed <= parts.allowed_bytes:
             return None
-    return opened(source, config, parts)
-
-
-def opened(source: Path, config: RunConfig, parts: ImageParts) -> LargeImage:
-    """Return the image, opened to be read in parts.
-
-    Raises
-    ------
-    InputError
-        When it cannot be.
-    """
     from accelsurf.io.lazy_volume import open_channels
     from accelsurf.segmentation.windowed import LargeImage
 
     paths = (source, *map(Path, config.channel))
-    return LargeImage.of([one for path in paths for one in open_channels(path, config.reading)], parts.allowed_bytes)
+    channels = [channel for path in paths for channel in open_channels(path, config.reading)]
+    return LargeImage.of(channels, parts.allowed_bytes)
+
+
+def whole_volume(channel: LazyVolume) -> Volume:
+    """Read all of a channel that was opened to be read in parts."""
+    from accelsurf.grid.boxes import whole_box
+    from accelsurf.grid.volume import Volume
+
+    return Volume(channel.read(whole_box(channel.shape)), channel.geometry, dict(channel.metadata), channel.source)
 
 
 def with_level(source: Path, config: RunConfig, parts: ImageParts, quiet: bool) -> RunConfig:
@@ -129,7 +132,7 @@ def with_level(source: Path, config: RunConfig, parts: ImageParts, quiet: bool) 
     return config.replace(level=found.level)
 
 
-def for_windows(place: Place, config: RunConfig) -> RunConfig:
+def settings_in_windows(place: Place, config: RunConfig) -> RunConfig:
     """The settings of a run in windows: its label map is written box by box."""
     if config.format is not None and config.format not in STORES:
         raise UsageError(
@@ -144,8 +147,8 @@ def for_windows(place: Place, config: RunConfig) -> RunConfig:
             raise UsageError(
                 f"{name.replace('_', '-')}: it was given, and the image is read in parts", "leave it out, or give --roi"
             )
-    own = place.label_format(config)
-    return config if own in STORES else config.replace(format="nii")
+    label_format = place.label_format(config)
+    return config if label_format in STORES else config.replace(format="nii")
 
 
 def _in_memory(image: LargeImage, has_checksum: bool) -> Compute:
@@ -155,19 +158,12 @@ def _in_memory(image: LargeImage, has_checksum: bool) -> Compute:
     """
 
     def compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
-        from accelsurf import io
         from accelsurf.cli.case import check_formats, evolve_at
-        from accelsurf.grid.boxes import whole_box
-        from accelsurf.grid.volume import Volume
 
-        volume, *more = (
-            log.timed("load", lambda one=one: Volume(  # type: ignore[misc]
-                one.read(whole_box(one.geometry.shape)), one.geometry, dict(one.metadata), one.source
-            ))
-            for one in image.channels[: len(image.channels) - len(config.channel)]  # a run reads those files itself
-        )
+        read = image.channels[: len(image.channels) - len(config.channel)]  # a run reads the other files itself
+        volume, *more = log.timed("load", lambda: [whole_volume(channel) for channel in read])
         if has_checksum:
-            log.checksum = log.timed("load", lambda: io.sha256(place.source))
+            log.timed("load", lambda: log.take_checksum(place.source))
         check_formats(place, config, volume, log)
         return evolve_at(place, volume, more, config, watcher, log)
 
@@ -181,14 +177,51 @@ def _in_windows(image: LargeImage) -> Compute:
         from accelsurf.cli.case import state_of
         from accelsurf.segmentation.windowed import segment_in_windows
 
-        log.geometry = image.geometry
+        log.note_grid(image.geometry)
         state = state_of(place, config)
         with watcher.watch(place.name, config.max_steps):
             result = segment_in_windows(
-                image, config, lambda record, own: watcher.on_step(record), watcher.on_warning, watcher.on_window,
+                image, config, lambda record, object_id: watcher.on_step(record), watcher.on_warning, watcher.on_window,
                 state,
             )
         log.warnings.extend(result.warnings)
         return result
 
     return compute
+
+
+OBJECTS = Group("Many objects in a large image", sort_key=0)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ObjectOptions:
+    """Options for the objects of a large image."""
+
+    jobs: Annotated[int | None, Parameter(group=OBJECTS, metavar="N", show_default="1")] = None
+    """With --objects: read the image in parts, and run so many groups of objects at the same time, each in a process of
+    its own. They share --max-memory. The result is the same."""
+
+    scheduler: Annotated[str | None, Parameter(group=OBJECTS, metavar="ADDRESS")] = None
+    """With --objects: the same on a Dask cluster: the address of its scheduler, or its scheduler file. --max-memory is
+    that of each worker then. Image and outputs must have the same paths there."""
+
+    @property
+    def given(self) -> bool:
+        """True if the image is to be read in parts even if it fits."""
+        return self.jobs is not None or self.scheduler is not None
+
+    def check(self, config: RunConfig) -> None:
+        """Refuse what does not fit together.
+
+        Raises
+        ------
+        UsageError
+        """
+        if not self.given:
+            return
+        from accelsurf.batch.admission import Limits
+
+        if config.objects is None:
+            raise UsageError("--jobs, --scheduler: were given without --objects", "accelsurf batch runs many images")
+        Limits(self.jobs, scheduler=self.scheduler)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, IMAGE, Overwrite, required, run_config, settings_class
+from accelsurf.cli.options import FILES, IMAGE, File, Overwrite, required, run_config, settings_class
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.settings.entry import SettingGroup
 
@@ -31,7 +31,7 @@ def look(
     output: Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)] = None,
     at: str | None = None,
     window: str = "auto",
-    labels: Annotated[Path | None, Parameter(group=FILES)] = None,
+    labels: File = None,
     level: Annotated[int | None, Parameter(group=IMAGE, show_default="the finest that is not too large")] = None,
     overwrite: Overwrite = False,
     reading: ReadWithoutLevel | None = None,  # type: ignore[valid-type]
@@ -125,15 +125,14 @@ def _said_of(volumes: list[Volume]) -> str:
     return f"{size} voxels of {voxel_text(grid.spacing_xyz, volumes[0].metadata.get(UNIT_KEY, 'mm'))}"
 
 
-def _read(source: Path, level: int | None, asked: ReadOptions) -> tuple[list[Volume], Geometry]:
+def _read(source: Path, level: int | None, requested: ReadOptions) -> tuple[list[Volume], Geometry]:
     """The channels of an image, of a store those of a level, and the grid that indices belong to.
 
-    That is the grid of the level which was asked for, else of the finest.
+    That is the grid of the level that was requested, else of the finest.
     """
     import math
 
-    from accelsurf.grid.boxes import whole_box
-    from accelsurf.grid.volume import Volume
+    from accelsurf.cli.large_image import whole_volume
     from accelsurf.io import channels
     from accelsurf.io.formats.nibabel_import import import_nibabel_for
     from accelsurf.io.headers import is_store
@@ -141,20 +140,20 @@ def _read(source: Path, level: int | None, asked: ReadOptions) -> tuple[list[Vol
 
     import_nibabel_for(source)
     if level is None and not is_store(source):
-        volumes = channels.read(source, asked)
+        volumes = channels.read(source, requested)
         return volumes, volumes[0].geometry
-    opened = open_channels(source, replace(asked, level=level or 0))
+    opened = open_channels(source, replace(requested, level=level or 0))
     layout = opened[0].layout
     shown = level
     if shown is None:
         small = (n for n, grid in enumerate(layout.levels) if math.prod(grid.shape) <= MAX_VOXELS)
         shown = next(small, len(layout.levels) - 1)
-        opened = open_channels(source, replace(asked, level=shown))
-    if len(layout.levels) > 1 or asked.time_index is not None:
-        moment = f", time point {asked.time_index} of {layout.time_points}" if asked.time_index is not None else ""
+        opened = open_channels(source, replace(requested, level=shown))
+    if len(layout.levels) > 1 or requested.time_index is not None:
+        time = requested.time_index
+        moment = f", time point {time} of {layout.time_points}" if time is not None else ""
         print(f"level    {shown} of 0 to {len(layout.levels) - 1}{moment}")
-    found = [Volume(one.read(whole_box(one.shape)), one.geometry, dict(one.metadata), one.source) for one in opened]
-    return found, layout.levels[level or 0]
+    return [whole_volume(channel) for channel in opened], layout.levels[level or 0]
 
 
 def _labels(path: Path, geometry: Geometry) -> NDArray[Any]:

@@ -11,14 +11,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from accelsurf.batch.admission import Limits
 from accelsurf.batch.case import Case, check_id
 from accelsurf.batch.cases import checked_cases, read_cases
 from accelsurf.batch.outcome import CaseTask, Outcome
 from accelsurf.batch.pool import Pool
-from accelsurf.batch.run import Batch, refuse_results
+from accelsurf.batch.run import Batch, refuse_results, task_of
 from accelsurf.batch.tables import Tables
 from accelsurf.cli import batch_case
-from accelsurf.cli.batch import BatchOptions, admitted, made_pool, task_of
 from accelsurf.cli.interrupts import say
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.io.file_set import FileSet
@@ -94,7 +94,7 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
     def _run_in(self, files: FileSet) -> None:
         tables = self._work.tables(files)
         try:
-            self._work.run(self._pool, tables, _Watch(self._futures, tables), batch_case.lost, self._resume)
+            self._work.run(self._pool, tables, _Watch(self._futures, tables), batch_case.lost_outcome, self._resume)
         except BaseException:
             self._work.end_early(self._pool, tables, 1)
             raise
@@ -123,7 +123,7 @@ class _Watch:
                 self._futures[line.id].set_result(line)
 
     def started(self, id: str) -> None:
-        """Whether a case runs is not told: its future may still be cancelled with the batch."""
+        """Leave the future as it is: it may still be cancelled with the batch."""
 
     def ended(self, outcome: Outcome, seconds_left: float | None) -> None:
         self._futures[outcome.id].set_result(outcome)
@@ -183,15 +183,15 @@ def segment_many(
     ...         for id, future in many.items():
     ...             print(id, future.result().ml)
     """
-    given = BatchOptions(jobs=jobs, scheduler=scheduler, case_timeout=case_timeout, max_memory=max_memory).checked()
+    limits = Limits(jobs, case_timeout, max_memory, scheduler)
     found, words = _cases(cases)
     common, folder = (config or RunConfig()).replace(**options), Path(output)
     base = CaseTask(found[0], folder.absolute(), common, overwrite or resume, strict, resume=resume)
-    tasks = [task_of(replace(base, case=one, config=_config(one, common))) for one in found]
-    work = Batch(*admitted(tasks, given), None, words, sys.argv)
+    tasks = [task_of(replace(base, case=case, config=_config(case, common))) for case in found]
+    work = Batch.planned(tasks, limits, None, words, sys.argv)
     if not (overwrite or resume):
         refuse_results(folder, work)
-    return SegmentedMany(work, made_pool(work, given), folder, resume)
+    return SegmentedMany(work, batch_case.make_pool(work, limits), folder, resume)
 
 
 def _cases(given: str | Path | Sequence[CaseLike]) -> tuple[list[Case], str]:
@@ -199,9 +199,9 @@ def _cases(given: str | Path | Sequence[CaseLike]) -> tuple[list[Case], str]:
     if isinstance(given, (str, Path)):
         return read_cases([str(given)])
     several = list(given)
-    if all(isinstance(one, (str, Path)) for one in several):
-        return read_cases([str(one) for one in several])
-    cases = [_case(one, place) for place, one in enumerate(several)]
+    if all(isinstance(case, (str, Path)) for case in several):
+        return read_cases([str(case) for case in several])
+    cases = [_case(case, place) for place, case in enumerate(several)]
     return checked_cases(cases), "a list"
 
 

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from accelsurf.cli.options import FILES, WITHOUT_FILES, Display, Output, Overwrite, required, run_config, settings_class
+from accelsurf.cli.options import (
+    FILES,
+    WITHOUT_FILES,
+    Display,
+    File,
+    Output,
+    Overwrite,
+    given_options,
+    required,
+    run_config,
+    settings_class,
+)
 from accelsurf.errors import UsageError
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
@@ -67,8 +78,8 @@ def movie(
     input: Annotated[Path | None, Parameter(name=("--input", "-i"), group=FILES)] = None,
     *,
     output: Output = None,
-    config: Annotated[Path | None, Parameter(group=FILES)] = None,
-    reference: Annotated[Path | None, Parameter(group=FILES)] = None,
+    config: File = None,
+    reference: File = None,
     overwrite: Overwrite = False,
     preview: Annotated[bool, Parameter(negative=(), show_default=False, group=MOVIE)] = False,
     look: Look | None = None,
@@ -120,7 +131,7 @@ def movie(
             what = _draw(run, drawing, target, None if preview else movie_settings, watcher)
     finally:
         drawing.close()
-    watcher.outcome = f"the {'picture' if preview else 'movie'} of the steps so far is written: {target.absolute()}"
+    watcher.note(f"the {'picture' if preview else 'movie'} of the steps so far is written: {target.absolute()}")
     if not display.quiet and run.stop is not None:
         print(f"{image.name}: {_ending(run.stop, run.has_ids)}\n  {what}  {target.absolute()}")
     return watcher.exit_code(0)
@@ -148,9 +159,9 @@ def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, Run
     if not source.is_dir():
         return source, run_config(settings, config)
     finish_killed_runs(source)
-    given = [f.name for f in fields(settings) if getattr(settings, f.name) is not None] if settings else []
+    given = given_options(settings)
     if given or config is not None:
-        name = "config" if config is not None else given[0].replace("_", "-")
+        name = "config" if config is not None else next(iter(given)).replace("_", "-")
         raise UsageError(f"--{name} was given for a folder of results, whose report has the settings",
                          "leave it out, or give the image instead of the folder")
     return movie_file.run_of_folder(source)
@@ -169,7 +180,7 @@ def _draw(run: Run, drawing: DrawingProcess, target: Path, movie: MovieSettings 
 
 
 def _ending(stop: Stop, has_ids: bool) -> str:
-    """How a run ended, in words."""
+    """Say how a run ended."""
     if has_ids:
         return f"{stop.message}; up to {stop.steps} steps"
     return f"{stop.reason} after {stop.steps} steps ({stop.message})"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from accelsurf import io
 from accelsurf.batch.run import SOME_FAILED
 from accelsurf.cli.interrupts import Interrupts
+from accelsurf.cli.outcome import file_lines
 from accelsurf.errors import OutputError
 from accelsurf.io.files import write_bytes
 from accelsurf.report import document, output_folder, result_sets, tables
@@ -19,9 +21,9 @@ from accelsurf.report.file_entries import describe_drafts, describe_input
 from accelsurf.segmentation.ensemble import overall_stop
 
 if TYPE_CHECKING:
+    from accelsurf.cli.case import Place
     from accelsurf.cli.object_work import ObjectsDone
     from accelsurf.cli.options import Display
-    from accelsurf.cli.place import Place
     from accelsurf.io.file_set import FileSet
     from accelsurf.report.group_files import GroupRecord
     from accelsurf.segmentation.windowed import LargeImage
@@ -78,9 +80,9 @@ def rows_of(done: ObjectsDone) -> list[dict[str, Any]]:
     """Return an entry for each object, in order of the ids: how it ended, or why there is nothing of it."""
     rows = {row["id"]: {**row, "status": "ok", "failure": ""} for record in done.records for row in record.rows}
     keys = next(iter(rows.values()), dict.fromkeys(("id", "reason", "message", "centroid", "quality")))
-    for own, why in done.failures.items():
-        rows[own] = {**dict.fromkeys(keys), "id": own, "status": "failed", "failure": why}
-    return [rows[own] for own in done.ids]
+    for label, why in done.failures.items():
+        rows[label] = {**dict.fromkeys(keys), "id": label, "status": "failed", "failure": why}
+    return [rows[label] for label in done.ids]
 
 
 def _link_meshes(done: ObjectsDone, files: FileSet, case: str) -> dict[str, str]:
@@ -135,11 +137,11 @@ def _report(
             **{key: _sum(done.records, key) for key in _SUMS},
         }
     if done.failures:
-        own, why = next(iter(sorted(done.failures.items())))
+        label, why = next(iter(sorted(done.failures.items())))
         more = f" (and {len(done.failures) - 1} more)" if len(done.failures) > 1 else ""
         contents["error"] = {
             "type": "SomeFailed",
-            "message": f"object {own}{more}: {why}",
+            "message": f"object {label}{more}: {why}",
             "hint": "the table says why; the same command with --resume tries them again",
         }
     return contents
@@ -152,14 +154,6 @@ def _sum(records: list[GroupRecord], key: str) -> Any:
 
 def _print_summary(place: Place, done: ObjectsDone, rows: list[dict[str, Any]], outputs: list[dict[str, str]]) -> None:
     """Print how many objects there are, and the files."""
-    counts: dict[str, int] = {}
-    for row in rows:
-        word = "failed" if row["status"] == "failed" else str(row["reason"])
-        counts[word] = counts.get(word, 0) + 1
+    counts = Counter("failed" if row["status"] == "failed" else str(row["reason"]) for row in rows)
     print(f"{place.name}: of {len(rows)} objects {', '.join(f'{n} {word}' for word, n in sorted(counts.items()))}")
-    by_kind: dict[str, list[str]] = {}
-    for output in outputs:
-        by_kind.setdefault(output["kind"], []).append(output["path"])
-    for kind, paths in by_kind.items():
-        print(f"  {kind:8} {paths[0]}" + (f" and {len(paths) - 1} more" if len(paths) > 1 else ""))
-    print(f"  {'report':8} {place.report_path.absolute()}")
+    print("\n".join(file_lines(outputs, place.report_path, first_alone=True)))

@@ -3,35 +3,111 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
 import os
 import pickle
 import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from accelsurf import __version__
 from accelsurf.batch.pool import Ended, Job, Pool
 from accelsurf.cli import large_image
-from accelsurf.cli.batch_progress import BatchProgress
+from accelsurf.cli.case import Place, resumed_place
 from accelsurf.cli.interrupts import Interrupts
-from accelsurf.cli.object_options import ObjectOptions
+from accelsurf.cli.large_image import ObjectOptions
 from accelsurf.cli.options import Display
-from accelsurf.cli.place import Place
-from accelsurf.cli.resume import taken_up
-from accelsurf.errors import OutputError
+from accelsurf.cli.progress import BatchProgress
+from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io.file_set import refuse_links
 from accelsurf.report import group_files, object_files, output_folder, result_sets
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.cli.group_task import GroupTask
     from accelsurf.initialization.large_object_starts import ManyStarts
     from accelsurf.report.group_files import GroupRecord
+    from accelsurf.segmentation.group_run import Boxes
     from accelsurf.segmentation.many_objects import Groups
     from accelsurf.segmentation.object_groups import Group as Places
+    from accelsurf.segmentation.whole_image import Numbers
     from accelsurf.segmentation.windowed import LargeImage
+
+#: Settings that change nothing of what a group leaves.
+_WITHOUT_EFFECT = ("threads", "checkpoint", "format")
+#: Modules that a group loads, so that a worker has it before its first one.
+_LOADED = ("accelsurf.segmentation.many_objects", "accelsurf.report.document")
+
+
+@dataclass(frozen=True, eq=False)
+class GroupTask:
+    """A group that is to be run.
+
+    Attributes
+    ----------
+    image : LargeImage
+        With the memory of this group.
+    numbers : tuple of mapping
+        Of each whole channel, as `accelsurf.segmentation.many_objects.numbers_needed` returns them.
+    config : RunConfig
+    starts : ManyStarts
+        Those of the group alone.
+    others : Boxes
+        Where objects begin that are not in the group.
+    other_ids : tuple of int
+        Of these.
+    folder : Path
+        Where its files go.
+    names : mapping of str to str
+        Of the meshes of a single object, by kind.
+    """
+
+    image: LargeImage
+    numbers: tuple[Numbers, ...]
+    config: RunConfig
+    starts: ManyStarts
+    others: Boxes
+    other_ids: tuple[int, ...]
+    folder: Path
+    names: Mapping[str, str]
+
+
+class GroupEnd(NamedTuple):
+    """End of a group: why it ``failed``, if it did, and whether it was ``too_large`` for its memory."""
+
+    failed: str = ""
+    too_large: bool = False
+
+
+def load() -> None:
+    """Load what every group needs."""
+    for name in _LOADED:
+        importlib.import_module(name)
+
+
+def run_task(task: GroupTask) -> GroupEnd:
+    """Run a group and write its files; return why that is not possible, or nothing.
+
+    Parameters
+    ----------
+    task : GroupTask
+    """
+    from accelsurf.segmentation.group_run import MeetsOthers, TooLarge, run_group
+    from accelsurf.segmentation.many_objects import failure_text
+
+    whole = task.image.whole(task.config, task.numbers)
+    try:
+        starts = task.starts.made(range(len(task.starts.ids)))
+        result = run_group(task.image, whole, task.config, starts, task.others)
+        group_files.write_group(task.folder, result, task.names, task.config.mesh_space)
+    except MeetsOthers as near:
+        group_files.write_near(task.folder, [task.other_ids[place] for place in near.places])
+    except (AccelsurfError, MemoryError) as error:
+        return GroupEnd(failure_text(error), isinstance(error, TooLarge))
+    return GroupEnd()
+
 
 def run_objects(
     place: Place, config: RunConfig, image: LargeImage, options: ObjectOptions, resume: bool, display: Display
@@ -55,7 +131,7 @@ def run_objects(
     """
     from accelsurf.segmentation.group_run import check_settings
 
-    config = large_image.for_windows(place, config)
+    config = large_image.settings_in_windows(place, config)
     check_settings(config)
     image.check()
     report = result_sets.load_report(place.report_path) if resume else None
@@ -64,7 +140,7 @@ def run_objects(
             print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
         return int(report["exit_code"])
     if report is not None and report["status"] != "ok" and report.get("objects"):
-        place = taken_up(place, config)
+        place = resumed_place(place, config)
     inputs = place.inputs(config)
     with output_folder.opened_set(place.folder, place.name, inputs) as files:
         output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
@@ -103,7 +179,7 @@ def _work_folder(place: Place, resume: bool) -> Path:
 
 @dataclass(frozen=True)
 class ObjectsDone:
-    """What all groups have left.
+    """The results of all groups.
 
     Attributes
     ----------
@@ -157,19 +233,19 @@ class _Work:
                 while self._groups.waiting:
                     self._round(pool, number, progress)
                     for group in self._groups.unite():
-                        progress.taken_back(len(group) if group in self._records else 0)
+                        progress.take_back(len(group) if group in self._records else 0)
                         self._records.pop(group, None)
                     number += 1
             except BaseException:
                 count = sum(len(group) for group in self._records)
-                interrupts.outcome = (
+                interrupts.note(
                     f"{count} of {len(self._starts.ids)} objects are done; the same command with --resume goes on"
                 )
                 raise
             finally:
                 pool.close()
         ids = self._starts.ids
-        failures = {int(ids[one]): why for group, why in self._failures.items() for one in group}
+        failures = {int(ids[place]): why for group, why in self._failures.items() for place in group}
         records = [self._records[group] for group in sorted(self._records)]
         return ObjectsDone(records, failures, ids.tolist(), self._folder, self._notes)
 
@@ -209,7 +285,7 @@ class _Work:
     def _put(self, group: Places, record: GroupRecord, progress: BatchProgress) -> None:
         if record.near:
             ids = self._starts.ids.tolist()
-            self._groups.put_near(group, [ids.index(own) for own in record.near])
+            self._groups.put_near(group, [ids.index(label) for label in record.near])
             return
         self._records[group] = record
         self._groups.put(group, record.low, record.high)
@@ -220,14 +296,12 @@ class _Work:
         return first if len(group) == 1 else f"{first} and {len(group) - 1} more"
 
     def _folder_of(self, group: Places) -> Path:
-        """Where a group leaves its files: found again by the same objects, starts, image and settings alone."""
-        rows = self._starts.ids[list(group)].tolist(), *(one.tolist() for one in self._groups.starts_of(group))
+        """Return the folder of a group's files, found again by the same objects, starts, image and settings alone."""
+        rows = self._starts.ids[list(group)].tolist(), *(starts.tolist() for starts in self._groups.starts_of(group))
         name = hashlib.sha256(f"{self._key} {rows}".encode()).hexdigest()[:16]
         return self._folder / f"group-{self._starts.ids[group[0]]}-{name}"
 
     def _task(self, group: Places, alone: bool = False) -> GroupTask:
-        from accelsurf.cli.group_task import GroupTask
-
         others = self._groups.others(group)
         names = self._place.names(self._config, self._image.geometry.slice_axis is not None)
         return GroupTask(
@@ -242,19 +316,14 @@ class _Work:
         )
 
     def _pool(self) -> Pool:
-        from accelsurf.cli.group_task import load, run_task
+        from accelsurf.batch.pool import InlinePool, LocalPool
 
         if self._options.scheduler is not None:
             from accelsurf.batch.dask_pool import DaskPool
 
             return DaskPool(run_task, self._options.scheduler)
-        if self._options.jobs is None or self._options.jobs == 1:
-            from accelsurf.batch.inline_pool import InlinePool
-
-            return InlinePool(run_task)
-        from accelsurf.batch.pool import LocalPool
-
-        return LocalPool(run_task, self._options.jobs, prepare=load)
+        jobs = self._options.jobs or 1
+        return InlinePool(run_task) if jobs == 1 else LocalPool(run_task, jobs, prepare=load)
 
 
 def _with_threads(config: RunConfig, options: ObjectOptions) -> RunConfig:
@@ -268,12 +337,12 @@ def _with_threads(config: RunConfig, options: ObjectOptions) -> RunConfig:
 
 
 def _key_of(config: RunConfig, image: LargeImage, numbers: Any) -> str:
-    """What the files of a group depend on beside its objects."""
+    """Return a text of all that the files of a group depend on beside its objects."""
     settings = {key: value for key, value in config.model_dump(mode="json").items() if key not in _WITHOUT_EFFECT}
     start = Path(str(config.objects).partition("@")[0])
-    files = [_version_of(path) for path in (start, *(one.source for one in image.channels))]
-    known = [sorted((_name_of(key), pickle.dumps(value).hex()) for key, value in one.items()) for one in numbers]
-    grid = repr(image.geometry), [str(one.dtype) for one in image.channels]
+    files = [_version_of(path) for path in (start, *(channel.source for channel in image.channels))]
+    known = [sorted((_name_of(key), pickle.dumps(value).hex()) for key, value in found.items()) for found in numbers]
+    grid = repr(image.geometry), [str(channel.dtype) for channel in image.channels]
     return json.dumps([__version__, settings, files, known, grid], sort_keys=True)
 
 
@@ -282,12 +351,8 @@ def _name_of(key: tuple[Any, ...]) -> str:
     return f"{getattr(key[0], '__name__', key[0])} {key[1:]}"
 
 
-#: Settings that change nothing of what a group leaves.
-_WITHOUT_EFFECT = ("threads", "checkpoint", "format")
-
-
 def _version_of(path: Path | None) -> list[Any]:
-    """What changes when a file is written again, wherever it lies."""
+    """Return name, size and time of a file, which change when it is written again."""
     if path is None or not path.exists():
         return [str(path)]
     found = path.stat()

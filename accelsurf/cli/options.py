@@ -31,6 +31,8 @@ InputFile = Annotated[
 ]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)]
 OutputFolder = Annotated[Path, Parameter(name=("--output", "-o"), group=FILES)]
+File = Annotated[Path | None, Parameter(group=FILES)]
+Switch = Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)]
 
 def settings_class(
@@ -83,6 +85,12 @@ def _completions(key: str, context: object) -> dict[str, str]:
     return names_of(key)
 
 
+def given_options(settings: Any) -> dict[str, Any]:
+    """Return the options of an instance of an `options_class`, or of None, that were given."""
+    every = {field.name: getattr(settings, field.name) for field in fields(settings)} if settings is not None else {}
+    return {key: value for key, value in every.items() if value is not None}
+
+
 def run_config(settings: Any, file: Path | Mapping[str, Any] | None = None, **forced: Any) -> RunConfig:
     """Return the configuration of a run: options override the file, which overrides the defaults.
 
@@ -103,8 +111,7 @@ def run_config(settings: Any, file: Path | Mapping[str, Any] | None = None, **fo
     UsageError
         When the file or a value is not valid.
     """
-    given = {f.name: getattr(settings, f.name) for f in fields(settings)} if settings is not None else {}
-    typed = {key: value for key, value in given.items() if value is not None}
+    typed = given_options(settings)
     preset = forced.get("preset", typed.get("preset"))
     under = PRESETS[preset].settings if preset is not None and preset in PRESETS else {}
     below = toml.read(file) if isinstance(file, Path) else file or {}

@@ -1,9 +1,10 @@
-"""What is wrong with a finished run, and the lines printed about it."""
+"""Judgement of a finished run, and the lines printed about it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
 from accelsurf.io.metadata import UNIT_KEY
@@ -41,13 +42,13 @@ def shortcoming(name: str, result: Result, strict: bool) -> tuple[AccelsurfError
     summary = f"{name}: {stop.message}"
     if not result.has_ids:
         summary = f"{name}: {stop.reason} after {stop.steps} steps: {stop.message}"
-    if not any(one.has_surface for one in result.objects) and (result.has_ids or stop.reason in EMPTY):
+    if not any(segmented.has_surface for segmented in result.objects) and (result.has_ids or stop.reason in EMPTY):
         tried = _try_of(result, result.objects[0])
         return EmptyResultError(summary, f"try {tried}" if tried else ""), []
     if stop.reason == "diverged":
         return DivergedError(summary, _REPORT), []
-    late = [text for one in result.objects for text in _late(name, result, one)]
-    doubts = [text for one in result.objects for text in _doubts(result, one)]
+    late = [text for segmented in result.objects for text in _late(name, result, segmented)]
+    doubts = [text for segmented in result.objects for text in _doubts(result, segmented)]
     if strict and late:
         return NotConvergedError(f"{late[0]}{_and_more(late)}", _LATER), []
     if strict and doubts:
@@ -56,43 +57,43 @@ def shortcoming(name: str, result: Result, strict: bool) -> tuple[AccelsurfError
     return None, late + doubts
 
 
-def _late(name: str, result: Result, one: SegmentedObject) -> list[str]:
-    if one.stop.reason not in ("max-steps", "stalled"):
+def _late(name: str, result: Result, segmented: SegmentedObject) -> list[str]:
+    if segmented.stop.reason not in ("max-steps", "stalled"):
         return []
-    return [_end_of(f"object {one.id}" if result.has_ids else name, result, one)]
+    return [_end_of(f"object {segmented.id}" if result.has_ids else name, result, segmented)]
 
 
-def _doubts(result: Result, one: SegmentedObject) -> list[str]:
+def _doubts(result: Result, segmented: SegmentedObject) -> list[str]:
     if not result.has_ids:
-        return list(one.quality.warnings)
-    if not one.has_surface:
-        return [_end_of(f"object {one.id}", result, one)]
-    return [f"object {one.id}: {doubt}" for doubt in one.quality.warnings]
+        return list(segmented.quality.warnings)
+    if not segmented.has_surface:
+        return [_end_of(f"object {segmented.id}", result, segmented)]
+    return [f"object {segmented.id}: {doubt}" for doubt in segmented.quality.warnings]
 
 
-def _end_of(whose: str, result: Result, one: SegmentedObject) -> str:
-    """How an object's evolution ended, and what to try."""
-    tried, stop = _try_of(result, one), one.stop
+def _end_of(whose: str, result: Result, segmented: SegmentedObject) -> str:
+    """Say how an object's evolution ended, and what to try."""
+    tried, stop = _try_of(result, segmented), segmented.stop
     return f"{whose}: {stop.reason} after {stop.steps} steps: {stop.message}{f'; try {tried}' if tried else ''}"
 
 
-def _try_of(result: Result, one: SegmentedObject) -> str:
+def _try_of(result: Result, segmented: SegmentedObject) -> str:
     """One command for an object whose evolution did not end well; empty where none is known.
 
     What was seen before the first step is the cause where it was seen. A start that is clicked cannot vanish, and tells
     what the object looks like.
     """
-    if one.stop.reason == "max-steps":
+    if segmented.stop.reason == "max-steps":
         return f"--max-steps {2 * result.config.max_steps}"
-    if one.stop.reason not in EMPTY:
+    if segmented.stop.reason not in EMPTY:
         return ""
-    config, own = result.config, f"object {one.id}: " if result.has_ids else ""
-    for check in CAUSES[one.stop.reason]:
+    config, prefix = result.config, f"object {segmented.id}: " if result.has_ids else ""
+    for check in CAUSES[segmented.stop.reason]:
         for line in result.warnings:
-            if line.startswith(f"{own}{check}: ") and "; try " in line:
+            if line.startswith(f"{prefix}{check}: ") and "; try " in line:
                 return line.rpartition("; try ")[2]
-    if one.stop.reason == "filled":
-        if one.rests:
+    if segmented.stop.reason == "filled":
+        if segmented.rests:
             return "--stop-at-rest"
         corner = place_text(result.geometry.index_to_world((0, 0, 0)), result.geometry.steps)
         return f"--outside point:{corner}, where it is not the object"
@@ -118,11 +119,9 @@ def summary_lines(name: str, done: Finished) -> list[str]:
     """
     result = done.result
     lines = _ending(name, result, done.log.seconds["total"])
-    by_kind: dict[str, list[str]] = {}
-    shaped = [output for output in done.log.outputs if "largest_distance_mm" in output]
-    for output in done.log.outputs:
-        by_kind.setdefault(output["kind"], []).append(output["path"])
-    if result.has_ids or {"surface", "contour"} & set(by_kind):
+    outputs = done.log.outputs
+    shaped = [output for output in outputs if "largest_distance_mm" in output]
+    if result.has_ids or {"surface", "contour"} & {output["kind"] for output in outputs}:
         lines.append(_measures(result))
     lines += [f"  {line}" for line in _judgement(result)]
     if shaped:
@@ -130,13 +129,20 @@ def summary_lines(name: str, done: Finished) -> list[str]:
         lines.append(
             f"  mesh: {furthest['faces']} triangles, at most {furthest['largest_distance_mm']:.3g} mm from the surface"
         )
+    return [*lines, *file_lines(outputs, done.place.report_path, first_alone=result.has_ids)]
+
+
+def file_lines(outputs: Sequence[Mapping[str, Any]], report: Path, first_alone: bool) -> list[str]:
+    """Return lines with the files by kind, the report last; with ``first_alone`` one line for each kind."""
+    by_kind: dict[str, list[str]] = {}
+    for output in outputs:
+        by_kind.setdefault(output["kind"], []).append(output["path"])
+    lines = []
     for kind, paths in by_kind.items():
-        if result.has_ids:
-            more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
-            lines.append(f"  {kind:8} {paths[0]}{more}")
-        else:
-            lines += [f"  {kind:8} {path}" for path in paths]
-    return [*lines, f"  {'report':8} {done.place.report_path.absolute()}"]
+        more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+        shown = [paths[0] + more] if first_alone else paths
+        lines += [f"  {kind:8} {path}" for path in shown]
+    return [*lines, f"  {'report':8} {report.absolute()}"]
 
 
 def _ending(name: str, result: Result, seconds: float) -> list[str]:
@@ -150,10 +156,10 @@ def _ending(name: str, result: Result, seconds: float) -> list[str]:
 def _judgement(result: Result) -> list[str]:
     """Lines about quality: how likely the result is good, where to click next, and notes."""
     lines = []
-    for one in result.objects:
-        if not one.has_surface:
+    for segmented in result.objects:
+        if not segmented.has_surface:
             continue
-        quality, whose = one.quality, f"object {one.id}: " if result.has_ids else ""
+        quality, whose = segmented.quality, f"object {segmented.id}: " if result.has_ids else ""
         if quality.next_click is not None:
             place = place_text(quality.next_click, result.geometry.steps)
             lines.append(f"{whose}{quality.probability:.0%} likely to be good; most doubtful near {place}")

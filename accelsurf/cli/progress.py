@@ -1,4 +1,4 @@
-"""Progress of a run on stderr, and how Ctrl-C ends it."""
+"""Progress on stderr, of a run and of a batch: a bar, or a line of JSON for each event; Ctrl-C ends a run."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from accelsurf.cli.error_lines import doubt_line
-from accelsurf.cli.interrupts import Interrupts, say
+from accelsurf.cli.interrupts import MAX_ERROR, Interrupts, doubt_line, printable, say
 from accelsurf.cli.options import Display, ProgressKind
 from accelsurf.report.document import to_json
 from accelsurf.settings.trace_columns import row_values
 
 if TYPE_CHECKING:
+    from accelsurf.batch.outcome import Outcome
     from accelsurf.evolution.records import StepRecord
     from accelsurf.grid.window import Window
-
 
 #: What the bar shows until the first step, when nothing else moves.
 PREPARING = "preparing"
@@ -38,12 +38,13 @@ class Watcher:
     def __init__(self, display: Display) -> None:
         kind = shown_kind(display)
         self._show_json = kind == "json"
-        self._bar = _Bar() if kind == "bar" else None
+        self._has_bar = kind == "bar"
+        self._bar: _Bar | None = None
         self._interrupts = Interrupts.current()
         self._is_quiet, self._label = display.quiet, ""
         self._has_noticed = False
         #: Warnings that have been printed before the first step.
-        self.said: set[str] = set()
+        self.printed_warnings: set[str] = set()
 
     @contextmanager
     def watch(self, label: str, max_steps: int) -> Iterator[Watcher]:
@@ -58,8 +59,9 @@ class Watcher:
         """
         from accelsurf.kernels.storage import first_compilation
 
-        if self._bar is not None:
-            self._bar.start(label, max_steps)
+        if self._has_bar:
+            count = "{task.fields[unit]} {task.completed:.0f}/{task.total:.0f}"
+            self._bar = _Bar(label, count, max_steps, state=PREPARING, unit="step")
         self._label = label
         try:
             with (
@@ -94,17 +96,12 @@ class Watcher:
 
     @property
     def interrupted(self) -> bool:
-        """Whether Ctrl-C was pressed."""
+        """True if Ctrl-C was pressed."""
         return self._interrupts.count > 0
 
-    @property
-    def outcome(self) -> str:
-        """What is on the disk, for the last line after Ctrl-C."""
-        return self._interrupts.outcome
-
-    @outcome.setter
-    def outcome(self, text: str) -> None:
-        self._interrupts.outcome = text
+    def note(self, text: str) -> None:
+        """Take note of the files on the disk, for the last line after Ctrl-C."""
+        self._interrupts.note(text)
 
     def exit_code(self, code: int) -> int:
         """The exit code of the command, as far as it is known: that of Ctrl-C after it was pressed."""
@@ -112,13 +109,14 @@ class Watcher:
 
     def on_warning(self, text: str) -> None:
         """Print a doubt about the start, before the first step."""
-        self.said.add(text)
+        self.printed_warnings.add(text)
         say(doubt_line(text))
 
     def on_window(self, window: Window) -> None:
         """Show the part of a large image that a run begins on."""
         if self._bar is not None:
-            self._bar.window(" x ".join(str(n) for n in reversed(window.shape)))
+            size_text = " x ".join(str(n) for n in reversed(window.shape))
+            self._bar.show(completed=0, state=f"a window of {size_text} voxels")
         if self._show_json:
             first, size = list(reversed(window.corner)), list(reversed(window.shape))
             print_json({"event": "window", "run": self._label, "first_voxel": first, "size": size})
@@ -132,7 +130,10 @@ class Watcher:
             True to ask the run to stop.
         """
         if self._bar is not None:
-            self._bar.step(record, "" if object_id is None else f"object {object_id}, ")
+            where = f"level {record.level}, " if record.level else ""
+            where += "" if object_id is None else f"object {object_id}, "
+            state = f"{where}energy {record.potential:.5g}, moved {record.motion_voxels:.3f} voxels"
+            self._bar.show(completed=record.step, state=state)
         if self._show_json:
             which = {} if object_id is None else {"object": object_id}
             line = {"event": "step", "run": self._label, **which, **row_values(record)}
@@ -159,7 +160,8 @@ class Watcher:
             True to ask the tracking to stop.
         """
         if self._bar is not None:
-            self._bar.frame(done, count, f"frame {frame}, {objects} object{'' if objects == 1 else 's'}")
+            state = f"frame {frame}, {objects} object{'' if objects == 1 else 's'}"
+            self._bar.show(completed=done, total=count, state=state, unit="frame")
         if self._show_json:
             line = {"frame": frame, "done": done, "frames": count, "objects": objects, "seconds": seconds}
             print_json({"event": "frame", "run": self._label, **line})
@@ -177,43 +179,6 @@ def print_json(line: Mapping[str, Any]) -> None:
     print(json.dumps(json.loads(to_json(line))), file=sys.stderr, flush=True)
 
 
-class _Bar:
-    """A bar for a terminal."""
-
-    def start(self, label: str, max_steps: int) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
-            TextColumn("{task.fields[unit]} {task.completed:.0f}/{task.total:.0f}"),
-            TextColumn("{task.fields[state]}"),
-            TimeElapsedColumn(),
-            console=Console(stderr=True),
-        )
-        self._task = self._progress.add_task(label, total=max_steps, state=PREPARING, unit="step")
-        self._progress.start()
-
-    def step(self, record: StepRecord, prefix: str) -> None:
-        state = f"{prefix}energy {record.potential:.5g}, moved {record.motion_voxels:.3f} voxels"
-        if record.level:
-            state = f"level {record.level}, {state}"
-        self._progress.update(self._task, completed=record.step, state=state)
-
-    def frame(self, done: int, count: int, state: str) -> None:
-        self._progress.update(self._task, completed=done, total=count, state=state, unit="frame")
-
-    def window(self, size: str) -> None:
-        self._progress.update(self._task, completed=0, state=f"a window of {size} voxels")
-
-    def say(self, line: str) -> None:
-        self._progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
-
-    def stop(self) -> None:
-        self._progress.stop()
-
-
 def table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     """Return a table as text: the first column to the left, the others to the right.
 
@@ -229,3 +194,147 @@ def table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
         for row in (header, *rows)
     ]
     return "\n".join(lines)
+
+
+class BatchProgress:
+    """Shows what becomes of the cases. A context manager.
+
+    Parameters
+    ----------
+    display : Display
+        The kind of progress to show.
+    count : int
+        Number of cases.
+    what : str, optional
+        What they are called.
+    """
+
+    def __init__(self, display: Display, count: int, what: str = "cases") -> None:
+        kind = shown_kind(display)
+        self._show_json, self._quiet = kind == "json", display.quiet
+        self._count, self._done, self._failed = count, 0, 0
+        self._what, self._has_bar = what, kind == "bar"
+        self._bar: _Bar | None = None
+
+    def __enter__(self) -> BatchProgress:
+        if self._has_bar:
+            text = f"{{task.completed:.0f}}/{{task.total:.0f}} {self._what}"
+            self._bar = _Bar("", text, self._count, state="starting")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def found(self, count: int) -> None:
+        """Show the number of cases that are finished already."""
+        self._done += count
+        if self._show_json:
+            self._print("found", finished=count)
+        elif not self._quiet:
+            say(f"{count} of {self._count} cases are finished already")
+        self._show_state(None)
+
+    def started(self, id: str) -> None:
+        """A case begins."""
+        if self._show_json:
+            self._print("start", case=id)
+
+    def ended(self, outcome: Outcome, seconds_left: float | None) -> None:
+        """A case has ended."""
+        self._done += 1
+        self._failed += outcome.status == "failed"
+        if self._show_json:
+            self._print(
+                "end",
+                case=outcome.id,
+                status=outcome.status,
+                reason=outcome.reason,
+                seconds=outcome.seconds,
+                seconds_left=seconds_left,
+            )
+        elif outcome.status == "failed":
+            say(printable(f"failed: {outcome.id}: {outcome.reason}", MAX_ERROR))
+        self._show_state(seconds_left)
+
+    def ended_objects(self, name: str, count: int, failure: str) -> None:
+        """Show that ``count`` objects, called ``name``, have ended at once; ``failure`` says why there is nothing."""
+        self._done += count
+        self._failed += count if failure else 0
+        if self._show_json:
+            self._print("end", objects_of=name, status="failed" if failure else "ok", reason=failure)
+        elif failure:
+            say(printable(f"failed: {name}: {failure}", MAX_ERROR))
+        self._show_state(None)
+
+    def take_back(self, count: int) -> None:
+        """Take back the end of ``count`` objects, which are run once more."""
+        self._done -= count
+
+    def warned(self, text: str) -> None:
+        """Something about the batch itself is not as it should be."""
+        say(printable(f"warning: {text}", MAX_ERROR))
+
+    def _show_state(self, seconds_left: float | None) -> None:
+        if self._bar is not None:
+            self._bar.show(completed=self._done, state=state_text(self._failed, seconds_left))
+
+    def _print(self, event: str, **facts: Any) -> None:
+        print_json({"event": event, **facts, "done": self._done, "failed": self._failed, self._what: self._count})
+
+
+def state_text(failed: int, seconds_left: float | None) -> str:
+    """Return what stands beside the bar.
+
+    Examples
+    --------
+    >>> state_text(0, 75.0), state_text(2, None), state_text(1, 7300.0)
+    ('1 min left', '2 failed', '1 failed, 2 h 2 min left')
+    """
+    parts = [f"{failed} failed"] if failed else []
+    if seconds_left is not None:
+        minutes = round(seconds_left / 60)
+        time = f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min"
+        parts.append(f"{time if seconds_left >= 60 else f'{seconds_left:.0f} s'} left")
+    return ", ".join(parts)
+
+
+class _Bar:
+    """A bar for a terminal, with a count and the state beside it.
+
+    Parameters
+    ----------
+    label : str
+        Text before the bar; empty for none.
+    count : str
+        Format of the count, of a task of rich.
+    total : int
+    **fields
+        First ``state``, and what else ``count`` has.
+    """
+
+    def __init__(self, label: str, count: str, total: int, **fields: Any) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        self._progress = Progress(
+            *([TextColumn("{task.description}")] if label else []),
+            BarColumn(bar_width=24),
+            TextColumn(count),
+            TextColumn("{task.fields[state]}"),
+            TimeElapsedColumn(),
+            console=Console(stderr=True),
+        )
+        self._task = self._progress.add_task(label, total=total, **fields)
+        self._progress.start()
+
+    def show(self, **values: Any) -> None:
+        self._progress.update(self._task, **values)
+
+    def say(self, line: str) -> None:
+        self._progress.console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+    def stop(self) -> None:
+        self._progress.stop()

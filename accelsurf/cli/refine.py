@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, RUN, SHOW, Display, Overwrite, required
+from accelsurf.cli.options import FILES, RUN, Display, File, Overwrite, Switch, required
 from accelsurf.errors import InputError, OutputError
 from accelsurf.settings.refinements import Refinement, refinements_of
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Finished, Log
-    from accelsurf.cli.place import Place
+    from accelsurf.cli.case import Finished, Log, Place
     from accelsurf.cli.progress import Watcher
     from accelsurf.segmentation.result import Result
     from accelsurf.segmentation.state_file import StateFile
@@ -27,7 +26,7 @@ Where = Annotated[tuple[str, ...], Parameter(group=RUN, negative_iterable=(), sh
 @Parameter(name="*")
 @dataclass(frozen=True)
 class ObjectOptions:
-    """Which objects there are.
+    """Options that change the objects.
 
     Parameters
     ----------
@@ -61,7 +60,7 @@ class _Source:
 
 
 def refine(
-    result: Annotated[Path | None, Parameter(group=FILES)] = None,
+    result: File = None,
     *,
     inside: Where = (),
     outside: Where = (),
@@ -69,9 +68,9 @@ def refine(
     object: Annotated[str | None, Parameter(group=RUN)] = None,
     objects: ObjectOptions | None = None,
     output: Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)] = None,
-    image: Annotated[Path | None, Parameter(group=FILES)] = None,
+    image: File = None,
     overwrite: Overwrite = False,
-    strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    strict: Switch = False,
     display: Display | None = None,
 ) -> int:
     """Correct the result of a run by clicks: the surface moves near them, and beyond it every byte stays.
@@ -104,8 +103,7 @@ def refine(
     """
     given = {"inside": inside, "outside": outside, "near": near, "object": object, **vars(objects or ObjectOptions())}
     (refinement,) = refinements_of({key: value for key, value in given.items() if value is not None})
-    from accelsurf.cli.case import run_case
-    from accelsurf.cli.place import Place
+    from accelsurf.cli.case import Place, run_case
     from accelsurf.cli.progress import Watcher
 
     source = _source_of(required(result, "OUT, the folder of a result,"), image)
@@ -146,12 +144,12 @@ class _Refinement:
         return result
 
     def lines(self) -> list[str]:
-        """What the correction did, for the summary."""
+        """Return the effect of the correction, for the summary."""
         return [
-            f"  {'moved' if one.voxels else 'nothing changed'}"
-            + (f" {one.voxels} voxels in {one.seconds:.2f} s" if one.voxels else "")
-            + (f" (object {one.object_id})" if len(self._changes) > 1 else "")
-            for one in self._changes
+            f"  {'moved' if change.voxels else 'nothing changed'}"
+            + (f" {change.voxels} voxels in {change.seconds:.2f} s" if change.voxels else "")
+            + (f" (object {change.object_id})" if len(self._changes) > 1 else "")
+            for change in self._changes
         ]
 
 
@@ -180,12 +178,12 @@ def _source_of(path: Path, image: Path | None) -> _Source:
     finish_killed_runs(folder)
     report = path
     if path.is_dir():
-        known = {one: result_sets.state_of(one) for one in sorted(folder.glob("*_report.json"))}
-        found = [one for one, state in known.items() if state is not None]
+        known = {path: result_sets.state_of(path) for path in sorted(folder.glob("*_report.json"))}
+        found = [path for path, state in known.items() if state is not None]
         if not found:
             raise InputError(f"{path}: there is no result with a state to go on from", _STATE)
         if len(found) > 1:
-            names = ", ".join(one.name for one in found[:5])
+            names = ", ".join(path.name for path in found[:5])
             raise InputError(f"{path}: there are several results: {names}", "give the report of one")
         report = found[0]
     entry = result_sets.state_of(report)
@@ -216,8 +214,8 @@ def _refuse_changed(place: Place, source: _Source) -> None:
     """Refuse to replace files that are not the run's any more."""
     from accelsurf.report import result_sets
 
-    own = {*result_sets.unchanged_outputs(source.report, ()), source.report.name}
-    others = [path for path in place.paths(source.state.config).values() if path.exists() and path.name not in own]
+    of_run = {*result_sets.unchanged_outputs(source.report, ()), source.report.name}
+    others = [path for path in place.paths(source.state.config).values() if path.exists() and path.name not in of_run]
     if others:
         raise OutputError(
             f"{others[0]}: was changed since the run wrote it, or is not of this run",

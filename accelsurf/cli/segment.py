@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from accelsurf.cli.large_image import ImageParts
-from accelsurf.cli.object_options import ObjectOptions
+from accelsurf.cli.large_image import ImageParts, ObjectOptions
 from accelsurf.cli.options import (
     FILES,
-    SHOW,
     Display,
+    File,
     InputFile,
     Output,
     Overwrite,
+    Switch,
     required,
     run_config,
     settings_class,
@@ -23,8 +23,7 @@ from accelsurf.cli.options import (
 from accelsurf.errors import AccelsurfError, UsageError
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Compute, Finished
-    from accelsurf.cli.place import Place
+    from accelsurf.cli.case import Compute, Finished, Place
     from accelsurf.settings.run_config import RunConfig
 
 Settings = settings_class("Settings")
@@ -34,12 +33,12 @@ def segment(
     input: InputFile = None,
     *,
     output: Output = None,
-    config: Annotated[Path | None, Parameter(group=FILES)] = None,
-    dump_config: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    config: File = None,
+    dump_config: Switch = False,
     overwrite: Overwrite = False,
     resume: Annotated[bool, Parameter(negative=(), show_default=False, group=FILES)] = False,
-    strict: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
-    profile: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    strict: Switch = False,
+    profile: Switch = False,
     parts: ImageParts | None = None,
     work: ObjectOptions | None = None,
     settings: Settings | None = None,  # type: ignore[valid-type]
@@ -72,39 +71,40 @@ def segment(
     if dump_config:
         print(run_config(settings, config).to_toml(), end="")
         return 0
-    from accelsurf.cli.case import report_failure
-    from accelsurf.cli.large_image import computed, with_level
-    from accelsurf.cli.place import Place
+    from accelsurf.cli.case import Place, report_failure
+    from accelsurf.cli.large_image import choose_computation, fits, large_image, with_level
 
     display, work = display or Display(), work or ObjectOptions()
-    place = Place.of(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite, config)
+    place = Place.for_image(required(input, "INPUT"), required(output, "-o DIR, the output folder,"), overwrite, config)
     try:
         run, parts = run_config(settings, config), parts or ImageParts()
         run, place = with_level(place.source, run, parts, display.quiet), place.laid_out(run)
-        if (image := work.image(place, run, parts)) is not None:
+        work.check(run)
+        image = large_image(place.source, run, parts, in_parts=work.given)
+        if image is not None and run.objects is not None and (work.given or not fits(image, run)):
             from accelsurf.cli.object_work import run_objects
+
             _refuse_switches(strict, profile, run)
             return run_objects(place, run, image, work, resume, display)
-        run, compute = computed(place, run, parts)
+        run, compute = choose_computation(place, run, image)
     except AccelsurfError as error:
         report_failure(place, error)
         raise
-    return _run(place, run, compute, resume, display, (strict, profile))
+    return _run(place, run, compute, resume, display, strict, profile)
 
 
 def _run(
-    place: Place, run: RunConfig, compute: Compute | None, resume: bool, display: Display, switches: tuple[bool, bool]
+    place: Place, run: RunConfig, compute: Compute | None, resume: bool, display: Display, strict: bool, profile: bool
 ) -> int:
-    """Run a case, or go on with it; ``switches``: strict, profile."""
+    """Run a case, or go on with it."""
     from accelsurf.cli.case import run_case
     from accelsurf.cli.progress import Watcher
 
-    strict, profile = switches
     if resume:
-        from accelsurf.cli.resume import code_of_ended, taken_up
-        if (code := code_of_ended(place, run, display.quiet)) is not None:
+        from accelsurf.cli.case import exit_code_of_finished, resumed_place
+        if (code := exit_code_of_finished(place, run, display.quiet)) is not None:
             return code
-        place = taken_up(place, run)
+        place = resumed_place(place, run)
     done = run_case(place, run, Watcher(display), strict, compute)
     return _summed_up(place.name, done, display.quiet, profile)
 
@@ -127,12 +127,55 @@ def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
 
 def _summed_up(name: str, done: Finished, quiet: bool, profile: bool) -> int:
     """Print how the run ended, and where its seconds went; return the exit code."""
-    from accelsurf.cli import profile as stages
     from accelsurf.cli.outcome import summary_lines
 
     lines = [] if quiet else summary_lines(name, done)
     if profile:
-        lines += stages.lines({**done.result.seconds, **done.log.seconds}, done.result.kernels)
+        lines += profile_lines({**done.result.seconds, **done.log.seconds}, done.result.kernels)
     if lines:
         print("\n".join(lines))
     return done.code
+
+
+def seconds_by_stage(seconds: Mapping[str, float], kernels: Mapping[str, float]) -> list[tuple[str, float]]:
+    """Seconds by stage.
+
+    Parameters
+    ----------
+    seconds : mapping of str to float
+        Of the whole run, as in the report: load, start, evolve, mesh, write, total.
+    kernels : mapping of str to float
+        Seconds in each kernel while it evolved. Each kernel names its stage, see `kernels._jit`.
+
+    Returns
+    -------
+    list of (str, float)
+        Stages in the order of a run. ``other kernels`` have no stage; ``evolve: other`` is the time between kernels;
+        ``other`` is the rest. They add up to the total.
+
+    Examples
+    --------
+    >>> import accelsurf.levelset, accelsurf.flows.constant_density
+    >>> seconds_by_stage({"load": 1.0, "evolve": 5.0, "total": 7.0}, {"find_feet": 3.0, "kick": 1.0})
+    [('load', 1.0), ('closest points', 3.0), ('flow', 1.0), ('evolve: other', 1.0), ('other', 1.0)]
+    """
+    from accelsurf.kernels._jit import STAGE_OF_KERNEL, Stage
+
+    stages = [(part, seconds[part]) for part in ("load", "start") if part in seconds]
+    inside: list[tuple[str, float]] = []
+    for stage in (*Stage, None):
+        spent = sum(value for name, value in kernels.items() if STAGE_OF_KERNEL.get(name) is stage)
+        if spent > 0:
+            inside.append(("other kernels" if stage is None else stage.value, spent))
+    stages += inside
+    if "evolve" in seconds:
+        stages.append(("evolve: other", seconds["evolve"] - sum(value for _, value in inside)))
+    stages += [(part, seconds[part]) for part in ("mesh", "write") if part in seconds]
+    rest = seconds["total"] - sum(value for _, value in stages)
+    return [*stages, ("other", rest)]
+
+
+def profile_lines(seconds: Mapping[str, float], kernels: Mapping[str, float]) -> list[str]:
+    """`seconds_by_stage` as lines of text: stage, seconds, share."""
+    total = max(seconds["total"], 1e-9)
+    return [f"  {stage:18} {value:8.2f} s {value / total:6.1%}" for stage, value in seconds_by_stage(seconds, kernels)]

@@ -1,12 +1,28 @@
-"""``accelsurf synth``: a synthetic volume and its truth from a recipe."""
+"""``accelsurf synth``: a synthetic volume or sequence and its truth, from a recipe; all files or none."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
 
+import numpy as np
 from cyclopts import Parameter
 
+from accelsurf import io
 from accelsurf.cli.options import Output, Overwrite, required
+from accelsurf.io.file_set import FileSet
+from accelsurf.io.files import write_bytes
+from accelsurf.io.sequence_writing import SequenceWriter
+from accelsurf.phantoms import recipes
+from accelsurf.phantoms.motions import MotionRecipe, MovingPhantom
+from accelsurf.phantoms.recipes import Recipe
+from accelsurf.report.document import to_json
+from accelsurf.report.environment import versions
+from accelsurf.report.file_entries import describe_drafts
+from accelsurf.report.output_folder import naming_final, opened_set, refuse_existing
+from accelsurf.report.tables import csv_text
+from accelsurf.report.track_tables import ML
 
 
 def synth(
@@ -33,7 +49,7 @@ def synth(
     overwrite
         Replace outputs that exist.
     """
-    from accelsurf.cli.synth_files import write_sequence, write_volume
+    from accelsurf.cli.synth import write_sequence, write_volume
     from accelsurf.phantoms import motions, recipe_files, recipes
 
     folder = required(output, "-o DIR, the output folder,")
@@ -47,3 +63,71 @@ def synth(
     for kind, written in paths.items():
         print(f"{kind:6} {written.absolute()}")
     return 0
+
+
+#: Columns of the table of the bodies, as far as they go those of a table of tracks.
+COLUMNS = ("frame", "time", "time_unit", "id", "parent", "x_mm", "y_mm", "z_mm", "volume_ml", "seen")
+#: Ends of the names of files by their kind.
+VOLUME = {"image": ".nii.gz", "labels": "_truth.nii.gz", "facts": ".json"}
+SEQUENCE = {"image": ".nii.gz", "labels": "_truth.nii.gz", "tracks": "_truth.csv", "facts": ".json"}
+
+
+def write_volume(recipe: Recipe, folder: Path, overwrite: bool) -> dict[str, Path]:
+    """Write the files of a recipe of a single volume into a folder; they are returned by their kind."""
+
+    def write(files: FileSet, paths: dict[str, Path]) -> dict[str, Any]:
+        phantom = recipes.make(recipe)
+        with naming_final(files):
+            io.write(phantom.image, files.drafts / paths["image"].name)
+            io.write_labels(phantom.truth, files.drafts / paths["labels"].name)
+        return {
+            "recipe": recipe.model_dump(mode="json"),
+            "volume_mm3": phantom.volume_mm3,
+            "area_mm2": phantom.area_mm2,
+            "truth_voxels": int(phantom.truth.array.sum()),
+        }
+
+    return _written(recipe.name, VOLUME, folder, overwrite, write)
+
+
+def write_sequence(recipe: MotionRecipe, folder: Path, overwrite: bool) -> dict[str, Path]:
+    """Write the files of a recipe in time into a folder; they are returned by their kind."""
+
+    def write(files: FileSet, paths: dict[str, Path]) -> dict[str, Any]:
+        phantom = MovingPhantom(recipe)
+        with naming_final(files):
+            for kind, dtype in (("image", np.float32), ("labels", np.uint8)):
+                draft = files.drafts / paths[kind].name
+                with SequenceWriter(draft, phantom.geometry, phantom.times, phantom.time_unit, dtype) as writer:
+                    for number in range(len(phantom)):
+                        frame = phantom.frame(number).array if kind == "image" else phantom.truth(number)
+                        writer.write(number, frame)
+            lines = (
+                (row.frame, row.time, phantom.time_unit, row.id, row.parent or "", *row.center, row.volume_mm3 * ML,
+                 row.shown)
+                for row in phantom.rows()
+            )
+            write_bytes(files.drafts / paths["tracks"].name, csv_text(COLUMNS, lines).encode())
+        return {"recipe": recipe.model_dump(mode="json")}
+
+    return _written(recipe.name, SEQUENCE, folder, overwrite, write)
+
+
+def _written(
+    name: str,
+    ends: dict[str, str],
+    folder: Path,
+    overwrite: bool,
+    write: Callable[[FileSet, dict[str, Path]], dict[str, Any]],
+) -> dict[str, Path]:
+    """Write a set of files by ``write``, which returns what is known of them, and last the facts."""
+    paths = {kind: folder / f"{name}{end}" for kind, end in ends.items()}
+    with opened_set(folder, name) as files:
+        refuse_existing(paths, overwrite)
+        facts = write(files, paths)
+        with naming_final(files):
+            kinds = {path.name: kind for kind, path in paths.items() if kind != "facts"}
+            facts |= {"versions": versions(), "outputs": describe_drafts(files, kinds)}
+            write_bytes(files.drafts / paths["facts"].name, (to_json(facts) + "\n").encode())
+            files.commit(last=paths["facts"].name)
+    return paths

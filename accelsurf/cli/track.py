@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, SHOW, Display, Output, Overwrite, required
+from accelsurf.cli.options import FILES, Display, File, Output, Overwrite, Switch, required
 from accelsurf.cli.track_options import FrameSettings, TrackSettings, track_config
 from accelsurf.settings.file_formats import input_help
 
@@ -31,11 +32,11 @@ def track(
     input: SequenceFile = None,
     *,
     output: Output = None,
-    config: Annotated[Path | None, Parameter(group=FILES)] = None,
-    dump_config: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    config: File = None,
+    dump_config: Switch = False,
     overwrite: Overwrite = False,
     resume: Annotated[bool, Parameter(negative=(), show_default=False, group=FILES)] = False,
-    view: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False,
+    view: Switch = False,
     follow: TrackSettings | None = None,  # type: ignore[valid-type]
     settings: FrameSettings | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
@@ -68,7 +69,7 @@ def track(
     if dump_config:
         print(wanted.to_toml(), end="")
         return 0
-    from accelsurf.cli.place import Place
+    from accelsurf.cli.case import Place
     from accelsurf.cli.progress import Watcher
     from accelsurf.cli.track_case import TrackCase, run_track_case
 
@@ -76,7 +77,7 @@ def track(
     source = required(input, "SEQUENCE")
     folder = required(output, "-o DIR, the output folder,")
     page = _front_end() if view else None
-    case = TrackCase(replace(Place.of(source, folder, overwrite, config), resume=resume), wanted)
+    case = TrackCase(replace(Place.for_image(source, folder, overwrite, config), resume=resume), wanted)
     done = run_track_case(case, Watcher(display))
     if not display.quiet:
         print("\n".join(_summary(case, done)))
@@ -95,10 +96,8 @@ def _front_end() -> PageOptions:
 
 
 def _summary(case: TrackCase, done: Tracked) -> list[str]:
-    """How the tracking ended, for a person."""
-    ends: dict[str, int] = {}
-    for one in done.lineage.tracks:
-        ends[one.end] = ends.get(one.end, 0) + 1
+    """Return lines about the end of the tracking."""
+    ends = Counter(track.end for track in done.lineage.tracks)
     objects = len(done.lineage.tracks)
     lines = [f"{case.place.name}: {objects} object{'' if objects == 1 else 's'} in {done.frames} frames"]
     words = {"end of sequence": "to the end of the sequence"}

@@ -1,4 +1,4 @@
-"""What happens with one sequence: read, track, write. `track` does it once, `batch --track` for each case.
+"""Tracking of one sequence: read, track, write. `track` does it once, `batch --track` for each case.
 
 Existing outputs are refused before anything is computed. The files appear all at once or not at all; a report says how
 the tracking ended, also when it failed.
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from accelsurf.cli.place import Place
+from accelsurf.cli.case import Place
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.report import output_folder, result_sets
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TrackCase:
-    """What is tracked, and where it goes.
+    """A sequence that is tracked, its settings and the folder of its files.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class TrackCase:
 
     @property
     def files(self) -> TrackFiles:
-        """Which files are written."""
+        """The files that are written."""
         from accelsurf.report.track_files import TrackFiles
 
         said = self.config
@@ -163,7 +163,7 @@ def _follow(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
     with watcher.watch(case.place.name, tracking.config.run.max_steps):
         for result in tracking:
             outputs.add(result)
-            seen = sum(one.seen for one in result.objects)
+            seen = sum(segmented.seen for segmented in result.objects)
             if watcher.on_frame(tracking.done, count, result.frame, seen, result.seconds):
                 tracking.save()
                 break
@@ -182,10 +182,10 @@ def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
             tracking.lineage, status="ok" if complete else "interrupted", exit_code=code, warnings=warnings
         )
     for warning in warnings:
-        if warning not in watcher.said:
+        if warning not in watcher.printed_warnings:
             say(f"warning: {warning}")
     report = case.place.report_path.absolute()
-    watcher.outcome = f"the {'result' if complete else 'result so far'} is written: {report}"
+    watcher.note(f"the {'result' if complete else 'result so far'} is written: {report}")
     if complete:
         with suppress(OutputError):  # somebody has put a file among the frames: it stays
             _remove_state(case)
@@ -193,13 +193,13 @@ def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
 
 
 def _doubts(tracking: Tracking) -> list[str]:
-    """What a person should look at."""
+    """Return doubts about the tracks, at most ten."""
     count = len(tracking.visits)
     out = []
-    for one in tracking.lineage.tracks:
-        if one.end == "vanished" and tracking.done == count:
+    for track in tracking.lineage.tracks:
+        if track.end == "vanished" and tracking.done == count:
             out.append(
-                f"object {one.id}: not seen after frame {one.last}; look there, and try --correct "
-                f"'frame={one.last + 1} inside=point:X,Y,Z object={one.id}', or a larger --max-gap"
+                f"object {track.id}: not seen after frame {track.last}; look there, and try --correct "
+                f"'frame={track.last + 1} inside=point:X,Y,Z object={track.id}', or a larger --max-gap"
             )
     return out[:10]

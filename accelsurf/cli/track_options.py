@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from accelsurf.cli.options import option, options_class, run_config, settings_class
+from accelsurf.cli.options import given_options, option, options_class, run_config, settings_class
 from accelsurf.settings import toml
 from accelsurf.settings.catalogue import as_typed
 from accelsurf.settings.run_config import RunConfig
@@ -55,10 +54,9 @@ def track_config(
         When the file or a value is not valid.
     """
     run, table = split_table(dict(toml.read(file) if isinstance(file, Path) else file or {}))
-    own = {key: value for key, value in forced.items() if key in TrackFields.model_fields}
-    others = {key: value for key, value in forced.items() if key not in own}
-    given = {one.name: getattr(track, one.name) for one in fields(track)} if track is not None else {}
-    typed = {key: _value(key, value) for key, value in {**given, **own}.items() if value is not None}
+    of_tracking = {key: value for key, value in forced.items() if key in TrackFields.model_fields}
+    others = {key: value for key, value in forced.items() if key not in of_tracking}
+    typed = {key: _value(key, value) for key, value in {**given_options(track), **of_tracking}.items()}
     return TrackConfig(run=run_config(frame, run, **others), **{**table, **typed})
 
 

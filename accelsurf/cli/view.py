@@ -1,40 +1,141 @@
-"""``accelsurf view``: watch a segmentation run, and steer it."""
+"""``accelsurf view``: watch a segmentation run, and steer it.
+
+The image is read in a thread, while window or page load.
+"""
 
 from __future__ import annotations
 
+import gc
 import sys
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 from cyclopts import Parameter
 
-from accelsurf.cli.first_image import FirstImage, loading
-from accelsurf.cli.options import FILES, SHOW, InputFile, Overwrite, run_config, settings_class
+from accelsurf.cli.options import FILES, SHOW, File, InputFile, Overwrite, Switch, run_config, settings_class
 from accelsurf.cli.track_options import SequenceSettings, track_config
 from accelsurf.errors import UsageError
 from accelsurf.settings.reading import ReadOptions
+from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
-    from accelsurf.settings.track_config import TrackConfig
+    from accelsurf.grid.volume import Volume
     from accelsurf.viewer.core.opening import OpenedImage
     from accelsurf.viewer.core.session import Session
     from accelsurf.viewer.workplace.opening import Opening
 
+
+@dataclass(frozen=True)
+class FirstImage:
+    """The image that is opened first, as the command line names it.
+
+    Attributes
+    ----------
+    source : Path
+        A file or folder.
+    config : RunConfig
+        Settings of its run; among them how it is read.
+    reference : Path or None
+        Labels to compare with.
+    tracks : Path or None
+        Folder of what ``accelsurf track`` has found in it.
+    times : TrackConfig
+        How a sequence is read.
+    """
+
+    source: Path
+    config: RunConfig
+    reference: Path | None
+    tracks: Path | None
+    times: TrackConfig
+
+    def start_reading(self) -> Callable[[], OpenedImage]:
+        """Begin to read; return what waits for the image.
+
+        A single image is read in a thread. Of a sequence headers and one frame are read, when it is waited for.
+
+        Raises
+        ------
+        InputError
+            When the header cannot be read; what is wrong with the rest is raised by what is returned.
+        UsageError
+            When a time between frames was given for a single image.
+        """
+        from accelsurf.io import channels, headers, sequences
+        from accelsurf.io.files import naming
+        from accelsurf.viewer.core.background import in_background
+
+        reading = self.config.reading
+        if self.tracks is not None or self.times.frames_from_slices or sequences.is_sequence(self.source, reading):
+            return self._sequence
+        if self.times.frame_time is not None:
+            raise UsageError("frame_time: it was given for a single image", "leave it out, or add --frames-from-slices")
+        with naming(self.source):
+            form = headers.format_of(self.source)
+        # Loaded here: two threads that load the same library may see it half loaded.
+        for work in (form.parse, form.read, form.read_channels):
+            if work is not None:
+                load(work)
+        volumes = in_background(lambda: channels.read(self.source, reading), "accelsurf reading")
+        return partial(self._image, volumes)
+
+    def _image(self, volumes: Future[list[Volume]]) -> OpenedImage:
+        from accelsurf.io import on_grid, split_name
+        from accelsurf.viewer.core.opening import OpenedImage
+
+        truth = self._truth()
+        volume, *more = volumes.result()
+        truth = None if truth is None else on_grid(truth, volume.geometry)
+        return OpenedImage(volume, self.config, split_name(self.source)[0], self.source, tuple(more), truth)
+
+    def _sequence(self) -> OpenedImage:
+        from accelsurf.viewer.core.opening import read_tracked
+
+        truth, times = self._truth(), self.times
+        found = read_tracked(self.source, self.config, self.tracks, times.frame_time, times.frames_from_slices)
+        return replace(found, reference=truth)
+
+    def _truth(self) -> Volume | None:
+        from accelsurf.io import read_labels
+
+        return None if self.reference is None else read_labels(self.reference)
+
+
+@contextmanager
+def loading() -> Iterator[None]:
+    """Let Python not look for garbage while many modules are loaded, nor afterwards among what they are made of.
+
+    The searches are a sixth of the time of loading. One over all that was loaded, of which nothing is garbage, takes as
+    long as the window's first picture.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        if was_enabled:
+            gc.enable()
+
+
 Settings = settings_class("Settings")
 #: Settings that say how a sequence is read.
-_OF_READING = tuple(one.name for one in fields(ReadOptions) if one.name not in ("time_index", "channels_from_time"))
+_OF_READING = {field.name for field in fields(ReadOptions)} - {"time_index", "channels_from_time"}
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class PageOptions:
-    """Where the page is served."""
+    """Options of the page."""
 
-    browser: Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)] = False
+    browser: Switch = False
     """Open a page in the browser, served from this machine, instead of a window; needs no screen. Ctrl-C ends it."""
 
     host: Annotated[str | None, Parameter(group=SHOW, show_default="127.0.0.1, this machine alone")] = None
@@ -53,7 +154,7 @@ class PageOptions:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class ViewerOptions:
-    """How window and page look, and what they remember."""
+    """Options of window and page."""
 
     theme: Annotated[Literal["dark", "light"], Parameter(group=SHOW)] = "dark"
     """Colours of the window or page: dark or light."""
@@ -68,10 +169,10 @@ class ViewerOptions:
 def view(
     input: InputFile = None,
     *,
-    result: Annotated[Path | None, Parameter(group=FILES)] = None,
-    config: Annotated[Path | None, Parameter(group=FILES)] = None,
-    reference: Annotated[Path | None, Parameter(group=FILES)] = None,
-    tracks: Annotated[Path | None, Parameter(group=FILES)] = None,
+    result: File = None,
+    config: File = None,
+    reference: File = None,
+    tracks: File = None,
     overwrite: Overwrite = False,
     page: PageOptions | None = None,
     viewer: ViewerOptions | None = None,
@@ -156,12 +257,19 @@ def _show(
             session = stack.enter_context(first.session(viewer.keep, begin=page.browser))
             if page.browser:
                 session.ready.result()
-        opened = None if first is None or session is None else (first, session)
+        opened = None if first is None or session is None else _Shown(first, session)
         if page.browser:
             _serve(opening, opened, result, overwrite, viewer, page)
         else:
             _open_window(opening, opened, result, overwrite, viewer)
     return 0
+
+
+class _Shown(NamedTuple):
+    """An image that is shown, and its session."""
+
+    image: OpenedImage
+    session: Session
 
 
 def _check_given(image: Path | None, reference: Path | None, tracks: Path | None, times: TrackConfig) -> None:
@@ -178,7 +286,7 @@ def _check_given(image: Path | None, reference: Path | None, tracks: Path | None
 
 
 def _opening(config: RunConfig, recent: bool, page: PageOptions) -> Opening:
-    """What opens images: for a page only those in its folder, and for other machines without what was opened last."""
+    """Return the opener of images: for a page only of its folder, and for other machines without recent files."""
     from accelsurf.viewer.core.recent_files import RecentFiles, recent_file
     from accelsurf.viewer.core.served_folder import ServedFolder
     from accelsurf.viewer.workplace.opening import Opening
@@ -193,7 +301,7 @@ def _opening(config: RunConfig, recent: bool, page: PageOptions) -> Opening:
 
 
 def _is_local(page: PageOptions) -> bool:
-    """Whether this machine alone is served."""
+    """Return True if this machine alone is served."""
     return page.host in (None, "127.0.0.1", "localhost")
 
 
@@ -254,7 +362,7 @@ def front_end(page: PageOptions, begin: Callable[[], None] | None = None) -> Pag
 
 
 def _open_window(
-    opening: Opening, first: tuple[OpenedImage, Session] | None, folder: Path | None, overwrite: bool,
+    opening: Opening, first: _Shown | None, folder: Path | None, overwrite: bool,
     viewer: ViewerOptions,
 ) -> None:
     """Open a window until the user closes it, or the run of the first image cannot be prepared.
@@ -276,13 +384,13 @@ def _open_window(
     window.open(*first, close_if_it_fails=True)
     window.show()
     app.exec()
-    ready = first[1].ready
+    ready = first.session.ready
     if ready.done():
         ready.result()
 
 
 def _serve(
-    opening: Opening, first: tuple[OpenedImage, Session] | None, folder: Path | None, overwrite: bool,
+    opening: Opening, first: _Shown | None, folder: Path | None, overwrite: bool,
     viewer: ViewerOptions, page: PageOptions,
 ) -> None:
     """Serve the page until Ctrl-C."""

@@ -23,7 +23,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import Window
 from accelsurf.io import meshes, split_name
 from accelsurf.settings import budgets
-from accelsurf.settings.label_ids import parse_ids
+from accelsurf.settings.labels import parse_ids
 from accelsurf.settings.wording import did_you_mean, shown
 
 #: mm or voxels.

@@ -65,4 +65,4 @@ def read_further(paths: tuple[str, ...], options: ReadOptions = AS_IT_IS) -> lis
     """
     if any(not path for path in paths):
         raise UsageError("channel: nothing was given, expected a file", "write --channel FILE")
-    return [volume for path in paths for volume in read(path, options.among(headers.options_of(path)))]
+    return [volume for path in paths for volume in read(path, options.restricted_to(headers.options_of(path)))]

@@ -303,7 +303,7 @@ def _opened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
 
 def open_with(path: str | os.PathLike[str], options: ReadOptions) -> LazyVolume:
     """As `open_volume`, with those options of an image that the format of the file has."""
-    asked = options.among(headers.options_of(path))
+    asked = options.restricted_to(headers.options_of(path))
     return open_volume(
         path, level=asked.level, channel_index=asked.channel_index, time_index=asked.time_index, spacing=asked.spacing
     )
@@ -318,7 +318,7 @@ def open_channels(path: str | os.PathLike[str], options: ReadOptions) -> list[La
         As `open_volume`, and for a sequence of which no time point was named.
     """
     path = Path(path)
-    asked = options.among(headers.options_of(path))
+    asked = options.restricted_to(headers.options_of(path))
     with naming(path):
         places = selection.selected(*headers.counts(path, asked), asked)
     return [open_with(path, replace(asked, channels_from_time=False, time_index=t, channel_index=c)) for t, c in places]

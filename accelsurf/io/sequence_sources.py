@@ -165,7 +165,7 @@ class FrameFolder(FileSequence):
         return int(self._parsed(self.files[0])[1].values)
 
     def _parsed(self, file: Path) -> tuple[ImageFormat, Any]:
-        return headers.parse(file, self._options.among(headers.options_of(file)))
+        return headers.parse(file, self._options.restricted_to(headers.options_of(file)))
 
     def read(self, number: int) -> list[Volume]:
         """Read a file."""

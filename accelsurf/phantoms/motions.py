@@ -53,7 +53,7 @@ class Body(NamedTuple):
 
 
 class MotionRecipe(BaseModel):
-    """What a moving phantom is made of. Lengths in mm; triples in the order x, y, z.
+    """Recipe of a moving phantom. Lengths in mm; triples in the order x, y, z.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class MotionRecipe(BaseModel):
             raise ValueError("contrast 0 given, another number expected (there would be nothing to see)")
         if not any(self.direction):
             raise ValueError("direction 0, 0, 0 given, one that points somewhere expected")
-        if beyond := [one for one in self.empty if one >= self.frames]:
+        if beyond := [frame for frame in self.empty if frame >= self.frames]:
             raise ValueError(f"empty: frame {beyond[0]} given, expected 0 to {self.frames - 1}")
         return self
 
@@ -121,7 +121,7 @@ class MotionRecipe(BaseModel):
 
     @property
     def is_flat(self) -> bool:
-        """Whether the frames are single slices."""
+        """True if the frames are single slices."""
         return self.shape[2] == 1
 
     def bodies(self, time: float) -> list[Body]:
@@ -303,7 +303,7 @@ class MovingPhantom(ImageSequence):
         return share
 
     def _is_inside(self, body: Body, offset: Floats) -> NDArray[np.bool_]:
-        """Whether the point ``offset`` (x, y, z) mm from a voxel's centre lies in a body."""
+        """Return True where the point ``offset`` (x, y, z) mm from a voxel's centre lies in a body."""
         return np.asarray(self._size(body, np.ix_(*reversed(self._axes(body, offset)))[::-1]) < 1.0)
 
     def _axes(self, body: Body, offset: Floats) -> tuple[Floats, ...]:

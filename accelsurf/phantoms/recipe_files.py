@@ -21,7 +21,7 @@ SEQUENCES = "sequences"
 
 
 def recipe_folder() -> Path:
-    """Where the recipes that come with accelsurf lie: inside the installed package, or volumes_synth/ of a checkout."""
+    """Return the folder of the recipes that come with accelsurf: in the package, or volumes_synth/ of a checkout."""
     here = Path(__file__).parents[1]
     packaged = here / "_recipes"
     return packaged if packaged.is_dir() else here.parent / "volumes_synth"

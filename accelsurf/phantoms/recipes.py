@@ -43,7 +43,7 @@ MAX_VOXELS = 2**30
 
 
 class Recipe(BaseModel):
-    """What a phantom is made of. Lengths in mm; triples in the order x, y, z.
+    """Recipe of a phantom. Lengths in mm; triples in the order x, y, z.
 
     ``Recipe(...)`` raises pydantic's ValidationError; `load_recipe` and `recipe_from` raise UsageError instead.
 
@@ -269,7 +269,7 @@ def _voxel_centres(recipe: Recipe) -> Iterator[tuple[slice, tuple[Floats, Floats
 
 
 def _antialias(image: NDArray[np.float32], distance: Floats, points: tuple[Floats, ...], recipe: Recipe) -> None:
-    """Where the surface may pass, write the volume fraction of the voxel inside, from 4 x 4 x 4 sample points."""
+    """Write the volume fraction inside of voxels that the surface may pass, from 4 x 4 x 4 sample points."""
     spacing = np.array(recipe.spacing)
     k, j, i = np.nonzero(np.abs(distance) < np.linalg.norm(spacing) / 2)
     offsets = (np.indices((4, 4, 4)).reshape(3, -1) - 1.5) / 4 * spacing[:, np.newaxis]

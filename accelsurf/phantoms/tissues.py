@@ -5,9 +5,12 @@ What they have and the solids of recipes lack: several brightnesses in one objec
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import KDTree
 
 Image = NDArray[np.float32]
 Labels = NDArray[np.int32]
@@ -18,6 +21,11 @@ def _finished(values: NDArray[np.float64], blur: float, noise: float, random: np
     """Values after a scanner: blurred (sigma in voxels), with noise."""
     smooth = ndimage.gaussian_filter(values, blur)
     return np.asarray(smooth + random.normal(0.0, noise, values.shape), np.float32)
+
+
+def _from_middle(shape: Shape) -> Iterator[NDArray[np.float64]]:
+    """Yield coordinates z, y, x of the voxels, from the middle on."""
+    return (axis - 0.5 * (n - 1) for axis, n in zip(np.indices(shape), shape, strict=True))
 
 
 def membrane_cells(
@@ -58,20 +66,11 @@ def membrane_cells(
         point = random.uniform(0.0, size - 1.0)
         if all(np.linalg.norm(point - other) > apart for other in points):
             points.append(point)
-            apart *= 1.0
         else:
             apart *= 0.999
-    voxels = np.indices(shape).reshape(3, -1).T.astype(float)
-    distances = np.full((2, len(voxels)), np.inf)
-    labels = np.zeros(len(voxels), np.int32)
-    for number, point in enumerate(points, 1):
-        own = np.linalg.norm(voxels - point, axis=1)
-        nearest = own < distances[0]
-        distances[1] = np.where(nearest, distances[0], np.minimum(distances[1], own))
-        distances[0] = np.where(nearest, own, distances[0])
-        labels[nearest] = number
-    wall = 0.5 * (distances[1] - distances[0]).reshape(shape) < membrane
-    found = labels.reshape(shape)
+    distances, nearest = KDTree(points).query(np.indices(shape).reshape(3, -1).T, k=2)
+    wall = 0.5 * (distances[:, 1] - distances[:, 0]).reshape(shape) < membrane
+    found = (nearest[:, 0] + 1).astype(np.int32).reshape(shape)
     inner = ndimage.distance_transform_edt(~wall)
     centres = [np.unravel_index(int(np.argmax(np.where(found == n, inner, -1.0))), shape) for n in range(1, count + 1)]
     image = _finished(wall.astype(float), 0.7, noise, random)
@@ -83,42 +82,42 @@ def bone(shape: Shape = (40, 64, 64), *, noise: float = 18.0, seed: int = 0) -> 
     a second bone.
     """
     random = np.random.default_rng(seed)
-    z, y, x = (axis - 0.5 * (n - 1) for axis, n in zip(np.indices(shape), shape, strict=True))
+    z, y, x = _from_middle(shape)
     body = (np.abs(x) / 17) ** 4 + (np.abs(y) / 14) ** 4 + (np.abs(z) / 11) ** 4
-    own, marrow = body < 1, ndimage.binary_erosion(body < 1, iterations=3)
+    inside, marrow = body < 1, ndimage.binary_erosion(body < 1, iterations=3)
     trabeculae = ndimage.gaussian_filter(random.normal(0, 1, shape), 1.2)
     other = (np.abs(x) / 17) ** 4 + (np.abs(y) / 14) ** 4 + (np.abs(z - 25) / 11) ** 4 < 1
     values = np.full(shape, 50.0)
-    values[own | other] = 650.0
+    values[inside | other] = 650.0
     values[marrow] = 190.0 + 60.0 * trabeculae[marrow] / trabeculae.std()
-    return _finished(values, 0.6, noise, random), own.astype(np.int32)
+    return _finished(values, 0.6, noise, random), inside.astype(np.int32)
 
 
 def tumour(shape: Shape = (40, 64, 64), *, noise: float = 8.0, seed: int = 0) -> tuple[Image, Labels]:
     """A lobed mass with a bright rim and a dim middle in even tissue, as with contrast agent in MR."""
     random = np.random.default_rng(seed)
-    z, y, x = (axis - 0.5 * (n - 1) for axis, n in zip(np.indices(shape), shape, strict=True))
+    z, y, x = _from_middle(shape)
     angle = np.arctan2(y, x)
     radius = np.sqrt(x**2 + y**2 + (1.3 * z) ** 2) / (1 + 0.15 * np.sin(3 * angle) + 0.1 * np.cos(2 * angle + z / 6))
-    own = radius < 15
+    inside = radius < 15
     values = np.full(shape, 80.0)
-    values[own] = 130.0
+    values[inside] = 130.0
     values[radius < 9] = 112.0
     texture = ndimage.gaussian_filter(random.normal(0, 1, shape), 2.0)
     values += 4.0 * texture / texture.std()
-    return _finished(values, 0.7, noise, random), own.astype(np.int32)
+    return _finished(values, 0.7, noise, random), inside.astype(np.int32)
 
 
 def organelle(shape: Shape = (40, 72, 72), *, noise: float = 12.0, seed: int = 0) -> tuple[Image, Labels]:
     """A cell in electron microscopy: as bright as its surroundings, in a dark membrane, with dark organelles inside."""
     random = np.random.default_rng(seed)
-    z, y, x = (axis - 0.5 * (n - 1) for axis, n in zip(np.indices(shape), shape, strict=True))
+    z, y, x = _from_middle(shape)
     radius = np.sqrt((x / 1.15) ** 2 + y**2 + (1.4 * z) ** 2)
-    own = radius < 21
+    inside = radius < 21
     values = np.full(shape, 150.0)
     values[np.abs(radius - 21) < 1.5] = 70.0
     for _ in range(14):  # organelles, inside and outside
         place = random.uniform(-1, 1, 3) * np.array([14, 30, 30])
         at = np.sqrt(((z - place[0]) * 1.2) ** 2 + (y - place[1]) ** 2 + (x - place[2]) ** 2)
         values[at < random.uniform(1.5, 3.0)] = 95.0
-    return _finished(values, 0.6, noise, random), own.astype(np.int32)
+    return _finished(values, 0.6, noise, random), inside.astype(np.int32)

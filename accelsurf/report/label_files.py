@@ -13,8 +13,8 @@ from accelsurf.io.file_set import InputFiles
 from accelsurf.io.files import write_bytes
 from accelsurf.io.metadata import DICOM_KEY, LABELS_KEY
 from accelsurf.report.inputs import named_files
-from accelsurf.settings.label_outputs import LABEL_OUTPUTS
 from accelsurf.settings.labels import LabelEntry, LabelTable
+from accelsurf.settings.mesh_formats import LABEL_OUTPUTS
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 from accelsurf.errors import InputError, UsageError
 from accelsurf.settings.budgets import MAX_RESTS
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, image_format
-from accelsurf.settings.label_outputs import ending_of
-from accelsurf.settings.mesh_formats import Shape, automatic_mesh_formats, mesh_formats
+from accelsurf.settings.mesh_formats import Shape, automatic_mesh_formats, ending_of, mesh_formats
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:

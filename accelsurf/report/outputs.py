@@ -24,8 +24,8 @@ from accelsurf.report.label_names import given_of, is_named, table_of
 from accelsurf.report.mesh_files import MeshNotes, is_shaped, shaped
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.segmentation.state_file import state_bytes
-from accelsurf.settings.label_outputs import LABEL_OUTPUTS
 from accelsurf.settings.labels import LabelEntry
+from accelsurf.settings.mesh_formats import LABEL_OUTPUTS
 from accelsurf.settings.registry import load
 from accelsurf.settings.wording import size_text, volume_text
 

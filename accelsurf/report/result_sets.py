@@ -15,8 +15,7 @@ from accelsurf.io.files import read_json
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.settings.track_fields import TrackFields
-from accelsurf.settings.track_formats import TRACK_FORMATS
+from accelsurf.settings.track_fields import TRACK_FORMATS, TrackFields
 
 #: What the names of a failed run's files have after the name of the case, where a result stands already.
 FAILED = "_failed"

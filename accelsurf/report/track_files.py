@@ -13,7 +13,7 @@ from accelsurf.report.result_sets import report_name
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS
 from accelsurf.settings.mesh_formats import Shape, mesh_formats
 from accelsurf.settings.registry import load
-from accelsurf.settings.track_formats import TRACK_FORMATS
+from accelsurf.settings.track_fields import TRACK_FORMATS
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class TrackFiles:
     mesh_space : {"lps", "ras"}
         Coordinates of meshes.
     also : tuple of str
-        Further files, from `accelsurf.settings.track_formats.TRACK_FORMATS`.
+        Further files, from `accelsurf.settings.track_fields.TRACK_FORMATS`.
     """
 
     labels: str = DEFAULT_IMAGE_FORMAT

@@ -24,7 +24,7 @@ from accelsurf.report.track_files import TrackFiles, is_of_frame, labels_name, m
 from accelsurf.report.track_frames import FrameStore, TrackSet, frame_digits, remove_store
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.settings.registry import load
-from accelsurf.settings.track_formats import TRACK_FORMATS
+from accelsurf.settings.track_fields import TRACK_FORMATS
 from accelsurf.tracking.records import FrameResult, Lineage, TrackedObject
 
 

@@ -19,8 +19,8 @@ from accelsurf.segmentation.run_checkpoint import (
     versions,
 )
 from accelsurf.segmentation.run_setup import needs_seed
-from accelsurf.settings.intervals import interval_of
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.written_values import interval_of
 
 if TYPE_CHECKING:
     from accelsurf.segmentation.run import Run

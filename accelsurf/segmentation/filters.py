@@ -13,7 +13,7 @@ from accelsurf.grid.image_filters import ImageFilters
 from accelsurf.grid.volume import Volume
 from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.settings.value_bounds import bounds_of
+from accelsurf.settings.written_values import bounds_of
 
 
 def in_mm(length: float | str, geometry: Geometry) -> float:

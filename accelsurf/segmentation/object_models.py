@@ -18,7 +18,7 @@ from accelsurf.segmentation.run_setup import energy_maker, thread_count
 from accelsurf.segmentation.run_state import BoxMask, RunState
 from accelsurf.settings.refinements import Refinement
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.settings.volumes import volume_mm3
+from accelsurf.settings.written_values import volume_mm3
 
 #: The energy of an object that begins at clicks after the run's end.
 NEW_ENERGY = "seeded"

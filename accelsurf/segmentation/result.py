@@ -393,3 +393,7 @@ class Result:
 
         described: dict[str, Any] = accelsurf.report_of(self)
         return described
+
+
+#: Public name of a result of several objects: it is a `Result`.
+ObjectsResult = Result

@@ -57,7 +57,7 @@ def default_shown(key: str) -> str:
 
 
 def is_switch(key: str) -> bool:
-    """Whether a setting is true or false."""
+    """Return True if a setting is true or false."""
     return SettingFields.model_fields[key].annotation is bool
 
 
@@ -69,10 +69,8 @@ def viewer_settings(where: Literal["first", "more"]) -> tuple[str, ...]:
     >>> viewer_settings("first")
     ('preset', 'energy', 'smoothness', 'presmooth', 'size', 'max_volume', 'levels', 'roi', 'mask')
     """
-    said = {key: entry(key) for key in SettingFields.model_fields}
-    return tuple(
-        key for group in VIEWER_GROUPS for key, one in said.items() if one.group is group and one.viewer == where
-    )
+    shown = [key for key in SettingFields.model_fields if entry(key).viewer == where]
+    return tuple(key for group in VIEWER_GROUPS for key in shown if entry(key).group is group)
 
 
 def kind_of(key: str) -> Literal["switch", "slider", "list", "text"]:
@@ -109,19 +107,19 @@ def names_of(key: str) -> dict[str, str]:
     """
     known = entry(key).names
     schema = SettingFields.model_json_schema()["properties"][key]
-    words = dict.fromkeys(word for word in _enumerated(schema) if isinstance(word, str))
+    words = dict.fromkeys(word for word in enumerated(schema) if isinstance(word, str))
     return {**dict.fromkeys(words, ""), **(known() if known is not None else {})}
 
 
-def _enumerated(schema: Any) -> list[Any]:
+def enumerated(schema: Any) -> list[Any]:
     """The values that a JSON schema lists, at any depth."""
     if isinstance(schema, list):
-        return [value for part in schema for value in _enumerated(part)]
+        return [value for part in schema for value in enumerated(part)]
     if not isinstance(schema, dict):
         return []
-    own = [*schema.get("enum", ()), *([schema["const"]] if "const" in schema else ())]
+    values = [*schema.get("enum", ()), *([schema["const"]] if "const" in schema else ())]
     parts = (part for key, part in schema.items() if key not in ("enum", "const", "default"))
-    return own + [value for part in parts for value in _enumerated(part)]
+    return values + [value for part in parts for value in enumerated(part)]
 
 
 def energy_settings() -> tuple[str, ...]:

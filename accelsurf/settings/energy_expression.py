@@ -126,17 +126,17 @@ def with_setting(text: str, place: int, key: str, value: str) -> str:
 
 
 def learns(term: Term) -> bool:
-    """Whether a term learns once from the start, unless it is given something else to learn from."""
+    """Return True if a term learns once from the start, unless it is given something else to learn from."""
     return TERMS[term.name].learns(term.settings)
 
 
 def parts_space(text: str) -> bool:
-    """Whether objects part the space between them at edges."""
+    """Return True if objects part the space between them at edges."""
     return any(term.name == "partition" for term in parse(text))
 
 
 def uses_model(text: str) -> bool:
-    """Whether a term of an energy is of the model of what a person has clicked."""
+    """Return True if a term of an energy is of the model that learns from clicks."""
     return any(TERMS[term.name].uses_model for term in parse(text))
 
 

@@ -61,14 +61,6 @@ class Word(NamedTuple):
         return " or ".join(self.words)
 
 
-def _no_complaint(settings: Values) -> str:
-    return ""
-
-
-def _never(settings: Values) -> bool:
-    return False
-
-
 @dataclass(frozen=True)
 class TermSpec:
     """The entry of a term.
@@ -123,13 +115,13 @@ class TermSpec:
     example: str | None = None
     keeps_fine_edges: bool = False
     reach: str | Callable[[Values, float], float] | None = None
-    check: Callable[[Values], str] = _no_complaint
-    learns: Callable[[Values], bool] = _never
+    check: Callable[[Values], str] = lambda settings: ""
+    learns: Callable[[Values], bool] = lambda settings: False
     uses_model: bool = False
     needs_whole: bool = False
 
     def is_used(self, key: str, settings: Values) -> bool:
-        """Whether a setting of the run acts on the term with these settings of its own."""
+        """Return True if a setting of the run acts on the term with these settings of its own."""
         return key in self.uses or (key in self.uses_to_learn and self.learns(settings))
 
 

@@ -5,13 +5,15 @@ The command line, the viewer, ``accelsurf info``, the JSON schema and the refere
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.fields import FieldInfo
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, core_schema
 
 
 class SettingGroup(StrEnum):
@@ -26,7 +28,7 @@ class SettingGroup(StrEnum):
 
 @dataclass(frozen=True)
 class Slider:
-    """How the viewer shows a setting that is a number.
+    """Slider of a setting that is a number, in the viewer.
 
     Attributes
     ----------
@@ -141,3 +143,27 @@ def entry_of(field: FieldInfo) -> SettingEntry:
     if not isinstance(field.json_schema_extra, SettingEntry):
         raise TypeError("a setting is made by accelsurf.settings.entry.setting")
     return field.json_schema_extra
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """Annotation of a text that is one of the names; the JSON schema lists them.
+
+    Attributes
+    ----------
+    names : callable
+        Returns the names that there are now.
+    """
+
+    names: Callable[[], Collection[str]]
+
+    def _checked(self, value: str) -> str:
+        if value not in self.names():
+            raise ValueError("no such name")
+        return value
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self._checked, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {**handler(schema), "enum": list(self.names())}

@@ -1,14 +1,527 @@
 """The settings of a run, one entry each: type, bounds, default, help, unit and more.
 
 The command line, TOML files, the viewer, the JSON schema, ``accelsurf info`` and the reference pages follow from these
-entries. Lengths are in mm unless the help says voxels. The fields are in `run_fields`, `image_fields` and
-`output_fields`.
+entries. Lengths are in mm unless the help says voxels.
 """
 
 from __future__ import annotations
 
-from accelsurf.settings.output_fields import OutputFields
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from accelsurf.grid.grey_window import AUTO, checked_window
+from accelsurf.settings.edits import Edit, edits_of
+from accelsurf.settings.energy_terms import TERMS
+from accelsurf.settings.entry import OneOf, SettingEntry, SettingGroup, Slider, setting
+from accelsurf.settings.file_formats import label_formats, label_help
+from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.labels import checked_colors, checked_names
+from accelsurf.settings.mesh_formats import MESH_FORMATS, also_help, also_names, mesh_help
+from accelsurf.settings.presets import PRESETS
+from accelsurf.settings.reading import ReadOptions, spacing_of
+from accelsurf.settings.refinements import Refinement, refinements_of
+from accelsurf.settings.written_values import (
+    INTERVAL,
+    MESH_SIZE,
+    VOLUME,
+    VOXELS,
+    all_split,
+    checked,
+    checked_bounds,
+    checked_expression,
+    checked_volume,
+    interval_of,
+    mesh_size,
+    one_or_many,
+    split_commas,
+)
+
+RUN, IMAGE, FILES = SettingGroup.RUN, SettingGroup.IMAGE, SettingGroup.FILES
+#: Layouts of the files.
+Layout = Literal["plain", "bids", "nnunet"]
 
 
-class SettingFields(OutputFields):
+class SettingFields(BaseModel):
     """The fields of `accelsurf.settings.run_config.RunConfig`, without what it does with them."""
+
+    # Nobody makes a record of a part of the settings: only the class of all of them gets a validator.
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True, defer_build=True
+    )
+
+    preset: Annotated[str, OneOf(lambda: PRESETS)] | None = setting(
+        None,
+        "Settings for a kind of scan: {}. Settings given beside it override it. "
+        "accelsurf info lists the values of each, and why.",
+        entry=SettingEntry(
+            RUN, viewer="first", choice=True, metavar="NAME", fixed=True, listed=lambda: ", ".join(PRESETS)
+        ),
+    )
+    energy: Annotated[str, BeforeValidator(checked_expression)] = setting(
+        "chan-vese",
+        "Energy to minimise: terms with weights, as 'local-region:R=8 + 0.3*geodesic' or 'threshold:LO,HI'. "
+        "With --inside it is seeded unless given.",
+        entry=SettingEntry(
+            RUN, viewer="first", metavar="EXPRESSION", choice=True,
+            names=lambda: {name: term.help for name, term in TERMS.items()},
+        ),
+    )
+    start: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
+        ("center",),
+        "First surface: ball:X,Y,Z,R, box:X0,Y0,Z0,X1,Y1,Z1, seed:X,Y,Z,R, label:FILE, threshold:LO,HI, "
+        "largest:LO,HI, otsu, mesh:FILE, center, or clicks (what --inside says; the default with it). "
+        "Coordinates in world mm (LPS), or voxel indices (x,y,z) with the suffix vox. Several are united.",
+        entry=SettingEntry(RUN, metavar="WHERE", repeated=True, fixed=True),
+        min_length=1,
+    )
+    inside: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
+        (),
+        "Voxels that are in the object, and stay in it: point:X,Y,Z, path:X,Y,Z,R;..., stroke:FILE, or written as a "
+        "start. With --inside and neither --start nor --energy the program chooses everything. Each is a click of its "
+        "own.",
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="WHERE", repeated=True, fixed=True),
+    )
+    outside: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
+        (),
+        "Voxels that are not in the object, and stay out of it, written as --inside; with --objects in none of them.",
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="WHERE", repeated=True, fixed=True),
+    )
+    smoothness: float = setting(
+        0.0,
+        "Weight of the surface's area, in mm: larger is smoother; 0 keeps corners. "
+        "Independent of the image's intensity scale.",
+        entry=SettingEntry(
+            RUN, viewer="first", unit="mm", metavar="MM", scope="energy", slider=Slider(0.0, 5.0, voxel_power=1)
+        ),
+        ge=0,
+    )
+    presmooth: Annotated[float, Field(ge=0)] | Annotated[str, Field(pattern=VOXELS)] = setting(
+        0.0,
+        "Sigma of a Gaussian applied to the image before the run, in mm, or in voxels of the smallest "
+        "spacing with the suffix vox; 0 for none.",
+        entry=SettingEntry(RUN, viewer="first", unit="mm", metavar="MM|Nvox", fixed=True),
+    )
+    closing: Annotated[float, Field(ge=0)] | Annotated[str, Field(pattern=VOXELS)] = setting(
+        0.0,
+        "Radius of a ball that the image is closed by before the run, in mm, or in voxels of the smallest spacing with "
+        "the suffix vox: dark places narrower than twice that, as marrow in a bone, are filled up. 0 for none.",
+        entry=SettingEntry(RUN, unit="mm", metavar="MM|Nvox", fixed=True),
+    )
+    clip: Annotated[str | None, BeforeValidator(checked_bounds)] = setting(
+        None,
+        "LOW,HIGH in the image's unit, one of them may be left out: before the run, and before it is closed, values "
+        "beyond become these.",
+        entry=SettingEntry(RUN, metavar="LOW,HIGH", fixed=True),
+    )
+    size: Annotated[Annotated[str, Field(pattern=VOLUME)] | None, BeforeValidator(checked_volume)] = setting(
+        None,
+        "About how large the object is, with its unit: 250ml, 3cm3, 4000um3. It helps to choose the start; it does "
+        "not bound the result.",
+        entry=SettingEntry(RUN, viewer="first", metavar="VOLUME", scope="term", fixed=True),
+    )
+    max_volume: Annotated[float, Field(gt=0)] | None = setting(
+        None,
+        "Leak guard: the run ends when the object is larger than this, in mm3.",
+        entry=SettingEntry(RUN, viewer="first", unit="mm3", metavar="MM3"),
+    )
+    levels: Annotated[int, Field(ge=1)] | Literal["auto"] = setting(
+        "auto",
+        "Number of grids to run on, coarsest first; each has half the voxels of the next along an axis. 1 is the "
+        "image's own grid alone; auto is as many as resolve image and start, for several objects 1.",
+        entry=SettingEntry(RUN, viewer="first", metavar="N|auto", fixed=True),
+    )
+    roi: str | None = setting(
+        None,
+        "Region of interest: box X0,Y0,Z0,X1,Y1,Z1 in world mm, or in voxel indices with the suffix vox. The run is "
+        "made in the box alone; the outputs are on the whole grid.",
+        entry=SettingEntry(RUN, viewer="first", unit="mm", metavar="BOX", fixed=True),
+    )
+    mask: str | None = setting(
+        None,
+        "Label map on the image's grid: the surface never leaves the voxels above 0.",
+        entry=SettingEntry(RUN, viewer="first", metavar="FILE", fixed=True),
+    )
+    box: str | None = setting(
+        None,
+        "Box around the object, X0,Y0,Z0,X1,Y1,Z1 in world mm, or in voxel indices with the suffix vox: nothing "
+        "outside of it is in the object, and energies learn from what lies around it.",
+        entry=SettingEntry(RUN, unit="mm", metavar="BOX", fixed=True),
+    )
+    flow: Annotated[str, OneOf(lambda: FLOWS)] = setting(
+        "constant-density",
+        "How the surface moves.",
+        entry=SettingEntry(
+            RUN, metavar="NAME", choice=True, names=lambda: {name: flow.help for name, flow in FLOWS.items()}
+        ),
+    )
+    objects: str | None = setting(
+        None,
+        "Several objects at once, in place of --start: a label map on the image's grid with the first voxels of each "
+        "object (FILE@2,5-9: these ids only), or a table of balls, FILE.csv with columns id,x,y,z,r in world mm or "
+        "id,x_vox,y_vox,z_vox,r_vox. They never overlap. With a column side (inside or outside) its rows are clicks, "
+        "as --inside; then r may be left out, and id 0 is no object.",
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="FILE", fixed=True),
+    )
+    foreground: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
+        (),
+        "Voxels of the object that likelihood and learned thresholds learn from, written as a start; several are "
+        "united.",
+        entry=SettingEntry(RUN, metavar="WHERE", scope="term", repeated=True, fixed=True),
+    )
+    background: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
+        (),
+        "Voxels around the object that likelihood learns from, written as a start; several are united.",
+        entry=SettingEntry(RUN, metavar="WHERE", scope="term", repeated=True, fixed=True),
+    )
+    channel: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
+        (),
+        "Further channels of the image: files on the same grid, in order after those of the input.",
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="FILE", repeated=True, fixed=True),
+    )
+    balance: float = setting(
+        1.0,
+        "Weight of the fit inside against the fit outside (lambda1/lambda2 of Chan and Vese, no unit): "
+        "above 1 the object must be closer to its mean, so a bright object loses its dim rim.",
+        entry=SettingEntry(RUN, metavar="RATIO", scope="term"),
+        gt=0,
+    )
+    edge_scale: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
+        "auto",
+        "Scale at which the geodesic energy sees edges: sigma of the Gaussian gradient, in mm; "
+        "auto is one voxel (the largest spacing).",
+        entry=SettingEntry(RUN, unit="mm", metavar="MM|auto", scope="term"),
+    )
+    edge_contrast: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
+        "auto",
+        "Gradient magnitude that counts as half an edge, in fractions of the image's range per mm; "
+        "auto measures it in the image.",
+        entry=SettingEntry(RUN, unit="fractions of the image's range per mm", metavar="K|auto", scope="term"),
+    )
+    balloon: float = setting(
+        0.0,
+        "Pressure of the geodesic energy away from edges, per mm: above 0 the surface shrinks, "
+        "below 0 it grows.",
+        entry=SettingEntry(RUN, unit="1/mm", metavar="C", scope="term"),
+    )
+    k: float = setting(
+        2.0,
+        "Order of the accelerated flow (no unit); it sets the friction (k+1)/t.",
+        entry=SettingEntry(metavar="K", scope="flow"),
+        ge=0.1, le=20,
+    )
+    t0: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
+        "auto",
+        "Time t of the friction (k+1)/t at which the surface starts at rest; auto is 0, or with k <= 1, where 0 is "
+        "impossible, the length of the first step.",
+        entry=SettingEntry(unit="flow time", metavar="T|auto", scope="flow"),
+    )
+    lam: float = setting(
+        1.0,
+        "Strength of the energy against inertia (no unit), the paper's lambda.",
+        entry=SettingEntry(scope="flow"),
+        gt=0,
+    )
+    rho: float = setting(
+        1.0,
+        "Mass per area of the surface, of region-mass per volume (relative units).",
+        entry=SettingEntry(scope="flow"),
+        gt=0,
+    )
+    gravity: float = setting(
+        0.0,
+        "Strength g of the mass potential, which makes the density of flowable-mass more uniform, and puts the mass of "
+        "region-mass inside the surface, under pressure.",
+        entry=SettingEntry(metavar="G", scope="flow"),
+        ge=0,
+    )
+    diffusion: Annotated[float, Field(ge=0)] | Literal["auto", "free"] = setting(
+        "auto",
+        "Diffusion of the surface's speed along the surface, in mm2 per unit of flow time; 0 is none; "
+        "free is the largest rate that does not shorten the time step, within a mixing length; auto is free with "
+        "momentum, else none.",
+        entry=SettingEntry(
+            unit="mm2 per unit of flow time",
+            metavar="D|free|auto",
+            scope="flow",
+            slider=Slider(0.0, 20.0, voxel_power=2, words=("auto", "free")),
+        ),
+    )
+    noise: float = setting(
+        0.0,
+        "Strength of random acceleration, smooth in space, in mm per unit of flow time^1.5; 0 is none.",
+        entry=SettingEntry(unit="mm per unit of flow time^1.5", metavar="TAU", scope="flow"),
+        ge=0,
+    )
+    noise_length: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
+        "auto",
+        "Correlation length of the noise, in mm; auto is 4 voxels (the largest spacing).",
+        entry=SettingEntry(unit="mm", metavar="MM|auto", scope="flow"),
+    )
+    noise_time: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
+        "auto",
+        "How long the noise acts, in flow time; auto is until the first restart.",
+        entry=SettingEntry(unit="flow time", metavar="T|auto", scope="flow"),
+    )
+    sobolev_length: Annotated[float, Field(gt=0)] | Literal["auto"] = setting(
+        "auto",
+        "Length over which the sobolev flow smooths the force, in mm; auto is 5 voxels.",
+        entry=SettingEntry(unit="mm", metavar="MM|auto", scope="flow"),
+    )
+    blend: float = setting(
+        0.8,
+        "Fraction of the last step that the momentum flow adds to the next (no unit).",
+        entry=SettingEntry(metavar="OMEGA", scope="flow"),
+        ge=0, lt=1,
+    )
+    friction: Annotated[float, Field(gt=0)] | Literal["t"] = setting(
+        "t",
+        "Friction of the accelerated flow: t is (k+1)/t, a number is constant, per unit of flow time.",
+        entry=SettingEntry(
+            unit="per unit of flow time",
+            metavar="t|A",
+            scope="flow",
+            slider=Slider(0.01, 5.0, words=("t",)),
+        ),
+    )
+    restart: Literal["auto", "off"] = setting(
+        "auto",
+        "auto sets the momentum to zero when the energy rises, after the surface has travelled 3 voxels; off never "
+        "does.",
+        entry=SettingEntry(choice=True, metavar="auto|off"),
+    )
+    cfl: float = setting(
+        0.5,
+        "Largest motion of the surface in one step, in voxels.",
+        entry=SettingEntry(
+            unit="voxels",
+            metavar="VOXELS",
+            slider=Slider(0.05, 1.0, power=1.0, limit=1.0),
+        ),
+        gt=0, le=1,
+    )
+    max_steps: int = setting(
+        1000,
+        "The run ends after this many steps, converged or not; 0 leaves the start.",
+        entry=SettingEntry(RUN, metavar="N", fixed=True),
+        ge=0,
+    )
+    tolerance: float = setting(
+        0.1,
+        "The run has converged when the surface lies, on average, within this many voxels of where it lay 20 steps "
+        "before, or 6 steps before if coarser levels were run first, and if ten times as many steps more would "
+        "not move it by 0.7 of this either, by its trend. Larger ends sooner and is rougher.",
+        entry=SettingEntry(unit="voxels"),
+        gt=0, le=2,
+    )
+    percentile: float = setting(
+        95.0,
+        "Speed limiter: the time step follows this percentile of the speeds on the surface (percent), and higher "
+        "speeds are clipped to cfl voxels per step. 100 clips none.",
+        entry=SettingEntry(unit="%", metavar="PERCENT"),
+        gt=0, le=100,
+    )
+    epsilon: float = setting(
+        1.5,
+        "Half width of the smeared interface in the energy, in voxels along the normal; 0 is sharp.",
+        entry=SettingEntry(unit="voxels", metavar="VOXELS", scope="term"),
+        ge=0, le=2.5,
+    )
+    half_width: Annotated[int, Field(ge=3, le=32)] | Literal["auto"] = setting(
+        "auto",
+        "Half width of the narrow band, in voxels; auto is 3, for flowable-mass and region-mass 4.",
+        entry=SettingEntry(unit="voxels", metavar="N"),
+    )
+    seed: Annotated[int, Field(ge=0)] | None = setting(
+        None,
+        "Seed of everything random in the run; drawn and reported unless given.",
+        entry=SettingEntry(RUN, metavar="N", fixed=True),
+    )
+    reproducible: bool = setting(
+        False,
+        "Refuse to run anything random without a seed.",
+        entry=SettingEntry(RUN, fixed=True),
+    )
+    threads: Literal["auto"] | Annotated[int, Field(ge=1)] = setting(
+        "auto",
+        "Number of threads; auto: one for each core. The result does not depend on it.",
+        entry=SettingEntry(RUN, metavar="N", fixed=True),
+    )
+    edit: Annotated[tuple[Edit, ...], BeforeValidator(edits_of)] = setting(
+        (),
+        "Changes while it runs, each before a step: 'step=30 smoothness=0.5', 'step=40 add=ball:X,Y,Z,R' "
+        "(or remove=), 'step=40 inside=point:X,Y,Z' (or outside=, repeated; with object=ID "
+        "among several objects); in TOML tables [[edit]].",
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="CHANGE", repeated=True, fixed=True),
+    )
+    stop_at_rest: bool = setting(
+        False,
+        "End the run where the surface first comes to rest, before it breaks through to something else.",
+        entry=SettingEntry(RUN, fixed=True),
+    )
+    refine: Annotated[tuple[Refinement, ...], BeforeValidator(refinements_of)] = setting(
+        (),
+        "Corrections of the finished run, one after another: 'inside=point:X,Y,Z outside=WHERE near=MM' (with "
+        "object=ID among several objects), 'new=ID inside=WHERE size=VOLUME' (a further object), 'merge=ID,ID', "
+        "'split=point:X,Y,Z' (what is connected to it becomes an object), 'remove=ID'; in TOML tables [[refine]]. "
+        "accelsurf refine adds them.",
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="CLICKS", repeated=True, fixed=True),
+    )
+    extension: Literal["closest-point", "fast-marching"] = setting(
+        "closest-point",
+        "How distances and speeds get from the surface to the band: by the closest point of each voxel, or by fast "
+        "marching, from the voxels beside the surface outwards in order of distance.",
+        entry=SettingEntry(RUN, choice=True, metavar="NAME", fixed=True),
+    )
+    end: Literal["lowest", "present"] = setting(
+        "lowest",
+        "Which state a run that has used up its steps ends with: that of the lowest energy so far, or the present one, "
+        "as the viewer saves it.",
+        entry=SettingEntry(RUN, choice=True, metavar="lowest|present", fixed=True),
+    )
+    level: Annotated[int, Field(ge=0)] | Literal["auto"] = setting(
+        0,
+        "Level of an image that is stored as a pyramid (OME-Zarr); 0 is the finest, auto the finest that fits into the "
+        "memory.",
+        entry=SettingEntry(IMAGE, metavar="N|auto", fixed=True),
+    )
+    channel_index: Annotated[int, Field(ge=0)] | None = setting(
+        None,
+        "Channel of an image that has several, from 0 on.",
+        entry=SettingEntry(IMAGE, metavar="N", fixed=True),
+    )
+    time_index: Annotated[int, Field(ge=0)] | None = setting(
+        None,
+        "Time point of an image that has several, from 0 on; needed then.",
+        entry=SettingEntry(IMAGE, metavar="N", fixed=True),
+    )
+    channels_from_time: bool = setting(
+        False,
+        "The time points are channels of one image.",
+        entry=SettingEntry(IMAGE, fixed=True),
+    )
+    series: str | None = setting(
+        None,
+        "Which series of a DICOM folder: its UID, or its number as accelsurf info FOLDER lists it.",
+        entry=SettingEntry(IMAGE, metavar="UID|N", fixed=True),
+    )
+    spacing: Annotated[str | None, BeforeValidator(checked(spacing_of, numbers=(int, float), joined=True))] = setting(
+        None,
+        "Size of a voxel, X,Y,Z or one number, in mm or with a unit (0.2,0.2,1um), where the file does not say it.",
+        entry=SettingEntry(IMAGE, metavar="X,Y,Z", fixed=True),
+    )
+    resample: bool = setting(
+        False,
+        "Put slices that lie on no regular grid (gaps, uneven spacing, a tilted gantry) on one, by linear "
+        "interpolation.",
+        entry=SettingEntry(IMAGE, fixed=True),
+    )
+    mesh: Annotated[
+        Annotated[tuple[Annotated[str, OneOf(lambda: MESH_FORMATS)], ...], Field(min_length=1)] | Literal["auto"],
+        BeforeValidator(split_commas),
+    ] = setting(
+        "auto",
+        "Formats, separated by commas, {}",
+        entry=SettingEntry(FILES, metavar="NAMES", fixed=True, listed=mesh_help),
+    )
+    mesh_space: Literal["lps", "ras"] = setting(
+        "lps",
+        "World axes of the mesh or contours, in mm: lps as ITK, or ras as NIfTI.",
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True),
+    )
+    mesh_smooth: float = setting(
+        0.0,
+        "Flatten bumps of the written mesh that are shorter than this, mm; of those of this length half remains, and "
+        "the volume stays. The surface is smooth below a voxel already: for steps of thick slices, and for prints.",
+        entry=SettingEntry(FILES, unit="mm", metavar="MM", fixed=True),
+        ge=0,
+    )
+    mesh_faces: Annotated[
+        Annotated[str, Field(pattern=MESH_SIZE)] | None, BeforeValidator(checked(mesh_size, numbers=int))
+    ] = setting(
+        None,
+        "Make the written mesh coarser, to a number of triangles: 20000; or remesh it with sides of a length: 2mm.",
+        entry=SettingEntry(FILES, metavar="N|LENGTH", fixed=True),
+    )
+    mesh_walls: Literal["own", "shared"] = setting(
+        "own",
+        "Walls between objects that touch: each mesh has its own, or both have the same triangles, without gap or "
+        "overlap.",
+        entry=SettingEntry(FILES, metavar="own|shared", fixed=True),
+    )
+    mesh_error: float | None = setting(
+        None,
+        "Largest distance allowed between the written mesh and the surface, mm. Alone it makes the mesh as coarse as "
+        "it allows; with mesh-faces or mesh-smooth a mesh beyond it stays as it was, with a warning.",
+        entry=SettingEntry(FILES, unit="mm", metavar="MM", fixed=True),
+        gt=0,
+    )
+    save_sdf: bool = setting(
+        False,
+        "Also write the signed distance (mm, negative inside) as a volume.",
+        entry=SettingEntry(FILES, fixed=True),
+    )
+    format: Annotated[str, OneOf(label_formats)] | None = setting(
+        None,
+        "Format of the label map: {}. Follows the input unless given.",
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True, listed=label_help),
+    )
+    keep_state: Literal["auto", "yes", "no"] = setting(
+        "auto",
+        "Also write the state of the run, from which accelsurf refine goes on; auto does with clicks.",
+        entry=SettingEntry(FILES, metavar="auto|yes|no", fixed=True, viewer="elsewhere"),
+    )
+    checkpoint: Annotated[
+        Annotated[str, Field(pattern=INTERVAL)] | None, BeforeValidator(checked(interval_of, INTERVAL, int))
+    ] = setting(
+        None,
+        "How often the state of the run is written while it goes on: 50 (steps), 30s, 5min. A killed run goes on from "
+        "it with --resume, and ends with the same bytes; it is removed when the run has ended.",
+        entry=SettingEntry(FILES, metavar="STEPS|TIME", fixed=True, viewer="elsewhere"),
+    )
+    name: Annotated[tuple[str, ...], BeforeValidator(checked_names)] = setting(
+        (),
+        "Name of an object in files: ID=NAME, or NAME where there is one object.",
+        entry=SettingEntry(FILES, metavar="ID=NAME", repeated=True, fixed=True, viewer="elsewhere"),
+    )
+    color: Annotated[tuple[str, ...], BeforeValidator(checked_colors)] = setting(
+        (),
+        "Colour of an object in files: ID=#rrggbb or ID=R,G,B.",
+        entry=SettingEntry(FILES, metavar="ID=COLOUR", repeated=True, fixed=True, viewer="elsewhere"),
+    )
+    label_table: str | None = setting(
+        None,
+        "Names and colours of objects: a file of ITK-SNAP (.txt), 3D Slicer (.ctbl, .seg.nrrd), BIDS (.tsv) or DICOM "
+        "(a segmentation, .dcm), or a .csv with columns id, name and color.",
+        entry=SettingEntry(FILES, metavar="FILE", fixed=True, viewer="elsewhere"),
+    )
+    also: Annotated[tuple[Annotated[str, OneOf(also_names)], ...], BeforeValidator(all_split)] = setting(
+        (),
+        "Further files of the objects, separated by commas: {}.",
+        entry=SettingEntry(FILES, metavar="NAMES", repeated=True, fixed=True, listed=also_help),
+    )
+    label_group: str | None = setting(
+        None,
+        "Also write the label map into the labels of the image, an OME-Zarr 0.5, under this name; the image is not "
+        "touched.",
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True, viewer="elsewhere"),
+    )
+    window: Annotated[str, BeforeValidator(checked_window)] = setting(
+        AUTO,
+        "Values of the image that pictures draw black to white: LEVEL,WIDTH, as 40,400; of a CT soft-tissue, bone, "
+        "lung or brain; auto follows from the object and what is around it.",
+        entry=SettingEntry(FILES, metavar="NAME|LEVEL,WIDTH", fixed=True, viewer="elsewhere"),
+    )
+    layout: Layout = setting(
+        "plain",
+        "How label maps are named and laid out: plain, bids (derivatives, with sidecars), or nnunet (CASE.nii.gz).",
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True),
+    )
+
+    @property
+    def reading(self) -> ReadOptions:
+        """Options of reading the image."""
+        return ReadOptions(
+            self.level, self.channel_index, self.time_index, self.channels_from_time, self.series,
+            None if self.spacing is None else spacing_of(self.spacing), self.resample,
+        )

@@ -118,82 +118,66 @@ _FORMATS = "accelsurf.io.formats"
 #: Options of formats that may hold several channels and time points.
 _PARTS = ("channel_index", "time_index", "channels_from_time")
 
+#: Shared by formats that the same library reads.
+_NIFTI: dict[str, Any] = {
+    "read": f"{_FORMATS}.nifti_volumes:read",
+    "options": _PARTS,
+    "sequence": "accelsurf.io.packed_sequences:NiftiFrames",
+    "read_channels": f"{_FORMATS}.nifti_volumes:read_channels",
+    "is_anatomical": f"{_FORMATS}.nifti_grid:is_anatomical",
+}
+_ITK: dict[str, Any] = {
+    "read": f"{_FORMATS}.itk_volumes:read",
+    "options": _PARTS,
+    "sequence": "accelsurf.io.packed_sequences:ItkFrames",
+    "read_channels": f"{_FORMATS}.itk_volumes:read_channels",
+    "open": f"{_FORMATS}.itk_volumes:open_lazily",
+}
+_NRRD: dict[str, Any] = {
+    "parse": f"{_FORMATS}.nrrd_metaimage:parse_nrrd",
+    "is_anatomical": f"{_FORMATS}.nrrd_metaimage:is_anatomical",
+    **_ITK,
+}
+_METAIMAGE: dict[str, Any] = {
+    "parse": f"{_FORMATS}.nrrd_metaimage:parse_metaimage",
+    "write": f"{_FORMATS}.itk_volumes:write_metaimage",
+    "write_frames": f"{_FORMATS}.sequence_files:write_metaimage",
+    **_ITK,
+}
+
 IMAGE_FORMATS: Registry[ImageFormat] = Registry(
     "image format",
     ImageFormat(
         "nii.gz",
         "NIfTI-1 or NIfTI-2, compressed; written as NIfTI-1",
         (".nii.gz",),
-        f"{_FORMATS}.nifti:read_compressed_header",
-        f"{_FORMATS}.nifti_volumes:read",
-        f"{_FORMATS}.nifti_volumes:write_compressed",
-        _PARTS,
-        sequence="accelsurf.io.packed_sequences:NiftiFrames",
+        parse=f"{_FORMATS}.nifti:read_compressed_header",
+        write=f"{_FORMATS}.nifti_volumes:write_compressed",
         write_frames=f"{_FORMATS}.sequence_files:write_packed_nifti",
-        read_channels=f"{_FORMATS}.nifti_volumes:read_channels",
-        is_anatomical=f"{_FORMATS}.nifti_grid:is_anatomical",
+        **_NIFTI,
     ),
     ImageFormat(
         "nii",
         "NIfTI-1 or NIfTI-2; written as NIfTI-1",
         (".nii",),
-        f"{_FORMATS}.nifti:read_plain_header",
-        f"{_FORMATS}.nifti_volumes:read",
-        f"{_FORMATS}.nifti_volumes:write",
-        _PARTS,
-        sequence="accelsurf.io.packed_sequences:NiftiFrames",
+        parse=f"{_FORMATS}.nifti:read_plain_header",
+        write=f"{_FORMATS}.nifti_volumes:write",
         write_frames=f"{_FORMATS}.sequence_files:write_nifti",
-        read_channels=f"{_FORMATS}.nifti_volumes:read_channels",
-        is_anatomical=f"{_FORMATS}.nifti_grid:is_anatomical",
         open=f"{_FORMATS}.nifti_volumes:open_lazily",
         store=f"{_FORMATS}.nifti_volumes:store",
+        **_NIFTI,
     ),
     ImageFormat(
         "nrrd",
         "NRRD; written compressed",
         (".nrrd",),
-        f"{_FORMATS}.nrrd_metaimage:parse_nrrd",
-        f"{_FORMATS}.itk_volumes:read",
-        f"{_FORMATS}.itk_volumes:write_nrrd",
-        _PARTS,
-        sequence="accelsurf.io.packed_sequences:ItkFrames",
+        write=f"{_FORMATS}.itk_volumes:write_nrrd",
         write_frames=f"{_FORMATS}.sequence_files:write_nrrd",
-        read_channels=f"{_FORMATS}.itk_volumes:read_channels",
-        is_anatomical=f"{_FORMATS}.nrrd_metaimage:is_anatomical",
-        open=f"{_FORMATS}.itk_volumes:open_lazily",
+        **_NRRD,
     ),
-    ImageFormat(
-        "nhdr",
-        "NRRD, a header that names its data file; read only",
-        (".nhdr",),
-        f"{_FORMATS}.nrrd_metaimage:parse_nrrd",
-        f"{_FORMATS}.itk_volumes:read",
-        None,
-        _PARTS,
-        sequence="accelsurf.io.packed_sequences:ItkFrames",
-        read_channels=f"{_FORMATS}.itk_volumes:read_channels",
-        is_anatomical=f"{_FORMATS}.nrrd_metaimage:is_anatomical",
-        open=f"{_FORMATS}.itk_volumes:open_lazily",
-    ),
-    *(
-        ImageFormat(
-            name,
-            help,
-            (f".{name}",),
-            f"{_FORMATS}.nrrd_metaimage:parse_metaimage",
-            f"{_FORMATS}.itk_volumes:read",
-            f"{_FORMATS}.itk_volumes:write_metaimage",
-            _PARTS,
-            sequence="accelsurf.io.packed_sequences:ItkFrames",
-            write_frames=f"{_FORMATS}.sequence_files:write_metaimage",
-            read_channels=f"{_FORMATS}.itk_volumes:read_channels",
-            open=f"{_FORMATS}.itk_volumes:open_lazily",
-        )
-        for name, help in (
-            ("mha", "MetaImage in one file; written compressed"),
-            ("mhd", "MetaImage, a header and a data file; written compressed"),
-        )
-    ),
+    ImageFormat("nhdr", "NRRD, a header that names its data file; read only", (".nhdr",), **_NRRD),
+    ImageFormat("mha", "MetaImage in one file; written compressed", (".mha",), **_METAIMAGE),
+    ImageFormat("mhd", "MetaImage, a header and a data file; written compressed", (".mhd",), **_METAIMAGE),
     ImageFormat(
         "ome.zarr",
         "OME-Zarr 0.4 or 0.5, a folder of chunks and coarser levels; written as 0.5",

@@ -1,4 +1,4 @@
-"""Whether a path that was given names what can be read: pipes would be waited for, and devices do not end."""
+"""Check that a path names what can be read: pipes would be waited for, and devices do not end."""
 
 from __future__ import annotations
 

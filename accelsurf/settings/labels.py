@@ -1,4 +1,4 @@
-"""Names and colours of labels, as files and people give them."""
+"""Labels as files and people write them: ids and ranges of ids, names, colours."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from accelsurf.errors import UsageError
+from accelsurf.settings.wording import shown
 
 Color = tuple[int, int, int]
 _GOLDEN = 0.6180339887498949
@@ -22,7 +23,7 @@ MAX_NAME = 64
 
 @dataclass(frozen=True)
 class LabelEntry:
-    """What is said of one label.
+    """Name and colour of one label.
 
     Attributes
     ----------
@@ -55,7 +56,7 @@ class LabelTable:
     entries: dict[int, LabelEntry] = field(default_factory=dict)
 
     def __getitem__(self, label: int) -> LabelEntry:
-        """What is known of a label.
+        """Return the name and colour of a label.
 
         Examples
         --------
@@ -97,14 +98,14 @@ class LabelTable:
         return LabelTable(entries)
 
     def to_json(self) -> str:
-        """As text, for the metadata of a label map.
+        """Return the table as text, for the metadata of a label map.
 
         Examples
         --------
         >>> LabelTable.from_json(LabelTable({3: LabelEntry(3, "a", (1, 2, 3))}).to_json())[3].name
         'a'
         """
-        return json.dumps([[one.id, one.name, *one.color] for one in self])
+        return json.dumps([[entry.id, entry.name, *entry.color] for entry in self])
 
     @classmethod
     def from_json(cls, text: str) -> LabelTable:
@@ -192,3 +193,50 @@ def default_color(label: int) -> Color:
     """
     red, green, blue = (round(255 * part) for part in colorsys.hsv_to_rgb(label * _GOLDEN % 1.0, 0.75, 1.0))
     return red, green, blue
+
+
+#: First and last id of each range.
+IdRanges = tuple[tuple[int, int], ...]
+
+_LABEL = re.compile(r"[0-9]{1,18}")
+
+
+def parse_ids(text: str, what: str, example: str) -> IdRanges:
+    """Read ids and ranges of ids, separated by commas.
+
+    Parameters
+    ----------
+    text : str
+    what, example : str
+        Where it was given, and what is right, for the message.
+
+    Raises
+    ------
+    UsageError
+        When a part is neither a whole number nor a range of them.
+
+    Examples
+    --------
+    >>> parse_ids("2,5-9", "--labels", "--labels 1,3-5")
+    ((2, 2), (5, 9))
+    """
+    ids = []
+    for part in text.split(","):
+        first, _, last = part.strip().partition("-")
+        if not (_LABEL.fullmatch(first) and _LABEL.fullmatch(last or first) and int(first) <= int(last or first)):
+            raise UsageError(
+                f"{what}: {shown(part)!r} is no label, expected whole numbers and ranges", f"as in {example}"
+            )
+        ids.append((int(first), int(last or first)))
+    return tuple(ids)
+
+
+def holds(ranges: Sequence[tuple[int, int]], label: int) -> bool:
+    """Return True if an id is in one of the ranges.
+
+    Examples
+    --------
+    >>> holds(((2, 2), (5, 9)), 7), holds(((2, 2), (5, 9)), 3)
+    (True, False)
+    """
+    return any(first <= label <= last for first, last in ranges)

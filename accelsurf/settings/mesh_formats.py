@@ -1,7 +1,7 @@
-"""The formats of meshes and contours: one entry each, with what it holds and what reads and writes it.
+"""Formats of meshes, contours and further files of the objects: one entry each, with what reads and writes it.
 
-From an entry follow the values and the help of ``--mesh``, ``accelsurf info`` and the reference page. Functions are
-named as in `accelsurf.settings.file_formats`.
+From an entry follow the values and the help of ``--mesh`` and ``--also``, ``accelsurf info`` and the reference page.
+Functions are named as in `accelsurf.settings.file_formats`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from accelsurf.settings.file_formats import Function
+from accelsurf.settings.file_formats import Function, label_formats
 from accelsurf.settings.registry import Registry
 
 _FORMATS = "accelsurf.io.formats"
@@ -53,7 +53,7 @@ class MeshFormat:
         return f".{self.name}"
 
     def writer(self, shape: Shape) -> Function | None:
-        """What makes a file of a surface or of contours; None where the format does not hold them."""
+        """Return the function that writes a surface or contours; None where the format does not hold them."""
         return self.surface if shape == "surface" else self.contour
 
 
@@ -103,3 +103,79 @@ def mesh_help() -> str:
         f"of the surface: {', '.join(surface)}; of the contours of an image of one slice: {', '.join(contour)}. "
         f"auto is {','.join(of_volume)}, or for one slice {','.join(of_slice)}."
     )
+
+
+@dataclass(frozen=True)
+class LabelOutput:
+    """A file of the objects.
+
+    Attributes
+    ----------
+    name : str
+        As it is given to ``--also``.
+    help : str
+        What it is, in a few words.
+    ending : str
+        Of the file's name, after the name of the image.
+    write : str or callable
+        Of a Result, a `accelsurf.settings.labels.LabelTable` and a Path, writes the file.
+    needs_dicom : bool
+        Whether the image must be DICOM.
+    """
+
+    name: str
+    help: str
+    ending: str
+    write: Function
+    needs_dicom: bool = False
+
+
+LABEL_OUTPUTS: Registry[LabelOutput] = Registry(
+    "label output",
+    LabelOutput(
+        "seg.nrrd", "segmentation of 3D Slicer", "segmentation.seg.nrrd", "accelsurf.report.label_files:seg_nrrd"
+    ),
+    LabelOutput("itk-snap", "label descriptions of ITK-SNAP", "labels.txt", "accelsurf.report.label_files:itk_snap"),
+    LabelOutput("ctbl", "colour table of 3D Slicer", "labels.ctbl", "accelsurf.report.label_files:color_table"),
+    LabelOutput("tsv", "table of labels as in BIDS", "dseg.tsv", "accelsurf.report.label_files:bids_table"),
+    LabelOutput(
+        "dicom-seg", "DICOM segmentation, of an image in DICOM", "segmentation.dcm", "accelsurf.report.dicom_seg:write",
+        needs_dicom=True,
+    ),
+    LabelOutput(
+        "dicom-labelmap", "the same as a label map, which is smaller; few programs read it", "labelmap.dcm",
+        "accelsurf.report.dicom_seg:write_labelmap", needs_dicom=True,
+    ),
+    LabelOutput(
+        "rtstruct", "DICOM structure set, of an image in DICOM", "rtstruct.dcm", "accelsurf.report.rtstruct:write",
+        needs_dicom=True,
+    ),
+)
+
+
+def also_names() -> tuple[str, ...]:
+    """The values of ``--also``.
+
+    Examples
+    --------
+    >>> also_names()[:2]
+    ('seg.nrrd', 'itk-snap')
+    """
+    return (*LABEL_OUTPUTS, *(name for name in label_formats() if name not in LABEL_OUTPUTS))
+
+
+def also_help() -> str:
+    """The same with what each is, as the help says it."""
+    texts = (f"{name} ({entry.help})" for name, entry in LABEL_OUTPUTS.items())
+    return ", ".join([*texts, "or a format of label maps"])
+
+
+def ending_of(name: str) -> str:
+    """The end of the name of a file.
+
+    Examples
+    --------
+    >>> ending_of("seg.nrrd"), ending_of("nii.gz")
+    ('segmentation.seg.nrrd', 'seg.nii.gz')
+    """
+    return LABEL_OUTPUTS[name].ending if name in LABEL_OUTPUTS else f"seg.{name}"

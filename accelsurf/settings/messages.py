@@ -7,13 +7,20 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from accelsurf.errors import UsageError
+from accelsurf.settings.catalogue import enumerated
 from accelsurf.settings.entry import full_help
 from accelsurf.settings.fields import SettingFields
-from accelsurf.settings.intervals import INTERVAL
-from accelsurf.settings.run_fields import VOXELS
 from accelsurf.settings.track_fields import GAINS
-from accelsurf.settings.volumes import VOLUME
 from accelsurf.settings.wording import did_you_mean, shown
+from accelsurf.settings.written_values import INTERVAL, VOLUME, VOXELS
+
+#: Words for texts of a form.
+_FORMS = {
+    VOXELS: "a number of voxels such as 1.5vox",
+    VOLUME: "a volume such as 250ml",
+    INTERVAL: "a number of steps such as 50, or a time such as 30s",
+    GAINS: "two numbers from 0 to 1, such as 1,0.5",
+}
 
 
 def usage_error(
@@ -35,9 +42,9 @@ def no_such_setting(key: str, fields: type[BaseModel] = SettingFields) -> tuple[
 
 def complaint(key: str, value: Any, fields: type[BaseModel] = SettingFields) -> tuple[str, str]:
     """Return message and hint for a value that ``key`` does not take."""
-    given = [one.strip() for one in value.split(",")] if isinstance(value, str) else value
+    given = [word.strip() for word in value.split(",")] if isinstance(value, str) else value
     names = choices(key, fields)
-    wrong = [one for one in given if one not in names] if isinstance(given, (list, tuple)) else [given]
+    wrong = [word for word in given if word not in names] if isinstance(given, (list, tuple)) else [given]
     guess = did_you_mean(wrong[0], names) if wrong else ""
     message = f"{key}: {shown(value)} was given, expected {expected(key, fields)}"
     return message, guess + full_help(fields.model_fields[key])
@@ -51,15 +58,7 @@ def choices(key: str, fields: type[BaseModel] = SettingFields) -> list[str]:
     >>> choices("diffusion"), choices("cfl")
     (['auto', 'free'], [])
     """
-    return _names_in(fields.model_json_schema()["properties"][key])
-
-
-def _names_in(schema: dict[str, Any]) -> list[str]:
-    if "anyOf" in schema:
-        return [name for part in schema["anyOf"] for name in _names_in(part)]
-    if "items" in schema:
-        return _names_in(schema["items"])
-    return [schema["const"]] if "const" in schema else list(schema.get("enum", ()))
+    return enumerated(fields.model_json_schema()["properties"][key])
 
 
 def expected(key: str, fields: type[BaseModel] = SettingFields) -> str:
@@ -104,16 +103,8 @@ def _in_words(schema: dict[str, Any]) -> list[str]:
             return ["true", "false"]
         case "null":
             return []
-        case "string" if schema.get("pattern") == VOXELS:
-            return ["a number of voxels such as 1.5vox"]
-        case "string" if schema.get("pattern") == VOLUME:
-            return ["a volume such as 250ml"]
-        case "string" if schema.get("pattern") == INTERVAL:
-            return ["a number of steps such as 50, or a time such as 30s"]
-        case "string" if schema.get("pattern") == GAINS:
-            return ["two numbers from 0 to 1, such as 1,0.5"]
         case _:
-            return ["a text"]
+            return [_FORMS.get(schema.get("pattern", ""), "a text")]
 
 
 def _bounds(schema: dict[str, Any]) -> str:

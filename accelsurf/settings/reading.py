@@ -1,4 +1,4 @@
-"""How the image is read from a file or folder that holds more than one, or does not say where its voxels lie."""
+"""Options of reading an image from a file or folder that holds several, or does not say where its voxels lie."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Level = int | Literal["auto"]
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What is asked for beside the name of an image.
+    """Requested options beside the name of an image.
 
     Attributes
     ----------
@@ -59,12 +59,12 @@ class ReadOptions:
         """
         return tuple(f.name for f in fields(self) if getattr(self, f.name) != f.default)
 
-    def among(self, names: Collection[str]) -> ReadOptions:
-        """Those of the options that a format has; the others as if they had not been given.
+    def restricted_to(self, names: Collection[str]) -> ReadOptions:
+        """Return the options that a format has; the others as if they had not been given.
 
         Examples
         --------
-        >>> ReadOptions(level=2, series="7").among(("level",)).given
+        >>> ReadOptions(level=2, series="7").restricted_to(("level",)).given
         ('level',)
         """
         absent: dict[str, Any] = {f.name: f.default for f in fields(self) if f.name not in names}

@@ -16,9 +16,8 @@ from pydantic import BaseModel, ConfigDict, model_serializer
 
 from accelsurf.errors import UsageError
 from accelsurf.settings import budgets
-from accelsurf.settings.volumes import VOLUME
 from accelsurf.settings.wording import did_you_mean, shown
-from accelsurf.settings.written_values import checked_volume
+from accelsurf.settings.written_values import VOLUME, checked_volume
 
 FORM = (
     "inside=point:X,Y,Z near=10; new=ID inside=ball:X,Y,Z,R size=4ml; merge=ID,ID; split=point:X,Y,Z; or remove=ID; in "

@@ -122,17 +122,17 @@ class RunConfig(SettingFields):
 
     @property
     def has_ids(self) -> bool:
-        """Whether the result has objects with ids: given to the run, or made by corrections.
+        """True if the result has objects with ids: given to the run, or made by corrections.
 
         Examples
         --------
         >>> RunConfig().has_ids, RunConfig(refine=["new=2 inside=point:1,2,3"]).has_ids
         (False, True)
         """
-        return self.objects is not None or any(one.kind not in ("clicks", "merge") for one in self.refine)
+        return self.objects is not None or any(refinement.kind not in ("clicks", "merge") for refinement in self.refine)
 
     def matters(self, key: str) -> bool:
-        """Whether a setting acts on this flow and energy.
+        """Return True if a setting acts on this flow and energy.
 
         Examples
         --------

@@ -63,14 +63,14 @@ class TrackConfig(TrackFields):
     run: RunConfig = RunConfig()
 
     def __init__(self, **values: Any) -> None:
-        own = {key: value for key, value in values.items() if key in TrackFields.model_fields}
-        others = {key: value for key, value in values.items() if key not in own and key != "run"}
+        of_tracking = {key: value for key, value in values.items() if key in TrackFields.model_fields}
+        others = {key: value for key, value in values.items() if key not in of_tracking and key != "run"}
         run = values.get("run") or RunConfig()
         try:
-            values = {**own, "run": run.replace(**others) if others else run}
+            values = {**of_tracking, "run": run.replace(**others) if others else run}
             super().__init__(**values)
         except ValidationError as error:
-            raise messages.usage_error(error, own, TrackFields) from None
+            raise messages.usage_error(error, of_tracking, TrackFields) from None
         self._check_together()
 
     def _check_together(self) -> None:
@@ -81,10 +81,11 @@ class TrackConfig(TrackFields):
             if isinstance(value, float) and value and not low <= value <= high:
                 raise UsageError(f"{key}: {value:g} was given, expected a size of {low:g} to {high:g}")
         before, after = self.direction == "backward", self.direction == "forward"
-        for one in self.correct:
-            if (before and one.frame > self.frame) or (after and one.frame < self.frame):
+        for correction in self.correct:
+            if (before and correction.frame > self.frame) or (after and correction.frame < self.frame):
                 raise UsageError(
-                    f"correct: frame {one.frame} was given, the tracking goes {self.direction} from frame {self.frame}",
+                    f"correct: frame {correction.frame} was given, the tracking goes {self.direction} from frame "
+                    f"{self.frame}",
                     "give --direction both, or another --frame",
                 )
         given = [key for key in ("time_index", "label_group", "checkpoint") if getattr(self.run, key) is not None]
@@ -108,8 +109,8 @@ class TrackConfig(TrackFields):
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some settings changed, of tracking or of the run, validated again."""
-        own = {key: getattr(self, key) for key in TrackFields.model_fields}
-        return type(self)(**{**own, "run": self.run, **changes})
+        of_tracking = {key: getattr(self, key) for key in TrackFields.model_fields}
+        return type(self)(**{**of_tracking, "run": self.run, **changes})
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Self:
@@ -125,16 +126,16 @@ class TrackConfig(TrackFields):
 
     def to_toml(self) -> str:
         """Return the configuration as TOML; `from_toml` gives an equal object back."""
-        own = self.model_dump(exclude={"run", "correct"})
-        table = toml.written(own, tables=())
+        of_tracking = self.model_dump(exclude={"run", "correct"})
+        table = toml.written(of_tracking, tables=())
         corrections = "".join(
-            f"\n[[{TABLE}.correct]]\n{toml.written(one.model_dump(), tables=())}" for one in self.correct
+            f"\n[[{TABLE}.correct]]\n{toml.written(correction.model_dump(), tables=())}" for correction in self.correct
         )
         return f"{self.run.to_toml()}\n[{TABLE}]\n{table}{corrections}"
 
 
 def split_table(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What a configuration file says of the run, and of tracking.
+    """Split the settings of a configuration file into those of the run and those of tracking.
 
     Raises
     ------

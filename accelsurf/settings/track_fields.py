@@ -1,22 +1,83 @@
 """The settings of tracking, one entry each: type, bounds, default, help and unit.
 
-The command line, TOML files, the report and the reference pages take them from here. Those of the run on each frame are
-in `accelsurf.settings.fields`.
+The command line, TOML files, the report and the reference pages take them from here, and the formats of tracks. The
+settings of the run on each frame are in `accelsurf.settings.fields`.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from accelsurf.settings.entry import SettingEntry, SettingGroup, setting
-from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, label_formats
+from accelsurf.settings.entry import OneOf, SettingEntry, SettingGroup, setting
+from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, Function, label_formats
 from accelsurf.settings.frame_corrections import FrameCorrection, corrections_of
-from accelsurf.settings.known_names import OneOf
 from accelsurf.settings.mesh_formats import MESH_FORMATS
-from accelsurf.settings.track_formats import TRACK_FORMATS, track_format_help
+from accelsurf.settings.registry import Registry
 from accelsurf.settings.written_values import all_split, checked_expression
+
+
+@dataclass(frozen=True)
+class TrackFormat:
+    """A file, or a folder, of tracks.
+
+    Attributes
+    ----------
+    name : str
+        As it is given to ``--also``.
+    help : str
+        What it is, in a few words.
+    ending : str
+        Of its name, after the name of the sequence.
+    write : str or callable
+        Of an `accelsurf.report.track_frames.TrackSet` and a Path, writes it.
+    check : str or callable, optional
+        Of the grid, refuses what cannot be written here, before anything is computed.
+    mark : str
+        A file in it, where it is a folder: by this it is known as one that may be replaced. Empty: it is a file.
+    """
+
+    name: str
+    help: str
+    ending: str
+    write: Function
+    check: Function | None = None
+    mark: str = ""
+
+
+TRACK_FORMATS: Registry[TrackFormat] = Registry(
+    "format of tracks",
+    TrackFormat(
+        "ctc", "folder of the Cell Tracking Challenge: res_track.txt and a TIFF for each frame", "RES",
+        "accelsurf.report.challenge_files:write", mark="res_track.txt",
+    ),
+    TrackFormat(
+        "geff", "folder of the Graph Exchange File Format", "tracks.geff", "accelsurf.report.geff_file:write",
+        "accelsurf.report.geff_file:check", mark=".zattrs",
+    ),
+    TrackFormat(
+        "surfaces", "folder of surfaces, prediction beside correction, for accelsurf view --tracks", "surfaces",
+        "accelsurf.report.track_surfaces:write", mark="surfaces.json",
+    ),
+    TrackFormat("trackmate", "XML file of TrackMate", "trackmate.xml", "accelsurf.report.trackmate_file:write"),
+    TrackFormat(
+        "mp4", "movie of slices, prediction beside correction", "movie.mp4", "accelsurf.report.track_movie:write",
+        "accelsurf.report.track_movie:check_mp4",
+    ),
+    TrackFormat("gif", "the same as GIF", "movie.gif", "accelsurf.report.track_movie:write"),
+    TrackFormat(
+        "webp", "the same as WebP", "movie.webp", "accelsurf.report.track_movie:write",
+        "accelsurf.report.track_movie:check_webp",
+    ),
+)
+
+
+def track_format_help() -> str:
+    """The formats with what each is, as the help of ``--also`` says them."""
+    return ", ".join(f"{name} ({entry.help})" for name, entry in TRACK_FORMATS.items())
+
 
 TRACK = SettingGroup.TRACK
 #: Two gains, each from 0 to 1, as they are written.
@@ -26,7 +87,7 @@ GAINS = r"^(0|1|0?\.[0-9]{1,9}|1\.0{1,9}|0\.[0-9]{1,9}),(0|1|0?\.[0-9]{1,9}|1\.0
 def _gains_text(value: Any) -> Any:
     """Two numbers as their text."""
     if isinstance(value, (list, tuple)):
-        return ",".join(f"{one:g}" if isinstance(one, (int, float)) else str(one) for one in value)
+        return ",".join(f"{number:g}" if isinstance(number, (int, float)) else str(number) for number in value)
     return value.replace(" ", "") if isinstance(value, str) else value
 
 
@@ -35,7 +96,7 @@ def _energy_or_auto(value: Any) -> Any:
 
 
 class TrackFields(BaseModel):
-    """How objects are followed from frame to frame."""
+    """The fields of `accelsurf.settings.track_config.TrackConfig`, without what it does with them."""
 
     # Nobody makes a record of a part of the settings: only the class of all of them gets a validator.
     model_config = ConfigDict(

@@ -13,7 +13,7 @@ MAX_SHOWN = 60
 
 
 def shown(value: Any) -> str:
-    r"""What was given, as a message repeats it: on one line, of `MAX_SHOWN` characters at most.
+    r"""Return a value as a message repeats it: on one line, of `MAX_SHOWN` characters at most.
 
     Characters that a terminal does not print are written as escapes.
 

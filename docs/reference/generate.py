@@ -25,8 +25,7 @@ from accelsurf.settings.mesh_formats import MESH_FORMATS, MeshFormat, Shape
 from accelsurf.settings.messages import expected
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.trace_columns import TRACE_COLUMNS
-from accelsurf.settings.track_fields import TrackFields
-from accelsurf.settings.track_formats import TRACK_FORMATS
+from accelsurf.settings.track_fields import TRACK_FORMATS, TrackFields
 from docs.reference.report_keys import REPORT_KEYS
 
 HERE = Path(__file__).parent

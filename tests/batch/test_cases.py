@@ -141,7 +141,7 @@ def test_an_id_that_is_given_twice_is_named_with_both_places(tmp_path):
 
 def test_shards_have_every_case_once():
     cases = list("abcdefg")
-    parts = [Shard(number, 3).of(cases) for number in (1, 2, 3)]
+    parts = [Shard(number, 3).part_of(cases) for number in (1, 2, 3)]
     assert parts == [["a", "d", "g"], ["b", "e"], ["c", "f"]]
 
 

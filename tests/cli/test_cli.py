@@ -551,8 +551,8 @@ def test_info(capsys):
 def test_demo_on_a_small_cube(tmp_path, capsys, monkeypatch):
     small = recipes.load_recipe("cube_noisy").changed(shape=(32, 32, 32), side=16.0, noise=0.3)
     monkeypatch.setattr(recipes, "load_recipe", lambda name: small)
-    monkeypatch.setattr("accelsurf.cli.demo.START", "ball:2,1,-1,5")
-    monkeypatch.setattr("accelsurf.cli.demo.MAX_STEPS", 40)
+    monkeypatch.setattr("accelsurf.cli.compare.DEMO_START", "ball:2,1,-1,5")
+    monkeypatch.setattr("accelsurf.cli.compare.DEMO_STEPS", 40)
     monkeypatch.chdir(tmp_path)
     assert run("demo") == 0
     out = capsys.readouterr().out

@@ -9,7 +9,7 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.cli import view
-from accelsurf.cli.first_image import FirstImage
+from accelsurf.cli.view import FirstImage
 from accelsurf.errors import InputError
 from accelsurf.grid.volume import Volume
 from accelsurf.io import channels, headers
@@ -121,7 +121,7 @@ def test_an_error_of_the_work_ends_the_trial(on_a_screen, monkeypatch):
 def test_garbage_is_looked_for_again_after_loading():
     # In a process of its own: what is frozen stays so.
     code = (
-        "import gc\nfrom accelsurf.cli.first_image import loading\n"
+        "import gc\nfrom accelsurf.cli.view import loading\n"
         "try:\n    with loading():\n        assert not gc.isenabled()\n        import email.mime.text\n        1 / 0\n"
         "except ZeroDivisionError:\n    print(gc.isenabled(), gc.get_freeze_count() > 1000)\n"
         "gc.disable()\nwith loading():\n    pass\nprint(gc.isenabled())"

@@ -8,8 +8,8 @@ import pytest
 from distributed import LocalCluster
 
 from accelsurf import cli, io
-from accelsurf.batch.inline_pool import InlinePool
-from accelsurf.cli import group_task
+from accelsurf.batch.pool import InlinePool
+from accelsurf.cli import object_work
 from tests.support.many_balls import BALLS, label_map, scene, write_table
 
 WORDS = ("--threads", "1", "--quiet")
@@ -86,7 +86,7 @@ def test_a_cluster(folder, tmp_path):
 def ran(monkeypatch):
     """The ids of each group that is run; the test may put an exception at the place of one."""
     done, instead = [], {}
-    run_task = group_task.run_task
+    run_task = object_work.run_task
 
     def counted(task):
         ids = tuple(task.starts.ids.tolist())
@@ -95,7 +95,7 @@ def ran(monkeypatch):
             raise instead[ids]
         return run_task(task)
 
-    monkeypatch.setattr(group_task, "run_task", counted)
+    monkeypatch.setattr(object_work, "run_task", counted)
     return done, instead
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import accelsurf
 from accelsurf import kernels
-from accelsurf.cli import profile
+from accelsurf.cli import segment
 from accelsurf.kernels._jit import STAGE_OF_KERNEL, Stage
 
 MODULES = {
@@ -25,7 +25,7 @@ def test_stages_add_up_to_the_total(parts, names):
     rng = np.random.default_rng(len(parts) + len(names))
     seconds = {part: float(rng.uniform(5, 9)) for part in parts} | {"total": 60.0}
     spent_in = {name: float(rng.uniform(0.1, 1)) for name in names}
-    stages = profile.seconds_by_stage(seconds, spent_in)
+    stages = segment.seconds_by_stage(seconds, spent_in)
     assert sum(value for _, value in stages) == pytest.approx(60)
     assert len({stage for stage, _ in stages}) == len(stages)
     found = dict(stages)
@@ -36,7 +36,7 @@ def test_stages_add_up_to_the_total(parts, names):
         assert found["evolve: other"] == pytest.approx(seconds["evolve"] - sum(spent_in.values()))
     for part in parts:
         assert part == "evolve" or found[part] == seconds[part]
-    assert len(profile.lines(seconds, spent_in)) == len(stages)
+    assert len(segment.profile_lines(seconds, spent_in)) == len(stages)
 
 
 def kernels_handed_over(path):

@@ -182,7 +182,7 @@ COMMANDS = [
     (("movie", "IMAGE", "-o", "OUT/a.mp4", "--preview"), "expected .png"),
     (("segment", "IMAGE"), "-o DIR"),
     (("segment",), "--help"),
-    (("info", "IMAGE", "surplus"), "accelsurf info: surplus: it takes no such word"),
+    (("info", "IMAGE", "surplus"), "accelsurf info: surplus: unexpected argument"),
     (("evaluate", "IMAGE"), "--help"),
 ]
 

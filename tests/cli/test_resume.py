@@ -142,17 +142,17 @@ def test_a_case_of_a_batch_goes_on_from_its_state(scan, whole, tmp_path, monkeyp
     program = started(scan, tmp_path / "out" / "ball")
     program.kill()
     program.communicate()
-    taken_up = []
+    resumed_place = []
     restore = CheckpointFile.restore
 
     def watched(self, run, growth):
         found = restore(self, run, growth)
-        taken_up.append(run.step_number)
+        resumed_place.append(run.step_number)
         return found
 
     monkeypatch.setattr(CheckpointFile, "restore", watched)
     monkeypatch.setattr(pools, "LocalPool", InlinePool)
     assert run("batch", scan, "-o", tmp_path / "out", *WORDS, "--resume", "--quiet") == 0
-    assert len(taken_up) == 1 and taken_up[0] > 0
+    assert len(resumed_place) == 1 and resumed_place[0] > 0
     assert content(tmp_path / "out" / "ball") == whole
     assert not (tmp_path / "out" / "ball" / "ball_checkpoint.npz").exists()

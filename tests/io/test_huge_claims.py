@@ -247,7 +247,7 @@ def tables(made, small):
     from accelsurf.initialization import object_clicks, object_starts
     from accelsurf.initialization.clicks import read_clicks
     from accelsurf.io import label_tables
-    from accelsurf.settings.label_ids import parse_ids
+    from accelsurf.settings.labels import parse_ids
     from accelsurf.settings.run_config import RunConfig
 
     for size in [*SIZES, 10**30, 10**400]:

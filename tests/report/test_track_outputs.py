@@ -13,7 +13,7 @@ from accelsurf import io
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.report.track_files import TrackFiles
 from accelsurf.report.track_outputs import TrackOutputs
-from accelsurf.settings.track_formats import TRACK_FORMATS, TrackFormat
+from accelsurf.settings.track_fields import TRACK_FORMATS, TrackFormat
 from accelsurf.tracking.records import CarriedMesh
 from tests.support.trackings import dividing_cells, flat_cells
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.cli.place import Place
-from accelsurf.cli.resume import code_of_ended
+from accelsurf.cli.case import Place, exit_code_of_finished
 from accelsurf.errors import InputError
 from accelsurf.evolution import serialization
 from accelsurf.grid.volume import Volume
@@ -330,7 +329,7 @@ def test_reports_that_somebody_has_changed_are_no_fault(value, scan, finished, t
             report[key] = value
         path.write_text(json.dumps(report))
         assert run("refine", folder, "--inside", "point:8,8,7") == 3
-        assert code_of_ended(place, RunConfig(**whole["config"]), quiet=True) in (None, 0)
+        assert exit_code_of_finished(place, RunConfig(**whole["config"]), quiet=True) in (None, 0)
         assert result_sets.is_failure_report(path) in (True, False)
         assert isinstance(result_sets.outdated(folder, "ball", (), False), list)
         capfd.readouterr()

@@ -62,8 +62,7 @@ class InlinePool:
         self.waiting.append(job)
 
     def events(self):
-        from accelsurf.batch.pool import Ended, Started
-        from accelsurf.batch.worker import Failure, done
+        from accelsurf.batch.pool import Ended, Failure, Started, run_job
 
         for job in self.waiting:
             if job.bytes > (self.options.get("bytes") or job.bytes):
@@ -71,7 +70,7 @@ class InlinePool:
                 continue
             yield Started(job.key)
             InlinePool.ran.append(job.key)
-            yield Ended(job.key, *done(self.function, job.payload))
+            yield Ended(job.key, *run_job(self.function, job.payload))
 
     def interrupt(self):
         raise AssertionError("nobody waits")

@@ -29,7 +29,7 @@ def note(about):
 #: Reads an image, draws it, prepares its run, and asks for what a session does with it; says what is loaded by then.
 DRAWN = NOTE + """
 from pathlib import Path
-from accelsurf.cli.first_image import FirstImage
+from accelsurf.cli.view import FirstImage
 from accelsurf.cli.view import _load
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig

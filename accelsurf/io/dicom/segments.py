@@ -25,8 +25,7 @@ from accelsurf.io.dicom.slices import TOLERANCE_MM, ordered
 from accelsurf.io.dicom.sources import DicomFile
 from accelsurf.io.dicom.volumes import DicomVolume
 from accelsurf.io.memory import check_memory
-from accelsurf.settings.label_ids import holds
-from accelsurf.settings.labels import MAX_NAME, LabelEntry, LabelTable, default_color
+from accelsurf.settings.labels import MAX_NAME, LabelEntry, LabelTable, default_color, holds
 
 _TAGS = (
     "SegmentationType", "MaximumFractionalValue", "SegmentSequence", "SharedFunctionalGroupsSequence",

@@ -108,7 +108,7 @@ def choices_of(path: Path, config: RunConfig) -> list[Choice]:
             is_study = path.is_dir() or path.suffix.lower() == ".zip"
             found = load(form.listing)(path) if is_study and config.series is None else []
             return _several([Choice(_volume_text(one), {"series": str(one["number"])}) for one in found])
-        asked = config.reading.among(form.options)
+        asked = config.reading.restricted_to(form.options)
         if "time_index" not in form.options or asked.time_index is not None or asked.channels_from_time:
             return []
         moments = headers.counts(path, replace(asked, level=0))[1]
@@ -145,7 +145,7 @@ def read_image(path: Path, config: RunConfig) -> OpenedImage:
     InputError
         When it cannot be read.
     """
-    asked = config.reading.among(_options(path))
+    asked = config.reading.restricted_to(_options(path))
     config = config.replace(**{name: getattr(asked, name) for name in OF_ONE_IMAGE if hasattr(asked, name)})
     config, note = _with_level(path, config)
     volume, *more = channels.read(path, config.reading)

@@ -1,0 +1,32 @@
+from .analysis.contours import Contours as Contours
+from .analysis.metrics import evaluate as evaluate
+from .analysis.surface_mesh import Surface as Surface
+from .cli.many import segment_many as segment_many
+from .errors import AccelsurfError as AccelsurfError
+from .errors import EmptyResultError as EmptyResultError
+from .errors import GeometryError as GeometryError
+from .errors import InputError as InputError
+from .errors import OutputError as OutputError
+from .errors import UsageError as UsageError
+from .grid.geometry import Geometry as Geometry
+from .grid.volume import Volume as Volume
+from .io import LazyVolume as LazyVolume
+from .io import open_volume as open_volume
+from .io import read as read
+from .io import read_labels as read_labels
+from .io import read_sequence as read_sequence
+from .io import write as write
+from .report.document import report_of as report_of
+from .segmentation.api import evolve as evolve
+from .segmentation.api import segment as segment
+from .segmentation.api import segment_objects as segment_objects
+from .segmentation.refine import refine as refine
+from .segmentation.refiner import Refiner as Refiner
+from .segmentation.result import ObjectsResult as ObjectsResult
+from .segmentation.result import Result as Result
+from .settings.run_config import RunConfig as RunConfig
+from .settings.track_config import TrackConfig as TrackConfig
+from .tracking.track import track as track
+from .viewer.frontends.notebook import show as show
+
+__version__: str
