@@ -12,8 +12,8 @@ from accelsurf.report.document import SCHEMA_VERSION, Status, to_json
 from accelsurf.report.environment import peak_rss_mb, versions
 from accelsurf.report.file_entries import describe_input
 from accelsurf.report.track_frames import TrackSet
+from accelsurf.report.track_slices import beats_of
 from accelsurf.report.track_tables import ML
-from accelsurf.report.volume_curves import beats_of
 
 __all__ = ["Status", "build", "to_json"]
 

@@ -17,7 +17,7 @@ from accelsurf.grid.sequence import ImageSequence
 from accelsurf.grid.volume import Volume
 from accelsurf.io.file_set import FileSet, refuse_links
 from accelsurf.io.files import write_bytes
-from accelsurf.report import film_strip, output_folder, result_sets, track_document, track_tables, volume_curves
+from accelsurf.report import output_folder, result_sets, track_document, track_slices, track_tables
 from accelsurf.report.file_entries import describe_drafts
 from accelsurf.report.inputs import inputs_of
 from accelsurf.report.track_files import TrackFiles, is_of_frame, labels_name, mesh_name
@@ -241,7 +241,7 @@ class TrackOutputs:
         for kind, text in (texts | ({"config": self._toml} if self._toml else {})).items():
             write_bytes(self._set.drafts / names[kind], text.encode())
             kinds[names[kind]] = kind
-        pictures = {"preview": film_strip.film_strip_png(tracks), "curves-picture": volume_curves.curves_png(tracks)}
+        pictures = {"preview": track_slices.film_strip_png(tracks), "curves-picture": track_slices.curves_png(tracks)}
         for kind, picture in pictures.items():
             write_bytes(self._set.drafts / names[kind], picture)
             kinds[names[kind]] = kind
