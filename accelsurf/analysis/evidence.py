@@ -107,9 +107,9 @@ def gather(
     unlike = np.abs(out - middle) / max(spread, floor)
     gain = np.maximum(unlike - np.abs(near - middle) / max(spread, floor), 0.0)
     corner = np.array(corner_of(box))
-    own = index + corner
+    places = index + corner
     return Evidence(
-        own, _rising(across, HALF_EDGE), _rising(gain, HALF_MODEL), _near_click(own, clicked, inside, spacing),
+        places, _rising(across, HALF_EDGE), _rising(gain, HALF_MODEL), _near_click(places, clicked, inside, spacing),
         float(np.median(across)), float((unlike < LIKE).mean()), _drift(part, values, spacing, spread, floor),
     )
 
@@ -150,8 +150,8 @@ def doubtful_places(
     far = np.ones(len(blocks), np.bool_)
     while len(out) < count and far.any():
         best = _first_largest(totals, far)
-        own = np.flatnonzero(member == best)
-        z, y, x = evidence.index[own[int(np.argmax(doubt[own]))]]
+        members = np.flatnonzero(member == best)
+        z, y, x = evidence.index[members[int(np.argmax(doubt[members]))]]
         out.append(((int(z), int(y), int(x)), float(shares[best])))
         far &= ((middles - middles[best]) ** 2).sum(axis=1) > (APART * radius) ** 2
     return out
@@ -249,6 +249,6 @@ def _drift(
     core = core if core.sum() > 20 else inside
     z, y, x = (((np.arange(n) - m) * h) ** 2 for n, m, h in zip(inside.shape, middle, spacing, strict=True))
     away = np.concatenate([(z[k] + y[:, None] + x)[plane] for k, plane in enumerate(core)])
-    own = values[core][np.argsort(away, kind="stable")]
-    shells = [float(np.median(shell)) for shell in np.array_split(own, 4) if shell.size]
+    ordered = values[core][np.argsort(away, kind="stable")]
+    shells = [float(np.median(shell)) for shell in np.array_split(ordered, 4) if shell.size]
     return float(np.ptp(shells)) / max(spread, floor)

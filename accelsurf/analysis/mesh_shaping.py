@@ -5,9 +5,11 @@ Every operation keeps the mesh closed and facing outward; one that does not is u
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from scipy import sparse
 
 from accelsurf.analysis.mesh_distance import TriangleIndex, largest_distance, mean_side, sides
 from accelsurf.analysis.surface_mesh import Surface
-from accelsurf.errors import UsageError
+from accelsurf.errors import InputError, UsageError
 
 Floats = NDArray[np.float64]
 #: Rounds of smoothing, at most; more are needed where the length is more than about 12 sides of triangles.
@@ -30,7 +32,7 @@ EVENING = 10
 
 @dataclass(frozen=True)
 class MeshWish:
-    """What is wanted of a mesh.
+    """Requested options of a mesh.
 
     Attributes
     ----------
@@ -52,7 +54,7 @@ class MeshWish:
 
     @property
     def is_none(self) -> bool:
-        """Whether the mesh stays as it was extracted."""
+        """True if the mesh stays as it was extracted."""
         return self == MeshWish()
 
 
@@ -136,7 +138,7 @@ def _above(value: float) -> str:
 
 
 def is_sound(surface: Surface) -> bool:
-    """Whether every side of a triangle has exactly one other beside it that faces the same way, and volume is inside.
+    """Test if each side of a triangle has exactly one other beside it that faces the same way, and volume is inside.
 
     Examples
     --------
@@ -204,9 +206,9 @@ def _with_volume(surface: Surface, volume: float) -> Surface:
     for _ in range(3):  # Newton's method: the derivative of the volume is the area
         corners = surface.vertices[surface.faces]
         normals = np.zeros_like(surface.vertices)
-        own = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area_vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         for k in range(3):
-            np.add.at(normals, surface.faces[:, k], own)
+            np.add.at(normals, surface.faces[:, k], area_vectors)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         way = (volume - surface.volume) / surface.area
         surface = Surface(surface.vertices + way * normals, surface.faces)
@@ -218,8 +220,6 @@ def decimated(surface: Surface, faces: int) -> Surface:
 
     The library may let a collapse join two sheets in an edge: then other ways and numbers nearby are tried.
     """
-    from accelsurf.analysis.mesh_library import library
-
     middle = surface.vertices.mean(axis=0)
     simplify, first = library("fast_simplification").simplify, None
     for count, eagerness in itertools.product((faces, faces + 2, faces - 2, faces + 6, faces - 6), EAGERNESS):
@@ -299,3 +299,20 @@ def smallest_angles(corners: Floats) -> Floats:
     cosines = np.einsum("ijk,ijk->ij", along, back) / np.maximum(lengths, 1e-300)
     angles: Floats = np.degrees(np.arccos(np.clip(cosines.max(axis=1), -1.0, 1.0)))
     return angles
+
+
+def library(name: str) -> Any:
+    """Return a package.
+
+    Raises
+    ------
+    InputError
+        When it is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        package = name.replace("_", "-")
+        raise InputError(
+            f"coarser meshes need the package {package}", 'install it: pip install "accelsurf[mesh]"'
+        ) from None

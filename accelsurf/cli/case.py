@@ -22,7 +22,7 @@ from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io import sha256
 from accelsurf.io.files import write_bytes
 from accelsurf.report import document, label_files, layouts, mesh_files, output_folder, output_names, result_sets
-from accelsurf.report.file_entries import describe_drafts, describe_input
+from accelsurf.report.document import describe_drafts, describe_input
 from accelsurf.report.mesh_files import MeshNotes
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig

@@ -42,7 +42,7 @@ def demo(
     from accelsurf.cli.place import Place
     from accelsurf.cli.progress import Watcher
     from accelsurf.phantoms import recipes
-    from accelsurf.report.file_entries import describe_input
+    from accelsurf.report.document import describe_input
     from accelsurf.report.output_folder import naming_final, opened_set, refuse_existing
     from accelsurf.settings.run_config import RunConfig
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from accelsurf.report import layouts, object_files, output_names, result_sets
+from accelsurf.report import layouts, output_names, result_sets
 from accelsurf.report.inputs import inputs_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
@@ -97,6 +97,6 @@ class Place:
         if not config.has_ids:
             paths = {kind: self.folder / name for kind, name in names.items()}
         else:
-            paths = {k: self.folder / name for k, name in names.items() if not k.startswith(object_files.EACH)}
-            paths |= {path.name: path for path in object_files.existing(self.folder, names)}
+            paths = {k: self.folder / name for k, name in names.items() if not k.startswith(output_names.EACH)}
+            paths |= {path.name: path for path in output_names.existing(self.folder, names)}
         return paths | {"report": self.report_path}

@@ -292,8 +292,8 @@ def drawable(text: str) -> str:
     """
     if all(line.isascii() and line.isprintable() for line in text.split("\n")):
         return text
-    kept = _characters()
-    return "".join(c if c == "\n" or (c.isprintable() and ord(c) in kept) else _MISSING for c in text)
+    characters = _characters()
+    return "".join(c if c == "\n" or (c.isprintable() and ord(c) in characters) else _MISSING for c in text)
 
 
 def text_width(text: str, size: int, bold: bool = False) -> float:

@@ -1,4 +1,4 @@
-"""What a group of objects has left, in a folder of its own: complete or not there, for whoever puts all together."""
+"""Results of a group of objects, each in a folder of its own: complete or not there."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from accelsurf.grid.boxes import Box
 from accelsurf.io.file_set import sync
 from accelsurf.io.files import read_json
 from accelsurf.io.set_journals import sync_folder
-from accelsurf.report import object_files
+from accelsurf.report import output_names
 from accelsurf.report.document import describe_object, describe_window
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ _RECORD, _LABELS = "record.json", "labels.npz"
 
 @dataclass(frozen=True)
 class GroupRecord:
-    """What a group has left.
+    """Results of a group, as they were read from its folder.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class GroupRecord:
     facts: dict[str, Any]
 
     def masks(self) -> list[NDArray[np.bool_]]:
-        """Where each object is, on its box."""
+        """Return the mask of each object, on its box."""
         with np.load(self.folder / _LABELS, allow_pickle=False) as packed:
             return [
                 np.unpackbits(packed[str(row["id"])], count=_count(box)).reshape(_shape(box)).view(np.bool_)
@@ -94,16 +94,16 @@ def write_group(
     """
     draft = _draft(folder)
     try:
-        meshes = [_write_meshes(draft, one, names, space) for one in result.objects]
-        packed = {str(one.id): np.packbits(one.labels) for one in result.objects}
+        meshes = [_write_meshes(draft, segmented, names, space) for segmented in result.objects]
+        packed = {str(segmented.id): np.packbits(segmented.labels) for segmented in result.objects}
         np.savez(draft / _LABELS, **packed)  # type: ignore[arg-type]
         _write_record(draft, {
             "near": [],
-            "rows": [describe_object(one) for one in result.objects],
-            "boxes": [[[side.start, side.stop] for side in one.box] for one in result.objects],
+            "rows": [describe_object(segmented) for segmented in result.objects],
+            "boxes": [[[side.start, side.stop] for side in segmented.box] for segmented in result.objects],
             "low": result.low.tolist(),
             "high": result.high.tolist(),
-            "stops": [list(one.stop) for one in result.objects],
+            "stops": [list(segmented.stop) for segmented in result.objects],
             "meshes": meshes,
             "facts": {
                 "energy": result.energy,
@@ -136,7 +136,7 @@ def read_group(folder: Path) -> GroupRecord | None:
             return GroupRecord(folder, tuple(found["near"]), [], [], nothing, nothing, [], [], {})
         boxes: list[Box] = [(slice(*z), slice(*y), slice(*x)) for z, y, x in found["boxes"]]
         low, high = np.array(found["low"], np.int64), np.array(found["high"], np.int64)
-        stops = [Stop(*one) for one in found["stops"]]
+        stops = [Stop(*stop) for stop in found["stops"]]
         if not _are_meshes(folder, found["rows"], found["meshes"]):
             return None
         return GroupRecord(folder, (), found["rows"], boxes, low, high, stops, found["meshes"], found["facts"])
@@ -145,7 +145,7 @@ def read_group(folder: Path) -> GroupRecord | None:
 
 
 def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str, str]]) -> bool:
-    """Whether a record names meshes of its own objects that lie in the folder itself; it may be somebody's."""
+    """Test if a record names meshes of its objects that lie in the folder itself; the record may be somebody's."""
     if folder.is_symlink() or any(path.is_symlink() for path in folder.iterdir()):
         return False
     return all(
@@ -158,14 +158,16 @@ def _draft(folder: Path) -> Path:
     return Path(tempfile.mkdtemp(prefix=".draft-", dir=folder.parent))
 
 
-def _write_meshes(draft: Path, one: Any, names: Mapping[str, str], space: Literal["lps", "ras"]) -> dict[str, str]:
+def _write_meshes(
+    draft: Path, segmented: Any, names: Mapping[str, str], space: Literal["lps", "ras"]
+) -> dict[str, str]:
     """Write the surface or the contours of an object; the names of its files by kind."""
-    shape = "surface" if one.length_mm is None else "contour"
-    wanted = {kind: name for kind, name in names.items() if kind.startswith(shape) and one.has_surface}
-    own = {kind: object_files.name_of(name, one.id) for kind, name in wanted.items()}
-    for name in own.values():
-        (one.surface if shape == "surface" else one.contours).write(draft / name, space)
-    return own
+    shape = "surface" if segmented.length_mm is None else "contour"
+    wanted = {kind: name for kind, name in names.items() if kind.startswith(shape) and segmented.has_surface}
+    files = {kind: output_names.name_of(name, segmented.id) for kind, name in wanted.items()}
+    for name in files.values():
+        (segmented.surface if shape == "surface" else segmented.contours).write(draft / name, space)
+    return files
 
 
 def _write_record(draft: Path, record: dict[str, Any]) -> None:

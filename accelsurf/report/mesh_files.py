@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class MeshNotes:
-    """What is said of meshes that were made smoother or coarser.
+    """Statistics and warnings of meshes that were made smoother or coarser.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class MeshNotes:
 
 
 def is_shaped(config: RunConfig) -> bool:
-    """Whether the settings want another mesh than the surface as it was extracted."""
+    """Test if the settings want another mesh than the surface as it was extracted."""
     return bool(config.mesh_smooth or config.mesh_faces or config.mesh_error)
 
 
@@ -43,7 +43,7 @@ def check(config: RunConfig) -> None:
         When a package lacks.
     """
     if config.mesh_faces or config.mesh_error:
-        from accelsurf.analysis.mesh_library import library
+        from accelsurf.analysis.mesh_shaping import library
 
         library("fast_simplification")
 
@@ -73,11 +73,11 @@ def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any]
         mesh = shape(surface, wish_of(config))
     except UsageError as error:
         mesh = ShapedMesh(surface, 0.0, (f"{error.message}; the mesh is the surface as it is; {error.hint}",))
-    own = mesh.surface
+    made = mesh.surface
     facts = {
-        "faces": len(own.faces),
+        "faces": len(made.faces),
         "largest_distance_mm": mesh.distance_mm,
-        "closed": is_sound(own),
-        "smallest_angle_deg": float(smallest_angles(own.vertices[own.faces]).min()),
+        "closed": is_sound(made),
+        "smallest_angle_deg": float(smallest_angles(made.vertices[made.faces]).min()),
     }
-    return own, facts, mesh.warnings
+    return made, facts, mesh.warnings

@@ -18,9 +18,9 @@ from accelsurf.grid.grey_window import parse_window
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.io.metadata import LABELS_KEY, UNIT_KEY
-from accelsurf.report import layouts, object_files, preview, statistics_files, tables
+from accelsurf.report import layouts, output_names, preview, tables
 from accelsurf.report.document import describe_objects
-from accelsurf.report.label_names import given_of, is_named, table_of
+from accelsurf.report.label_files import given_of, is_named, table_of
 from accelsurf.report.mesh_files import MeshNotes, is_shaped, shaped
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.segmentation.state_file import state_bytes
@@ -87,7 +87,7 @@ def write_result(
 
 
 def _has_surface(result: Result) -> bool:
-    return any(one.has_surface for one in result.objects)
+    return any(segmented.has_surface for segmented in result.objects)
 
 
 def _label_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
@@ -100,13 +100,13 @@ def _write_labels(result: Result, labels: NDArray[Any], path: Path) -> None:
     """Write labels on the image's grid; of a result in a window they are 0 beyond it."""
     volume, window = result.labels_volume().with_array(labels), result.window
     if is_named(result.config):
-        volume.metadata[LABELS_KEY] = table_of(result.config).of(one.id for one in result.objects).to_json()
+        volume.metadata[LABELS_KEY] = table_of(result.config).of(segmented.id for segmented in result.objects).to_json()
     if window is None:
         io.write_labels(volume, path)
         return
-    own = volume.array.astype(io.label_type(int(volume.array.max())))
-    with io.LabelStore(path, window.geometry, own.dtype, volume.metadata) as store:
-        store.write(window.box, own)
+    typed = volume.array.astype(io.label_type(int(volume.array.max())))
+    with io.LabelStore(path, window.geometry, typed.dtype, volume.metadata) as store:
+        store.write(window.box, typed)
 
 
 def _also_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
@@ -127,7 +127,7 @@ def _also_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
 
 def _rest_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
     """The writers of the label maps of rests: each object at that rest, or without it as it is."""
-    count = max((len(one.rests) for one in result.objects), default=0)
+    count = max((len(segmented.rests) for segmented in result.objects), default=0)
     for number in range(1, count + 1):
         if (kind := f"rest{number}") in names:
             yield kind, names[kind], functools.partial(_write_rest, result, number)
@@ -135,10 +135,10 @@ def _rest_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
 
 def _write_rest(result: Result, number: int, path: Path) -> None:
     labels = np.zeros_like(result.labels)
-    for one in result.objects:
-        own = one.labels if len(one.rests) < number else one.rests[number - 1].labels
-        part = labels[one.box]
-        part[(own > 0) & (part == 0)] = one.id
+    for segmented in result.objects:
+        inside = segmented.labels if len(segmented.rests) < number else segmented.rests[number - 1].labels
+        part = labels[segmented.box]
+        part[(inside > 0) & (part == 0)] = segmented.id
     _write_labels(result, labels, path)
 
 
@@ -160,22 +160,22 @@ def _state_writers(result: Result, names: Mapping[str, str], image: str | None) 
 
 def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) -> Iterator[Writer]:
     """The writers of surfaces or contours, which are extracted here; of several objects those with a voxel."""
-    kinds = [kind for kind in names if kind.startswith(object_files.EACH)]
+    kinds = [kind for kind in names if kind.startswith(output_names.EACH)]
     if not kinds or not _has_surface(result):
         return
     is_2d, space = result.geometry.slice_axis is not None, result.config.mesh_space
     common = {} if is_2d or result.config.mesh_walls == "own" else shared_walls.extract(result.objects, result.geometry)
     table = table_of(result.config) if is_named(result.config) else None
-    for one in result.objects:
-        if not one.has_surface:
+    for segmented in result.objects:
+        if not segmented.has_surface:
             continue
-        label = None if table is None else table[one.id]
-        mesh, facts = one.contours if is_2d else common.get(one.id, one.surface), None
+        label = None if table is None else table[segmented.id]
+        mesh, facts = segmented.contours if is_2d else common.get(segmented.id, segmented.surface), None
         if not is_2d and is_shaped(result.config):
-            mesh, facts, warnings = shaped(one.surface, result.config)
-            notes.warnings += [f"object {one.id}: {line}" if result.has_ids else line for line in warnings]
+            mesh, facts, warnings = shaped(segmented.surface, result.config)
+            notes.warnings += [f"object {segmented.id}: {line}" if result.has_ids else line for line in warnings]
         for kind in kinds:
-            name = object_files.name_of(names[kind], one.id) if result.has_ids else names[kind]
+            name = output_names.name_of(names[kind], segmented.id) if result.has_ids else names[kind]
             if facts is not None:
                 notes.facts[name] = facts
             yield kind.partition("-")[0], name, functools.partial(_write_mesh, mesh, space, label)
@@ -197,16 +197,16 @@ def _table_writers(result: Result, names: Mapping[str, str], content: PreviewCon
         yield "objects", names["objects"], lambda path: write_bytes(path, tables.objects_csv(rows).encode())
     if "trace" in names:
         if result.has_ids:
-            text = tables.objects_trace_csv({one.id: one.history for one in result.objects})
+            text = tables.objects_trace_csv({segmented.id: segmented.history for segmented in result.objects})
         else:
             text = tables.trace_csv(result.history)
         yield "trace", names["trace"], lambda path: write_bytes(path, text.encode())
     if "preview" in names:
         yield "preview", names["preview"], lambda path: write_bytes(path, preview.preview_png(content))
     if "statistics" in names and _has_surface(result):
-        figures = statistics_files.rows_of(result, table_of(result.config))
-        text_csv = statistics_files.statistics_csv(figures, result)
-        text_json = statistics_files.statistics_json(figures, result)
+        figures = tables.rows_of(result, table_of(result.config))
+        text_csv = tables.statistics_csv(figures, result)
+        text_json = tables.statistics_json(figures, result)
         yield "statistics", names["statistics"], lambda path: write_bytes(path, text_csv.encode())
         yield "statistics", names["statistics-json"], lambda path: write_bytes(path, text_json.encode())
 
@@ -255,8 +255,8 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
 
 
 def _next_clicks(result: Result) -> list[tuple[float, float, float]]:
-    """Where it is said to click next, the most doubtful object's first."""
-    judged = [one.quality for one in result.objects if one.has_surface]
+    """Return the voxels of the suggested next clicks, the most doubtful object's first."""
+    judged = [segmented.quality for segmented in result.objects if segmented.has_surface]
     places = []
     for quality in sorted(judged, key=lambda quality: quality.probability):
         if quality.next_click is not None:
@@ -266,9 +266,9 @@ def _next_clicks(result: Result) -> list[tuple[float, float, float]]:
 
 
 def _object_shapes(result: Result) -> tuple[ObjectShape, ...]:
-    """What is drawn of each of several objects."""
+    """Return the parts of each of several objects that are drawn."""
     is_2d = result.geometry.slice_axis is not None
+    counts = (0 if is_2d or not found.has_surface else len(found.surface.vertices) for found in result.objects)
     return tuple(
-        ObjectShape(one.id, one.box, one.psi, len(one.surface.vertices) if one.has_surface and not is_2d else 0)
-        for one in result.objects
+        ObjectShape(found.id, found.box, found.psi, count) for found, count in zip(result.objects, counts, strict=True)
     )

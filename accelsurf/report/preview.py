@@ -90,7 +90,7 @@ def preview_png(content: PreviewContent) -> bytes:
 
 
 def panel_at(row: int, column: int, columns: int = 3) -> Box:
-    """Where a panel lies."""
+    """Return the box of a panel."""
     width = (WIDTH - LEFT - RIGHT - (columns - 1) * GAP) / columns
     left, top = LEFT + column * (width + GAP), TOP + row * (PANEL + BELOW)
     return Box(left, top, left + width, top + PANEL)

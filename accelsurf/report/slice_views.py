@@ -1,4 +1,4 @@
-"""Which slices a picture shows, and which part of them: through clicks, late growth, or the largest section."""
+"""Slices that a picture shows, and the part of them: through clicks, late growth, or the largest section."""
 
 from __future__ import annotations
 
@@ -97,8 +97,8 @@ def displayed(place: tuple[float, float, float] | tuple[int, int, int], geometry
     """A (continuous) index (z, y, x) of the image, on the axes as they are displayed."""
     up = DisplayOrientation.of(geometry)
     return tuple(
-        geometry.shape[own] - 1 - place[own] if flip else float(place[own])
-        for own, flip in zip(up.order, up.flips, strict=True)
+        geometry.shape[axis] - 1 - place[axis] if flip else float(place[axis])
+        for axis, flip in zip(up.order, up.flips, strict=True)
     )
 
 
@@ -140,7 +140,8 @@ def doubt_views(content: PreviewContent) -> list[SliceView]:
     views = [] if late is None else [late]
     if content.next_clicks:
         plane, place = native_plane(content.geometry), displayed(content.next_clicks[0], content.geometry)
-        if all(round(place[one.plane]) != one.index for one in (*main_views(content), *click_views(content), *views)):
+        others = (*main_views(content), *click_views(content), *views)
+        if all(round(place[view.plane]) != view.index for view in others):
             views.append(SliceView(plane, round(place[plane]), "click next"))
     return views
 
@@ -158,5 +159,5 @@ def click_views(content: PreviewContent) -> list[SliceView]:
 
 
 def plane_name(plane: int, anatomical: bool) -> str:
-    """What a plane is called."""
+    """Return the name of a plane."""
     return PLANES[plane] if anatomical else "Slice"

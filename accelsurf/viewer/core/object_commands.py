@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
-from accelsurf.report.label_names import given_of
+from accelsurf.report.label_files import given_of
 from accelsurf.settings.labels import colored, named
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object

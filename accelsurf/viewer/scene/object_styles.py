@@ -8,7 +8,7 @@ from typing import NamedTuple
 import pyvista as pv
 
 from accelsurf.report.canvas import object_color
-from accelsurf.report.label_names import given_of
+from accelsurf.report.label_files import given_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame
 
