@@ -114,22 +114,14 @@ def gather(
     )
 
 
-def doubtful_place(
-    evidence: Evidence, spacing: tuple[float, float, float], volume_mm3: float
-) -> tuple[tuple[int, int, int], float]:
-    """Voxel (z, y, x) next to the surface around which a patch has the least evidence, and its share of doubt, 0 to 1.
-
-    Doubt is summed over the patch: a large doubtful piece counts for more than a small one. Ties go to the first.
-    """
-    return doubtful_places(evidence, spacing, volume_mm3, 1)[0]
-
-
 def doubtful_places(
-    evidence: Evidence, spacing: tuple[float, float, float], volume_mm3: float, count: int
+    evidence: Evidence, spacing: tuple[float, float, float], volume_mm3: float, count: int = 1
 ) -> list[tuple[tuple[int, int, int], float]]:
-    """The same of several patches, the most doubtful first, each as of `doubtful_place`; at least one.
+    """Return the patches with the least evidence, the most doubtful first: a voxel (z, y, x), and its doubt, 0 to 1.
 
-    A further one lies at least three patches' radii from those before it.
+    The voxel lies next to the surface, and the patch around it. Doubt is summed over the patch: a large doubtful piece
+    counts for more than a small one. Ties go to the first. There is at least one; a further one lies at least three
+    patches' radii from those before it.
     """
     doubt = 1.0 - evidence.total
     # Counted from the object's own first voxel: the blocks do not depend on where its grid begins.

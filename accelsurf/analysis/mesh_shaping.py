@@ -52,11 +52,6 @@ class MeshWish:
     side: float | None = None
     error: float | None = None
 
-    @property
-    def is_none(self) -> bool:
-        """True if the mesh stays as it was extracted."""
-        return self == MeshWish()
-
 
 @dataclass(frozen=True, eq=False)
 class ShapedMesh:

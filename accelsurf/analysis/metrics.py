@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from accelsurf.errors import GeometryError, InputError
@@ -221,15 +222,9 @@ def border_points(mask: Mask, spacing: tuple[float, float, float]) -> Floats:
     if bounds is None:
         return np.empty((0, 3))
     # Work on the bounding box only. Beyond it there is no object, so the box's faces are border in any case.
-    box = mask[bounds]
-    inner = box.copy()
-    for axis in range(3):
-        if mask.shape[axis] == 1:
-            continue
-        ahead, behind = np.moveaxis(inner, axis, 0), np.moveaxis(box, axis, 0)
-        ahead[:-1] &= behind[1:]
-        ahead[1:] &= behind[:-1]
-        ahead[[0, -1]] = False
+    box, along = mask[bounds], [n > 1 for n in mask.shape]
+    faces = ndimage.generate_binary_structure(sum(along), 1).reshape([3 if n else 1 for n in along])
+    inner = ndimage.binary_erosion(box, faces)
     return (np.argwhere(box & ~inner) + np.array(corner_of(bounds))) * np.asarray(spacing, dtype=np.float64)
 
 

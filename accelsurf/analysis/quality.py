@@ -175,7 +175,7 @@ def assess(
     first, last = (history[0].volume_mm3, history[-1].volume_mm3) if history else (0.0, 0.0)
     before = finest[max(-LAST_STEPS - 1, -len(finest))].volume_mm3 if finest else 0.0
     found, volume = places.gather(inside, image, spacing, clicked), np.count_nonzero(inside) * geometry.voxel_volume
-    place, doubt = (None, 0.0) if found is None else places.doubtful_place(found, spacing, volume)
+    place, doubt = (None, 0.0) if found is None else places.doubtful_places(found, spacing, volume)[0]
     measured = Quality(
         probability=0.0,
         next_click=None if place is None else _world(geometry, place),

@@ -245,14 +245,14 @@ def round_step(wanted: float) -> float:
     return max(step * decade for step in (1, 2, 5) if step * decade <= wanted * (1 + 1e-9))
 
 
-def range_of(values: Any, margin: float = 0.05) -> tuple[float, float]:
+def range_of(values: Any) -> tuple[float, float]:
     """Return the lowest and highest finite value, with a margin; 0 to 1 where there is none, or no difference."""
     numbers = np.asarray(values, float)
     numbers = numbers[np.isfinite(numbers)]
     if not numbers.size:
         return 0.0, 1.0
     low, high = float(numbers.min()), float(numbers.max())
-    room = margin * (high - low) or 0.5 * abs(high) or 0.5
+    room = 0.05 * (high - low) or 0.5 * abs(high) or 0.5
     return low - room, high + room
 
 

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 3
 Status = Literal["ok", "failed", "interrupted"]
 
+#: Measures of a result and of each of its objects.
+_MEASURES = ("volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components", "touches_border")
 #: Parts of a run that are timed, in the order they happen.
 TIMED = ("load", "start", "evolve", "refine", "mesh", "write", "total")
 
@@ -134,20 +136,15 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         Of several objects the sums, and an entry for each in ``objects``. With None every value is null.
     """
     if result is None:
-        keys = ("stop", "window", "resolved_settings", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2")
-        return dict.fromkeys((*keys, "enclosed_mm2", "length_mm", "components", "touches_border", "quality", "objects"))
+        keys = ("stop", "window", "resolved_settings", "levels", "edits", "energy", "mass")
+        return dict.fromkeys((*keys, *_MEASURES, "quality", "objects"))
     # Of the run alone: the potential of a correction is that of its box.
     ran = result.run_history
     last = ran[-1] if ran else None
     # Coarse levels have another image, with less noise: energies are comparable on one level only.
     first = next((row for row in ran if row.level == 0), None)
     return {
-        "stop": {
-            "reason": result.stop.reason,
-            "steps": result.stop.steps,
-            "time": result.stop.time,
-            "message": result.stop.message,
-        },
+        "stop": result.stop._asdict(),
         "window": describe_window(result.window),
         "resolved_settings": result.resolved_settings,
         "levels": describe_levels(result),
@@ -160,20 +157,13 @@ def describe_result(result: Result | None) -> dict[str, Any]:
             "terms": result.terms,
             "first": first.potential if first else None,
             "last": last.potential if last else None,
-            "kinetic_last": last.kinetic if last else None,
-            "mass_potential_last": last.mass_potential if last else None,
-            "friction_work": last.friction_work if last else None,
-            "smoothing_work": last.smoothing_work if last else None,
-            "noise_work": last.noise_work if last else None,
+            "kinetic_last": getattr(last, "kinetic", None),
+            "mass_potential_last": getattr(last, "mass_potential", None),
+            **{key: getattr(last, key, None) for key in ("friction_work", "smoothing_work", "noise_work")},
             "steps_of_corrections": len(result.history) - len(ran),
         },
         "mass": describe_mass(result),
-        "volume_mm3": result.volume_mm3,
-        "area_mm2": result.area_mm2,
-        "enclosed_mm2": result.enclosed_mm2,
-        "length_mm": result.length_mm,
-        "components": result.components,
-        "touches_border": result.touches_border,
+        **{key: getattr(result, key) for key in _MEASURES},
         "quality": describe_quality(result.quality),
         "objects": describe_objects(result) if result.has_ids else None,
     }
@@ -206,15 +196,8 @@ def describe_object(segmented: SegmentedObject) -> dict[str, Any]:
     """Return the entry of one of several objects; ``centroid`` is (x, y, z) mm, LPS."""
     return {
         "id": segmented.id,
-        "reason": segmented.stop.reason,
-        "steps": segmented.stop.steps,
-        "message": segmented.stop.message,
-        "volume_mm3": segmented.volume_mm3,
-        "area_mm2": segmented.area_mm2,
-        "enclosed_mm2": segmented.enclosed_mm2,
-        "length_mm": segmented.length_mm,
-        "components": segmented.components,
-        "touches_border": segmented.touches_border,
+        **{key: getattr(segmented.stop, key) for key in ("reason", "steps", "message")},
+        **{key: getattr(segmented, key) for key in _MEASURES},
         "centroid": _centroid(segmented),
         "cells_visited": sum(row.cells_visited for row in segmented.history),
         "terms": segmented.terms,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,10 @@ class MeshNotes:
 
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+
+    def warn(self, lines: Iterable[str]) -> None:
+        """Add warnings."""
+        self.warnings.extend(lines)
 
 
 def is_shaped(config: RunConfig) -> bool:

@@ -74,11 +74,18 @@ def write_result(
     """
     seconds = {} if seconds is None else seconds
     began = time.perf_counter()
-    own_meshes = list(_mesh_writers(result, names, MeshNotes() if meshes is None else meshes))
+    has_surface = _has_surface(result)
+    mesh_writers = list(_mesh_writers(result, names, meshes or MeshNotes())) if has_surface else []
     seconds["mesh"] = seconds.get("mesh", 0.0) + time.perf_counter() - began
-    writers = [*_label_writer(result, names), *_also_writers(result, names), *_rest_writers(result, names), *own_meshes]
-    writers += _distance_writer(result, names)
-    writers += [*_table_writers(result, names, content), *_state_writers(result, names, image)]
+    writers = [*_label_writers(result, names)] if has_surface else []
+    writers += [*_rest_writers(result, names), *mesh_writers]
+    if "sdf" in names and has_surface:
+        distance = functools.partial(io.write, result.labels_volume().with_array(result.psi))
+        writers.append(("sdf", names["sdf"], distance))
+    writers += [*_table_writers(result, names, content)]
+    if result.state is not None and image is not None and has_surface:
+        contents = {"state": lambda: state_bytes(result, image), "config": lambda: result.config.to_toml().encode()}
+        writers += [(kind, names[kind], _writer(content)) for kind, content in contents.items() if kind in names]
     for kind, name, write in writers:
         began = time.perf_counter()
         write(folder / name)
@@ -86,14 +93,13 @@ def write_result(
         yield kind, folder / name
 
 
+def _writer(content: Callable[[], bytes]) -> Callable[[Path], None]:
+    """Return the writer of a file of bytes, which are made when it is written."""
+    return lambda path: write_bytes(path, content())
+
+
 def _has_surface(result: Result) -> bool:
     return any(segmented.has_surface for segmented in result.objects)
-
-
-def _label_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """The writer of the label map."""
-    if "labels" in names and _has_surface(result):
-        yield "labels", names["labels"], lambda path: _write_labels(result, result.labels, path)
 
 
 def _write_labels(result: Result, labels: NDArray[Any], path: Path) -> None:
@@ -109,14 +115,14 @@ def _write_labels(result: Result, labels: NDArray[Any], path: Path) -> None:
         store.write(window.box, typed)
 
 
-def _also_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """The writers of further files of the objects."""
-    if not _has_surface(result):
-        return
-    table = table_of(result.config)
+def _label_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
+    """Yield the writers of the label map, and of further files of the objects."""
+    if "labels" in names:
+        yield "labels", names["labels"], functools.partial(_write_labels, result, result.labels)
     if layouts.SIDECAR in names:
         text = layouts.sidecar(Path(result.volume.source or ""), result.config.energy)
-        yield layouts.SIDECAR, names[layouts.SIDECAR], lambda path: write_bytes(path, text.encode())
+        yield layouts.SIDECAR, names[layouts.SIDECAR], _writer(text.encode)
+    table = table_of(result.config)
     for kind in (kind for kind in names if kind.startswith("also-")):
         name = kind.partition("-")[2]
         if name in LABEL_OUTPUTS:
@@ -142,26 +148,10 @@ def _write_rest(result: Result, number: int, path: Path) -> None:
     _write_labels(result, labels, path)
 
 
-def _distance_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """The writer of the signed distance."""
-    if "sdf" in names and _has_surface(result):
-        yield "sdf", names["sdf"], lambda path: io.write(result.labels_volume().with_array(result.psi), path)
-
-
-def _state_writers(result: Result, names: Mapping[str, str], image: str | None) -> Iterator[Writer]:
-    """The writers of the state, and of the settings that repeat the run."""
-    if result.state is None or image is None or not _has_surface(result):
-        return
-    if "state" in names:
-        yield "state", names["state"], lambda path: write_bytes(path, state_bytes(result, image))
-    if "config" in names:
-        yield "config", names["config"], lambda path: write_bytes(path, result.config.to_toml().encode())
-
-
 def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) -> Iterator[Writer]:
     """The writers of surfaces or contours, which are extracted here; of several objects those with a voxel."""
     kinds = [kind for kind in names if kind.startswith(output_names.EACH)]
-    if not kinds or not _has_surface(result):
+    if not kinds:
         return
     is_2d, space = result.geometry.slice_axis is not None, result.config.mesh_space
     common = {} if is_2d or result.config.mesh_walls == "own" else shared_walls.extract(result.objects, result.geometry)
@@ -173,7 +163,7 @@ def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) ->
         mesh, facts = segmented.contours if is_2d else common.get(segmented.id, segmented.surface), None
         if not is_2d and is_shaped(result.config):
             mesh, facts, warnings = shaped(segmented.surface, result.config)
-            notes.warnings += [f"object {segmented.id}: {line}" if result.has_ids else line for line in warnings]
+            notes.warn(f"object {segmented.id}: {line}" if result.has_ids else line for line in warnings)
         for kind in kinds:
             name = output_names.name_of(names[kind], segmented.id) if result.has_ids else names[kind]
             if facts is not None:
@@ -194,21 +184,19 @@ def _table_writers(result: Result, names: Mapping[str, str], content: PreviewCon
     """The writers of the tables and of the picture."""
     if "objects" in names and result.has_ids:
         rows = describe_objects(result)
-        yield "objects", names["objects"], lambda path: write_bytes(path, tables.objects_csv(rows).encode())
+        yield "objects", names["objects"], _writer(lambda: tables.objects_csv(rows).encode())
     if "trace" in names:
         if result.has_ids:
             text = tables.objects_trace_csv({segmented.id: segmented.history for segmented in result.objects})
         else:
             text = tables.trace_csv(result.history)
-        yield "trace", names["trace"], lambda path: write_bytes(path, text.encode())
+        yield "trace", names["trace"], _writer(text.encode)
     if "preview" in names:
-        yield "preview", names["preview"], lambda path: write_bytes(path, preview.preview_png(content))
+        yield "preview", names["preview"], _writer(lambda: preview.preview_png(content))
     if "statistics" in names and _has_surface(result):
         figures = tables.rows_of(result, table_of(result.config))
-        text_csv = tables.statistics_csv(figures, result)
-        text_json = tables.statistics_json(figures, result)
-        yield "statistics", names["statistics"], lambda path: write_bytes(path, text_csv.encode())
-        yield "statistics", names["statistics-json"], lambda path: write_bytes(path, text_json.encode())
+        yield "statistics", names["statistics"], _writer(tables.statistics_csv(figures, result).encode)
+        yield "statistics", names["statistics-json"], _writer(tables.statistics_json(figures, result).encode)
 
 
 def outcome_title(name: str, result: Result) -> str:

@@ -89,9 +89,9 @@ def preview_png(content: PreviewContent) -> bytes:
     return canvas.png()
 
 
-def panel_at(row: int, column: int, columns: int = 3) -> Box:
+def panel_at(row: int, column: int) -> Box:
     """Return the box of a panel."""
-    width = (WIDTH - LEFT - RIGHT - (columns - 1) * GAP) / columns
+    width = (WIDTH - LEFT - RIGHT - 2 * GAP) / 3
     left, top = LEFT + column * (width + GAP), TOP + row * (PANEL + BELOW)
     return Box(left, top, left + width, top + PANEL)
 

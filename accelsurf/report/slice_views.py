@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,21 +43,24 @@ class SliceView:
 
 def shown_ranges(content: PreviewContent) -> Ranges:
     """The voxels around the object and its clicks that are shown; the whole image without an object."""
-    up, shape = DisplayOrientation.of(content.geometry), content.geometry.shape
     box = bounding_box(content.inside())
     if box is None:
         return whole_ranges(content.geometry)
     ends = [(part.start, part.stop) for part in box]
     for mark in content.clicks:
         ends = [(min(a, part.start), max(b, part.stop)) for (a, b), part in zip(ends, mark.box, strict=True)]
-    smallest = min(content.geometry.steps)
+    return ranges_around(ends, content.geometry, MARGIN)
+
+
+def ranges_around(ends: Sequence[tuple[int, int]], geometry: Geometry, margin: float) -> Ranges:
+    """Return the voxels of a box (first and one past the last along each axis of the array) and a margin around it."""
+    up = DisplayOrientation.of(geometry)
     ranges = []
-    for axis in range(3):
+    for axis, (n, flip) in enumerate(zip(np.take(geometry.shape, up.order).tolist(), up.flips, strict=True)):
         low, high = ends[up.order[axis]]
-        n = shape[up.order[axis]]
-        if up.flips[axis]:
+        if flip:
             low, high = n - high, n - low
-        room = max(round(MARGIN * (high - low)), round(MIN_MARGIN * smallest / up.spacing[axis]), 1)
+        room = max(round(margin * (high - low)), round(MIN_MARGIN * min(geometry.steps) / up.spacing[axis]), 1)
         ranges.append((max(low - room, 0), min(high + room, n)))
     return ranges[0], ranges[1], ranges[2]
 

@@ -61,10 +61,8 @@ class ObjectRow:
 
     @classmethod
     def read(cls, values: Mapping[str, Any]) -> ObjectRow:
-        """The numbers as they stand in the file of a frame."""
-        (x, y, z), (vx, vy, vz) = values["centroid"], values["velocity"]
-        numbers = values["volume_mm3"], values["area_mm2"], values["quality"]
-        return cls(values["id"], values["seen"], (x, y, z), (vx, vy, vz), *numbers)
+        """Read the numbers as they stand in the file of a frame."""
+        return cls(**{**values, "centroid": tuple(values["centroid"]), "velocity": tuple(values["velocity"])})
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from accelsurf.analysis.beats import Beat, find_beat
 from accelsurf.errors import OutputError
-from accelsurf.grid.boxes import Box as VoxelBox
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
@@ -49,7 +48,7 @@ from accelsurf.report.slice_plot import (
     name_section,
     write_line_names,
 )
-from accelsurf.report.slice_views import MARGIN, MIN_MARGIN, Ranges, SliceView, displayed, native_plane
+from accelsurf.report.slice_views import MARGIN, Ranges, SliceView, displayed, native_plane, ranges_around
 from accelsurf.report.track_frames import DrawnObject, FrameRow, TrackSet
 from accelsurf.tracking.records import SurfacePiece
 
@@ -99,7 +98,9 @@ class TrackView:
         order = DisplayOrientation.of(geometry).order
         plane = native_plane(geometry) if geometry.slice_axis is None else order.index(geometry.slice_axis)
         colors = {number: object_color(n) for n, number in enumerate(tracks.by_object)}
-        return cls(plane, _ranges(tracks.extent, geometry), tracks.window, colors)
+        box = tracks.extent or tuple(slice(0, n) for n in geometry.shape)
+        ranges = ranges_around([(side.start, side.stop) for side in box], geometry, MARGIN / 2)
+        return cls(plane, ranges, tracks.window, colors)
 
     def slice_of(self, row: FrameRow, geometry: Geometry) -> SliceView:
         """The slice through the largest object of a frame that is seen, else through the middle."""
@@ -183,21 +184,6 @@ def _draw_piece(
     section[places[vertical], places[horizontal]] = psi[tuple(parts)].squeeze(axis=shown.view.plane)
     draw_contour(shown, section, color, dashes)
     return section
-
-
-def _ranges(extent: VoxelBox | None, geometry: Geometry) -> Ranges:
-    """Voxels around a box, along the displayed axes; all of them without one."""
-    up = DisplayOrientation.of(geometry)
-    ranges = []
-    for axis in range(3):
-        side = None if extent is None else extent[up.order[axis]]
-        n = geometry.shape[up.order[axis]]
-        low, high = (0, n) if side is None else (side.start, side.stop)
-        if up.flips[axis]:
-            low, high = n - high, n - low
-        room = max(round(MARGIN / 2 * (high - low)), round(MIN_MARGIN * min(geometry.steps) / up.spacing[axis]), 1)
-        ranges.append((max(low - room, 0), min(high + room, n)))
-    return ranges[0], ranges[1], ranges[2]
 
 
 def film_strip_png(tracks: TrackSet) -> bytes:

@@ -13,6 +13,10 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree as Xml
 
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+
 from accelsurf.io.files import write_bytes
 from accelsurf.report.track_document import ML
 from accelsurf.report.track_frames import FrameRow, ObjectRow, TrackSet
@@ -195,21 +199,10 @@ class SpotGraph:
 
     def components(self) -> list[tuple[int, ...]]:
         """Numbers of the spots that links join, each rising; by the first. A spot without links is one of its own."""
-        first = list(range(len(self.spots)))
-
-        def root(number: int) -> int:
-            while first[number] != number:
-                first[number] = first[first[number]]
-                number = first[number]
-            return number
-
-        for link in self.links:
-            low, high = sorted((root(link.source), root(link.target)))
-            first[high] = low
-        found: dict[int, list[int]] = {}
-        for number in range(len(self.spots)):
-            found.setdefault(root(number), []).append(number)
-        return [tuple(numbers) for numbers in found.values()]
+        ends = np.array([(link.source, link.target) for link in self.links], np.int64).reshape(-1, 2).T
+        shape = (len(self.spots), len(self.spots))
+        count, part = csgraph.connected_components(sparse.coo_matrix((np.ones(ends.shape[1]), ends), shape), False)
+        return [tuple(np.flatnonzero(part == number).tolist()) for number in range(count)]
 
 
 def spots_of(tracks: TrackSet) -> SpotGraph:
