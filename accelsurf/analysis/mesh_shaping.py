@@ -31,7 +31,7 @@ EVENING = 10
 
 
 @dataclass(frozen=True)
-class MeshWish:
+class MeshOptions:
     """Requested options of a mesh.
 
     Attributes
@@ -70,14 +70,14 @@ class ShapedMesh:
     warnings: tuple[str, ...] = ()
 
 
-def shape(exact: Surface, wish: MeshWish) -> ShapedMesh:
+def shape(exact: Surface, options: MeshOptions) -> ShapedMesh:
     """Make a mesh smoother or coarser.
 
     Parameters
     ----------
     exact : Surface
         As it was extracted. It is not changed.
-    wish : MeshWish
+    options : MeshOptions
 
     Raises
     ------
@@ -91,25 +91,25 @@ def shape(exact: Surface, wish: MeshWish) -> ShapedMesh:
     >>> from accelsurf.analysis.surface_mesh import extract
     >>> z, y, x = np.indices((16, 16, 16)) - 7.5
     >>> ball = extract((np.sqrt(x**2 + y**2 + z**2) - 5).astype(np.float32), Geometry((16, 16, 16), (1.0, 1.0, 1.0)))
-    >>> coarse = shape(ball, MeshWish(faces=200))
+    >>> coarse = shape(ball, MeshOptions(faces=200))
     >>> len(coarse.surface.faces), coarse.surface.is_closed, coarse.distance_mm < 0.3
     (200, True, True)
     """
     surface, warnings = exact, list[str]()
-    if wish.smooth:
-        surface = _sound_or_old(smoothed(surface, wish.smooth), surface, "mesh-smooth", warnings)
-    if wish.error is not None:
-        _refuse_beyond(exact, surface, wish.error, "mesh-smooth", f"{wish.smooth:g} mm")
-    if wish.faces is not None and wish.faces < len(surface.faces):
-        surface = _sound_or_old(decimated(surface, wish.faces), surface, "mesh-faces", warnings)
-    elif wish.faces is not None and wish.faces > len(surface.faces):
-        warnings.append(f"mesh-faces: the mesh has {len(surface.faces)} triangles, fewer than {wish.faces}")
-    elif wish.side is not None:
-        surface = _sound_or_old(remeshed(surface, wish.side), surface, "mesh-faces", warnings)
-    elif wish.error is not None and wish.faces is None:
-        surface = coarsest(exact, surface, wish.error)
-    if wish.error is not None and (wish.faces is not None or wish.side is not None):
-        _refuse_beyond(exact, surface, wish.error, "mesh-faces", f"{len(surface.faces)} triangles")
+    if options.smooth:
+        surface = _sound_or_old(smoothed(surface, options.smooth), surface, "mesh-smooth", warnings)
+    if options.error is not None:
+        _refuse_beyond(exact, surface, options.error, "mesh-smooth", f"{options.smooth:g} mm")
+    if options.faces is not None and options.faces < len(surface.faces):
+        surface = _sound_or_old(decimated(surface, options.faces), surface, "mesh-faces", warnings)
+    elif options.faces is not None and options.faces > len(surface.faces):
+        warnings.append(f"mesh-faces: the mesh has {len(surface.faces)} triangles, fewer than {options.faces}")
+    elif options.side is not None:
+        surface = _sound_or_old(remeshed(surface, options.side), surface, "mesh-faces", warnings)
+    elif options.error is not None and options.faces is None:
+        surface = coarsest(exact, surface, options.error)
+    if options.error is not None and (options.faces is not None or options.side is not None):
+        _refuse_beyond(exact, surface, options.error, "mesh-faces", f"{len(surface.faces)} triangles")
     distance = 0.0 if surface is exact else largest_distance(exact, surface)
     return ShapedMesh(surface, distance, tuple(warnings))
 

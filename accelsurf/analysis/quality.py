@@ -42,6 +42,13 @@ MIN_BURST = 1.1
 USUAL_BEYOND, USUAL_CORRECTION, USUAL_COMPACTNESS = 20.0, 0.37, 0.49
 
 
+class ValueRange(NamedTuple):
+    """An interval of the image's values."""
+
+    low: float
+    high: float
+
+
 class RestNote(NamedTuple):
     """A plateau of the front: its ``step``, its ``volume_mm3`` then, and the ``place`` (x, y, z; mm, LPS) near which
     the front broke through at step ``left_at``.
@@ -145,7 +152,7 @@ def assess(
     geometry: Geometry,
     history: Sequence[StepRecord],
     stop: Stop,
-    learned: tuple[float, float] | None = None,
+    learned: ValueRange | None = None,
     rests: Sequence[RestNote] = (),
     clicked: NDArray[np.bool_] | None = None,
     sureness: Sureness | None = None,
@@ -162,8 +169,8 @@ def assess(
         Their grid.
     history : sequence of StepRecord
     stop : Stop
-    learned : (float, float), optional
-        Range of values that a model learned from the start gives the object.
+    learned : ValueRange, optional
+        The values that a model learned from the start gives the object.
     rests : sequence of RestNote, optional
     clicked : ndarray (nz, ny, nx) of bool, optional
         Voxels that a person clicked, on either side.
@@ -396,12 +403,12 @@ def _border_fraction(inside: NDArray[np.bool_], spacing: tuple[float, float, flo
     return on_border / total if total > 0 else 0.0
 
 
-def _unlike_fraction(inside: NDArray[np.bool_], image: NDArray[np.float32], learned: tuple[float, float]) -> float:
+def _unlike_fraction(inside: NDArray[np.bool_], image: NDArray[np.float32], learned: ValueRange) -> float:
     """Share of the object, without the voxels next to its surface, with values outside of an interval."""
     box = _around(inside, 1)
     part = ndimage.binary_erosion(inside[box], border_value=1)
     values = image[box][part if part.any() else inside[box]]
-    return float(((values < learned[0]) | (values > learned[1])).mean()) if values.size else 0.0
+    return float(((values < learned.low) | (values > learned.high)).mean()) if values.size else 0.0
 
 
 #: A gradient is an edge if it is above this percentile of the gradients inside the object, at least so many voxels from

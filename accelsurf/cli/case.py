@@ -168,7 +168,7 @@ def _write(
     with output_folder.naming_final(files):
         written = outputs.write_result(result, files.drafts, names, content, log.seconds, log.checksum, meshes)
         entries = describe_drafts(files, {path.name: kind for kind, path in written})
-        log.outputs += [entry | meshes.facts.get(Path(entry["path"]).name, {}) for entry in entries]
+        log.outputs += [entry | meshes.statistics.get(Path(entry["path"]).name, {}) for entry in entries]
         log.warnings += meshes.warnings
         interrupted = result.stop.reason == "interrupted"
         code = INTERRUPTED if interrupted else error.exit_code if error is not None else 0

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -65,10 +67,11 @@ class GroupRecord:
 
     def masks(self) -> list[NDArray[np.bool_]]:
         """Return the mask of each object, on its box."""
+        shapes = [tuple(side.stop - side.start for side in box) for box in self.boxes]
         with np.load(self.folder / _LABELS, allow_pickle=False) as packed:
             return [
-                np.unpackbits(packed[str(row["id"])], count=_count(box)).reshape(_shape(box)).view(np.bool_)
-                for row, box in zip(self.rows, self.boxes, strict=True)
+                np.unpackbits(packed[str(row["id"])], count=math.prod(shape)).reshape(shape).view(np.bool_)
+                for row, shape in zip(self.rows, shapes, strict=True)
             ]
 
 
@@ -92,8 +95,7 @@ def write_group(
     OutputError
         When a mesh cannot be written; OSError when something else cannot.
     """
-    draft = _draft(folder)
-    try:
+    with _staged(folder) as draft:
         meshes = [_write_meshes(draft, segmented, names, space) for segmented in result.objects]
         packed = {str(segmented.id): np.packbits(segmented.labels) for segmented in result.objects}
         np.savez(draft / _LABELS, **packed)  # type: ignore[arg-type]
@@ -106,25 +108,16 @@ def write_group(
             "stops": [list(segmented.stop) for segmented in result.objects],
             "meshes": meshes,
             "facts": {
-                "energy": result.energy,
-                "resolved_settings": result.resolved_settings,
-                "warnings": result.warnings,
+                **{key: getattr(result, key) for key in ("energy", "resolved_settings", "warnings")},
                 "window": describe_window(result.window),
             },
         })
-        _put(draft, folder)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
 
 
 def write_near(folder: Path, ids: Sequence[int]) -> None:
     """Write that a group came to where others begin, by their ids; parameters as of `write_group`."""
-    draft = _draft(folder)
-    try:
+    with _staged(folder) as draft:
         _write_record(draft, {"near": list(ids)})
-        _put(draft, folder)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
 
 
 def read_group(folder: Path) -> GroupRecord | None:
@@ -154,8 +147,25 @@ def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str,
     )
 
 
-def _draft(folder: Path) -> Path:
-    return Path(tempfile.mkdtemp(prefix=".draft-", dir=folder.parent))
+@contextmanager
+def _staged(folder: Path) -> Iterator[Path]:
+    """Give a folder to write in, which gets its name at the end, unless another worker was faster.
+
+    What cannot be read there goes.
+    """
+    draft = Path(tempfile.mkdtemp(prefix=".draft-", dir=folder.parent))
+    try:
+        yield draft
+        sync(draft)
+        try:
+            os.rename(draft, folder)
+        except OSError:
+            if read_group(folder) is None:
+                shutil.rmtree(folder, ignore_errors=True)
+                os.rename(draft, folder)
+        sync_folder(folder.parent)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
 
 
 def _write_meshes(
@@ -178,25 +188,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} in the record of a group")
-
-
-def _put(draft: Path, folder: Path) -> None:
-    """Give a complete folder its name, unless another worker was faster; what cannot be read there goes."""
-    sync(draft)
-    try:
-        os.rename(draft, folder)
-    except OSError:
-        if read_group(folder) is None:
-            shutil.rmtree(folder, ignore_errors=True)
-            os.rename(draft, folder)
-    sync_folder(folder.parent)
-
-
-def _shape(box: Box) -> tuple[int, int, int]:
-    z, y, x = (side.stop - side.start for side in box)
-    return z, y, x
-
-
-def _count(box: Box) -> int:
-    nz, ny, nx = _shape(box)
-    return nz * ny * nx

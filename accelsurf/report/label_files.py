@@ -119,7 +119,7 @@ def table_of(config: RunConfig) -> LabelTable:
     return known.with_settings(config.name, config.color)
 
 
-def given_of(config: RunConfig) -> LabelTable:
+def given_labels(config: RunConfig) -> LabelTable:
     """Return `table_of` where settings or the file of the objects name labels, else an empty table.
 
     What draws objects has colours of its own for those that nothing was said of.
@@ -131,7 +131,7 @@ def given_of(config: RunConfig) -> LabelTable:
 
     Examples
     --------
-    >>> given_of(RunConfig(name=["liver"])).entries[1].name, given_of(RunConfig()).entries
+    >>> given_labels(RunConfig(name=["liver"])).entries[1].name, given_labels(RunConfig()).entries
     ('liver', {})
     """
     return table_of(config) if is_named(config) or config.objects is not None else LabelTable()

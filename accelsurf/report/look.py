@@ -17,6 +17,7 @@ from accelsurf.io.metadata import UNIT_KEY
 from accelsurf.report.canvas import SKY, SURFACE, TICK_SIZE, YELLOW, Box, Canvas, object_color
 from accelsurf.report.preview import BELOW, LEFT, PANEL, TOP, WIDTH, panel_at
 from accelsurf.report.slice_plot import (
+    ShownImage,
     Slice,
     draw_contour,
     draw_slice_scale,
@@ -36,7 +37,7 @@ def look_png(
     channels: Sequence[Volume],
     title: str,
     *,
-    at: tuple[float, float, float] | None = None,
+    at: Sequence[float] | None = None,
     window: GreyWindow | None = None,
     labels: NDArray[Any] | None = None,
 ) -> bytes:
@@ -76,9 +77,8 @@ def look_png(
             panel = panel_at(row, column) if several else Box(LEFT, top, 910, top + tall)
             why = f"channel {row + 1}" if len(channels) > 1 else ""
             view = SliceView(plane, round(displayed(place, geometry)[plane]), why)
-            shown = open_slice(
-                canvas, panel, volume.array, geometry, view, whole_ranges(geometry), grey, anatomical
-            )
+            image = ShownImage(volume.array, geometry, grey, anatomical)
+            shown = open_slice(canvas, panel, image, view, whole_ranges(geometry))
             shown.axes.grid(color=SKY, linewidth=1, linestyle="-", alpha=GRID_OPACITY)
             _draw_cross(shown, place)
             if labels is not None:
@@ -90,7 +90,7 @@ def look_png(
     return canvas.png()
 
 
-def _place(geometry: Geometry, at: tuple[float, float, float] | None, labels: NDArray[Any] | None) -> Any:
+def _place(geometry: Geometry, at: Sequence[float] | None, labels: NDArray[Any] | None) -> Any:
     """The voxel (z, y, x) through which the slices go."""
     if at is not None:
         return tuple(int(v) for v in np.rint(geometry.world_to_index(at)))

@@ -11,7 +11,7 @@ from accelsurf.settings.mesh_sizes import mesh_size
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.analysis.mesh_shaping import MeshWish
+    from accelsurf.analysis.mesh_shaping import MeshOptions
     from accelsurf.analysis.surface_mesh import Surface
 
 
@@ -21,12 +21,12 @@ class MeshNotes:
 
     Attributes
     ----------
-    facts : dict of str to dict
+    statistics : dict of str to dict
         Number of faces, largest distance to the surface, whether closed, smallest angle; by the name of the file.
     warnings : list of str
     """
 
-    facts: dict[str, dict[str, Any]] = field(default_factory=dict)
+    statistics: dict[str, dict[str, Any]] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
     def warn(self, lines: Iterable[str]) -> None:
@@ -53,12 +53,12 @@ def check(config: RunConfig) -> None:
         library("fast_simplification")
 
 
-def wish_of(config: RunConfig) -> MeshWish:
+def options_of(config: RunConfig) -> MeshOptions:
     """Return what the settings want of meshes."""
-    from accelsurf.analysis.mesh_shaping import MeshWish
+    from accelsurf.analysis.mesh_shaping import MeshOptions
 
     faces, side = (None, None) if config.mesh_faces is None else mesh_size(config.mesh_faces)
-    return MeshWish(config.mesh_smooth, faces, side, config.mesh_error)
+    return MeshOptions(config.mesh_smooth, faces, side, config.mesh_error)
 
 
 def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any], tuple[str, ...]]:
@@ -75,14 +75,14 @@ def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any]
     from accelsurf.analysis.mesh_shaping import ShapedMesh, is_sound, shape, smallest_angles
 
     try:
-        mesh = shape(surface, wish_of(config))
+        mesh = shape(surface, options_of(config))
     except UsageError as error:
         mesh = ShapedMesh(surface, 0.0, (f"{error.message}; the mesh is the surface as it is; {error.hint}",))
     made = mesh.surface
-    facts = {
+    statistics = {
         "faces": len(made.faces),
         "largest_distance_mm": mesh.distance_mm,
         "closed": is_sound(made),
         "smallest_angle_deg": float(smallest_angles(made.vertices[made.faces]).min()),
     }
-    return made, facts, mesh.warnings
+    return made, statistics, mesh.warnings

@@ -20,7 +20,7 @@ from accelsurf.io.headers import is_anatomical
 from accelsurf.io.metadata import LABELS_KEY, UNIT_KEY
 from accelsurf.report import layouts, output_names, preview, tables
 from accelsurf.report.document import describe_objects
-from accelsurf.report.label_files import given_of, is_named, table_of
+from accelsurf.report.label_files import given_labels, is_named, table_of
 from accelsurf.report.mesh_files import MeshNotes, is_shaped, shaped
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.segmentation.state_file import state_bytes
@@ -160,14 +160,14 @@ def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) ->
         if not segmented.has_surface:
             continue
         label = None if table is None else table[segmented.id]
-        mesh, facts = segmented.contours if is_2d else common.get(segmented.id, segmented.surface), None
+        mesh, statistics = segmented.contours if is_2d else common.get(segmented.id, segmented.surface), None
         if not is_2d and is_shaped(result.config):
-            mesh, facts, warnings = shaped(segmented.surface, result.config)
+            mesh, statistics, warnings = shaped(segmented.surface, result.config)
             notes.warn(f"object {segmented.id}: {line}" if result.has_ids else line for line in warnings)
         for kind in kinds:
             name = output_names.name_of(names[kind], segmented.id) if result.has_ids else names[kind]
-            if facts is not None:
-                notes.facts[name] = facts
+            if statistics is not None:
+                notes.statistics[name] = statistics
             yield kind.partition("-")[0], name, functools.partial(_write_mesh, mesh, space, label)
 
 
@@ -237,7 +237,7 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
         next_clicks=_next_clicks(result),
         window=parse_window(result.config.window),
         unit=result.volume.metadata.get(UNIT_KEY, "mm"),
-        labels=given_of(result.config),
+        labels=given_labels(result.config),
         clicks=marks_of(result.clicks.clicks if result.clicks is not None else (), result.geometry.spacing),
     )
 

@@ -67,6 +67,15 @@ START_DASHES: Dashes = (0, (4, 2))
 MIN_FOR_LABEL = 60
 
 
+class ShownImage(NamedTuple):
+    """An image as it is shown: voxels (nz, ny, nx), grid, grey window, and whether its axes are a patient's."""
+
+    array: NDArray[Any]
+    geometry: Geometry
+    window: GreyWindow
+    anatomical: bool = False
+
+
 class NamedLine(NamedTuple):
     """A line in a legend."""
 
@@ -126,36 +135,21 @@ class Slice:
         return round(at[self.view.plane]) == self.view.index
 
 
-def open_slice(
-    canvas: Canvas,
-    panel: Box,
-    image: NDArray[Any],
-    geometry: Geometry,
-    view: SliceView,
-    ranges: Ranges,
-    window: GreyWindow,
-    anatomical: bool,
-) -> Slice:
+def open_slice(canvas: Canvas, panel: Box, image: ShownImage, view: SliceView, ranges: Ranges) -> Slice:
     """Draw the image of one slice with its frame into a panel, as large as fits; the panel's margins stay free."""
-    shown = lay_slice(canvas, panel, image, geometry, view, ranges, window)
+    shown = lay_slice(canvas, panel, image, view, ranges)
     up, (vertical, horizontal) = shown.up, IN_PLANE[view.plane]
     where = f"{up.names[view.plane]} = {up.coordinate(view.plane, view.index):.4g} mm"
-    write_title(shown.axes, ", ".join(word for word in (view.why, plane_name(view.plane, anatomical), where) if word))
+    words = view.why, plane_name(view.plane, image.anatomical), where
+    write_title(shown.axes, ", ".join(word for word in words if word))
     tall = shown.axes.bbox.height > MIN_FOR_LABEL
     write_scales(shown.axes, f"{up.names[horizontal]} (mm)", f"{up.names[vertical]} (mm)" if tall else "")
     return shown
 
 
-def lay_slice(
-    canvas: Canvas,
-    panel: Box,
-    image: NDArray[Any],
-    geometry: Geometry,
-    view: SliceView,
-    ranges: Ranges,
-    window: GreyWindow,
-) -> Slice:
+def lay_slice(canvas: Canvas, panel: Box, image: ShownImage, view: SliceView, ranges: Ranges) -> Slice:
     """Draw the image of one slice into a panel, as large as fits, without frame and title."""
+    geometry = image.geometry
     ranges = fitted(ranges, view.plane, geometry, panel.width / panel.height)
     up, (vertical, horizontal) = DisplayOrientation.of(geometry), IN_PLANE[view.plane]
     x, y = (
@@ -168,7 +162,7 @@ def lay_slice(
     # Front at the top (y runs down) in the axial slice; head at the top (z runs up) in the other two.
     axes = canvas.axes(box, x, y[::-1] if view.plane == 0 else y)
     shown = Slice(axes, view, ranges, up, geometry)
-    _draw_image(axes, window.grey(shown.section(image)), (*x, *y))
+    _draw_image(axes, image.window.grey(shown.section(image.array)), (*x, *y))
     return shown
 
 
@@ -186,9 +180,8 @@ def draw_slice(
     canvas: Canvas, panel: Box, content: PreviewContent, view: SliceView, ranges: Ranges, window: GreyWindow
 ) -> Slice:
     """Draw a slice of a result with contours, clicks, an inset of the whole slice, letters and a scale bar."""
-    shown = open_slice(
-        canvas, panel, content.image, content.geometry, view, ranges, window, content.anatomical
-    )
+    image = ShownImage(content.image, content.geometry, window, content.anatomical)
+    shown = open_slice(canvas, panel, image, view, ranges)
     contours = _draw_contours(shown, content)
     colors = {shape.id: content.color(place) for place, shape in enumerate(content.objects)}
     for mark in content.clicks:
@@ -197,7 +190,7 @@ def draw_slice(
         _draw_mark(shown, content.late_growth, "o", YELLOW, 2, 30)
     for place in content.next_clicks:
         _draw_next_click(shown, place)
-    draw_inset(canvas, shown, content.image, window)
+    draw_inset(canvas, shown, image)
     if content.anatomical:
         write_letters(shown)
     draw_slice_scale(shown, content.unit)
@@ -335,12 +328,13 @@ def _draw_next_click(shown: Slice, place: tuple[float, float, float]) -> None:
     _write(shown.axes, "click next?", shown.place(place), (aside, -MARK - 4), "data")
 
 
-def draw_inset(canvas: Canvas, shown: Slice, image: NDArray[Any], window: GreyWindow) -> None:
+def draw_inset(canvas: Canvas, shown: Slice, image: ShownImage) -> None:
     """Draw the whole slice small in the upper right corner, with a frame around the part that is shown."""
     from matplotlib.patches import Rectangle
 
     vertical, horizontal = IN_PLANE[shown.view.plane]
-    whole, part, box = shown.section(image, whole=True), shown.section(image), shown.axes.bbox
+    whole, part = shown.section(image.array, whole=True), shown.section(image.array)
+    box = shown.axes.bbox
     if part.size > NEARLY_ALL * whole.size or min(box.width, box.height) < MIN_FOR_INSET:
         return
     x, y = (
@@ -353,7 +347,7 @@ def draw_inset(canvas: Canvas, shown: Slice, image: NDArray[Any], window: GreyWi
     inset = canvas.axes(place, x, y[::-1] if shown.view.plane == 0 else y)
     for spine in inset.spines.values():
         spine.set_edgecolor("white")
-    _draw_image(inset, window.grey(whole), (*x, *y))
+    _draw_image(inset, image.window.grey(whole), (*x, *y))
     (left, right), (low, high) = shown.axes.get_xlim(), shown.axes.get_ylim()
     inset.add_patch(Rectangle((left, low), right - left, high - low, fill=False, edgecolor=YELLOW, linewidth=1.5))
 

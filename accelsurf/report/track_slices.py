@@ -41,6 +41,7 @@ from accelsurf.report.movies import Picture
 from accelsurf.report.slice_plot import (
     REFERENCE_DASHES,
     NamedLine,
+    ShownImage,
     Slice,
     draw_contour,
     draw_slice_scale,
@@ -139,9 +140,8 @@ def draw_frame(
     what : sequence of {"predicted", "corrected"}
         Which surfaces.
     """
-    shown = lay_slice(
-        canvas, panel, frame.image.array, geometry, view.slice_of(frame.row, geometry), view.ranges, view.window
-    )
+    image = ShownImage(frame.image.array, geometry, view.window)
+    shown = lay_slice(canvas, panel, image, view.slice_of(frame.row, geometry), view.ranges)
     for found in frame.drawn:
         if "predicted" in what and found.predicted is not None:
             _draw_piece(shown, found.predicted, REFERENCE, REFERENCE_DASHES, geometry)
