@@ -22,7 +22,7 @@ from accelsurf import io
 from accelsurf.analysis import metrics
 from accelsurf.grid.volume import Volume
 from accelsurf.phantoms import recipe_files, recipes
-from accelsurf.report.environment import versions
+from accelsurf.report.document import versions
 from benchmarks import typed
 from benchmarks.clicks.person import next_click
 from benchmarks.pages import head_of, put_table, row_of

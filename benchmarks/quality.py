@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 import accelsurf
-from accelsurf.analysis import good_result
+from accelsurf.analysis import quality
 from accelsurf.analysis.metrics import dice
 from accelsurf.analysis.quality import click_features, image_features
 from accelsurf.errors import AccelsurfError
@@ -35,7 +35,7 @@ from benchmarks.clicks.person import next_click
 from benchmarks.pages import head_of, put_table, row_of
 
 ROOT = Path(__file__).resolve().parent.parent
-FACTS, MODEL = ROOT / "benchmarks" / "results" / "quality.json", ROOT / "accelsurf" / "analysis" / good_result.FILE
+FACTS, MODEL = ROOT / "benchmarks" / "results" / "quality.json", ROOT / "accelsurf" / "analysis" / quality.MODEL_FILE
 PAGE, PICTURE = ROOT / "docs" / "explanation" / "quality.md", ROOT / "docs" / "images" / "quality-reliability.png"
 #: A result is good from this Dice on. Silent failures are below the second without a warning, false alarms are above
 #: the third with one.
@@ -56,7 +56,7 @@ SIGNS = {
     "level_overlap": 1.0, "corrections": 1.0, "correction": -1.0, "size_spread": -1.0,
 }
 #: The models. Rows with clicks make the first one and are judged by it; all rows make the other, which judges the rest.
-KINDS: tuple[good_result.Kind, ...] = ("clicks", "image")
+KINDS: tuple[quality.ModelKind, ...] = ("clicks", "image")
 #: The figure has points of at least so many results.
 MANY = 5
 #: Weight of the squares of the weights, and folds of the cross-validation: whole objects are left out.
@@ -86,7 +86,7 @@ def main() -> None:
         models = json.loads(MODEL.read_text())
         models[options.kind] = fit(rows_of(rows["tune"], options.kind), options.kind)
         MODEL.write_text(json.dumps(models, indent=1) + "\n")
-        good_result.models.cache_clear()
+        quality.calibrated_models.cache_clear()
     facts["figures"] = every_figure(rows)
     FACTS.write_text(json.dumps(facts, indent=0) + "\n")
     put_table(PAGE, "quality", text_of(facts["figures"]))
@@ -203,12 +203,12 @@ def doubtful(
 Rows = Mapping[str, Sequence[Mapping[str, Any]]]
 
 
-def rows_of(rows: Rows, kind: good_result.Kind) -> Rows:
+def rows_of(rows: Rows, kind: quality.ModelKind) -> Rows:
     """The rows that make a model: those with clicks, or all."""
     return rows if kind == "image" else {name: own for name, own in rows.items() if all(kind in row for row in own)}
 
 
-def fit(rows: Rows, kind: good_result.Kind) -> dict[str, Any]:
+def fit(rows: Rows, kind: quality.ModelKind) -> dict[str, Any]:
     """The logistic model of all rows; each object or phantom counts the same. Its threshold by cross-validation."""
     found = trained(rows, kind)
     values, truth, weights = [], [], []
@@ -220,7 +220,7 @@ def fit(rows: Rows, kind: good_result.Kind) -> dict[str, Any]:
     return found
 
 
-def trained(rows: Rows, kind: good_result.Kind) -> dict[str, Any]:
+def trained(rows: Rows, kind: quality.ModelKind) -> dict[str, Any]:
     """Means, deviations and weights of the features by Newton's method with a ridge."""
     every = [(row, 1.0 / len(own)) for own in rows.values() for row in own]
     names = sorted(every[0][0][kind])
@@ -255,7 +255,7 @@ def _solved(x: NDArray[Any], weight: NDArray[Any], target: NDArray[Any], ridge: 
 
 
 def probabilities(
-    model: Mapping[str, Any], own: Sequence[Mapping[str, Any]], kind: good_result.Kind
+    model: Mapping[str, Any], own: Sequence[Mapping[str, Any]], kind: quality.ModelKind
 ) -> list[float]:
     """The probability of a good result of each row."""
     out = []
@@ -268,7 +268,7 @@ def probabilities(
     return out
 
 
-def crossed(rows: Rows, name: str, kind: good_result.Kind) -> list[float]:
+def crossed(rows: Rows, name: str, kind: quality.ModelKind) -> list[float]:
     """The probabilities of an object's rows by a model that was made without the objects of its fold."""
     order = sorted(rows)
     fold = order.index(name) % FOLDS

@@ -23,7 +23,7 @@ from accelsurf import io
 from accelsurf.analysis import metrics
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import object_starts
-from accelsurf.report.environment import versions
+from accelsurf.report.document import versions
 from accelsurf.segmentation.object_grid import ROOM
 from benchmarks import typed
 from benchmarks.clicks.person import next_click

@@ -21,7 +21,7 @@ from scipy import ndimage
 from skimage.filters import threshold_otsu
 
 from accelsurf import io
-from accelsurf.analysis.track_graph import stretches
+from accelsurf.analysis.tracking_scores import stretches
 from accelsurf.grid.volume import Volume
 from accelsurf.report.challenge_files import track_lines
 from accelsurf.tracking.track import Tracking

@@ -1,4 +1,4 @@
-"""Whether a volume rises and falls again and again: its period, and its ejection fraction."""
+"""The beat of a volume that rises and falls again and again: its period, and its ejection fraction."""
 
 from __future__ import annotations
 

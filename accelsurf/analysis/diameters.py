@@ -69,7 +69,7 @@ def _widest_slice(ends: NDArray[np.int64], axial: int, geometry: Geometry) -> ND
     slices = np.split(ends[order], first[1:])
     spacing = np.array(geometry.spacing) * [axis != axial for axis in range(3)]
     # No line is longer than twice the largest distance from one place.
-    bounds = [_width_bound(own * spacing) + float(np.linalg.norm(spacing)) for own in slices]
+    bounds = [_width_bound(voxels * spacing) + float(np.linalg.norm(spacing)) for voxels in slices]
     best, longest = slices[0], -1.0
     for place in np.argsort(bounds)[::-1]:
         if bounds[place] <= longest:
@@ -93,15 +93,15 @@ def _length(line: Floats) -> float:
 def _row_ends(inside: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Indices (n, 3) of the first and the last voxel of each row: no other can be one of the farthest two."""
     rows = np.argwhere(inside.any(axis=2))
-    own = inside[rows[:, 0], rows[:, 1]]
-    begin, end = own.argmax(axis=1), inside.shape[2] - 1 - own[:, ::-1].argmax(axis=1)
+    filled = inside[rows[:, 0], rows[:, 1]]
+    begin, end = filled.argmax(axis=1), inside.shape[2] - 1 - filled[:, ::-1].argmax(axis=1)
     return np.concatenate([np.column_stack([rows, begin]), np.column_stack([rows, end])])
 
 
 def _corners(voxels: NDArray[np.int64], geometry: Geometry, flat_axis: int | None = None) -> Floats:
     """The corners of voxels in world mm, each once; those of an image of one slice, or along an axis, are flat."""
     thick = [n > 1 and axis != flat_axis for axis, n in enumerate(geometry.shape)]
-    signs = np.array(np.meshgrid(*[(-1, 1) if one else (0,) for one in thick], indexing="ij")).reshape(3, -1).T
+    signs = np.array(np.meshgrid(*[(-1, 1) if wide else (0,) for wide in thick], indexing="ij")).reshape(3, -1).T
     doubled = (2 * voxels[:, None, :] + signs).reshape(-1, 3)
     size = tuple(2 * n + 1 for n in geometry.shape)
     once = np.stack(np.unravel_index(np.unique(np.ravel_multi_index(tuple((doubled + 1).T), size)), size), axis=1) - 1
@@ -138,9 +138,9 @@ def _farthest(points: Floats) -> Floats:
     best, longest = points[[0, 0]], -1.0
     for first in range(0, len(points), BATCH):
         distances = cdist(points[first : first + BATCH], points[first:], "sqeuclidean")
-        one, other = np.unravel_index(int(distances.argmax()), distances.shape)
-        if distances[one, other] > longest:
-            best, longest = points[[first + one, first + other]], float(distances[one, other])
+        near_end, far_end = np.unravel_index(int(distances.argmax()), distances.shape)
+        if distances[near_end, far_end] > longest:
+            best, longest = points[[first + near_end, first + far_end]], float(distances[near_end, far_end])
     return best
 
 
@@ -157,8 +157,8 @@ def _longest_across(points: Floats, facets: NDArray[np.int32], line: Floats) -> 
     cut, first = _edges_at(levels, heights[edges], near)
     best, longest = line[:1].repeat(2, axis=0), 0.0
     for place in np.argsort(np.abs(levels - middle), kind="stable"):  # the widest are near the middle
-        height, own = levels[place], edges[cut[first[place] : first[place + 1]]]
-        a, b = points[own[:, 0]], points[own[:, 1]]
+        height, cut_edges = levels[place], edges[cut[first[place] : first[place + 1]]]
+        a, b = points[cut_edges[:, 0]], points[cut_edges[:, 1]]
         from_a, rise = height - a @ axis, (b - a) @ axis
         flat = np.abs(rise) <= near
         share = np.clip(from_a / np.where(flat, 1.0, rise), 0.0, 1.0)
@@ -180,7 +180,7 @@ def _edges(facets: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _edges_at(levels: Floats, heights: Floats, near: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Which edges, with the heights (n, 2) of their ends, meet each level; those of one lie between two indices."""
+    """Return the edges that meet each level, by the heights (n, 2) of their ends; a level's lie between two indices."""
     low = np.searchsorted(levels, heights.min(axis=1) - near, side="left")
     high = np.searchsorted(levels, heights.max(axis=1) + near, side="right")
     counts = high - low

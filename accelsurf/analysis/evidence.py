@@ -107,29 +107,21 @@ def gather(
     unlike = np.abs(out - middle) / max(spread, floor)
     gain = np.maximum(unlike - np.abs(near - middle) / max(spread, floor), 0.0)
     corner = np.array(corner_of(box))
-    own = index + corner
+    places = index + corner
     return Evidence(
-        own, _rising(across, HALF_EDGE), _rising(gain, HALF_MODEL), _near_click(own, clicked, inside, spacing),
+        places, _rising(across, HALF_EDGE), _rising(gain, HALF_MODEL), _near_click(places, clicked, inside, spacing),
         float(np.median(across)), float((unlike < LIKE).mean()), _drift(part, values, spacing, spread, floor),
     )
 
 
-def doubtful_place(
-    evidence: Evidence, spacing: tuple[float, float, float], volume_mm3: float
-) -> tuple[tuple[int, int, int], float]:
-    """Voxel (z, y, x) next to the surface around which a patch has the least evidence, and its share of doubt, 0 to 1.
-
-    Doubt is summed over the patch: a large doubtful piece counts for more than a small one. Ties go to the first.
-    """
-    return doubtful_places(evidence, spacing, volume_mm3, 1)[0]
-
-
 def doubtful_places(
-    evidence: Evidence, spacing: tuple[float, float, float], volume_mm3: float, count: int
+    evidence: Evidence, spacing: tuple[float, float, float], volume_mm3: float, count: int = 1
 ) -> list[tuple[tuple[int, int, int], float]]:
-    """The same of several patches, the most doubtful first, each as of `doubtful_place`; at least one.
+    """Return the patches with the least evidence, the most doubtful first: a voxel (z, y, x), and its doubt, 0 to 1.
 
-    A further one lies at least three patches' radii from those before it.
+    The voxel lies next to the surface, and the patch around it. Doubt is summed over the patch: a large doubtful piece
+    counts for more than a small one. Ties go to the first. There is at least one; a further one lies at least three
+    patches' radii from those before it.
     """
     doubt = 1.0 - evidence.total
     # Counted from the object's own first voxel: the blocks do not depend on where its grid begins.
@@ -150,8 +142,8 @@ def doubtful_places(
     far = np.ones(len(blocks), np.bool_)
     while len(out) < count and far.any():
         best = _first_largest(totals, far)
-        own = np.flatnonzero(member == best)
-        z, y, x = evidence.index[own[int(np.argmax(doubt[own]))]]
+        members = np.flatnonzero(member == best)
+        z, y, x = evidence.index[members[int(np.argmax(doubt[members]))]]
         out.append(((int(z), int(y), int(x)), float(shares[best])))
         far &= ((middles - middles[best]) ** 2).sum(axis=1) > (APART * radius) ** 2
     return out
@@ -249,6 +241,6 @@ def _drift(
     core = core if core.sum() > 20 else inside
     z, y, x = (((np.arange(n) - m) * h) ** 2 for n, m, h in zip(inside.shape, middle, spacing, strict=True))
     away = np.concatenate([(z[k] + y[:, None] + x)[plane] for k, plane in enumerate(core)])
-    own = values[core][np.argsort(away, kind="stable")]
-    shells = [float(np.median(shell)) for shell in np.array_split(own, 4) if shell.size]
+    ordered = values[core][np.argsort(away, kind="stable")]
+    shells = [float(np.median(shell)) for shell in np.array_split(ordered, 4) if shell.size]
     return float(np.ptp(shells)) / max(spread, floor)

@@ -1,4 +1,4 @@
-"""How well two label maps agree, label by label, each in a box around it.
+"""Agreement of two label maps, label by label, each in a box around it.
 
 A label is compared with the same label of the other map. The definitions are those of `metrics` and `surface_dice`. A
 label that one map alone has is missed or made up: Dice, Jaccard index (IoU) and surface Dice are 0, the distances
@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects
 
-from accelsurf.analysis.metrics import Mask, Metrics, agreement, check_same_grid
-from accelsurf.analysis.surface_dice import surface_dice
+from accelsurf.analysis.metrics import Mask, Metrics, agreement, check_same_grid, surface_dice
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, enclosing, widened
 from accelsurf.grid.geometry import Geometry
@@ -89,7 +88,7 @@ class LabelMap:
         object.__setattr__(self, "boxes", counted)
 
     def mask(self, label: int | None, box: Box) -> Mask:
-        """Where in a box a label is, or any that counts."""
+        """Return the voxels of a box that have a label, or any that counts."""
         values = self.volume.array[box]
         if label is not None:
             return np.asarray(values == label) if label in self.boxes else np.zeros(values.shape, bool)
@@ -149,8 +148,8 @@ def evaluate_object(pred: LabelMap, ref: LabelMap, tolerances: Sequence[float] =
 
 
 def _compare(pred: LabelMap, ref: LabelMap, label: int | None, tolerances: Sequence[float]) -> LabelAgreement:
-    there = [[one for one in side.boxes if label is None or one == label] for side in (pred, ref)]
-    boxes = [side.boxes[one] for side, ids in zip((pred, ref), there, strict=True) for one in ids]
+    there = [[found for found in side.boxes if label is None or found == label] for side in (pred, ref)]
+    boxes = [side.boxes[found] for side, ids in zip((pred, ref), there, strict=True) for found in ids]
     geometry: Geometry = pred.volume.geometry
     # One more voxel on each side: an axis of one voxel would mean an image of one slice.
     box = widened(reduce(enclosing, boxes), geometry.shape, (1, 1, 1)) if boxes else (slice(0, 0),) * 3
@@ -211,8 +210,8 @@ def over_cases(values: Sequence[dict[str, float | None]]) -> dict[str, dict[str,
     >>> over_cases([{"dice": 0.5}, {"dice": 1.0}, {"dice": None}])
     {'mean': {'dice': 0.75}, 'median': {'dice': 0.75}, 'count': {'dice': 2}}
     """
-    names = dict.fromkeys(name for one in values for name in one)
-    defined = {name: [value for one in values if (value := one.get(name)) is not None] for name in names}
+    names = dict.fromkeys(name for case in values for name in case)
+    defined = {name: [value for case in values if (value := case.get(name)) is not None] for name in names}
     return {
         "mean": {name: fmean(some) if some else None for name, some in defined.items()},
         "median": {name: median(some) if some else None for name, some in defined.items()},

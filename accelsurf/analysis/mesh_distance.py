@@ -1,4 +1,4 @@
-"""How far two meshes lie apart: the distance of a point to the nearest triangle, over points of both."""
+"""Distance between two meshes: of points of each to the nearest triangle of the other."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ FIRST = 1 << 8
 MAX_PARTS = 64
 
 
-def largest_distance(one: Surface, other: Surface, limit: float = np.inf) -> float:
+def largest_distance(first: Surface, second: Surface, limit: float = np.inf) -> float:
     """The largest distance between two meshes, mm: of points of each to the nearest triangle of the other.
 
     The points are all vertices, the middles of all edges and the centres of all triangles of both meshes; on triangles
-    whose longest side exceeds the mean side of ``one`` also a lattice at most half that mean apart. Between the points
-    the distance can be larger, by no more than half the way between them.
+    whose longest side exceeds the mean side of ``first`` also a lattice at most half that mean apart. Between the
+    points the distance can be larger, by no more than half the way between them.
 
     Parameters
     ----------
-    one, other : Surface
+    first, second : Surface
     limit : float, optional
         The search ends at the first points beyond it; then a distance above the limit is returned.
 
@@ -41,9 +41,9 @@ def largest_distance(one: Surface, other: Surface, limit: float = np.inf) -> flo
     >>> largest_distance(Surface(corners, faces), Surface(corners + [0, 0, -0.25], faces))
     0.25
     """
-    step, largest = mean_side(one), 0.0
-    for own, index in ((other, TriangleIndex(one)), (one, TriangleIndex(other))):
-        points = samples(own, step)
+    step, largest = mean_side(first), 0.0
+    for sampled, index in ((second, TriangleIndex(first)), (first, TriangleIndex(second))):
+        points = samples(sampled, step)
         # The farthest come first by a bound that is cheap: what lies nearer than one that was found need not be found.
         bounds = index.bounds(points)
         order, begin, size = np.argsort(-bounds, kind="stable"), 0, FIRST
@@ -111,8 +111,8 @@ class TriangleIndex:
         radii = np.linalg.norm(self._corners - centres[:, None], axis=2).max(axis=1)
         size = np.ceil(np.log2(np.maximum(radii, 1e-12))).astype(int)
         found = []
-        for one in np.unique(size).tolist():
-            members = np.flatnonzero(size == one)
+        for exponent in np.unique(size).tolist():
+            members = np.flatnonzero(size == exponent)
             found.append((cKDTree(centres[members]), members, float(radii[members].max())))
         return found
 

@@ -5,9 +5,11 @@ Every operation keeps the mesh closed and facing outward; one that does not is u
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from scipy import sparse
 
 from accelsurf.analysis.mesh_distance import TriangleIndex, largest_distance, mean_side, sides
 from accelsurf.analysis.surface_mesh import Surface
-from accelsurf.errors import UsageError
+from accelsurf.errors import InputError, UsageError
 
 Floats = NDArray[np.float64]
 #: Rounds of smoothing, at most; more are needed where the length is more than about 12 sides of triangles.
@@ -29,8 +31,8 @@ EVENING = 10
 
 
 @dataclass(frozen=True)
-class MeshWish:
-    """What is wanted of a mesh.
+class MeshOptions:
+    """Requested options of a mesh.
 
     Attributes
     ----------
@@ -50,11 +52,6 @@ class MeshWish:
     side: float | None = None
     error: float | None = None
 
-    @property
-    def is_none(self) -> bool:
-        """Whether the mesh stays as it was extracted."""
-        return self == MeshWish()
-
 
 @dataclass(frozen=True, eq=False)
 class ShapedMesh:
@@ -73,14 +70,14 @@ class ShapedMesh:
     warnings: tuple[str, ...] = ()
 
 
-def shape(exact: Surface, wish: MeshWish) -> ShapedMesh:
+def shape(exact: Surface, options: MeshOptions) -> ShapedMesh:
     """Make a mesh smoother or coarser.
 
     Parameters
     ----------
     exact : Surface
         As it was extracted. It is not changed.
-    wish : MeshWish
+    options : MeshOptions
 
     Raises
     ------
@@ -94,25 +91,25 @@ def shape(exact: Surface, wish: MeshWish) -> ShapedMesh:
     >>> from accelsurf.analysis.surface_mesh import extract
     >>> z, y, x = np.indices((16, 16, 16)) - 7.5
     >>> ball = extract((np.sqrt(x**2 + y**2 + z**2) - 5).astype(np.float32), Geometry((16, 16, 16), (1.0, 1.0, 1.0)))
-    >>> coarse = shape(ball, MeshWish(faces=200))
+    >>> coarse = shape(ball, MeshOptions(faces=200))
     >>> len(coarse.surface.faces), coarse.surface.is_closed, coarse.distance_mm < 0.3
     (200, True, True)
     """
     surface, warnings = exact, list[str]()
-    if wish.smooth:
-        surface = _sound_or_old(smoothed(surface, wish.smooth), surface, "mesh-smooth", warnings)
-    if wish.error is not None:
-        _refuse_beyond(exact, surface, wish.error, "mesh-smooth", f"{wish.smooth:g} mm")
-    if wish.faces is not None and wish.faces < len(surface.faces):
-        surface = _sound_or_old(decimated(surface, wish.faces), surface, "mesh-faces", warnings)
-    elif wish.faces is not None and wish.faces > len(surface.faces):
-        warnings.append(f"mesh-faces: the mesh has {len(surface.faces)} triangles, fewer than {wish.faces}")
-    elif wish.side is not None:
-        surface = _sound_or_old(remeshed(surface, wish.side), surface, "mesh-faces", warnings)
-    elif wish.error is not None and wish.faces is None:
-        surface = coarsest(exact, surface, wish.error)
-    if wish.error is not None and (wish.faces is not None or wish.side is not None):
-        _refuse_beyond(exact, surface, wish.error, "mesh-faces", f"{len(surface.faces)} triangles")
+    if options.smooth:
+        surface = _sound_or_old(smoothed(surface, options.smooth), surface, "mesh-smooth", warnings)
+    if options.error is not None:
+        _refuse_beyond(exact, surface, options.error, "mesh-smooth", f"{options.smooth:g} mm")
+    if options.faces is not None and options.faces < len(surface.faces):
+        surface = _sound_or_old(decimated(surface, options.faces), surface, "mesh-faces", warnings)
+    elif options.faces is not None and options.faces > len(surface.faces):
+        warnings.append(f"mesh-faces: the mesh has {len(surface.faces)} triangles, fewer than {options.faces}")
+    elif options.side is not None:
+        surface = _sound_or_old(remeshed(surface, options.side), surface, "mesh-faces", warnings)
+    elif options.error is not None and options.faces is None:
+        surface = coarsest(exact, surface, options.error)
+    if options.error is not None and (options.faces is not None or options.side is not None):
+        _refuse_beyond(exact, surface, options.error, "mesh-faces", f"{len(surface.faces)} triangles")
     distance = 0.0 if surface is exact else largest_distance(exact, surface)
     return ShapedMesh(surface, distance, tuple(warnings))
 
@@ -136,7 +133,7 @@ def _above(value: float) -> str:
 
 
 def is_sound(surface: Surface) -> bool:
-    """Whether every side of a triangle has exactly one other beside it that faces the same way, and volume is inside.
+    """Test if each side of a triangle has exactly one other beside it that faces the same way, and volume is inside.
 
     Examples
     --------
@@ -204,9 +201,9 @@ def _with_volume(surface: Surface, volume: float) -> Surface:
     for _ in range(3):  # Newton's method: the derivative of the volume is the area
         corners = surface.vertices[surface.faces]
         normals = np.zeros_like(surface.vertices)
-        own = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area_vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         for k in range(3):
-            np.add.at(normals, surface.faces[:, k], own)
+            np.add.at(normals, surface.faces[:, k], area_vectors)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         way = (volume - surface.volume) / surface.area
         surface = Surface(surface.vertices + way * normals, surface.faces)
@@ -218,8 +215,6 @@ def decimated(surface: Surface, faces: int) -> Surface:
 
     The library may let a collapse join two sheets in an edge: then other ways and numbers nearby are tried.
     """
-    from accelsurf.analysis.mesh_library import library
-
     middle = surface.vertices.mean(axis=0)
     simplify, first = library("fast_simplification").simplify, None
     for count, eagerness in itertools.product((faces, faces + 2, faces - 2, faces + 6, faces - 6), EAGERNESS):
@@ -299,3 +294,20 @@ def smallest_angles(corners: Floats) -> Floats:
     cosines = np.einsum("ijk,ijk->ij", along, back) / np.maximum(lengths, 1e-300)
     angles: Floats = np.degrees(np.arccos(np.clip(cosines.max(axis=1), -1.0, 1.0)))
     return angles
+
+
+def library(name: str) -> Any:
+    """Return a package.
+
+    Raises
+    ------
+    InputError
+        When it is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        package = name.replace("_", "-")
+        raise InputError(
+            f"coarser meshes need the package {package}", 'install it: pip install "accelsurf[mesh]"'
+        ) from None

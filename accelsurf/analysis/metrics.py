@@ -1,4 +1,4 @@
-"""How well two label maps agree: overlap, volume, and distances between their surfaces in mm.
+"""Agreement of two label maps: overlap, volume, distances between their surfaces in mm, and surface Dice.
 
 Definitions, so that numbers can be compared with those of other programs:
 
@@ -19,10 +19,14 @@ medpy and the medical challenges use. For distances finer than a voxel compare m
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from accelsurf.errors import GeometryError, InputError
@@ -218,15 +222,9 @@ def border_points(mask: Mask, spacing: tuple[float, float, float]) -> Floats:
     if bounds is None:
         return np.empty((0, 3))
     # Work on the bounding box only. Beyond it there is no object, so the box's faces are border in any case.
-    box = mask[bounds]
-    inner = box.copy()
-    for axis in range(3):
-        if mask.shape[axis] == 1:
-            continue
-        ahead, behind = np.moveaxis(inner, axis, 0), np.moveaxis(box, axis, 0)
-        ahead[:-1] &= behind[1:]
-        ahead[1:] &= behind[:-1]
-        ahead[[0, -1]] = False
+    box, along = mask[bounds], [n > 1 for n in mask.shape]
+    faces = ndimage.generate_binary_structure(sum(along), 1).reshape([3 if n else 1 for n in along])
+    inner = ndimage.binary_erosion(box, faces)
     return (np.argwhere(box & ~inner) + np.array(corner_of(bounds))) * np.asarray(spacing, dtype=np.float64)
 
 
@@ -255,3 +253,120 @@ def _object(volume: Volume) -> Mask:
 
 def _ratio(part: float, whole: float) -> float:
     return part / whole if whole else math.nan
+
+
+Spacing = tuple[float, float, float]
+
+
+def surface_dice(a: Mask, b: Mask, spacing: Spacing, tolerances: Sequence[float]) -> list[float]:
+    """Part of the two surfaces that lies within a tolerance of the other one, for each tolerance.
+
+    Parameters
+    ----------
+    a, b : ndarray of bool, shape (nz, ny, nx)
+        The objects.
+    spacing : tuple of float
+        (hz, hy, hx) in mm.
+    tolerances : sequence of float
+        In mm, at least 0.
+
+    Returns
+    -------
+    list of float
+        Between 0 and 1; 0 when one of the objects is empty, NaN when both are.
+
+    Examples
+    --------
+    >>> a, b = np.zeros((2, 12, 12, 12), bool)
+    >>> a[2:8, 2:8, 2:8] = b[3:9, 2:8, 2:8] = True
+    >>> surface_dice(a, b, (1.5, 1.0, 1.0), [1.5, 2.0])
+    [1.0, 1.0]
+    """
+    (points_a, areas_a), (points_b, areas_b) = surface_elements(a, spacing), surface_elements(b, spacing)
+    total = float(areas_a.sum() + areas_b.sum())
+    if not total:
+        return [math.nan] * len(tolerances)
+    if not len(points_a) or not len(points_b):
+        return [0.0] * len(tolerances)
+    from_a, from_b = _nearest(points_a, points_b), _nearest(points_b, points_a)
+    # A distance equal to the tolerance counts, also where its rounding differs by the place in the volume.
+    near = [tolerance * (1 + 1e-9) + 1e-9 for tolerance in tolerances]
+    return [float(areas_a[from_a <= most].sum() + areas_b[from_b <= most].sum()) / total for most in near]
+
+
+def surface_elements(mask: Mask, spacing: Spacing) -> tuple[Floats, Floats]:
+    """Middle and size of each surface element of an object.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (nz, ny, nx)
+        The object.
+    spacing : tuple of float
+        (hz, hy, hx) in mm.
+
+    Returns
+    -------
+    points : ndarray, shape (n, 3), float64
+        (z, y, x) in mm from the centre of voxel (0, 0, 0), scan order.
+    sizes : ndarray, shape (n,), float64
+        In mm2; in mm where one axis of the volume has a single voxel, and 1 where two have.
+
+    Examples
+    --------
+    >>> points, sizes = surface_elements(np.ones((1, 1, 1), bool), (1.0, 1.0, 1.0))
+    >>> len(points), len(sizes)
+    (0, 0)
+    """
+    bounds = bounding_box(mask)
+    along = tuple(axis for axis in range(3) if mask.shape[axis] > 1)
+    if bounds is None or not along:
+        return np.empty((0, 3)), np.empty(0)
+    box = np.pad(mask[bounds], [(1, 1) if axis in along else (0, 0) for axis in range(3)]).view(np.uint8)
+    code: NDArray[Any] = box
+    for bit, axis in enumerate(along):
+        n = code.shape[axis]
+        low, high = (code.take(range(first, n - 1 + first), axis) for first in (0, 1))
+        code = low | (high << (1 << bit))
+    sizes = _sizes(tuple(spacing[axis] for axis in along))
+    cut = np.argwhere((code > 0) & (code < len(sizes) - 1))
+    shift = [corner_of(bounds)[axis] - (0.5 if axis in along else 0.0) for axis in range(3)]
+    return (cut + np.array(shift)) * np.asarray(spacing, dtype=np.float64), sizes[code[tuple(cut.T)]]
+
+
+@lru_cache(maxsize=16)
+def _sizes(spacing: tuple[float, ...]) -> Floats:
+    """Size of the surface element of each neighbourhood.
+
+    A neighbourhood along d axes is a number of 2^d bits: bit i + 2 j (+ 4 k) is the voxel i further along the first of
+    the axes, j along the second, k along the third.
+    """
+    corners = 2 ** len(spacing)
+    sizes = np.zeros(2**corners)
+    for code in range(1, len(sizes) - 1):
+        fewer = code if code.bit_count() <= corners // 2 else len(sizes) - 1 - code
+        values = np.array([fewer >> bit & 1 for bit in range(corners)], np.float32)
+        sizes[code] = _MEASURES[len(spacing)](values.reshape((2,) * len(spacing)).T, spacing)
+    sizes.setflags(write=False)
+    return sizes
+
+
+def _area(values: NDArray[np.float32], spacing: tuple[float, ...]) -> float:
+    """Return the area of the triangles in a neighbourhood of 2 x 2 x 2."""
+    from skimage.measure import marching_cubes, mesh_surface_area
+
+    vertices, faces, _, _ = marching_cubes(values, 0.5, spacing=spacing, method="lorensen")
+    return float(mesh_surface_area(vertices, faces))
+
+
+def _length(values: NDArray[np.float32], spacing: tuple[float, ...]) -> float:
+    """Return the length of the lines in a neighbourhood of 2 x 2, which join the middles of the edges that are cut."""
+    if values[0, 0] == values[1, 1] and values[0, 1] == values[1, 0]:  # two corners across are cut off
+        return math.hypot(*spacing)
+    if values[0, 0] == values[0, 1] and values[1, 0] == values[1, 1]:
+        return spacing[1]
+    if values[0, 0] == values[1, 0] and values[0, 1] == values[1, 1]:
+        return spacing[0]
+    return math.hypot(*spacing) / 2
+
+
+_MEASURES = {3: _area, 2: _length, 1: lambda values, spacing: 1.0}

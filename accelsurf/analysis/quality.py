@@ -1,21 +1,28 @@
-"""Whether to trust a result: measures of the surface and the image that need no reference, and where to look next."""
+"""Quality of a result: measures of surface and image that need no reference, and the place to look at next.
+
+The probability that a result is good is a logistic model of a few measures, calibrated by ``scripts/study quality``.
+There are two: ``clicks`` for a result whose model of clicks says how sure it is, and ``image`` for all others. The
+study writes them into the file beside this one: of each feature the mean and the deviation that it is put on scale by,
+and its weight; the weight of none; and the probability below which a warning is given.
+"""
 
 from __future__ import annotations
 
+import functools
+import json
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Collection, Mapping, Sequence
+from importlib import resources
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.analysis import evidence as places
-from accelsurf.analysis import good_result
-from accelsurf.analysis.edges import no_edge_fraction
-from accelsurf.analysis.necks import parts_beyond_necks
-from accelsurf.grid.boxes import Box, bounding_box
-from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.boxes import Box, bounding_box, slabs
+from accelsurf.grid.geometry import Geometry, axis_steps
+from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.settings.wording import place_text, volume_text
 
 if TYPE_CHECKING:
@@ -34,9 +41,16 @@ MIN_BURST = 1.1
 USUAL_BEYOND, USUAL_CORRECTION, USUAL_COMPACTNESS = 20.0, 0.37, 0.49
 
 
+class ValueRange(NamedTuple):
+    """An interval of the image's values."""
+
+    low: float
+    high: float
+
+
 class RestNote(NamedTuple):
-    """Where the front rested: at which ``step``, its ``volume_mm3`` then, and the ``place`` (x, y, z; mm, LPS) near
-    which it broke through at step ``left_at``.
+    """A plateau of the front: its ``step``, its ``volume_mm3`` then, and the ``place`` (x, y, z; mm, LPS) near which
+    the front broke through at step ``left_at``.
     """
 
     step: int
@@ -137,7 +151,7 @@ def assess(
     geometry: Geometry,
     history: Sequence[StepRecord],
     stop: Stop,
-    learned: tuple[float, float] | None = None,
+    learned: ValueRange | None = None,
     rests: Sequence[RestNote] = (),
     clicked: NDArray[np.bool_] | None = None,
     sureness: Sureness | None = None,
@@ -154,8 +168,8 @@ def assess(
         Their grid.
     history : sequence of StepRecord
     stop : Stop
-    learned : (float, float), optional
-        Range of values that a model learned from the start gives the object.
+    learned : ValueRange, optional
+        The values that a model learned from the start gives the object.
     rests : sequence of RestNote, optional
     clicked : ndarray (nz, ny, nx) of bool, optional
         Voxels that a person clicked, on either side.
@@ -163,11 +177,11 @@ def assess(
         Of the model of the clicks.
     """
     inside, spacing = labels > 0, geometry.spacing
-    own = [row for row in history if row.level == 0]
+    finest = [row for row in history if row.level == 0]
     first, last = (history[0].volume_mm3, history[-1].volume_mm3) if history else (0.0, 0.0)
-    before = own[-LAST_STEPS - 1].volume_mm3 if len(own) > LAST_STEPS else (own[0].volume_mm3 if own else 0.0)
+    before = finest[max(-LAST_STEPS - 1, -len(finest))].volume_mm3 if finest else 0.0
     found, volume = places.gather(inside, image, spacing, clicked), np.count_nonzero(inside) * geometry.voxel_volume
-    place, doubt = (None, 0.0) if found is None else places.doubtful_place(found, spacing, volume)
+    place, doubt = (None, 0.0) if found is None else places.doubtful_places(found, spacing, volume)[0]
     measured = Quality(
         probability=0.0,
         next_click=None if place is None else _world(geometry, place),
@@ -187,7 +201,7 @@ def assess(
         warnings=(),
         notes=(),
     )
-    likely = good_result.probability(kind_of(measured), features(measured, stop.reason, last))
+    likely = probability_good(kind_of(measured), features(measured, stop.reason, last))
     measured = measured._replace(probability=likely)
     warnings, notes = _warnings(measured, stop, last, inside, geometry), _notes(measured, last, geometry)
     return measured._replace(warnings=tuple(warnings), notes=tuple(notes))
@@ -208,19 +222,19 @@ def _by_clicks(sureness: Sureness | None) -> dict[str, Any]:
     return {**known, "first_size": first}
 
 
-def kind_of(found: Quality) -> good_result.Kind:
-    """Which model tells the probability."""
+def kind_of(found: Quality) -> ModelKind:
+    """Return the model that tells the probability."""
     return "image" if found.level_overlap is None else "clicks"
 
 
 def features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]:
-    """What the probability of a good result depends on, by name."""
+    """Return the features of the probability, by name."""
     clicks = click_features(found)
     return image_features(found, reason, volume_mm3) if clicks is None else clicks
 
 
 def click_features(found: Quality) -> dict[str, float] | None:
-    """Those of the model of the clicks; None without one."""
+    """Return the features of the model of the clicks; None without one."""
     if found.level_overlap is None or found.size_spread is None:
         return None
     overlap = min(max(found.level_overlap, 0.01), 0.99)
@@ -235,7 +249,7 @@ def click_features(found: Quality) -> dict[str, float] | None:
 
 
 def image_features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]:
-    """Those of the surface, the image and the run."""
+    """Return the features of the surface, the image and the run."""
     burst = max((volume_mm3 / rest.volume_mm3 for rest in found.rests[:1] if rest.volume_mm3 > 0), default=1.0)
     return {
         "contrast": math.log(min(max(found.contrast, 0.1), 100.0)),
@@ -279,12 +293,12 @@ def _compactness(last: StepRecord | None, geometry: Geometry) -> float:
 def _warnings(
     found: Quality, stop: Stop, last: float, inside: NDArray[np.bool_], geometry: Geometry
 ) -> list[str]:
-    """What is in doubt, each with one command to try."""
+    """Return the warnings, each with one command to try."""
     warnings = []
     there = "" if found.next_click is None else place_text(found.next_click, geometry.steps)
     if found.leaked:
         warnings.append(f"leak: {stop.message}; try {_against_leak(found, there, geometry)}")
-    if found.probability < good_result.threshold(kind_of(found)) and found.next_click is not None:
+    if found.probability < warning_threshold(kind_of(found)) and found.next_click is not None:
         click = f"look at {there} first and try --inside point:{there}, or --outside if it is not the object"
         sure = f"{found.probability:.0%} likely to be good"
         warnings.append(f"doubt: probably not right ({_why(found)}; {sure}); {click}")
@@ -300,7 +314,7 @@ def _warnings(
 
 
 def _against_leak(found: Quality, doubtful: str, geometry: Geometry) -> str:
-    """What to try where the object has run into something else: a click where it broke through, or in doubt."""
+    """Return a remedy of a leak: a click where the front broke through, else at the most uncertain location."""
     if found.rests:
         return f"--outside point:{place_text(found.rests[-1].place, geometry.steps)}, near which it broke through"
     return f"--outside point:{doubtful}, its most doubtful place" if doubtful else "--stop-at-rest"
@@ -335,7 +349,7 @@ def _why(found: Quality) -> str:
     if found.correction is not None:
         words["correction"] = f"the last click was {found.correction:.2g} radii away from what was found before"
     last = found.rests[0].volume_mm3 if found.rests else 0.0
-    return words[good_result.lowest_term(kind_of(found), features(found, "converged", last), words)]
+    return words[lowest_term(kind_of(found), features(found, "converged", last), words)]
 
 
 def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
@@ -388,9 +402,151 @@ def _border_fraction(inside: NDArray[np.bool_], spacing: tuple[float, float, flo
     return on_border / total if total > 0 else 0.0
 
 
-def _unlike_fraction(inside: NDArray[np.bool_], image: NDArray[np.float32], learned: tuple[float, float]) -> float:
+def _unlike_fraction(inside: NDArray[np.bool_], image: NDArray[np.float32], learned: ValueRange) -> float:
     """Share of the object, without the voxels next to its surface, with values outside of an interval."""
     box = _around(inside, 1)
     part = ndimage.binary_erosion(inside[box], border_value=1)
     values = image[box][part if part.any() else inside[box]]
-    return float(((values < learned[0]) | (values > learned[1])).mean()) if values.size else 0.0
+    return float(((values < learned.low) | (values > learned.high)).mean()) if values.size else 0.0
+
+
+#: A gradient is an edge if it is above this percentile of the gradients inside the object, at least so many voxels from
+#: its surface, and above this fraction of the image's range over the scale that gradients are computed at.
+INTERIOR_PERCENTILE, INTERIOR_DEPTH, MIN_EDGE = 75.0, 3, 0.005
+#: Gradients inside the object are sampled at about so many voxels.
+GRADIENT_SAMPLES = 1 << 18
+#: A slab has at least so many planes for each plane around it that is needed besides.
+MIN_SLAB_HALOS = 4
+
+
+def no_edge_fraction(
+    inside: NDArray[np.bool_], image: NDArray[np.float32], spacing: tuple[float, float, float]
+) -> float:
+    """Share of the voxels next to the surface, on its inside, where the smoothed image has no edge."""
+    scale = max(axis_steps(inside.shape, spacing))
+    halo = INTERIOR_DEPTH + 5 * int(np.ceil(scale / spacing[0])) + 1
+    box = bounding_box(inside, INTERIOR_DEPTH + 5 * int(np.ceil(scale / min(spacing))) + 1)
+    if box is None:
+        return 0.0
+    inside, image = inside[box], image[box]
+    on_surface: list[NDArray[np.float32]] = []
+    within: list[NDArray[np.float32]] = []
+    every = max(1, inside.size // GRADIENT_SAMPLES)
+    for planes in slabs(inside.shape, at_least=MIN_SLAB_HALOS * halo):
+        low, high = max(planes.start - halo, 0), min(planes.stop + halo, inside.shape[0])
+        smooth = gaussian_mm(image[low:high], spacing, scale)
+        before, after = planes.start - low, planes.stop - low
+        part = inside[low:high]
+        within_rim = ndimage.binary_erosion(part, border_value=1)
+        deep = ndimage.binary_erosion(within_rim, iterations=INTERIOR_DEPTH - 1, border_value=1)
+        for mask, found, each in ((part & ~within_rim, on_surface, 1), (deep, within, every)):
+            slab = mask[before:after]
+            found.append(gradients(smooth, spacing, np.flatnonzero(slab)[::each] + before * slab[0].size))
+    surface, interior = np.concatenate(on_surface), np.concatenate(within)
+    if surface.size == 0:
+        return 0.0
+    # A thin object has no inside to compare with.
+    usual = float(np.percentile(interior, INTERIOR_PERCENTILE)) if interior.size else 0.0
+    return float((surface <= max(usual, MIN_EDGE / scale)).mean())
+
+
+def gradients(
+    smooth: NDArray[np.float32], spacing: tuple[float, float, float], cells: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    """|grad I| at raveled voxels (n,) of a smoothed image: centred differences, one-sided on the border."""
+    flat, total, step = smooth.reshape(-1), np.zeros(cells.size, np.float32), smooth.size
+    for n, h in zip(smooth.shape, spacing, strict=True):
+        step //= n
+        if n > 1:
+            index = cells // step % n
+            low, high = (index > 0).astype(np.int64), (index < n - 1).astype(np.int64)
+            total += ((flat[cells + high * step] - flat[cells - low * step]) / (np.float32(h) * (low + high))) ** 2
+    return np.sqrt(total)
+
+
+#: A part counts from this fraction of the object's volume on; a neck is at most so many voxels to either side; so many
+#: parts are examined.
+LARGE_PART, NECK, MAX_PARTS = 0.05, 2, 200
+
+
+def parts_beyond_necks(inside: NDArray[np.bool_]) -> int:
+    """Large parts that remain of the largest component without its necks."""
+    box = bounding_box(inside, 1)
+    if box is None:
+        return 0
+    parts, count = ndimage.label(inside[box])
+    if count == 0:
+        return 0
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
+    body = parts == sizes.argmax()
+    # An object that meets the border continues beyond it; a single slice has no depth across.
+    padded = np.pad(body, [(NECK, NECK) if n > 1 else (0, 0) for n in inside.shape], mode="edge")
+    del parts, body
+    cores, count = ndimage.label(_deeper_than_neck(padded))
+    if count < 2:
+        return 1
+    # Only so many parts can be large; numbered as bytes they need a quarter of the memory.
+    sizes = np.bincount(cores.ravel(), minlength=count + 1)
+    sizes[0] = 0
+    order = np.argsort(-sizes, kind="stable")[: min(count, MAX_PARTS)]
+    name = np.zeros(count + 1, np.uint8)
+    name[order] = np.arange(1, len(order) + 1)
+    reach = name[cores]
+    del cores
+    # Grow the cores back to the parts that they belong to.
+    for _ in range(NECK + 1):
+        grown = ndimage.maximum_filter(reach, 3)
+        np.copyto(reach, grown, where=(reach == 0) & padded)
+    volumes = np.bincount(reach.ravel())[1:]
+    return max(1, int((volumes >= LARGE_PART * padded.sum()).sum()))
+
+
+def _deeper_than_neck(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Voxels of a mask with no other voxel within `NECK` voxels; beyond the array the mask continues."""
+    reach = [NECK if n > 1 else 0 for n in mask.shape]
+    deep = mask.copy()
+    offsets = np.indices([2 * r + 1 for r in reach]).reshape(3, -1).T - reach
+    for offset in offsets[(offsets**2).sum(axis=1) <= NECK**2]:
+        here = tuple(slice(max(0, -o), n - max(0, o)) for o, n in zip(offset, mask.shape, strict=True))
+        there = tuple(slice(max(0, o), n - max(0, -o)) for o, n in zip(offset, mask.shape, strict=True))
+        deep[here] &= mask[there]
+    return deep
+
+
+#: The file with the models.
+MODEL_FILE = "good_result.json"
+#: Their names.
+ModelKind = Literal["clicks", "image"]
+
+
+@functools.cache
+def calibrated_models() -> dict[str, dict[str, Any]]:
+    """Return the models by kind: ``features`` (name: mean, deviation, weight), ``constant``, ``threshold``."""
+    text = (resources.files("accelsurf.analysis") / MODEL_FILE).read_text(encoding="utf-8")
+    found: dict[str, dict[str, Any]] = json.loads(text)
+    return found
+
+
+def warning_threshold(kind: ModelKind) -> float:
+    """Return the probability below which a warning is given."""
+    return float(calibrated_models()[kind]["threshold"])
+
+
+def probability_good(kind: ModelKind, features: Mapping[str, float]) -> float:
+    """Return the probability that a result with these features is good, 0 to 1."""
+    total = float(calibrated_models()[kind]["constant"]) + sum(_terms(kind, features).values())
+    return 1.0 / (1.0 + math.exp(-max(min(total, 50.0), -50.0)))
+
+
+def lowest_term(kind: ModelKind, features: Mapping[str, float], names: Collection[str]) -> str:
+    """Return which of the features that are named lowers the probability most."""
+    terms = _terms(kind, features)
+    return min((name for name in terms if name in names), key=terms.__getitem__)
+
+
+def _terms(kind: ModelKind, features: Mapping[str, float]) -> dict[str, float]:
+    return {
+        name: weight * (features[name] - mean) / deviation
+        for name, (mean, deviation, weight) in calibrated_models()[kind]["features"].items()
+    }

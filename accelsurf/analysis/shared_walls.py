@@ -69,7 +69,7 @@ class _Block:
 
     @property
     def offsets(self) -> Ints:
-        """How far the corners of a cube are from its first in node numbers; corner z*4 + y*2 + x."""
+        """Offsets of the corners of a cube from its first in node numbers; corner z*4 + y*2 + x."""
         _, ny, nx = self.labels.shape
         return np.array([(o >> 2 & 1) * ny * nx + (o >> 1 & 1) * nx + (o & 1) for o in range(8)], np.int64)
 
@@ -89,7 +89,7 @@ def extract(objects: Sequence[SegmentedObject], geometry: Geometry) -> dict[int,
     dict of int to Surface
         Those that have a voxel.
     """
-    present = [one for one in objects if one.labels.any()]
+    present = [segmented for segmented in objects if segmented.labels.any()]
     if not present:
         return {}
     block = _block_of(present, geometry)
@@ -98,31 +98,33 @@ def extract(objects: Sequence[SegmentedObject], geometry: Geometry) -> dict[int,
     world = geometry.index_to_world(_Points(block, present, geometry).of(keys))
     order = (0, 1, 2) if np.linalg.det(geometry.direction) > 0 else (2, 1, 0)
     triangles, sides, begin = [], [], 0
-    for corners, own in polygons:
+    for corners, pair in polygons:
         numbers = places[begin : begin + corners.size].reshape(corners.shape)
         begin += corners.size
         for last in range(2, corners.shape[1]):
             triangles.append(numbers[:, (0, last - 1, last)][:, order])
-            sides.append(own)
+            sides.append(pair)
     faces, ids = np.concatenate(triangles), np.concatenate(sides)
-    return {one.id: _surface_of(one.id, faces, ids, world) for one in present}
+    return {segmented.id: _surface_of(segmented.id, faces, ids, world) for segmented in present}
 
 
-def _surface_of(own: int, faces: Ints, ids: Ints, world: Floats) -> Surface:
+def _surface_of(object_id: int, faces: Ints, ids: Ints, world: Floats) -> Surface:
     """The triangles that part one object from all others, facing outwards."""
-    mine = np.concatenate([faces[ids[:, 0] == own], faces[ids[:, 1] == own][:, ::-1]])
+    mine = np.concatenate([faces[ids[:, 0] == object_id], faces[ids[:, 1] == object_id][:, ::-1]])
     used, numbers = np.unique(mine, return_inverse=True)
     return Surface(world[used], np.ascontiguousarray(numbers.reshape(-1, 3), np.int32))
 
 
 def _block_of(objects: Sequence[SegmentedObject], geometry: Geometry) -> _Block:
-    boxes = [[side.indices(n)[:2] for side, n in zip(one.box, geometry.shape, strict=True)] for one in objects]
+    boxes = [
+        [side.indices(n)[:2] for side, n in zip(segmented.box, geometry.shape, strict=True)] for segmented in objects
+    ]
     low = np.min([[side[0] for side in box] for box in boxes], axis=0) - 1
     high = np.max([[side[1] for side in box] for box in boxes], axis=0) + 1
     labels = np.zeros(high - low, np.int64)
-    for one, box in zip(objects, boxes, strict=True):
+    for segmented, box in zip(objects, boxes, strict=True):
         part = labels[tuple(slice(a - f, b - f) for (a, b), f in zip(box, low, strict=True))]
-        part[one.labels > 0] = one.id
+        part[segmented.labels > 0] = segmented.id
     return _Block(labels, low)
 
 
@@ -144,9 +146,9 @@ def _tetrahedra(block: _Block) -> tuple[Ints, Floats]:
 
 def _polygons(block: _Block, tetrahedra: Ints, signs: Floats) -> list[tuple[Ints, Ints]]:
     """Corners (n, 3 or 4) of polygons as keys of points, and the ids (n, 2) from and to which their normals point."""
-    own = block.labels.ravel()[tetrahedra]
-    order = np.argsort(own, axis=1, kind="stable")
-    nodes, ids = np.take_along_axis(tetrahedra, order, 1), np.take_along_axis(own, order, 1)
+    labels = block.labels.ravel()[tetrahedra]
+    order = np.argsort(labels, axis=1, kind="stable")
+    nodes, ids = np.take_along_axis(tetrahedra, order, 1), np.take_along_axis(labels, order, 1)
     signs = signs * _parities(order)
     steps = ids[:, 1:] != ids[:, :-1]
     out: list[tuple[Ints, Ints]] = []
@@ -201,11 +203,11 @@ def _keys(block: _Block, nodes: Ints) -> Ints:
 
 
 class _Points:
-    """Where the points of edges, faces and tetrahedra lie, as indices (z, y, x) on the objects' common grid."""
+    """Positions of the points of edges, faces and tetrahedra, as indices (z, y, x) on the objects' common grid."""
 
     def __init__(self, block: _Block, objects: Sequence[SegmentedObject], geometry: Geometry) -> None:
         self._block, self._objects, self._shape = block, objects, np.array(geometry.shape)
-        self._far = max(float(np.abs(one.psi).max()) for one in objects)
+        self._far = max(float(np.abs(segmented.psi).max()) for segmented in objects)
 
     def of(self, keys: Ints) -> Floats:
         """The places (n, 3) of points."""
@@ -214,23 +216,23 @@ class _Points:
         out = np.empty((len(keys), 3))
         for count in (2, 3, 4):
             some = counts == count
-            first, own = keys[some] // _CODES, codes[some]
-            nodes = [first, *(first + offsets[own >> 3 * (count - 2 - place) & 7] for place in range(count - 1))]
+            first, code = keys[some] // _CODES, codes[some]
+            nodes = [first, *(first + offsets[code >> 3 * (count - 2 - place) & 7] for place in range(count - 1))]
             edges = [self._of_edge(a, b) for n, a in enumerate(nodes) for b in nodes[n + 1 :]]
             out[some] = np.mean(edges, axis=0) if len(edges) > 1 else edges[0]
         return out
 
-    def _of_edge(self, one: Ints, other: Ints) -> Floats:
-        """Where on an edge the psi of what its ends belong to are equal; half a voxel beyond the border of the grid."""
+    def _of_edge(self, begins: Ints, ends_at: Ints) -> Floats:
+        """Return the place on an edge where the psi of both ends' objects are equal; half a voxel beyond the border."""
         labels = self._block.labels.ravel()
-        here, there = labels[one], labels[other]
-        begin = self._psi(here, one) - self._psi(there, one)
-        end = self._psi(here, other) - self._psi(there, other)
-        ends = [self._index(nodes) for nodes in (one, other)]
-        beyond = np.zeros(len(one), bool)
+        here, there = labels[begins], labels[ends_at]
+        begin = self._psi(here, begins) - self._psi(there, begins)
+        end = self._psi(here, ends_at) - self._psi(there, ends_at)
+        ends = [self._index(nodes) for nodes in (begins, ends_at)]
+        beyond = np.zeros(len(begins), bool)
         for index in ends:
             beyond |= ((index < 0) | (index >= self._shape)).any(axis=1)
-        share = np.divide(begin, begin - end, out=np.full(len(one), 0.5), where=(begin != end) & ~beyond)
+        share = np.divide(begin, begin - end, out=np.full(len(begins), 0.5), where=(begin != end) & ~beyond)
         share = np.clip(share, _MARGIN, 1 - _MARGIN)[:, None]
         return (1 - share) * ends[0] + share * ends[1]
 
@@ -240,10 +242,10 @@ class _Points:
     def _psi(self, labels: Ints, nodes: Ints) -> Floats:
         """The psi at nodes of the objects that labels name; 0 of none, far outside beyond an object's box."""
         out, index = np.zeros(len(nodes)), self._index(nodes)
-        for one in self._objects:
-            own = np.flatnonzero(labels == one.id)
-            local = index[own] - [side.start or 0 for side in one.box]
-            inside = ((local >= 0) & (local < one.psi.shape)).all(axis=1)
-            out[own] = self._far
-            out[own[inside]] = one.psi[tuple(local[inside].T)]
+        for segmented in self._objects:
+            members = np.flatnonzero(labels == segmented.id)
+            local = index[members] - [side.start or 0 for side in segmented.box]
+            inside = ((local >= 0) & (local < segmented.psi.shape)).all(axis=1)
+            out[members] = self._far
+            out[members[inside]] = segmented.psi[tuple(local[inside].T)]
         return out

@@ -23,12 +23,12 @@ Floats = NDArray[np.float64]
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
 
-def statistics(one: SegmentedObject, values: NDArray[Any]) -> dict[str, Any]:
+def statistics(segmented: SegmentedObject, values: NDArray[Any]) -> dict[str, Any]:
     """Figures of an object.
 
     Parameters
     ----------
-    one : SegmentedObject
+    segmented : SegmentedObject
         With a voxel.
     values : ndarray (nz, ny, nx)
         The image on the object's grid, as it was read.
@@ -44,28 +44,28 @@ def statistics(one: SegmentedObject, values: NDArray[Any]) -> dict[str, Any]:
         same volume; ``sphericity``, the area of that ball by its own. Places and directions are (x, y, z), LPS; an
         undefined figure is None.
     """
-    box = bounding_box(one.labels > 0)
+    box = bounding_box(segmented.labels > 0)
     assert box is not None  # it has a voxel
-    inside, corner = one.labels[box] > 0, np.array([part.start for part in box])
-    first = corner + [side.start or 0 for side in one.box]
+    inside, corner = segmented.labels[box] > 0, np.array([part.start for part in box])
+    first = corner + [side.start or 0 for side in segmented.box]
     count, middle, moments = _moments(inside)
     return {
-        "volume_ml": one.volume_mm3 / 1000,
-        "volume_mm3": one.volume_mm3,
-        "area_mm2": one.area_mm2,
+        "volume_ml": segmented.volume_mm3 / 1000,
+        "volume_mm3": segmented.volume_mm3,
+        "area_mm2": segmented.area_mm2,
         "voxels": count,
         **_of_image(values[box][inside]),
         "box_first": [int(part) for part in first[::-1]],
         "box_last": [int(part) for part in (first + inside.shape - 1)[::-1]],
-        "centroid_mm": [float(part) for part in one.geometry.index_to_world(middle + corner)],
-        **_axes(moments, one.geometry),
-        **diameters_mm(diameters(inside, tuple(part.start for part in box), one.geometry)),
-        **_roundness(one.volume_mm3, one.area_mm2),
+        "centroid_mm": [float(part) for part in segmented.geometry.index_to_world(middle + corner)],
+        **_axes(moments, segmented.geometry),
+        **diameters_mm(diameters(inside, tuple(part.start for part in box), segmented.geometry)),
+        **_roundness(segmented.volume_mm3, segmented.area_mm2),
     }
 
 
 def _moments(inside: NDArray[np.bool_]) -> tuple[int, Floats, Floats]:
-    """How many voxels there are, their mean index (z, y, x), and the covariance of their indices.
+    """Return the number of voxels, their mean index (z, y, x), and the covariance of their indices.
 
     By sums over the planes of two axes, which have all that second moments need.
     """

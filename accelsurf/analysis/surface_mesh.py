@@ -86,7 +86,7 @@ class Surface:
 
     @property
     def is_closed(self) -> bool:
-        """Whether every edge is used as often in one direction as in the other: no holes, all facing one way."""
+        """True if every edge is used as often in one direction as in the other: no holes, all facing one way."""
         start, end, n = *self._sides(), len(self.vertices)
         return bool(np.array_equal(np.sort(start * n + end), np.sort(end * n + start)))
 

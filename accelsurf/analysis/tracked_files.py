@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.analysis.track_graph import Stretch, stretches
-from accelsurf.analysis.tracking_scores import TrackedLabels, TrackingScores, score
+from accelsurf.analysis.tracking_scores import Stretch, TrackedLabels, TrackingScores, score, stretches
 from accelsurf.errors import InputError
 from accelsurf.grid.label_values import as_labels
 from accelsurf.grid.sequence import ImageSequence
@@ -114,7 +113,8 @@ def table_beside(path: Path) -> Path | None:
 
 def _of_challenge(path: Path, found: ChallengeFolder) -> TrackedFile:
     tracks = [
-        Stretch(one.label, one.label, one.first, one.last, (one.parent,) if one.parent else ()) for one in found.tracks
+        Stretch(track.label, track.label, track.first, track.last, (track.parent,) if track.parent else ())
+        for track in found.tracks
     ]
     return TrackedFile(path, TrackedLabels(len(found.frames), found.labels, tracks), found.outlines, found.folder)
 
@@ -136,17 +136,17 @@ def _as_labels(sequence: ImageSequence, number: int) -> NDArray[Any]:
 
 
 def _frames_shown(sequence: ImageSequence) -> dict[int, list[int]]:
-    """Of each id the frames that have it."""
+    """Return the frames of each id."""
     frames: dict[int, list[int]] = {}
     for number in range(len(sequence)):
-        for own in np.unique(_as_labels(sequence, number)):
-            if own > 0:
-                frames.setdefault(int(own), []).append(number)
+        for label in np.unique(_as_labels(sequence, number)):
+            if label > 0:
+                frames.setdefault(int(label), []).append(number)
     return frames
 
 
 def _read_table(path: Path) -> tuple[dict[int, list[int]], dict[int, tuple[int, ...]]]:
-    """Of each id the frames in which it is seen, and its parents, from the columns frame, id, parent and seen."""
+    """Read the frames in which each id is seen, and its parents, from the columns frame, id, parent and seen."""
     with naming(path):
         budgets.CASES.check(path.stat().st_size, "the table of tracks")
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -170,9 +170,9 @@ def _tracks_in(
     frames: dict[int, set[int]] = {}
     parents: dict[int, tuple[int, ...]] = {}
     for line in lines:
-        own = int(line["id"])
+        object_id = int(line["id"])
         if line.get("seen", "1") != "0":
-            frames.setdefault(own, set()).add(int(line["frame"]))
+            frames.setdefault(object_id, set()).add(int(line["frame"]))
         if line.get("parent"):
-            parents[own] = tuple(int(one) for one in line["parent"].split(";"))
-    return {own: sorted(numbers) for own, numbers in frames.items()}, parents
+            parents[object_id] = tuple(int(parent) for parent in line["parent"].split(";"))
+    return {object_id: sorted(numbers) for object_id, numbers in frames.items()}, parents

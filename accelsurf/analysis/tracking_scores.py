@@ -1,4 +1,4 @@
-"""How well tracks agree with a reference: the measures of the Cell Tracking Challenge, and identities.
+"""Agreement of tracks with a reference: the measures of the Cell Tracking Challenge, and identities.
 
 Maska et al., Bioinformatics 30(11), 2014: SEG. Matula et al., PLoS ONE 10(12), 2015: DET and TRA. Both match an object
 R of the reference to the object C of the result with |R and C| > |R| / 2; there is one at most.
@@ -13,15 +13,14 @@ reference's, each with a weight, relative to making the whole graph anew:
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
-
-from accelsurf.analysis.track_graph import Stretch
 
 #: Weights of the challenge: split an object, add one, delete one, delete an edge, add one, change its meaning.
 SPLIT, ADD, DELETE, DELETE_EDGE, ADD_EDGE, CHANGE_EDGE = 5.0, 10.0, 1.0, 1.0, 1.5, 1.0
@@ -49,7 +48,7 @@ class TrackedLabels:
 
 
 class FrameScore(NamedTuple):
-    """Of one frame: objects of the reference, of the result, those that match, and their mean Dice by identity.
+    """Counts of one frame: objects of the reference, of the result, those that match; and their mean Dice by identity.
 
     ``dice`` is over the objects of the reference; None where there is none.
     """
@@ -62,7 +61,7 @@ class FrameScore(NamedTuple):
 
 
 class Operations(NamedTuple):
-    """What would turn the result's graph into the reference's.
+    """Operations that would turn the result's graph into the reference's.
 
     Objects to split, to add and to delete; edges to delete, to add and to change from "same object" to "child".
     """
@@ -88,7 +87,7 @@ class Operations(NamedTuple):
 
 @dataclass(frozen=True)
 class TrackingScores:
-    """How well tracks agree.
+    """Measures of how well tracks agree.
 
     Attributes
     ----------
@@ -133,7 +132,7 @@ class _Frame(NamedTuple):
 
     @property
     def matches(self) -> dict[int, int]:
-        """Of each object of the reference that matches one, that one."""
+        """The object that each object of the reference matches, where it matches one."""
         return {ref: res for (ref, res), count in self.common.items() if 2 * count > self.reference[ref]}
 
 
@@ -220,14 +219,16 @@ def _edges(labels: TrackedLabels, frames: Sequence[_Frame], side: str) -> dict[t
     """Edges of a graph, with whether each leads from a parent to a child."""
     shown = [getattr(frame, side) for frame in frames]
     vertices = {
-        one.label: [(n, one.id) for n in range(one.first, min(one.last + 1, labels.frames)) if one.id in shown[n]]
-        for one in labels.tracks
+        track.label: [
+            (n, track.id) for n in range(track.first, min(track.last + 1, labels.frames)) if track.id in shown[n]
+        ]
+        for track in labels.tracks
     }
     edges: dict[tuple[Vertex, Vertex], bool] = {}
-    for one in labels.tracks:
-        line = vertices[one.label]
+    for track in labels.tracks:
+        line = vertices[track.label]
         edges |= dict.fromkeys(zip(line[:-1], line[1:], strict=True), False)
-        for parent in one.parents:
+        for parent in track.parents:
             if line and vertices.get(parent):
                 edges[vertices[parent][-1], line[0]] = True
     return edges
@@ -264,8 +265,8 @@ def _dice_by_identity(frame: _Frame, identities: dict[int, int]) -> list[float]:
     """Dice of each object of the reference in a frame with the one that has its identity."""
     values = []
     for ref, size in sorted(frame.reference.items()):
-        own = identities.get(ref, 0)
-        values.append(2 * frame.common.get((ref, own), 0) / (size + frame.result.get(own, 0)))
+        identity = identities.get(ref, 0)
+        values.append(2 * frame.common.get((ref, identity), 0) / (size + frame.result.get(identity, 0)))
     return values
 
 
@@ -277,3 +278,73 @@ def _switches(matches: Sequence[dict[int, int]]) -> int:
         count += sum(last.get(ref, res) != res for ref, res in found.items())
         last |= found
     return count
+
+
+class Stretch(NamedTuple):
+    """Frames in which an object is seen without a break: what the Cell Tracking Challenge calls a track.
+
+    ``label`` is its own number, ``id`` the object's; ``parents`` are labels of the stretches that it continues: the one
+    before a gap, those that divided or merged into it.
+    """
+
+    label: int
+    id: int
+    first: int
+    last: int
+    parents: tuple[int, ...] = ()
+
+
+def stretches(frames: Mapping[int, Sequence[int]], parents: Mapping[int, Iterable[int]]) -> list[Stretch]:
+    """Return the stretches of objects, by label.
+
+    The first of an object has the object's id as its label, further ones have labels above all ids.
+
+    Parameters
+    ----------
+    frames : mapping of int to sequence of int
+        Of each object the frames in which it is seen, rising.
+    parents : mapping of int to iterable of int
+        Of each object those that it came from; one that is never seen before it counts for nothing.
+
+    Examples
+    --------
+    >>> for one in stretches({1: [0, 1, 4], 2: [5]}, {2: [1]}):
+    ...     print(one)
+    Stretch(label=1, id=1, first=0, last=1, parents=())
+    Stretch(label=2, id=2, first=5, last=5, parents=(3,))
+    Stretch(label=3, id=1, first=4, last=4, parents=(1,))
+    """
+    seen = {object_id: numbers for object_id, numbers in frames.items() if len(numbers)}
+    found: list[Stretch] = []
+    runs_of: dict[int, list[Stretch]] = {}
+    fresh = max(seen, default=0)
+    for object_id in sorted(seen, key=lambda n: (seen[n][0], n)):
+        before = (_before(runs_of.get(parent, ()), seen[object_id][0]) for parent in sorted(parents.get(object_id, ())))
+        came_from = tuple(stretch.label for stretch in before if stretch is not None)
+        for number, (first, last) in enumerate(runs(seen[object_id])):
+            label = object_id
+            if number:
+                fresh += 1
+                label = fresh
+            found.append(Stretch(label, object_id, first, last, came_from))
+            runs_of.setdefault(object_id, []).append(found[-1])
+            came_from = (label,)
+    return sorted(found)
+
+
+def _before(of_parent: Iterable[Stretch], frame: int) -> Stretch | None:
+    """The last stretch that ends before a frame."""
+    return max((stretch for stretch in of_parent if stretch.last < frame), key=attrgetter("last"), default=None)
+
+
+def runs(numbers: Sequence[int]) -> list[tuple[int, int]]:
+    """First and last of each run of consecutive numbers.
+
+    Examples
+    --------
+    >>> runs([0, 1, 2, 5, 7, 8])
+    [(0, 2), (5, 5), (7, 8)]
+    """
+    places = np.asarray(numbers)
+    parts = np.split(places, np.flatnonzero(np.diff(places) > 1) + 1)
+    return [(int(run[0]), int(run[-1])) for run in parts]

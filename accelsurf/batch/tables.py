@@ -16,8 +16,7 @@ from accelsurf.batch.cases import Shard
 from accelsurf.batch.outcome import COLUMNS, Outcome
 from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
-from accelsurf.report.document import to_json
-from accelsurf.report.environment import versions
+from accelsurf.report.document import to_json, versions
 from accelsurf.report.output_folder import naming_final
 
 #: Raised when a key of the report or a column of the table changes its name or its meaning.

@@ -21,17 +21,8 @@ from accelsurf.errors import AccelsurfError, GeometryError, OutputError
 from accelsurf.io import is_stored, sha256
 from accelsurf.io.file_set import finish_killed_runs
 from accelsurf.io.files import write_bytes
-from accelsurf.report import (
-    document,
-    label_files,
-    layouts,
-    mesh_files,
-    object_files,
-    output_folder,
-    output_names,
-    result_sets,
-)
-from accelsurf.report.file_entries import describe_drafts, describe_input
+from accelsurf.report import document, label_files, layouts, mesh_files, output_folder, output_names, result_sets
+from accelsurf.report.document import describe_drafts, describe_input
 from accelsurf.report.inputs import inputs_of
 from accelsurf.report.mesh_files import MeshNotes
 from accelsurf.settings.file_formats import IMAGE_FORMATS
@@ -132,8 +123,8 @@ class Place:
         if not config.has_ids:
             paths = {kind: self.folder / name for kind, name in names.items()}
         else:
-            paths = {k: self.folder / name for k, name in names.items() if not k.startswith(object_files.EACH)}
-            paths |= {path.name: path for path in object_files.existing(self.folder, names)}
+            paths = {k: self.folder / name for k, name in names.items() if not k.startswith(output_names.EACH)}
+            paths |= {path.name: path for path in output_names.existing(self.folder, names)}
         return paths | {"report": self.report_path}
 
 
@@ -287,7 +278,7 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
     with output_folder.naming_final(files):
         written = outputs.write_result(result, files.drafts, names, content, log.seconds, log.checksum, meshes)
         entries = describe_drafts(files, {path.name: kind for kind, path in written})
-        log.outputs.extend(entry | meshes.facts.get(Path(entry["path"]).name, {}) for entry in entries)
+        log.outputs.extend(entry | meshes.statistics.get(Path(entry["path"]).name, {}) for entry in entries)
         log.warnings.extend(meshes.warnings)
         code = INTERRUPTED if interrupted else error.exit_code if error is not None else 0
         code = watcher.exit_code(code)

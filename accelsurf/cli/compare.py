@@ -77,7 +77,7 @@ def compare(
     from accelsurf.cli.case import check_reference
     from accelsurf.cli.progress import Watcher
     from accelsurf.io.channels import read as read_channels
-    from accelsurf.report.file_entries import describe_input
+    from accelsurf.report.document import describe_input
     from accelsurf.report.inputs import inputs_of
     from accelsurf.report.output_folder import opened_set, refuse_existing
 
@@ -150,7 +150,7 @@ def conclude(
     from accelsurf.cli.progress import table
     from accelsurf.io.files import write_bytes
     from accelsurf.report import document, preview
-    from accelsurf.report.file_entries import describe_drafts
+    from accelsurf.report.document import describe_drafts
     from accelsurf.report.output_folder import naming_final
     from accelsurf.report.outputs import preview_content
 
@@ -181,7 +181,7 @@ def conclude(
 def _heading(code: int, config: RunConfig) -> dict[str, Any]:
     """The first keys of the comparison."""
     from accelsurf.report import document
-    from accelsurf.report.environment import versions
+    from accelsurf.report.document import versions
 
     return {
         "schema_version": document.SCHEMA_VERSION,
@@ -278,7 +278,7 @@ def demo(
     from accelsurf.cli.case import Place, run_case
     from accelsurf.cli.progress import Watcher
     from accelsurf.phantoms import recipes
-    from accelsurf.report.file_entries import describe_input
+    from accelsurf.report.document import describe_input
     from accelsurf.report.output_folder import naming_final, opened_set, refuse_existing
 
     display = display or Display()

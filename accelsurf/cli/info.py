@@ -173,7 +173,7 @@ def _known() -> dict[str, Any]:
     from accelsurf.evolution.records import StopReason
     from accelsurf.initialization import starts
     from accelsurf.phantoms import recipe_files
-    from accelsurf.report.environment import versions
+    from accelsurf.report.document import versions
     from accelsurf.settings.energy_terms import TERMS, image_terms
     from accelsurf.settings.file_formats import image_suffixes
     from accelsurf.settings.flow_specs import FLOWS

@@ -17,7 +17,7 @@ from accelsurf.cli.outcome import file_lines
 from accelsurf.errors import OutputError
 from accelsurf.io.files import write_bytes
 from accelsurf.report import document, output_folder, result_sets, tables
-from accelsurf.report.file_entries import describe_drafts, describe_input
+from accelsurf.report.document import describe_drafts, describe_input
 from accelsurf.segmentation.ensemble import overall_stop
 
 if TYPE_CHECKING:

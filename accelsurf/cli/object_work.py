@@ -23,7 +23,7 @@ from accelsurf.cli.options import Display
 from accelsurf.cli.progress import BatchProgress
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io.file_set import refuse_links
-from accelsurf.report import group_files, object_files, output_folder, result_sets
+from accelsurf.report import group_files, output_folder, output_names, result_sets
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
@@ -312,7 +312,7 @@ class _Work:
             self._groups.starts_of(others),
             tuple(self._starts.ids[others].tolist()),
             self._folder_of(group),
-            {kind: name for kind, name in names.items() if kind.startswith(object_files.EACH)},
+            {kind: name for kind, name in names.items() if kind.startswith(output_names.EACH)},
         )
 
     def _pool(self) -> Pool:

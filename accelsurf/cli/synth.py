@@ -17,12 +17,10 @@ from accelsurf.io.sequence_writing import SequenceWriter
 from accelsurf.phantoms import recipes
 from accelsurf.phantoms.motions import MotionRecipe, MovingPhantom
 from accelsurf.phantoms.recipes import Recipe
-from accelsurf.report.document import to_json
-from accelsurf.report.environment import versions
-from accelsurf.report.file_entries import describe_drafts
+from accelsurf.report.document import describe_drafts, to_json, versions
 from accelsurf.report.output_folder import naming_final, opened_set, refuse_existing
 from accelsurf.report.tables import csv_text
-from accelsurf.report.track_tables import ML
+from accelsurf.report.track_document import ML
 
 
 def synth(

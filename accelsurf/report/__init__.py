@@ -1,1 +1,1 @@
-"""What a run leaves behind besides labels and meshes: the JSON report, tables, pictures."""
+"""Outputs of a run besides labels and meshes: the JSON report, tables, pictures."""

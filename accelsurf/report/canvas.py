@@ -1,21 +1,28 @@
-"""What every picture shares: colours, lines, texts, and the bytes of the file.
+"""Pictures with matplotlib: colours, the style of axes and texts, scale bars, and the bytes of the file.
 
-Drawn with Pillow alone: a run waits for its picture, and a plotting library takes longer to load than to draw. Shapes
-are drawn at twice the resolution and averaged, which smooths their edges; texts are drawn on top. Positions are pixels
-from the upper left corner. Colours are Okabe and Ito's, which people with any colour vision can tell apart.
+A picture is a figure of its own, drawn by Agg; pyplot is not used, and the settings of matplotlib (rcParams) stay.
+One point is one pixel. Boxes are pixels from the upper left corner. Colours are Okabe and Ito's, which people with
+any colour vision can tell apart. matplotlib is imported by the first picture: the viewer takes only colours from here.
 """
 
 from __future__ import annotations
 
+import functools
 import io
+import logging
+import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from PIL import Image, ImageDraw
+from numpy.typing import NDArray
+from PIL import Image
 
-from accelsurf.report.fonts import runs_of
+from accelsurf.settings.wording import in_unit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.patheffects import AbstractPathEffect
 
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
 YELLOW = "#F0E442"
@@ -25,16 +32,132 @@ RUN_COLORS = (BLUE, VERMILION, GREEN, PURPLE)
 SURFACE, REFERENCE = ORANGE, SKY
 #: Colours of objects with ids, again from the first when there are more; none is that of the reference.
 OBJECT_COLORS = (SURFACE, GREEN, BLUE, VERMILION, PURPLE)
-#: Lengths of dashes and gaps, pixels; none is a solid line.
-Dashes = tuple[float, ...]
-SOLID: Dashes = ()
-RUN_DASHES: tuple[Dashes, ...] = (SOLID, (9, 4), (4, 3), (9, 3, 2, 3))
-#: Shapes are drawn at so many times the resolution.
-_FINE = 2
-_COMPRESSION = 3
+#: A style of matplotlib's lines: solid, or lengths of dashes and gaps in widths of the line.
+Dashes = Literal["-"] | tuple[float, tuple[float, ...]]
+SOLID: Dashes = "-"
+RUN_DASHES: tuple[Dashes, ...] = (SOLID, (0, (4.5, 2)), (0, (2, 1.5)), (0, (4.5, 1.5, 1, 1.5)))
+#: Height of the numbers at ticks and in legends, of labels, of titles, and of the heading of a picture, pixels.
+TICK_SIZE, LABEL_SIZE, TITLE_SIZE, HEADING_SIZE = 11, 12, 14, 17
 
-#: Left, top, right, bottom, pixels.
-Box = tuple[float, float, float, float]
+#: The font of all texts, which comes with matplotlib, and those with further scripts, taken where they are installed.
+_FONT = "DejaVu Sans"
+_FURTHER_FONTS = (
+    "Noto Sans CJK JP", "WenQuanYi Micro Hei", "WenQuanYi Zen Hei", "Droid Sans Fallback", "IPAGothic", "IPAexGothic",
+    "Hiragino Sans", "PingFang SC", "Arial Unicode MS", "Microsoft YaHei", "MS Gothic", "Malgun Gothic", "SimHei",
+    "Noto Sans Devanagari", "Noto Sans Arabic", "Noto Sans Thai",
+)  # fmt: skip
+#: A white square: stands for a character that no font has.
+_MISSING = "\u25a1"
+_POINTS_PER_INCH = 72
+_COMPRESSION = 3
+_HORIZONTAL = {"l": "left", "m": "center", "r": "right"}
+_VERTICAL = {"a": "top", "m": "center", "d": "bottom"}
+
+# Without a home, matplotlib reports its temporary folder through logging, which a command would print.
+logging.getLogger("matplotlib").addHandler(logging.NullHandler())
+
+
+class Box(NamedTuple):
+    """A rectangle, pixels from the upper left corner of a picture."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+    @property
+    def width(self) -> float:
+        """Width, pixels."""
+        return self.right - self.left
+
+    @property
+    def height(self) -> float:
+        """Height, pixels."""
+        return self.bottom - self.top
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Centre (right, down), pixels."""
+        return 0.5 * (self.left + self.right), 0.5 * (self.top + self.bottom)
+
+
+class Canvas:
+    """A white picture to draw on.
+
+    Parameters
+    ----------
+    width, height : float
+        Pixels.
+    title : str, optional
+        One line at the top, in the middle.
+
+    Attributes
+    ----------
+    figure : matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> canvas = Canvas(40, 30)
+    >>> canvas.axes(Box(5, 5, 35, 25), (0, 1), (0, 1)).plot([0, 1], [0, 1])
+    [<matplotlib.lines.Line2D object at ...>]
+    >>> canvas.png()[1:4]
+    b'PNG'
+    """
+
+    def __init__(self, width: float, height: float, title: str = "") -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        self.width, self.height = max(int(width), 1), max(int(height), 1)
+        inches = self.width / _POINTS_PER_INCH, self.height / _POINTS_PER_INCH
+        self.figure = Figure(inches, dpi=_POINTS_PER_INCH, facecolor="white", edgecolor="none")
+        self._agg = FigureCanvasAgg(self.figure)
+        if title:
+            self.text((self.width / 2, 22), fitting(title, HEADING_SIZE, self.width - 20), HEADING_SIZE, anchor="mm")
+
+    def axes(self, box: Box, x: Sequence[float], y: Sequence[float], frame: bool = True) -> Axes:
+        """Return new axes in a box, with the values ``x`` at its left and right, ``y`` at its lower and upper side."""
+        place = box.left / self.width, 1 - box.bottom / self.height, box.width / self.width, box.height / self.height
+        axes = self.figure.add_axes(place, xlim=x, ylim=y, facecolor="none", frame_on=frame)
+        axes.tick_params(left=False, bottom=False, labelleft=False, labelbottom=False)
+        # A user's own settings of matplotlib may have both.
+        axes.grid(False)
+        axes.minorticks_off()
+        for spine in axes.spines.values():
+            spine.set(edgecolor=PALE, linewidth=1)
+        return axes
+
+    def text(
+        self, at: tuple[float, float], text: str, size: int = LABEL_SIZE, color: str = INK, anchor: str = "la"
+    ) -> None:
+        """Write lines of text.
+
+        Parameters
+        ----------
+        at : (float, float)
+            Where its anchor is, pixels.
+        text : str
+        size : int
+            Height of the font, pixels.
+        color : str
+        anchor : str
+            Two letters: l, m, r (left, middle, right) and a, m, d (top, middle, bottom).
+        """
+        self.figure.text(
+            at[0] / self.width, 1 - at[1] / self.height, drawable(text), color=color,
+            ha=_HORIZONTAL[anchor[0]], va=_VERTICAL[anchor[1]], **font(size),
+        )  # fmt: skip
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """Draw the picture, (height, width, 3)."""
+        self._agg.draw()
+        return np.asarray(self._agg.buffer_rgba())[..., :3]
+
+    def png(self) -> bytes:
+        """Draw the picture as a PNG file."""
+        stream = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(self.pixels())).save(stream, "png", compress_level=_COMPRESSION)
+        return stream.getvalue()
 
 
 def object_color(position: int) -> str:
@@ -48,147 +171,138 @@ def object_color(position: int) -> str:
     return OBJECT_COLORS[position % len(OBJECT_COLORS)]
 
 
-class _Text(NamedTuple):
-    at: tuple[float, float]
-    text: str
-    size: int
-    color: str
-    anchor: str
-    bold: bool
-    upward: bool
+# ------------------------------------------------------------------------------------------------------------- axes
 
 
-class Canvas:
-    """A white picture to draw on.
+def write_scales(
+    axes: Axes, xlabel: str, ylabel: str, *, grid: bool = False, color: str = INK, right: bool = False
+) -> None:
+    """Write round values along the lower and the left (or right) side, their labels, and with ``grid`` lines across."""
+    from matplotlib.ticker import MaxNLocator
 
-    Parameters
-    ----------
-    width, height : int
-        Pixels.
-    title : str, optional
-        One line at the top, in the middle.
+    for axis, pixels in ((axes.xaxis, axes.bbox.width / 70), (axes.yaxis, axes.bbox.height / 45)):
+        axis.set_major_locator(MaxNLocator(max(2, int(pixels)), steps=[1, 2, 5, 10]))
+    axes.ticklabel_format(useOffset=False, scilimits=(-3, 5), useMathText=False)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.get_offset_text().set(color=INK, **font(TICK_SIZE))
+    axes.tick_params(
+        bottom=True, labelbottom=True, left=not right, labelleft=not right, right=right, labelright=right, length=4,
+        width=1, pad=3.5, direction="out", color=PALE, labelcolor=INK, labelsize=TICK_SIZE, labelfontfamily=_FONT,
+    )  # fmt: skip
+    if grid:
+        axes.grid(color=GRID, linewidth=1, linestyle="-", alpha=1)
+        axes.set_axisbelow(True)
+    axes.set_xlabel(xlabel, labelpad=4, color=INK, **font(LABEL_SIZE))
+    axes.set_ylabel(ylabel, labelpad=4, color=color, **font(LABEL_SIZE))
+
+
+def write_title(axes: Axes, text: str) -> None:
+    """Write above axes, each line shortened if it is wider than they are and half as much again."""
+    lines = (fitting(line, TITLE_SIZE, 1.3 * axes.bbox.width) for line in text.split("\n"))
+    axes.set_title("\n".join(lines), pad=7, color=INK, **font(TITLE_SIZE))
+
+
+def write_legend(axes: Axes, lines: Sequence[Any], names: Sequence[str], place: Any, **options: Any) -> None:
+    """Write what lines are, on a light ground."""
+    legend = axes.legend(
+        lines, ["line"] * len(lines), loc=place, facecolor="white", edgecolor="none", framealpha=0.8, fancybox=False,
+        borderpad=0.4, labelspacing=0.35, handlelength=2.4, borderaxespad=0.4, **options,
+        prop={"family": _families(), "size": TICK_SIZE},
+    )  # fmt: skip
+    for text, name in zip(legend.get_texts(), names, strict=True):
+        # Set here: matplotlib leaves out labels that begin with an underscore.
+        text.set(text=drawable(name), parse_math=False, color=INK)
+
+
+def draw_scale_bar(axes: Axes, unit: str = "mm", color: str = INK, rim: Sequence[AbstractPathEffect] = ()) -> None:
+    """Draw a bar of a round length, about a quarter of axes in mm, in their lower right corner."""
+    left, right = axes.get_xlim()
+    per_pixel = (right - left) / axes.bbox.width
+    length = round_step(0.25 * in_unit(right - left, unit))
+    end = right - 10 * per_pixel
+    first = end - length / in_unit(1.0, unit)
+    at = 9 / axes.bbox.height
+    axes.plot(
+        [first, end], [at, at], color=color, lw=2.5, ls="-", solid_capstyle="butt", path_effects=rim,
+        transform=axes.get_xaxis_transform(),
+    )  # fmt: skip
+    axes.annotate(
+        f"{length:g} {unit}", (0.5 * (first + end), at), (0, 4), xycoords=axes.get_xaxis_transform(),
+        textcoords="offset points", ha="center", va="bottom", color=color, path_effects=rim,
+        **font(TICK_SIZE, bold=True),
+    )  # fmt: skip
+
+
+def round_step(wanted: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above a length.
 
     Examples
     --------
-    >>> canvas = Canvas(40, 30)
-    >>> canvas.line([(0, 0), (39, 29)], BLUE, 2)
-    >>> canvas.png()[1:4]
-    b'PNG'
+    >>> round_step(37.0), round_step(0.9)
+    (20.0, 0.5)
     """
+    decade = 10.0 ** math.floor(math.log10(wanted))
+    return max(step * decade for step in (1, 2, 5) if step * decade <= wanted * (1 + 1e-9))
 
-    def __init__(self, width: float, height: float, title: str = "") -> None:
-        self.width, self.height = max(int(width), 1), max(int(height), 1)
-        self._picture = Image.new("RGB", (_FINE * self.width, _FINE * self.height), "white")
-        self._pen = ImageDraw.Draw(self._picture)
-        self._texts: list[_Text] = []
-        if title:
-            self.text((self.width / 2, 22), title, 17, anchor="mm")
 
-    def line(self, points: ArrayLike, color: str, width: float, dashes: Dashes = SOLID) -> None:
-        """Draw a line through points (n, 2), (right, down)."""
-        places = np.asarray(points, float).reshape(-1, 2)
-        for part in _dashed(places, dashes) if dashes else (places,):
-            if len(part) > 1:
-                self._pen.line((_FINE * part).ravel().tolist(), fill=color, width=max(round(_FINE * width), 1))
+def range_of(values: Any) -> tuple[float, float]:
+    """Return the lowest and highest finite value, with a margin; 0 to 1 where there is none, or no difference."""
+    numbers = np.asarray(values, float)
+    numbers = numbers[np.isfinite(numbers)]
+    if not numbers.size:
+        return 0.0, 1.0
+    low, high = float(numbers.min()), float(numbers.max())
+    room = 0.05 * (high - low) or 0.5 * abs(high) or 0.5
+    return low - room, high + room
 
-    def polygon(self, points: ArrayLike, color: str) -> None:
-        """Fill a polygon with corners (n, 2)."""
-        self._pen.polygon((_FINE * np.asarray(points, float)).ravel().tolist(), fill=color)
 
-    def rectangle(self, box: Box, fill: str | None = None, outline: str | None = None, width: float = 1) -> None:
-        """Draw a rectangle."""
-        ends = [_FINE * value for value in box]
-        self._pen.rectangle(ends, fill=fill, outline=outline, width=max(round(_FINE * width), 1))
+# ------------------------------------------------------------------------------------------------------------ texts
 
-    def circle(self, at: tuple[float, float], radius: float, fill: str) -> None:
-        """Draw a disc."""
-        (x, y), r = at, radius
-        self._pen.ellipse([_FINE * value for value in (x - r, y - r, x + r, y + r)], fill=fill)
 
-    def shade(self, box: Box, color: str, opacity: float) -> None:
-        """Lay a colour over a rectangle."""
-        left, top, right, bottom = (round(_FINE * value) for value in box)
-        ends = max(left, 0), max(top, 0), min(right, self._picture.width), min(bottom, self._picture.height)
-        if ends[0] < ends[2] and ends[1] < ends[3]:
-            below = self._picture.crop(ends)
-            self._picture.paste(Image.blend(below, Image.new("RGB", below.size, color), opacity), ends[:2])
+def font(size: int, bold: bool = False) -> dict[str, Any]:
+    """Return the properties of a text ``size`` pixels high; a dollar is a dollar, not the begin of a formula."""
+    weight = "bold" if bold else "normal"
+    return {"fontfamily": _families(), "fontsize": size, "fontweight": weight, "parse_math": False}
 
-    def image(self, pixels: NDArray[Any], box: Box, smooth: bool = False) -> None:
-        """Draw pixels, (h, w) grey or (h, w, 3 or 4) colours, uint8, as large as the box."""
-        left, top, right, bottom = (round(_FINE * value) for value in box)
-        size = max(right - left, 1), max(bottom - top, 1)
-        how = Image.Resampling.BICUBIC if smooth else Image.Resampling.NEAREST
-        shown = Image.fromarray(np.ascontiguousarray(pixels)).resize(size, how)
-        self._picture.paste(shown, (left, top), shown if shown.mode == "RGBA" else None)
 
-    def text(
-        self,
-        at: tuple[float, float],
-        text: str,
-        size: int = 12,
-        color: str = INK,
-        anchor: str = "la",
-        *,
-        bold: bool = False,
-        upward: bool = False,
-    ) -> None:
-        """Write lines of text.
+@functools.cache
+def _families() -> list[str]:
+    """The fonts that are installed, by family."""
+    from matplotlib.font_manager import fontManager
 
-        Parameters
-        ----------
-        at : (float, float)
-            Where its anchor is.
-        text : str
-        size : int
-            Height of the font, pixels.
-        color : str
-        anchor : str
-            Two letters: l, m, r (left, middle, right) and a, m, d (top, middle, bottom).
-        bold, upward : bool
-            ``upward``: one line that runs from below to above.
-        """
-        lines = text.split("\n")
-        step = 1.3 * size
-        first = {"a": 0.0, "m": -0.5 * step * (len(lines) - 1), "d": -step * (len(lines) - 1)}[anchor[1]]
-        for number, line in enumerate(lines):
-            place = (at[0], at[1] + first + number * step)
-            self._texts.append(_Text(place, line, size, color, anchor, bold, upward))
+    installed = set(fontManager.get_font_names())
+    return [_FONT, *(name for name in _FURTHER_FONTS if name in installed)]
 
-    def boxed_text(
-        self,
-        at: tuple[float, float],
-        text: str,
-        size: int = 12,
-        color: str = "white",
-        ground: str = "black",
-        opacity: float = 0.55,
-    ) -> None:
-        """Write a line of bold text on a ground of its own, its middle at a place: readable on any grey."""
-        half = 0.5 * text_width(text, size, bold=True) + 3
-        self.shade((at[0] - half, at[1] - 0.68 * size, at[0] + half, at[1] + 0.68 * size), ground, opacity)
-        self.text(at, text, size, color, "mm", bold=True)
 
-    def pixels(self) -> NDArray[np.uint8]:
-        """The picture, (height, width, 3)."""
-        return np.asarray(self._drawn())
+@functools.cache
+def _characters() -> frozenset[int]:
+    """The code points that any of the fonts has."""
+    from matplotlib.font_manager import findfont, get_font
 
-    def png(self) -> bytes:
-        """The picture as a PNG file."""
-        stream = io.BytesIO()
-        self._drawn().save(stream, format="png", compress_level=_COMPRESSION)
-        return stream.getvalue()
+    return frozenset(code for name in _families() for code in get_font(findfont(name)).get_charmap())
 
-    def _drawn(self) -> Image.Image:
-        picture = self._picture.reduce(_FINE)
-        pen = ImageDraw.Draw(picture)
-        for text in self._texts:
-            _write(picture, pen, text)
-        return picture
+
+def drawable(text: str) -> str:
+    """Return a text with a white square for each character that no font has.
+
+    Examples
+    --------
+    >>> drawable("a$b" + chr(7)) == "a$b" + chr(0x25A1)
+    True
+    """
+    if all(line.isascii() and line.isprintable() for line in text.split("\n")):
+        return text
+    characters = _characters()
+    return "".join(c if c == "\n" or (c.isprintable() and ord(c) in characters) else _MISSING for c in text)
 
 
 def text_width(text: str, size: int, bold: bool = False) -> float:
-    """Width of one line of text, pixels."""
-    return sum(font.getlength(part) for part, font in runs_of(text, size, bold))
+    """Return the width of one line of text, pixels."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    properties = FontProperties(family=_families(), size=size, weight="bold" if bold else "normal")
+    return float(text_to_path.get_text_width_height_descent(drawable(text), properties, False)[0])
 
 
 def fitting(text: str, size: int, width: float) -> str:
@@ -206,43 +320,3 @@ def fitting(text: str, size: int, width: float) -> str:
         many = (low + high + 1) // 2
         low, high = (many, high) if text_width(f"{text[:many]}...{text[-many:]}", size) <= width else (low, many - 1)
     return f"{text[:low]}...{text[len(text) - low :]}"
-
-
-def _write(picture: Image.Image, pen: ImageDraw.ImageDraw, text: _Text) -> None:
-    """Draw one line of text."""
-    runs = runs_of(text.text, text.size, text.bold)
-    wide = sum(font.getlength(part) for part, font in runs)
-    shift = {"l": 0.0, "m": 0.5, "r": 1.0}[text.anchor[0]]
-    if text.upward:
-        own = Image.new("L", (round(wide) + 4, round(1.5 * text.size)))
-        _write_runs(ImageDraw.Draw(own), runs, 2.0, 0.75 * text.size, "m", 255)
-        turned = own.transpose(Image.Transpose.ROTATE_90)
-        at = round(text.at[0] - turned.width / 2), round(text.at[1] - (1 - shift) * turned.height)
-        picture.paste(Image.new("RGB", turned.size, text.color), at, turned)
-    else:
-        _write_runs(pen, runs, round(text.at[0] - shift * wide), text.at[1], text.anchor[1], text.color)
-
-
-def _write_runs(pen: ImageDraw.ImageDraw, runs: Sequence[Any], x: float, y: float, anchor: str, color: Any) -> None:
-    for part, font in runs:
-        pen.text((x, y), part, fill=color, font=font, anchor="l" + anchor)
-        x += font.getlength(part)
-
-
-def _dashed(points: NDArray[np.float64], dashes: Dashes) -> list[NDArray[np.float64]]:
-    """The parts of a line that its dashes cover."""
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    if len(points) < 2 or along[-1] == 0:
-        return []
-    ends = np.cumsum(np.resize(dashes, max(2, 2 * int(np.ceil(along[-1] / sum(dashes)) * len(dashes) / 2))))
-    parts, low = [], 0.0
-    for number, high in enumerate(ends):
-        if number % 2 == 0 and low < along[-1]:
-            inner = points[(along > low) & (along < high)]
-            first, last = (
-                [np.interp(min(at, along[-1]), along, points[:, axis]) for axis in (0, 1)] for at in (low, high)
-            )
-            parts.append(np.concatenate([[first], inner, [last]]))
-        low = high
-    return parts

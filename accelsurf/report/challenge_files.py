@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from accelsurf import io
-from accelsurf.analysis.track_graph import Stretch, stretches
+from accelsurf.analysis.tracking_scores import Stretch, stretches
 from accelsurf.errors import OutputError
 from accelsurf.grid.volume import Volume
 from accelsurf.io.files import write_bytes
@@ -32,8 +32,9 @@ def write(tracks: TrackSet, folder: Path) -> None:
     OutputError
         When a file cannot be written, or labels do not fit.
     """
-    found = stretches(tracks.frames_shown(), {one.id: tracks.lineage.parents(one.id) for one in tracks.lineage.tracks})
-    largest = max((one.label for one in found), default=0)
+    lineage = tracks.lineage
+    found = stretches(tracks.frames_shown(), {track.id: lineage.parents(track.id) for track in lineage.tracks})
+    largest = max((stretch.label for stretch in found), default=0)
     if largest > MAX_LABEL:
         raise OutputError(
             f"{folder.name}: a track has the label {largest}, the Cell Tracking Challenge has 1 to {MAX_LABEL}",
@@ -42,10 +43,10 @@ def write(tracks: TrackSet, folder: Path) -> None:
     folder.mkdir()
     digits = frame_digits(len(tracks.sequence))
     for number in range(len(tracks.sequence)):
-        label_of = np.zeros(max((one.id for one in found), default=0) + 1, np.uint16)
-        for one in found:
-            if one.first <= number <= one.last:
-                label_of[one.id] = one.label
+        label_of = np.zeros(max((stretch.id for stretch in found), default=0) + 1, np.uint16)
+        for stretch in found:
+            if stretch.first <= number <= stretch.last:
+                label_of[stretch.id] = stretch.label
         io.write(Volume(label_of[tracks.labels(number)], tracks.geometry), folder / f"mask{number:0{digits}d}.tif")
     write_bytes(folder / "res_track.txt", track_lines(found).encode())
 
@@ -58,4 +59,4 @@ def track_lines(found: Iterable[Stretch]) -> str:
     >>> track_lines([Stretch(1, 1, 0, 4), Stretch(2, 2, 5, 9, (1, 7))]).splitlines()
     ['1 0 4 0', '2 5 9 1']
     """
-    return "".join(f"{one.label} {one.first} {one.last} {one.parents[0] if one.parents else 0}\n" for one in found)
+    return "".join(f"{track.label} {track.first} {track.last} {(*track.parents, 0)[0]}\n" for track in found)

@@ -1,18 +1,30 @@
-"""DICOM Segmentations of a run: binary, one bit a voxel, or as a label map."""
+"""The DICOM outputs of a run: segmentations, and RT Structure Sets with contours at sub-voxel positions."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from accelsurf import __version__
+from accelsurf.analysis.contours import in_slices
+from accelsurf.errors import UsageError
 from accelsurf.io.dicom.segmentation import Algorithm, segmentation_bytes
-from accelsurf.io.files import write_bytes
-from accelsurf.report.dicom_source import objects_of, seed_of, source_of
-from accelsurf.segmentation.result import Result
+from accelsurf.io.dicom.source_images import SourceImages, read
+from accelsurf.io.dicom.structure_set import Region, structure_set_bytes
+from accelsurf.io.files import naming, write_bytes
+from accelsurf.io.formats import dicom
+from accelsurf.io.metadata import DICOM_KEY
+from accelsurf.segmentation.result import Result, SegmentedObject
+from accelsurf.segmentation.run_checkpoint import digest_of
+from accelsurf.settings.catalogue import entry
+from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.labels import LabelTable
+from accelsurf.settings.run_config import RunConfig
 
 
-def write(result: Result, table: LabelTable, path: Path) -> None:
+def write_segmentation(result: Result, table: LabelTable, path: Path) -> None:
     """Write the objects as the segments of a binary DICOM Segmentation.
 
     Parameters
@@ -37,7 +49,7 @@ def write(result: Result, table: LabelTable, path: Path) -> None:
 
 
 def write_labelmap(result: Result, table: LabelTable, path: Path) -> None:
-    """Write the objects as a DICOM Label Map Segmentation, compressed; parameters and errors as of `write`."""
+    """Write the objects as a compressed DICOM Label Map Segmentation, else as `write_segmentation`."""
     _write(result, table, path, as_labelmap=True)
 
 
@@ -46,7 +58,84 @@ def _write(result: Result, table: LabelTable, path: Path, as_labelmap: bool) -> 
     parameters = {"energy": result.config.energy, "flow": result.config.flow}
     seed = seed_of("labelmap" if as_labelmap else "segmentation", result, table, source)
     content = segmentation_bytes(
-        result.labels, result.geometry, source, [table[one.id] for one in objects_of(result)],
+        result.labels, result.geometry, source, [table[segmented.id] for segmented in objects_of(result)],
         Algorithm(__version__, parameters), seed, as_labelmap,
     )
     write_bytes(path, content)
+
+
+#: Settings that change no voxel, beside those of the files that are written.
+_FREE = ("threads", "reproducible")
+
+
+def source_of(result: Result) -> SourceImages:
+    """The headers of the slices that the image of a run was read from.
+
+    Raises
+    ------
+    UsageError
+        When the image was not read from DICOM files.
+    InputError
+        When the slices cannot be read any more, have no identifiers, or a package is missing.
+    """
+    path = result.volume.source
+    if path is None or DICOM_KEY not in result.volume.metadata:
+        raise UsageError(
+            "the image was not read from DICOM, whose slices DICOM outputs refer to", "give a DICOM series as the image"
+        )
+    with naming(path):
+        header = dicom.parse(path, result.config.reading)
+        if not isinstance(header, dicom.DicomHeader):
+            raise UsageError(
+                "the image is a DICOM segmentation, and DICOM outputs refer to the slices of a scan", "give the scan"
+            )
+        return read(header.slices.frames)
+
+
+def objects_of(result: Result) -> list[SegmentedObject]:
+    """The objects that have voxels, in the order of their ids."""
+    return sorted((found for found in result.objects if found.labels.any()), key=lambda found: found.id)
+
+
+def seed_of(kind: str, result: Result, table: LabelTable, source: SourceImages) -> str:
+    """Return the text that the identifiers of an output are made from: version, source, settings, names, voxels."""
+    names = [table[segmented.id] for segmented in objects_of(result)]
+    arrays = {"image": result.volume.array, "labels": result.labels}
+    files = [key for key in RunConfig.model_fields if entry(key).group is SettingGroup.FILES]
+    settings = result.config.model_dump_json(exclude={*files, *_FREE})
+    return "\n".join(
+        [kind, __version__, source.study_uid, *map(repr, source.instances), settings, repr(names), digest_of(arrays)]
+    )
+
+
+def write_structure_set(result: Result, table: LabelTable, path: Path) -> None:
+    """Write the contours of the objects as the regions of a DICOM RT Structure Set.
+
+    Parameters
+    ----------
+    result : Result
+        Of an image that was read from DICOM.
+    table : LabelTable
+        Names and colours of the regions.
+    path : Path
+        The file; an existing one is replaced.
+
+    Raises
+    ------
+    UsageError
+        When the image was not read from DICOM, no object is left, or a package is missing.
+    InputError
+        When the slices cannot be read any more, have no identifiers, or are not parallel to the grid's.
+    OutputError
+        When the file cannot be written.
+    """
+    source = source_of(result)
+    regions = [Region(table[segmented.id], loops_of(segmented)) for segmented in objects_of(result)]
+    seed = seed_of("structure set", result, table, source)
+    write_bytes(path, structure_set_bytes(regions, result.geometry, source, __version__, seed))
+
+
+def loops_of(segmented: SegmentedObject) -> dict[int, tuple[NDArray[np.float64], ...]]:
+    """Closed contours of an object in world mm, LPS, by the index of the slice in the whole grid."""
+    first = segmented.box[0].start or 0
+    return {first + k: found.loops for k, found in in_slices(segmented.psi, segmented.geometry).items()}

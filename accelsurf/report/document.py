@@ -1,25 +1,31 @@
 """The report of a run as JSON: pure functions from values to text.
 
 The report has input, settings, how the run ended, measures and files, so that a run can be repeated and a batch can be
-filtered without pictures. Lengths are mm, order x, y, z, LPS. Entries about files are in
-`file_entries`, tables in `tables`, pictures in `preview`.
+filtered without pictures. Lengths are mm, order x, y, z, LPS. Entries about files are here too,
+tables in `tables`, pictures in `preview`.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import platform
+import sys
 from collections.abc import Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from accelsurf.errors import AccelsurfError
-from accelsurf.report.environment import peak_rss_mb, versions
+from accelsurf.io import sha256
 
 if TYPE_CHECKING:
     from accelsurf.analysis.quality import Quality
+    from accelsurf.grid.geometry import Geometry
     from accelsurf.grid.window import Window
+    from accelsurf.io.file_set import FileSet
     from accelsurf.segmentation.result import Result, SegmentedObject
     from accelsurf.settings.run_config import RunConfig
 
@@ -27,6 +33,8 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 3
 Status = Literal["ok", "failed", "interrupted"]
 
+#: Measures of a result and of each of its objects.
+_MEASURES = ("volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components", "touches_border")
 #: Parts of a run that are timed, in the order they happen.
 TIMED = ("load", "start", "evolve", "refine", "mesh", "write", "total")
 
@@ -55,13 +63,13 @@ def build(
     config : RunConfig, optional
         Settings of the run; None when they were not valid.
     source, error : mapping, optional
-        The input, from `file_entries.describe_input`; what went wrong, from `describe_error`.
+        The input, from `describe_input`; what went wrong, from `describe_error`.
     result : Result, optional
         None when the run failed before there was one.
     seconds : mapping of str to float, optional
         Durations by part of the run, as in `TIMED`; the result's are used for parts not named here.
     outputs : sequence of mapping, optional
-        Files written, from `file_entries.describe_output`.
+        Files written, from `describe_output`.
     warnings : sequence of str, optional
         Warnings besides the result's own.
 
@@ -128,20 +136,15 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         Of several objects the sums, and an entry for each in ``objects``. With None every value is null.
     """
     if result is None:
-        keys = ("stop", "window", "resolved_settings", "levels", "edits", "energy", "mass", "volume_mm3", "area_mm2")
-        return dict.fromkeys((*keys, "enclosed_mm2", "length_mm", "components", "touches_border", "quality", "objects"))
+        keys = ("stop", "window", "resolved_settings", "levels", "edits", "energy", "mass")
+        return dict.fromkeys((*keys, *_MEASURES, "quality", "objects"))
     # Of the run alone: the potential of a correction is that of its box.
     ran = result.run_history
     last = ran[-1] if ran else None
     # Coarse levels have another image, with less noise: energies are comparable on one level only.
     first = next((row for row in ran if row.level == 0), None)
     return {
-        "stop": {
-            "reason": result.stop.reason,
-            "steps": result.stop.steps,
-            "time": result.stop.time,
-            "message": result.stop.message,
-        },
+        "stop": result.stop._asdict(),
         "window": describe_window(result.window),
         "resolved_settings": result.resolved_settings,
         "levels": describe_levels(result),
@@ -154,20 +157,13 @@ def describe_result(result: Result | None) -> dict[str, Any]:
             "terms": result.terms,
             "first": first.potential if first else None,
             "last": last.potential if last else None,
-            "kinetic_last": last.kinetic if last else None,
-            "mass_potential_last": last.mass_potential if last else None,
-            "friction_work": last.friction_work if last else None,
-            "smoothing_work": last.smoothing_work if last else None,
-            "noise_work": last.noise_work if last else None,
+            "kinetic_last": getattr(last, "kinetic", None),
+            "mass_potential_last": getattr(last, "mass_potential", None),
+            **{key: getattr(last, key, None) for key in ("friction_work", "smoothing_work", "noise_work")},
             "steps_of_corrections": len(result.history) - len(ran),
         },
         "mass": describe_mass(result),
-        "volume_mm3": result.volume_mm3,
-        "area_mm2": result.area_mm2,
-        "enclosed_mm2": result.enclosed_mm2,
-        "length_mm": result.length_mm,
-        "components": result.components,
-        "touches_border": result.touches_border,
+        **{key: getattr(result, key) for key in _MEASURES},
         "quality": describe_quality(result.quality),
         "objects": describe_objects(result) if result.has_ids else None,
     }
@@ -193,26 +189,19 @@ def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
 
 def describe_objects(result: Result) -> list[dict[str, Any]]:
     """Return an entry for each of several objects, in order of their ids."""
-    return [describe_object(one) for one in result.objects]
+    return [describe_object(segmented) for segmented in result.objects]
 
 
-def describe_object(one: SegmentedObject) -> dict[str, Any]:
+def describe_object(segmented: SegmentedObject) -> dict[str, Any]:
     """Return the entry of one of several objects; ``centroid`` is (x, y, z) mm, LPS."""
     return {
-        "id": one.id,
-        "reason": one.stop.reason,
-        "steps": one.stop.steps,
-        "message": one.stop.message,
-        "volume_mm3": one.volume_mm3,
-        "area_mm2": one.area_mm2,
-        "enclosed_mm2": one.enclosed_mm2,
-        "length_mm": one.length_mm,
-        "components": one.components,
-        "touches_border": one.touches_border,
-        "centroid": _centroid(one),
-        "cells_visited": sum(row.cells_visited for row in one.history),
-        "terms": one.terms,
-        "quality": describe_quality(one.quality if one.labels.any() else None),
+        "id": segmented.id,
+        **{key: getattr(segmented.stop, key) for key in ("reason", "steps", "message")},
+        **{key: getattr(segmented, key) for key in _MEASURES},
+        "centroid": _centroid(segmented),
+        "cells_visited": sum(row.cells_visited for row in segmented.history),
+        "terms": segmented.terms,
+        "quality": describe_quality(segmented.quality if segmented.labels.any() else None),
     }
 
 
@@ -304,3 +293,101 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+#: Packages that a result can depend on.
+PACKAGES = (
+    "accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "nibabel", "trimesh", "Pillow", "pydantic",
+    "matplotlib",
+)
+
+
+def versions() -> dict[str, str | None]:
+    """Return the versions that a result can depend on: Python, the platform and the packages.
+
+    Examples
+    --------
+    >>> sorted(versions())[:3]
+    ['Pillow', 'SimpleITK', 'accelsurf']
+    """
+    found: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
+    for name in PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = None
+    if found["accelsurf"] is None:  # run from a source tree that is not installed
+        from accelsurf import __version__
+
+        found["accelsurf"] = __version__
+    return found
+
+
+def peak_rss_mb() -> float | None:
+    """Return the peak memory of this process so far, in MB (10^6 bytes); None where the system does not report it."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return round(peak * (1 if sys.platform == "darwin" else 1024) / 1e6, 1)
+
+
+def describe_input(
+    path: str | Path, *, geometry: Geometry | None = None, checksum: str | None = None
+) -> dict[str, Any]:
+    """Return the report's entry about the input.
+
+    Parameters
+    ----------
+    path : str or Path
+        The input file.
+    geometry : Geometry, optional
+        Its grid; None when it could not be read, and then the entries are null.
+    checksum : str, optional
+        SHA-256 of the file, from `accelsurf.io.sha256`.
+
+    Examples
+    --------
+    >>> from accelsurf.grid.geometry import Geometry
+    >>> entry = describe_input("scan.nii", geometry=Geometry((5, 4, 3), (2.0, 1.0, 0.5)))
+    >>> entry["size"], entry["spacing"]
+    ([3, 4, 5], [0.5, 1.0, 2.0])
+    """
+    grid: dict[str, Any] = dict.fromkeys(("size", "spacing", "origin", "direction"))
+    if geometry is not None:
+        grid = {
+            "size": list(geometry.size),
+            "spacing": list(geometry.spacing_xyz),
+            "origin": list(geometry.origin),
+            "direction": geometry.direction.tolist(),
+        }
+    return {"path": str(Path(path).absolute()), "sha256": checksum, **grid}
+
+
+def describe_output(path: str | Path, kind: str, draft: Path | None = None) -> dict[str, str]:
+    """Return the report's entry about a file that is written.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    kind : str
+        What it is: labels, surface, contour, trace, preview, sdf, ...
+    draft : Path, optional
+        Where its content is until all files of the run are complete.
+    """
+    return {"path": str(Path(path).absolute()), "kind": kind, "sha256": sha256(draft or path)}
+
+
+def describe_drafts(files: FileSet, kinds: Mapping[str, str]) -> list[dict[str, str]]:
+    """Return the report's entries about all drafts of a set, those with a kind first.
+
+    Parameters
+    ----------
+    files : FileSet
+    kinds : mapping of str to str
+        Kind by name; a file that belongs to another one, such as the voxels of an .mhd header, has none: it is "data".
+    """
+    names = [*kinds, *sorted(path.name for path in files.drafts.iterdir() if path.name not in kinds)]
+    return [describe_output(files.folder / name, kinds.get(name, "data"), files.drafts / name) for name in names]

@@ -1,4 +1,4 @@
-"""What `accelsurf evaluate` prints and writes: rows of numbers, one for each case and label."""
+"""Tables and document of `accelsurf evaluate`: a row of numbers for each case and label."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _DICE_AT = "surface_dice_"
 
 @dataclass(frozen=True)
 class CaseResult:
-    """What became of one case.
+    """Outcome of one case.
 
     Attributes
     ----------
@@ -46,58 +46,59 @@ class CaseResult:
     failure: str = ""
 
 
-def label_entry(one: LabelAgreement, names: LabelTable) -> dict[str, Any]:
+def label_entry(agreement: LabelAgreement, names: LabelTable) -> dict[str, Any]:
     """One label of one case for JSON."""
-    return {"label": one.label, "name": label_name(one, names), **one.values()}
+    return {"label": agreement.label, "name": label_name(agreement, names), **agreement.values()}
 
 
-def label_name(one: LabelAgreement, names: LabelTable) -> str:
+def label_name(agreement: LabelAgreement, names: LabelTable) -> str:
     """Name of a label; empty where nobody gave one."""
-    return names.entries[one.label].name if one.label in names.entries else ""
+    return names.entries[agreement.label].name if agreement.label in names.entries else ""
 
 
 def summaries(results: Sequence[CaseResult], names: LabelTable) -> list[dict[str, Any]]:
     """Mean, median and count over cases, for each label."""
     by_label: dict[int | None, list[LabelAgreement]] = {}
-    for one in (agreement for result in results for agreement in result.agreements):
-        by_label.setdefault(one.label, []).append(one)
+    for agreement in (agreement for result in results for agreement in result.agreements):
+        by_label.setdefault(agreement.label, []).append(agreement)
     return [
-        {"label": label, "name": label_name(some[0], names), **over_cases([one.values() for one in some])}
+        {"label": label, "name": label_name(some[0], names), **over_cases([agreement.values() for agreement in some])}
         for label, some in sorted(by_label.items(), key=lambda item: item[0] or 0)
     ]
 
 
-def notes(one: LabelAgreement) -> list[str]:
-    """What the numbers of a label do not say by themselves."""
-    if one.label is None:
-        counts = [f"{len(ids)} of {side}" for ids, side in ((one.in_pred, "PRED"), (one.in_ref, "REF")) if len(ids) > 1]
+def notes(agreement: LabelAgreement) -> list[str]:
+    """Return remarks that the numbers of a label do not make by themselves."""
+    if agreement.label is None:
+        sides = (agreement.in_pred, "PRED"), (agreement.in_ref, "REF")
+        counts = [f"{len(ids)} of {side}" for ids, side in sides if len(ids) > 1]
         said = f"several labels count as one object: {', '.join(counts)}; --labels all compares each"
         return [said] if counts else []
-    if one.in_pred and one.in_ref:
+    if agreement.in_pred and agreement.in_ref:
         return []
-    if not (one.in_pred or one.in_ref):
-        return [f"label {one.label}: in neither map; nothing is defined"]
-    where = "PRED" if one.in_pred else "REF"
-    return [f"label {one.label}: only in {where}; overlaps are 0, distances not defined"]
+    if not (agreement.in_pred or agreement.in_ref):
+        return [f"label {agreement.label}: in neither map; nothing is defined"]
+    where = "PRED" if agreement.in_pred else "REF"
+    return [f"label {agreement.label}: only in {where}; overlaps are 0, distances not defined"]
 
 
 def document(results: Sequence[CaseResult], names: LabelTable) -> dict[str, Any]:
     """Many cases for JSON."""
     cases: list[dict[str, Any]] = []
-    for one in results:
-        said = [text for agreement in one.agreements for text in notes(agreement)]
+    for result in results:
+        said = [text for agreement in result.agreements for text in notes(agreement)]
         cases.append(
             {
-                "case": one.case,
-                "pred": one.pred,
-                "ref": one.ref,
-                "status": "failed" if one.failure else "ok",
-                "failure": one.failure or None,
-                "labels": [label_entry(agreement, names) for agreement in one.agreements],
+                "case": result.case,
+                "pred": result.pred,
+                "ref": result.ref,
+                "status": "failed" if result.failure else "ok",
+                "failure": result.failure or None,
+                "labels": [label_entry(agreement, names) for agreement in result.agreements],
                 "notes": said,
             }
         )
-    failed = sum(bool(one.failure) for one in results)
+    failed = sum(bool(result.failure) for result in results)
     counts = {"cases": len(results), "ok": len(results) - failed, "failed": failed}
     return {"counts": counts, "summary": summaries(results, names), "cases": cases}
 
@@ -107,7 +108,7 @@ def table_csv(results: Sequence[CaseResult], names: LabelTable) -> str:
 
     The column ``row`` says which: case, mean, median or count. What is not defined is empty.
     """
-    numbers = dict.fromkeys(name for one in results for found in one.agreements for name in found.values())
+    numbers = dict.fromkeys(name for result in results for found in result.agreements for name in found.values())
     stream = io.StringIO()
     writer = csv.DictWriter(
         stream,
@@ -116,11 +117,11 @@ def table_csv(results: Sequence[CaseResult], names: LabelTable) -> str:
         lineterminator="\n",
     )
     writer.writeheader()
-    for one in results:
-        of_case = {"row": "case", "case": one.case, "pred": one.pred, "ref": one.ref}
-        if one.failure:
-            writer.writerow({**of_case, "status": "failed", "failure": one.failure})
-        for agreement in one.agreements:
+    for result in results:
+        of_case = {"row": "case", "case": result.case, "pred": result.pred, "ref": result.ref}
+        if result.failure:
+            writer.writerow({**of_case, "status": "failed", "failure": result.failure})
+        for agreement in result.agreements:
             writer.writerow({**of_case, "status": "ok", **label_entry(agreement, names)})
     if len(results) > 1:
         for summary in summaries(results, names):

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.formats.zarr_voxels import library
+from accelsurf.report.track_document import ML
 from accelsurf.report.track_frames import TrackSet
-from accelsurf.report.track_spots import SpotGraph, spots_of
-from accelsurf.report.track_tables import ML
+from accelsurf.report.trackmate_file import SpotGraph, spots_of
 
 VERSION = "1.1"
 #: Unit and meaning of what is known of a node.
@@ -83,20 +83,20 @@ def _node_values(graph: SpotGraph) -> dict[str, NDArray[Any]]:
     lineage = np.zeros(len(graph.spots), np.int64)
     for number, members in enumerate(graph.components()):
         lineage[list(members)] = number
-    own = [spot.own for spot in graph.spots]
-    place = np.array([one.centroid for one in own], np.float64).reshape(-1, 3)
-    velocity = np.array([one.velocity for one in own], np.float64).reshape(-1, 3)
+    objects = [spot.tracked for spot in graph.spots]
+    place = np.array([tracked.centroid for tracked in objects], np.float64).reshape(-1, 3)
+    velocity = np.array([tracked.velocity for tracked in objects], np.float64).reshape(-1, 3)
     return {
         "t": np.array([spot.row.frame for spot in graph.spots], np.int64),
         "time": np.array([spot.row.time for spot in graph.spots], np.float64),
         **{axis: place[:, column] for axis, column in (("z", 2), ("y", 1), ("x", 0))},
         **{f"v{axis}": velocity[:, column] for axis, column in (("z", 2), ("y", 1), ("x", 0))},
-        "id": np.array([one.id for one in own], np.int64),
+        "id": np.array([tracked.id for tracked in objects], np.int64),
         "lineage": lineage,
         "radius": np.array([spot.radius for spot in graph.spots], np.float64),
-        "volume_ml": np.array([one.volume_mm3 * ML for one in own], np.float64),
-        "area_mm2": np.array([one.area_mm2 for one in own], np.float64),
-        "quality": np.array([one.quality for one in own], np.float64),
+        "volume_ml": np.array([tracked.volume_mm3 * ML for tracked in objects], np.float64),
+        "area_mm2": np.array([tracked.area_mm2 for tracked in objects], np.float64),
+        "quality": np.array([tracked.quality for tracked in objects], np.float64),
     }
 
 

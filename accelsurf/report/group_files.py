@@ -1,13 +1,15 @@
-"""What a group of objects has left, in a folder of its own: complete or not there, for whoever puts all together."""
+"""Results of a group of objects, each in a folder of its own: complete or not there."""
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -21,7 +23,7 @@ from accelsurf.grid.boxes import Box
 from accelsurf.io.file_set import sync
 from accelsurf.io.files import read_json
 from accelsurf.io.set_journals import sync_folder
-from accelsurf.report import object_files
+from accelsurf.report import output_names
 from accelsurf.report.document import describe_object, describe_window
 
 if TYPE_CHECKING:
@@ -32,7 +34,7 @@ _RECORD, _LABELS = "record.json", "labels.npz"
 
 @dataclass(frozen=True)
 class GroupRecord:
-    """What a group has left.
+    """Results of a group, as they were read from its folder.
 
     Attributes
     ----------
@@ -64,11 +66,12 @@ class GroupRecord:
     facts: dict[str, Any]
 
     def masks(self) -> list[NDArray[np.bool_]]:
-        """Where each object is, on its box."""
+        """Return the mask of each object, on its box."""
+        shapes = [tuple(side.stop - side.start for side in box) for box in self.boxes]
         with np.load(self.folder / _LABELS, allow_pickle=False) as packed:
             return [
-                np.unpackbits(packed[str(row["id"])], count=_count(box)).reshape(_shape(box)).view(np.bool_)
-                for row, box in zip(self.rows, self.boxes, strict=True)
+                np.unpackbits(packed[str(row["id"])], count=math.prod(shape)).reshape(shape).view(np.bool_)
+                for row, shape in zip(self.rows, shapes, strict=True)
             ]
 
 
@@ -92,39 +95,29 @@ def write_group(
     OutputError
         When a mesh cannot be written; OSError when something else cannot.
     """
-    draft = _draft(folder)
-    try:
-        meshes = [_write_meshes(draft, one, names, space) for one in result.objects]
-        packed = {str(one.id): np.packbits(one.labels) for one in result.objects}
+    with _staged(folder) as draft:
+        meshes = [_write_meshes(draft, segmented, names, space) for segmented in result.objects]
+        packed = {str(segmented.id): np.packbits(segmented.labels) for segmented in result.objects}
         np.savez(draft / _LABELS, **packed)  # type: ignore[arg-type]
         _write_record(draft, {
             "near": [],
-            "rows": [describe_object(one) for one in result.objects],
-            "boxes": [[[side.start, side.stop] for side in one.box] for one in result.objects],
+            "rows": [describe_object(segmented) for segmented in result.objects],
+            "boxes": [[[side.start, side.stop] for side in segmented.box] for segmented in result.objects],
             "low": result.low.tolist(),
             "high": result.high.tolist(),
-            "stops": [list(one.stop) for one in result.objects],
+            "stops": [list(segmented.stop) for segmented in result.objects],
             "meshes": meshes,
             "facts": {
-                "energy": result.energy,
-                "resolved_settings": result.resolved_settings,
-                "warnings": result.warnings,
+                **{key: getattr(result, key) for key in ("energy", "resolved_settings", "warnings")},
                 "window": describe_window(result.window),
             },
         })
-        _put(draft, folder)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
 
 
 def write_near(folder: Path, ids: Sequence[int]) -> None:
     """Write that a group came to where others begin, by their ids; parameters as of `write_group`."""
-    draft = _draft(folder)
-    try:
+    with _staged(folder) as draft:
         _write_record(draft, {"near": list(ids)})
-        _put(draft, folder)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
 
 
 def read_group(folder: Path) -> GroupRecord | None:
@@ -136,7 +129,7 @@ def read_group(folder: Path) -> GroupRecord | None:
             return GroupRecord(folder, tuple(found["near"]), [], [], nothing, nothing, [], [], {})
         boxes: list[Box] = [(slice(*z), slice(*y), slice(*x)) for z, y, x in found["boxes"]]
         low, high = np.array(found["low"], np.int64), np.array(found["high"], np.int64)
-        stops = [Stop(*one) for one in found["stops"]]
+        stops = [Stop(*stop) for stop in found["stops"]]
         if not _are_meshes(folder, found["rows"], found["meshes"]):
             return None
         return GroupRecord(folder, (), found["rows"], boxes, low, high, stops, found["meshes"], found["facts"])
@@ -145,7 +138,7 @@ def read_group(folder: Path) -> GroupRecord | None:
 
 
 def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str, str]]) -> bool:
-    """Whether a record names meshes of its own objects that lie in the folder itself; it may be somebody's."""
+    """Test if a record names meshes of its objects that lie in the folder itself; the record may be somebody's."""
     if folder.is_symlink() or any(path.is_symlink() for path in folder.iterdir()):
         return False
     return all(
@@ -154,18 +147,37 @@ def _are_meshes(folder: Path, rows: list[dict[str, Any]], meshes: list[dict[str,
     )
 
 
-def _draft(folder: Path) -> Path:
-    return Path(tempfile.mkdtemp(prefix=".draft-", dir=folder.parent))
+@contextmanager
+def _staged(folder: Path) -> Iterator[Path]:
+    """Give a folder to write in, which gets its name at the end, unless another worker was faster.
+
+    What cannot be read there goes.
+    """
+    draft = Path(tempfile.mkdtemp(prefix=".draft-", dir=folder.parent))
+    try:
+        yield draft
+        sync(draft)
+        try:
+            os.rename(draft, folder)
+        except OSError:
+            if read_group(folder) is None:
+                shutil.rmtree(folder, ignore_errors=True)
+                os.rename(draft, folder)
+        sync_folder(folder.parent)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
 
 
-def _write_meshes(draft: Path, one: Any, names: Mapping[str, str], space: Literal["lps", "ras"]) -> dict[str, str]:
+def _write_meshes(
+    draft: Path, segmented: Any, names: Mapping[str, str], space: Literal["lps", "ras"]
+) -> dict[str, str]:
     """Write the surface or the contours of an object; the names of its files by kind."""
-    shape = "surface" if one.length_mm is None else "contour"
-    wanted = {kind: name for kind, name in names.items() if kind.startswith(shape) and one.has_surface}
-    own = {kind: object_files.name_of(name, one.id) for kind, name in wanted.items()}
-    for name in own.values():
-        (one.surface if shape == "surface" else one.contours).write(draft / name, space)
-    return own
+    shape = "surface" if segmented.length_mm is None else "contour"
+    wanted = {kind: name for kind, name in names.items() if kind.startswith(shape) and segmented.has_surface}
+    files = {kind: output_names.name_of(name, segmented.id) for kind, name in wanted.items()}
+    for name in files.values():
+        (segmented.surface if shape == "surface" else segmented.contours).write(draft / name, space)
+    return files
 
 
 def _write_record(draft: Path, record: dict[str, Any]) -> None:
@@ -176,25 +188,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} in the record of a group")
-
-
-def _put(draft: Path, folder: Path) -> None:
-    """Give a complete folder its name, unless another worker was faster; what cannot be read there goes."""
-    sync(draft)
-    try:
-        os.rename(draft, folder)
-    except OSError:
-        if read_group(folder) is None:
-            shutil.rmtree(folder, ignore_errors=True)
-            os.rename(draft, folder)
-    sync_folder(folder.parent)
-
-
-def _shape(box: Box) -> tuple[int, int, int]:
-    z, y, x = (side.stop - side.start for side in box)
-    return z, y, x
-
-
-def _count(box: Box) -> int:
-    nz, ny, nx = _shape(box)
-    return nz * ny * nx

@@ -1,21 +1,18 @@
-"""Files of the objects that carry names and colours: of 3D Slicer, ITK-SNAP and BIDS.
-
-Libraries are loaded where a file is written: commands ask here what can be written before they load any.
-"""
+"""Names and colours of the objects of a run, and the files that carry them: of 3D Slicer, ITK-SNAP and BIDS."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from accelsurf.errors import UsageError
+from accelsurf.errors import InputError, UsageError
+from accelsurf.io import label_tables
 from accelsurf.io.file_set import InputFiles
 from accelsurf.io.files import write_bytes
 from accelsurf.io.metadata import DICOM_KEY, LABELS_KEY
 from accelsurf.report.inputs import named_files
 from accelsurf.settings.labels import LabelEntry, LabelTable
 from accelsurf.settings.mesh_formats import LABEL_OUTPUTS
-from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
@@ -24,8 +21,8 @@ if TYPE_CHECKING:
 
 
 def entries_of(result: Result, table: LabelTable) -> list[LabelEntry]:
-    """What is known of each object, in order of their ids."""
-    return [table[one.id] for one in result.objects]
+    """Return the name and the colour of each object, in order of their ids."""
+    return [table[segmented.id] for segmented in result.objects]
 
 
 def check(config: RunConfig, volume: Volume, overwrite: bool = False) -> None:
@@ -37,11 +34,12 @@ def check(config: RunConfig, volume: Volume, overwrite: bool = False) -> None:
         When it needs DICOM and the image is none; InputError when a table of labels cannot be read, or a package lacks.
     """
     from accelsurf.io.dicom.library import library
-    from accelsurf.report.label_names import table_of
 
     table_of(config)
     if config.label_group is not None:
-        group = load("accelsurf.io.formats.ome_labels:check")(volume.source or Path(), config.label_group, overwrite)
+        from accelsurf.io.formats import ome_labels
+
+        group = ome_labels.check(volume.source or Path(), config.label_group, overwrite)
         InputFiles(named_files(config)).refuse([group], "--label-group")
     for name in config.also:
         if name not in LABEL_OUTPUTS or not LABEL_OUTPUTS[name].needs_dicom:
@@ -62,13 +60,15 @@ def into_image(result: Result, image: Path, overwrite: bool) -> None:
         When it cannot be written; the other files are complete.
     """
     from accelsurf import io
-    from accelsurf.report.label_names import table_of
+    from accelsurf.io.formats import ome_labels
 
+    group = result.config.label_group
+    assert group is not None  # it was asked for
     labels = result.labels_volume()
     kind = io.label_type(int(labels.array.max()))
     volume = labels.with_array(labels.array.astype(kind))
-    volume.metadata[LABELS_KEY] = table_of(result.config).of(one.id for one in result.objects).to_json()
-    load("accelsurf.io.formats.ome_labels:put")(image, volume, result.config.label_group, overwrite)
+    volume.metadata[LABELS_KEY] = table_of(result.config).of(segmented.id for segmented in result.objects).to_json()
+    ome_labels.put(image, volume, group, overwrite)
 
 
 def seg_nrrd(result: Result, table: LabelTable, path: Path) -> None:
@@ -80,20 +80,63 @@ def seg_nrrd(result: Result, table: LabelTable, path: Path) -> None:
 
 def itk_snap(result: Result, table: LabelTable, path: Path) -> None:
     """Write label descriptions of ITK-SNAP."""
-    _write_text(path, result, table, "itk_snap_text")
+    write_bytes(path, label_tables.itk_snap_text(entries_of(result, table)).encode())
 
 
 def color_table(result: Result, table: LabelTable, path: Path) -> None:
     """Write a colour table of 3D Slicer."""
-    _write_text(path, result, table, "color_table_text")
+    write_bytes(path, label_tables.color_table_text(entries_of(result, table)).encode())
 
 
 def bids_table(result: Result, table: LabelTable, path: Path) -> None:
     """Write a table of labels as BIDS has it."""
-    _write_text(path, result, table, "bids_text")
+    write_bytes(path, label_tables.bids_text(entries_of(result, table)).encode())
 
 
-def _write_text(path: Path, result: Result, table: LabelTable, maker: str) -> None:
-    """Write what a function of `accelsurf.io.label_tables` makes."""
-    text: str = load(f"accelsurf.io.label_tables:{maker}")(entries_of(result, table))
-    write_bytes(path, text.encode())
+#: What the one object of a run without ids is called.
+ONE = "object"
+
+
+def table_of(config: RunConfig) -> LabelTable:
+    """Return what is known of labels: the table of the settings, else that of a label map of objects; then names and
+    colours of the settings.
+
+    Raises
+    ------
+    InputError
+        When a table cannot be read.
+    """
+    known = LabelTable()
+    if config.label_table is not None:
+        known = label_tables.read(config.label_table)
+    elif config.objects is not None and config.objects.partition("@")[0].lower().endswith((".seg.nrrd", ".dcm")):
+        try:
+            known = label_tables.read(Path(config.objects.partition("@")[0]))
+        except InputError:
+            known = LabelTable()  # a label map of that name without segments is a label map
+    if not config.has_ids and 1 not in known.entries:
+        known = LabelTable({**known.entries, 1: LabelEntry(1, ONE, known[1].color)})
+    return known.with_settings(config.name, config.color)
+
+
+def given_labels(config: RunConfig) -> LabelTable:
+    """Return `table_of` where settings or the file of the objects name labels, else an empty table.
+
+    What draws objects has colours of its own for those that nothing was said of.
+
+    Raises
+    ------
+    InputError
+        When a table cannot be read.
+
+    Examples
+    --------
+    >>> given_labels(RunConfig(name=["liver"])).entries[1].name, given_labels(RunConfig()).entries
+    ('liver', {})
+    """
+    return table_of(config) if is_named(config) or config.objects is not None else LabelTable()
+
+
+def is_named(config: RunConfig) -> bool:
+    """Test if the settings name labels, so that label maps carry names."""
+    return bool(config.name or config.color or config.label_table)

@@ -72,11 +72,11 @@ class BidsName:
         """
         *pairs, suffix = name.split("_")
         found = [_PAIR.fullmatch(pair) for pair in pairs]
-        keys = [one.group(1) for one in found if one is not None]
+        keys = [pair.group(1) for pair in found if pair is not None]
         ordered = [key for key in ENTITIES if key in keys]
         if None in found or keys != ordered or keys[:1] != ["sub"] or _SUFFIX.fullmatch(suffix) is None:
             raise UsageError(f"layout: bids was given, and {name[:80]} is no name of BIDS", _HINT)
-        return cls({one.group(1): one.group(2) for one in found if one is not None}, suffix)
+        return cls({pair.group(1): pair.group(2) for pair in found if pair is not None}, suffix)
 
     @property
     def label_map(self) -> str:
@@ -85,10 +85,10 @@ class BidsName:
         return "_".join([*(f"{key}-{entities[key]}" for key in ENTITIES if key in entities), "dseg"])
 
     def folder(self, source: Path) -> Path:
-        """Where its files lie in a data set: subject, session, and sort of data as of the image's folder, else anat."""
+        """Return its folder in a data set: subject, session, and sort of data as of the image's folder, else anat."""
         parts = [f"{key}-{self.entities[key]}" for key in ("sub", "ses") if key in self.entities]
-        own = source.absolute().parent
-        return Path(*parts, own.name if own.parent.name == parts[-1] else "anat")
+        folder = source.absolute().parent
+        return Path(*parts, folder.name if folder.parent.name == parts[-1] else "anat")
 
 
 def check(config: RunConfig, source: Path, folder: Path, name: str) -> None:
@@ -124,15 +124,15 @@ def check(config: RunConfig, source: Path, folder: Path, name: str) -> None:
             )
     if config.layout == "nnunet":
         stem = _nnunet_stem(source, name)
-        images = [source.absolute().resolve(), *(Path(one).absolute().resolve() for one in config.channel)]
-        if any(one.parent == folder.absolute().resolve() and split_name(one)[0] == stem for one in images):
+        images = [source.absolute().resolve(), *(Path(image).absolute().resolve() for image in config.channel)]
+        if any(image.parent == folder.absolute().resolve() and split_name(image)[0] == stem for image in images):
             raise UsageError(
                 f"layout: the label map {stem} would lie on the image", "choose another folder with -o"
             )
 
 
 def folder_of(config: RunConfig, source: Path, folder: Path) -> Path:
-    """Where the files of an image go, in the folder that was given; nothing is made."""
+    """Return the folder of an image's files within the folder that was given; nothing is made."""
     return folder / BidsName.of(split_name(source)[0]).folder(source) if config.layout == "bids" else folder
 
 
@@ -154,7 +154,7 @@ def _nnunet_stem(source: Path, name: str) -> str:
 
 
 def sidecar(source: Path, energy: str) -> str:
-    """What BIDS wants to know of a label map: of what image it is, and that no person has drawn it."""
+    """Return the JSON that BIDS has beside a label map: its image, and that no person has drawn it."""
     bids = BidsName.of(split_name(source)[0])
     image = f"bids:raw:{bids.folder(source).as_posix()}/{source.name}"
     said = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -10,27 +11,31 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.written_values import mesh_size
 
 if TYPE_CHECKING:
-    from accelsurf.analysis.mesh_shaping import MeshWish
+    from accelsurf.analysis.mesh_shaping import MeshOptions
     from accelsurf.analysis.surface_mesh import Surface
 
 
 @dataclass
 class MeshNotes:
-    """What is said of meshes that were made smoother or coarser.
+    """Statistics and warnings of meshes that were made smoother or coarser.
 
     Attributes
     ----------
-    facts : dict of str to dict
+    statistics : dict of str to dict
         Number of faces, largest distance to the surface, whether closed, smallest angle; by the name of the file.
     warnings : list of str
     """
 
-    facts: dict[str, dict[str, Any]] = field(default_factory=dict)
+    statistics: dict[str, dict[str, Any]] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+
+    def warn(self, lines: Iterable[str]) -> None:
+        """Add warnings."""
+        self.warnings.extend(lines)
 
 
 def is_shaped(config: RunConfig) -> bool:
-    """Whether the settings want another mesh than the surface as it was extracted."""
+    """Test if the settings want another mesh than the surface as it was extracted."""
     return bool(config.mesh_smooth or config.mesh_faces or config.mesh_error)
 
 
@@ -43,17 +48,17 @@ def check(config: RunConfig) -> None:
         When a package lacks.
     """
     if config.mesh_faces or config.mesh_error:
-        from accelsurf.analysis.mesh_library import library
+        from accelsurf.analysis.mesh_shaping import library
 
         library("fast_simplification")
 
 
-def wish_of(config: RunConfig) -> MeshWish:
+def options_of(config: RunConfig) -> MeshOptions:
     """Return what the settings want of meshes."""
-    from accelsurf.analysis.mesh_shaping import MeshWish
+    from accelsurf.analysis.mesh_shaping import MeshOptions
 
     faces, side = (None, None) if config.mesh_faces is None else mesh_size(config.mesh_faces)
-    return MeshWish(config.mesh_smooth, faces, side, config.mesh_error)
+    return MeshOptions(config.mesh_smooth, faces, side, config.mesh_error)
 
 
 def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any], tuple[str, ...]]:
@@ -70,14 +75,14 @@ def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any]
     from accelsurf.analysis.mesh_shaping import ShapedMesh, is_sound, shape, smallest_angles
 
     try:
-        mesh = shape(surface, wish_of(config))
+        mesh = shape(surface, options_of(config))
     except UsageError as error:
         mesh = ShapedMesh(surface, 0.0, (f"{error.message}; the mesh is the surface as it is; {error.hint}",))
-    own = mesh.surface
-    facts = {
-        "faces": len(own.faces),
+    made = mesh.surface
+    statistics = {
+        "faces": len(made.faces),
         "largest_distance_mm": mesh.distance_mm,
-        "closed": is_sound(own),
-        "smallest_angle_deg": float(smallest_angles(own.vertices[own.faces]).min()),
+        "closed": is_sound(made),
+        "smallest_angle_deg": float(smallest_angles(made.vertices[made.faces]).min()),
     }
-    return own, facts, mesh.warnings
+    return made, statistics, mesh.warnings

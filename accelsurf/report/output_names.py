@@ -1,10 +1,13 @@
-"""Which files a run writes for its image, a mesh for a volume, contours for an image of one slice, and their names.
+"""Files that a run writes for its image, and their names: meshes of a volume, contours of an image of one slice.
 
 Nothing of a run is loaded here: a command knows its files, and can refuse, before anything is computed.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from accelsurf.errors import InputError, UsageError
@@ -75,7 +78,7 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
 
 
 def keeps_state(config: RunConfig) -> bool:
-    """Whether the state of a run is written, from which it can be refined, and the settings that repeat it.
+    """Test if the state of a run is written, from which it can be refined, and the settings that repeat it.
 
     Examples
     --------
@@ -88,7 +91,7 @@ def keeps_state(config: RunConfig) -> bool:
 
 
 def _is_table_of_clicks(objects: str | None) -> bool:
-    """Whether the objects begin as clicks; of a table that cannot be read the run says what is wrong."""
+    """Test if the objects begin as clicks; if a table cannot be read, the run reports the error."""
     if objects is None or not objects.lower().endswith(".csv"):
         return False
     from accelsurf.initialization.object_clicks import has_sides  # loads what a run needs
@@ -125,3 +128,34 @@ def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
             f"format: {labels} was given for {geometry.shape[0]} slices along z, expected one",
             "use --format tif for a stack, or a volume format",
         )
+
+
+#: Kinds of outputs of which each object has its own.
+EACH = ("surface", "contour")
+
+
+def name_of(name: str, object_id: int) -> str:
+    """Return the name of a file for the object ``object_id``.
+
+    Examples
+    --------
+    >>> name_of("scan_surface.ply", 7)
+    'scan_surface_7.ply'
+    """
+    stem, _, suffix = name.rpartition(".")
+    return f"{stem}_{object_id}.{suffix}"
+
+
+def existing(folder: Path, names: Mapping[str, str]) -> list[Path]:
+    """Return the files in a folder that are named as the surface or contour of an object, of any id.
+
+    Parameters
+    ----------
+    folder : Path
+    names : mapping of str to str
+        Name of the file by kind, as of a run of one object.
+    """
+    parts = [names[kind].rpartition(".") for kind in names if kind.startswith(EACH)]
+    known = re.compile("|".join(rf"{re.escape(stem)}_[1-9][0-9]*\.{suffix}" for stem, _, suffix in parts))
+    files = folder.iterdir() if folder.is_dir() else ()
+    return sorted(path for path in files if known.fullmatch(path.name))

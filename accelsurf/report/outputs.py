@@ -18,9 +18,9 @@ from accelsurf.grid.grey_window import parse_window
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import is_anatomical
 from accelsurf.io.metadata import LABELS_KEY, UNIT_KEY
-from accelsurf.report import layouts, object_files, preview, statistics_files, tables
+from accelsurf.report import layouts, output_names, preview, tables
 from accelsurf.report.document import describe_objects
-from accelsurf.report.label_names import given_of, is_named, table_of
+from accelsurf.report.label_files import given_labels, is_named, table_of
 from accelsurf.report.mesh_files import MeshNotes, is_shaped, shaped
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.segmentation.state_file import state_bytes
@@ -74,11 +74,18 @@ def write_result(
     """
     seconds = {} if seconds is None else seconds
     began = time.perf_counter()
-    own_meshes = list(_mesh_writers(result, names, MeshNotes() if meshes is None else meshes))
+    has_surface = _has_surface(result)
+    mesh_writers = list(_mesh_writers(result, names, meshes or MeshNotes())) if has_surface else []
     seconds["mesh"] = seconds.get("mesh", 0.0) + time.perf_counter() - began
-    writers = [*_label_writer(result, names), *_also_writers(result, names), *_rest_writers(result, names), *own_meshes]
-    writers += _distance_writer(result, names)
-    writers += [*_table_writers(result, names, content), *_state_writers(result, names, image)]
+    writers = [*_label_writers(result, names)] if has_surface else []
+    writers += [*_rest_writers(result, names), *mesh_writers]
+    if "sdf" in names and has_surface:
+        distance = functools.partial(io.write, result.labels_volume().with_array(result.psi))
+        writers.append(("sdf", names["sdf"], distance))
+    writers += [*_table_writers(result, names, content)]
+    if result.state is not None and image is not None and has_surface:
+        contents = {"state": lambda: state_bytes(result, image), "config": lambda: result.config.to_toml().encode()}
+        writers += [(kind, names[kind], _writer(content)) for kind, content in contents.items() if kind in names]
     for kind, name, write in writers:
         began = time.perf_counter()
         write(folder / name)
@@ -86,37 +93,36 @@ def write_result(
         yield kind, folder / name
 
 
+def _writer(content: Callable[[], bytes]) -> Callable[[Path], None]:
+    """Return the writer of a file of bytes, which are made when it is written."""
+    return lambda path: write_bytes(path, content())
+
+
 def _has_surface(result: Result) -> bool:
-    return any(one.has_surface for one in result.objects)
-
-
-def _label_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """The writer of the label map."""
-    if "labels" in names and _has_surface(result):
-        yield "labels", names["labels"], lambda path: _write_labels(result, result.labels, path)
+    return any(segmented.has_surface for segmented in result.objects)
 
 
 def _write_labels(result: Result, labels: NDArray[Any], path: Path) -> None:
     """Write labels on the image's grid; of a result in a window they are 0 beyond it."""
     volume, window = result.labels_volume().with_array(labels), result.window
     if is_named(result.config):
-        volume.metadata[LABELS_KEY] = table_of(result.config).of(one.id for one in result.objects).to_json()
+        volume.metadata[LABELS_KEY] = table_of(result.config).of(segmented.id for segmented in result.objects).to_json()
     if window is None:
         io.write_labels(volume, path)
         return
-    own = volume.array.astype(io.label_type(int(volume.array.max())))
-    with io.LabelStore(path, window.geometry, own.dtype, volume.metadata) as store:
-        store.write(window.box, own)
+    typed = volume.array.astype(io.label_type(int(volume.array.max())))
+    with io.LabelStore(path, window.geometry, typed.dtype, volume.metadata) as store:
+        store.write(window.box, typed)
 
 
-def _also_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """The writers of further files of the objects."""
-    if not _has_surface(result):
-        return
-    table = table_of(result.config)
+def _label_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
+    """Yield the writers of the label map, and of further files of the objects."""
+    if "labels" in names:
+        yield "labels", names["labels"], functools.partial(_write_labels, result, result.labels)
     if layouts.SIDECAR in names:
         text = layouts.sidecar(Path(result.volume.source or ""), result.config.energy)
-        yield layouts.SIDECAR, names[layouts.SIDECAR], lambda path: write_bytes(path, text.encode())
+        yield layouts.SIDECAR, names[layouts.SIDECAR], _writer(text.encode)
+    table = table_of(result.config)
     for kind in (kind for kind in names if kind.startswith("also-")):
         name = kind.partition("-")[2]
         if name in LABEL_OUTPUTS:
@@ -127,7 +133,7 @@ def _also_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
 
 def _rest_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
     """The writers of the label maps of rests: each object at that rest, or without it as it is."""
-    count = max((len(one.rests) for one in result.objects), default=0)
+    count = max((len(segmented.rests) for segmented in result.objects), default=0)
     for number in range(1, count + 1):
         if (kind := f"rest{number}") in names:
             yield kind, names[kind], functools.partial(_write_rest, result, number)
@@ -135,49 +141,33 @@ def _rest_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
 
 def _write_rest(result: Result, number: int, path: Path) -> None:
     labels = np.zeros_like(result.labels)
-    for one in result.objects:
-        own = one.labels if len(one.rests) < number else one.rests[number - 1].labels
-        part = labels[one.box]
-        part[(own > 0) & (part == 0)] = one.id
+    for segmented in result.objects:
+        inside = segmented.labels if len(segmented.rests) < number else segmented.rests[number - 1].labels
+        part = labels[segmented.box]
+        part[(inside > 0) & (part == 0)] = segmented.id
     _write_labels(result, labels, path)
-
-
-def _distance_writer(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """The writer of the signed distance."""
-    if "sdf" in names and _has_surface(result):
-        yield "sdf", names["sdf"], lambda path: io.write(result.labels_volume().with_array(result.psi), path)
-
-
-def _state_writers(result: Result, names: Mapping[str, str], image: str | None) -> Iterator[Writer]:
-    """The writers of the state, and of the settings that repeat the run."""
-    if result.state is None or image is None or not _has_surface(result):
-        return
-    if "state" in names:
-        yield "state", names["state"], lambda path: write_bytes(path, state_bytes(result, image))
-    if "config" in names:
-        yield "config", names["config"], lambda path: write_bytes(path, result.config.to_toml().encode())
 
 
 def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) -> Iterator[Writer]:
     """The writers of surfaces or contours, which are extracted here; of several objects those with a voxel."""
-    kinds = [kind for kind in names if kind.startswith(object_files.EACH)]
-    if not kinds or not _has_surface(result):
+    kinds = [kind for kind in names if kind.startswith(output_names.EACH)]
+    if not kinds:
         return
     is_2d, space = result.geometry.slice_axis is not None, result.config.mesh_space
     common = {} if is_2d or result.config.mesh_walls == "own" else shared_walls.extract(result.objects, result.geometry)
     table = table_of(result.config) if is_named(result.config) else None
-    for one in result.objects:
-        if not one.has_surface:
+    for segmented in result.objects:
+        if not segmented.has_surface:
             continue
-        label = None if table is None else table[one.id]
-        mesh, facts = one.contours if is_2d else common.get(one.id, one.surface), None
+        label = None if table is None else table[segmented.id]
+        mesh, statistics = segmented.contours if is_2d else common.get(segmented.id, segmented.surface), None
         if not is_2d and is_shaped(result.config):
-            mesh, facts, warnings = shaped(one.surface, result.config)
-            notes.warnings += [f"object {one.id}: {line}" if result.has_ids else line for line in warnings]
+            mesh, statistics, warnings = shaped(segmented.surface, result.config)
+            notes.warn(f"object {segmented.id}: {line}" if result.has_ids else line for line in warnings)
         for kind in kinds:
-            name = object_files.name_of(names[kind], one.id) if result.has_ids else names[kind]
-            if facts is not None:
-                notes.facts[name] = facts
+            name = output_names.name_of(names[kind], segmented.id) if result.has_ids else names[kind]
+            if statistics is not None:
+                notes.statistics[name] = statistics
             yield kind.partition("-")[0], name, functools.partial(_write_mesh, mesh, space, label)
 
 
@@ -194,21 +184,19 @@ def _table_writers(result: Result, names: Mapping[str, str], content: PreviewCon
     """The writers of the tables and of the picture."""
     if "objects" in names and result.has_ids:
         rows = describe_objects(result)
-        yield "objects", names["objects"], lambda path: write_bytes(path, tables.objects_csv(rows).encode())
+        yield "objects", names["objects"], _writer(lambda: tables.objects_csv(rows).encode())
     if "trace" in names:
         if result.has_ids:
-            text = tables.objects_trace_csv({one.id: one.history for one in result.objects})
+            text = tables.objects_trace_csv({segmented.id: segmented.history for segmented in result.objects})
         else:
             text = tables.trace_csv(result.history)
-        yield "trace", names["trace"], lambda path: write_bytes(path, text.encode())
+        yield "trace", names["trace"], _writer(text.encode)
     if "preview" in names:
-        yield "preview", names["preview"], lambda path: write_bytes(path, preview.preview_png(content))
+        yield "preview", names["preview"], _writer(lambda: preview.preview_png(content))
     if "statistics" in names and _has_surface(result):
-        figures = statistics_files.rows_of(result, table_of(result.config))
-        text_csv = statistics_files.statistics_csv(figures, result)
-        text_json = statistics_files.statistics_json(figures, result)
-        yield "statistics", names["statistics"], lambda path: write_bytes(path, text_csv.encode())
-        yield "statistics", names["statistics-json"], lambda path: write_bytes(path, text_json.encode())
+        figures = tables.rows_of(result, table_of(result.config))
+        yield "statistics", names["statistics"], _writer(tables.statistics_csv(figures, result).encode)
+        yield "statistics", names["statistics-json"], _writer(tables.statistics_json(figures, result).encode)
 
 
 def outcome_title(name: str, result: Result) -> str:
@@ -249,14 +237,14 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
         next_clicks=_next_clicks(result),
         window=parse_window(result.config.window),
         unit=result.volume.metadata.get(UNIT_KEY, "mm"),
-        labels=given_of(result.config),
+        labels=given_labels(result.config),
         clicks=marks_of(result.clicks.clicks if result.clicks is not None else (), result.geometry.spacing),
     )
 
 
 def _next_clicks(result: Result) -> list[tuple[float, float, float]]:
-    """Where it is said to click next, the most doubtful object's first."""
-    judged = [one.quality for one in result.objects if one.has_surface]
+    """Return the voxels of the suggested next clicks, the most doubtful object's first."""
+    judged = [segmented.quality for segmented in result.objects if segmented.has_surface]
     places = []
     for quality in sorted(judged, key=lambda quality: quality.probability):
         if quality.next_click is not None:
@@ -266,9 +254,9 @@ def _next_clicks(result: Result) -> list[tuple[float, float, float]]:
 
 
 def _object_shapes(result: Result) -> tuple[ObjectShape, ...]:
-    """What is drawn of each of several objects."""
+    """Return the parts of each of several objects that are drawn."""
     is_2d = result.geometry.slice_axis is not None
+    counts = (0 if is_2d or not found.has_surface else len(found.surface.vertices) for found in result.objects)
     return tuple(
-        ObjectShape(one.id, one.box, one.psi, len(one.surface.vertices) if one.has_surface and not is_2d else 0)
-        for one in result.objects
+        ObjectShape(found.id, found.box, found.psi, count) for found, count in zip(result.objects, counts, strict=True)
     )

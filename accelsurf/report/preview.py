@@ -1,29 +1,52 @@
 """Pictures of a run: where the surface lies in the image, how the energy fell, what the surface looks like.
 
-Pure functions from arrays to PNG bytes; the parts of a picture have a module each.
+Pure functions from arrays to PNG bytes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
-from accelsurf.report.axes import LABEL_SIZE, Axes, range_of
-from accelsurf.report.canvas import PALE, RUN_COLORS, RUN_DASHES, Box, Canvas, text_width
-from accelsurf.report.energy_plot import draw_energies, energy_curve
+from accelsurf.report.canvas import (
+    BLUE,
+    HEADING_SIZE,
+    INK,
+    LABEL_SIZE,
+    PALE,
+    RUN_COLORS,
+    RUN_DASHES,
+    TICK_SIZE,
+    VERMILION,
+    Box,
+    Canvas,
+    draw_scale_bar,
+    font,
+    range_of,
+    text_width,
+    write_legend,
+    write_scales,
+    write_title,
+)
 from accelsurf.report.preview_content import PreviewContent
 from accelsurf.report.slice_plot import draw_slice
 from accelsurf.report.slice_views import Ranges, SliceView, box_of, click_views, doubt_views, main_views, shown_ranges
-from accelsurf.report.surface_plot import draw_surface
+
+if TYPE_CHECKING:
+    from accelsurf.evolution.records import StepRecord
 
 #: Width of a picture, of its margins and of the space between panels, pixels.
 WIDTH, LEFT, RIGHT, GAP = 1386, 78, 30, 92
 #: Height of the title, of a panel, and below a panel.
 TOP, PANEL, BELOW = 74, 378, 84
+#: Below the surface, for the scale bar and the arrows, and length of the arrows, pixels.
+BELOW_SURFACE, ARROW = 70, 34
 
 
 def preview_png(content: PreviewContent) -> bytes:
@@ -53,12 +76,12 @@ def preview_png(content: PreviewContent) -> bytes:
     canvas = Canvas(WIDTH, TOP + rows * (PANEL + BELOW), content.title)
     for column, view in enumerate(main_views(content)):
         draw_slice(canvas, panel_at(0, column), content, view, ranges, window)
-    left, top, right, bottom = panel_at(1, 1)
+    energies = panel_at(1, 1)
     if doubtful:
         draw_slice(canvas, panel_at(1, 0), content, doubtful[0], ranges, window)
     else:
-        left = panel_at(1, 0)[0]
-    draw_energies(canvas, (left, top, right - 24, bottom), content.history, content.steps_left_out)
+        energies = energies._replace(left=panel_at(1, 0).left)
+    draw_energies(canvas, energies._replace(right=energies.right - 24), content.history, content.steps_left_out)
     draw_surface(canvas, panel_at(1, 2), content)
     for column, view in enumerate(more):
         draw_slice(canvas, panel_at(2, column), content, view, ranges, window)
@@ -66,11 +89,11 @@ def preview_png(content: PreviewContent) -> bytes:
     return canvas.png()
 
 
-def panel_at(row: int, column: int, columns: int = 3) -> Box:
-    """Where a panel lies."""
-    width = (WIDTH - LEFT - RIGHT - (columns - 1) * GAP) / columns
+def panel_at(row: int, column: int) -> Box:
+    """Return the box of a panel."""
+    width = (WIDTH - LEFT - RIGHT - 2 * GAP) / 3
     left, top = LEFT + column * (width + GAP), TOP + row * (PANEL + BELOW)
-    return left, top, left + width, top + PANEL
+    return Box(left, top, left + width, top + PANEL)
 
 
 def content_window(content: PreviewContent, ranges: Ranges) -> GreyWindow:
@@ -96,16 +119,15 @@ def _png_2d(content: PreviewContent, axis: int) -> bytes:
     pixels = min(748 / wide, 748 / tall)  # per mm
     left, high, right = max(wide * pixels, 340), max(tall * pixels, 440), 500
     # As wide as its title, so that none is cut off.
-    width = max(LEFT + left + GAP + 20 + right + 90, text_width(content.title, 17) + 40)
+    width = max(LEFT + left + GAP + 20 + right + 90, text_width(content.title, HEADING_SIZE) + 40)
     canvas = Canvas(width, TOP + high + BELOW, content.title)
     window = content_window(content, ranges)
     view = SliceView(plane, 0)
-    draw_slice(canvas, (LEFT, TOP, LEFT + left, TOP + high), content, view, ranges, window)
+    draw_slice(canvas, Box(LEFT, TOP, LEFT + left, TOP + high), content, view, ranges, window)
     first, middle = LEFT + left + GAP + 20, TOP + high / 2
     half = 0.5 * min(0.9 * right, high)
-    draw_energies(
-        canvas, (first, middle - half, first + right, middle + half), content.history, content.steps_left_out
-    )
+    panel = Box(first, middle - half, first + right, middle + half)
+    draw_energies(canvas, panel, content.history, content.steps_left_out)
     write_window(canvas, window)
     return canvas.png()
 
@@ -134,9 +156,9 @@ def comparison_png(runs: Mapping[str, PreviewContent], title: str) -> bytes:
     contents = list(runs.values())
     geometry = contents[0].geometry
     axis = geometry.slice_axis
-    width, column_width, top = max(450 * len(runs), 900), 450, 124
+    width, column_width, top, tall = max(450 * len(runs), 900), 450, 124, 360
     rows = 2 if axis is None else 1  # of one slice there is no surface
-    canvas = Canvas(width, top + rows * (360 + BELOW) + 300 + BELOW, title)
+    canvas = Canvas(width, top + rows * (tall + BELOW) + 300 + BELOW, title)
     vertices = [content.surface.vertices for content in contents if content.surface is not None]
     box = np.concatenate(vertices) if vertices else None
     ranges = [shown_ranges(content) for content in contents]
@@ -146,29 +168,116 @@ def comparison_png(runs: Mapping[str, PreviewContent], title: str) -> bytes:
     view, window = main_views(contents[0])[plane], content_window(contents[0], shown)
     for column, (name, content) in enumerate(runs.items()):
         left = column * column_width + LEFT + (width - column_width * len(runs)) / 2
-        right = left + column_width - LEFT - 20
-        slice_ = draw_slice(canvas, (left, top, right, top + 360), content, view, shown, window)
-        canvas.text(((left + right) / 2, slice_.axes.box[1] - 26), f"{name}\n{content.title}", 13, anchor="md")
+        panel = Box(left, top, left + column_width - LEFT - 20, top + tall)
+        axes = draw_slice(canvas, panel, content, view, shown, window).axes
+        write_title(axes, f"{name}\n{content.title}\n{axes.get_title()}")
         if axis is None:
-            below = top + 360 + BELOW
-            color = RUN_COLORS[column % len(RUN_COLORS)]
-            draw_surface(canvas, (left, below, right, below + 360), content, box=box, color=color)
-    low = top + rows * (360 + BELOW)
-    _draw_curves(canvas, (LEFT + 20, low, width - 40, low + 300), runs)
+            below = panel._replace(top=panel.bottom + BELOW, bottom=panel.bottom + BELOW + tall)
+            draw_surface(canvas, below, content, box=box, color=RUN_COLORS[column % len(RUN_COLORS)])
+    low = top + rows * (tall + BELOW)
+    _draw_curves(canvas, Box(LEFT + 20, low, width - 40, low + 300), runs)
     write_window(canvas, window)
     return canvas.png()
 
 
 def _draw_curves(canvas: Canvas, panel: Box, runs: Mapping[str, PreviewContent]) -> None:
     """Draw the energies of several runs with a legend."""
-    curves = {name: energy_curve(content.history) for name, content in runs.items()}
-    last = max([1, *(step for steps, _ in curves.values() for step in steps)])
-    axes = Axes(canvas, panel, (0.0, float(last)), range_of([v for _, values in curves.values() for v in values]))
-    axes.frame("step", "energy", grid=True)
-    _, top, right, _ = panel
-    for number, (name, (steps, values)) in enumerate(curves.items()):
-        style = RUN_COLORS[number % len(RUN_COLORS)], 2.5, RUN_DASHES[number % len(RUN_DASHES)]
-        axes.curve(steps, values, *style)
-        y = top + 16 + 18 * number
-        canvas.text((right - 60, y), name, LABEL_SIZE, anchor="rm")
-        canvas.line([(right - 52, y), (right - 12, y)], *style)
+    curves = [energy_curve(content.history) for content in runs.values()]
+    last = max([1, *(step for steps, _ in curves for step in steps)])
+    axes = canvas.axes(panel, (0.0, float(last)), range_of([v for _, values in curves for v in values]))
+    write_scales(axes, "step", "energy", grid=True)
+    lines = []
+    for number, curve in enumerate(curves):
+        color, dashes = RUN_COLORS[number % len(RUN_COLORS)], RUN_DASHES[number % len(RUN_DASHES)]
+        lines += axes.plot(*curve, color=color, linestyle=dashes, linewidth=2.5)
+    write_legend(axes, lines, list(runs), "upper right")
+
+
+def draw_energies(canvas: Canvas, panel: Box, history: Sequence[StepRecord], left_out: int = 0) -> None:
+    """Draw the energy of a run and, on a second scale, its kinetic energy; triangles mark restarts.
+
+    A line below says how many steps of corrections are ``left_out``.
+    """
+    steps, values = energy_curve(history)
+    first = min(steps, default=0)
+    axes = canvas.axes(panel, (first, max([*steps, first + 1])), range_of(values))
+    kinetic = [row.kinetic for row in history]
+    notes = ["step"]
+    if left_out:
+        notes = [f"step; {left_out} steps of corrections are not drawn:", "their energy is that of a box"]
+    if not any(kinetic):
+        notes.append("no kinetic energy: the flow has no momentum")
+    write_title(axes, "Energy and kinetic energy")
+    write_scales(axes, "\n".join(notes), "energy", grid=True, color=BLUE)
+    axes.plot(steps, values, color=BLUE, linestyle="-", linewidth=2.5)
+    if any(kinetic):
+        second = axes.twinx()
+        second.set(xlim=axes.get_xlim(), ylim=(0.0, 1.05 * max(kinetic)), frame_on=False)
+        second.plot([row.step for row in history], kinetic, color=VERMILION, linestyle=RUN_DASHES[1], linewidth=2)
+        second.grid(False)
+        second.xaxis.set_visible(False)
+        write_scales(second, "", "kinetic energy (dashed)", color=VERMILION, right=True)
+    restarts = [row.step for row in history if row.restarted]
+    if restarts:
+        (marks,) = axes.plot(
+            restarts, [0.015] * len(restarts), transform=axes.get_xaxis_transform(), marker="^", markersize=9,
+            markerfacecolor=INK, markeredgecolor="none", linestyle="none",
+        )  # fmt: skip
+        write_legend(axes, [marks], ["restart (momentum set to zero)"], "upper right")
+
+
+def energy_curve(history: Sequence[StepRecord]) -> tuple[list[int], list[float]]:
+    """Return steps and potentials, with a gap where the grid changes: each level has its own image and energies."""
+    steps: list[int] = []
+    values: list[float] = []
+    for place, row in enumerate(history):
+        if place and row.level != history[place - 1].level:
+            steps.append(row.step)
+            values.append(float("nan"))
+        steps.append(row.step)
+        values.append(row.potential)
+    return steps, values
+
+
+def draw_surface(
+    canvas: Canvas, panel: Box, content: PreviewContent, box: NDArray[Any] | None = None, color: str = ""
+) -> None:
+    """Draw the surface with the directions of the world's axes, in its own colour unless one is given.
+
+    ``box``, points (k, 3) in mm that the picture has to show, gives several runs one scale.
+    """
+    if content.surface is None or not len(content.surface.faces):
+        canvas.text(panel.middle, "no surface", LABEL_SIZE, anchor="mm")
+        return
+    # Not with the module: a picture of slices alone needs no compiled code.
+    from accelsurf.report.rasterizer import render
+
+    paint: NDArray[np.float64] = _light(color or content.color())
+    counts = [shape.vertices for shape in content.objects]
+    if sum(counts) == len(content.surface.vertices):
+        paint = np.repeat([_light(content.color(place)) for place in range(len(counts))], counts, axis=0)
+    size = int(min(panel.width, panel.height - BELOW_SURFACE))
+    picture = render(content.surface.vertices, content.surface.faces, size=size, color=paint, box=box)
+    left, mm = round(panel.middle[0] - size / 2), picture.mm_per_pixel
+    square = Box(left, panel.top, left + size, panel.top + size + BELOW_SURFACE)
+    axes = canvas.axes(square, (0, size * mm), (-BELOW_SURFACE * mm, size * mm), frame=False)
+    axes.imshow(
+        picture.pixels, extent=(0, size * mm, 0, size * mm), origin="upper", aspect="auto", interpolation="nearest"
+    )
+    write_title(axes, "Surface")
+    draw_scale_bar(axes, content.unit)
+    for along, letter in zip(picture.axes, "LPS" if content.anatomical else "xyz", strict=True):
+        start, tip = np.array([ARROW, ARROW - 8]), ARROW * along
+        axes.annotate(
+            "", tuple(start + tip), tuple(start), xycoords="axes pixels", textcoords="axes pixels",
+            arrowprops={
+                "arrowstyle": "-|>", "color": INK, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 10,
+            },
+        )  # fmt: skip
+        at = tuple(start + 1.35 * tip)
+        axes.annotate(letter, at, xycoords="axes pixels", ha="center", va="center", **font(TICK_SIZE))
+
+
+def _light(color: str) -> NDArray[np.float64]:
+    """Return red, green, blue in 0..1 of a colour, lighter: shading darkens it."""
+    return np.array([0.2 + 0.8 * int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)])

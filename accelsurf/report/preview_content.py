@@ -1,4 +1,4 @@
-"""What a picture of a run shows."""
+"""Content of a picture of a run."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ObjectShape(NamedTuple):
 
 
 class ClickMark(NamedTuple):
-    """Where a click is drawn.
+    """A click as it is drawn.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ def marks_of(clicks: Iterable[Click], spacing: Sequence[float]) -> tuple[ClickMa
 
 @dataclass(frozen=True, eq=False)
 class PreviewContent:
-    """What a picture of one run shows.
+    """Content of a picture of one run.
 
     Attributes
     ----------

@@ -51,7 +51,6 @@ def render(
     *,
     size: int = 480,
     color: ArrayLike = (0.34, 0.71, 0.91),
-    view: tuple[float, float, float] = VIEW,
     box: ArrayLike | None = None,
 ) -> Picture:
     """Draw a mesh with shading, orthographic. Triangles that face away are not drawn: the mesh should be closed.
@@ -66,8 +65,6 @@ def render(
         Edge of the square picture in pixels.
     color : array_like, shape (3,) or (n, 3), optional
         Red, green, blue of the surface in 0..1, or of each of its vertices.
-    view : tuple of float, optional
-        Direction from the object to the viewer; not vertical.
     box : array_like, shape (k, 3), optional
         Points that the picture has to show, mm; the vertices by default. The same points give several meshes the same
         scale.
@@ -80,7 +77,7 @@ def render(
     """
     points = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
     triangles = np.asarray(faces, dtype=np.intp).reshape(-1, 3)
-    frame = _frame(view)
+    frame = _frame()
     shown = (points if box is None else np.asarray(box, dtype=np.float64)) @ frame.T
     fine = 2 * size  # drawn at twice the resolution and averaged, which smooths the edges
     if not len(shown):
@@ -102,10 +99,9 @@ def render(
     return Picture(pixels.astype(np.float32), 2.0 / scale, frame[:2].T.copy())
 
 
-def _frame(view: tuple[float, float, float]) -> Floats:
-    """Rows: right, up and towards the viewer, orthonormal; up is as vertical (z) as the view allows."""
-    toward = np.asarray(view, dtype=np.float64)
-    toward = toward / np.linalg.norm(toward)
+def _frame() -> Floats:
+    """Return rows: right, up and towards the viewer, orthonormal; up is as vertical (z) as the view allows."""
+    toward = np.array(VIEW) / np.linalg.norm(VIEW)
     right = np.cross((0.0, 0.0, 1.0), toward)
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(toward, right), toward])

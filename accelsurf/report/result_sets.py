@@ -40,7 +40,7 @@ def report_name(name: str) -> str:
 
 
 def is_output(path: Path) -> bool:
-    """Whether a path names a file, or a folder of which accelsurf writes one as a whole: an image, or tracks.
+    """Test if a path names a file, or a folder that accelsurf writes as a whole: an image, or tracks.
 
     Examples
     --------
@@ -63,7 +63,7 @@ def load_report(path: Path) -> dict[str, Any] | None:
 
 
 def is_failure_report(path: Path) -> bool:
-    """Whether a file is the report of a run that failed, or that was ended before it had a result."""
+    """Test if a file is the report of a run that failed, or that was ended before it had a result."""
     document = load_report(path)
     return document is not None and (document["status"] == "failed" or not document["outputs"])
 
@@ -79,7 +79,7 @@ def state_of(report: Path) -> tuple[str, str, str] | None:
 
 
 def is_of(document: Mapping[str, Any], config: RunConfig | TrackConfig, image: Path) -> bool:
-    """Whether a report is of a run or a tracking with these settings, of this image, which is read where they fit.
+    """Test if a report is of a run or a tracking with these settings, of this image, which is read where they fit.
 
     Raises
     ------
@@ -97,10 +97,9 @@ def had_track_settings(document: Mapping[str, Any], config: TrackConfig) -> bool
     written = document.get("config")
     if not isinstance(written, dict) or not had_settings({"config": written.get("run")}, config.run):
         return False
-    own = {key: _plain(field.default) for key, field in TrackFields.model_fields.items()}
-    return all(
-        written.get(key, own[key]) == value for key, value in config.model_dump(mode="json", exclude={"run"}).items()
-    )
+    defaults = {key: _plain(field.default) for key, field in TrackFields.model_fields.items()}
+    wanted = config.model_dump(mode="json", exclude={"run"})
+    return all(written.get(key, defaults[key]) == value for key, value in wanted.items())
 
 
 def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
@@ -121,7 +120,7 @@ def had_settings(document: Mapping[str, Any], config: RunConfig) -> bool:
 
 
 def _default(key: str) -> Any:
-    """What a setting was when it did not exist yet."""
+    """Return the value of a setting before it existed."""
     return _plain(default_of(key))
 
 
@@ -173,7 +172,7 @@ def outdated_inputs(report: Path, inputs: InputFiles) -> list[Path]:
 
 
 def unfinished_alone(report: Path, planned: Iterable[Path]) -> bool:
-    """Whether what stands of some planned files is of a run that was interrupted or failed: it may be replaced."""
+    """Test if those of some planned files that exist are of an interrupted or failed run: they may be replaced."""
     document = load_report(report)
     known: set[str] = set()
     if document is not None and document["status"] != "ok":
@@ -182,7 +181,7 @@ def unfinished_alone(report: Path, planned: Iterable[Path]) -> bool:
 
 
 def is_named_as_output(name: str, case: str) -> bool:
-    """Whether a run or a tracking of a case may have written a file of this name.
+    """Test if a run or a tracking of a case may have written a file of this name.
 
     Examples
     --------
@@ -200,12 +199,12 @@ def is_named_as_output(name: str, case: str) -> bool:
 
 
 def has_guests(path: Path) -> bool:
-    """Whether a store has label maps that somebody has added: they would go with it."""
+    """Test if somebody has added label maps to a store: they would go with it."""
     return any((path / "labels").glob("*/zarr.json")) if path.is_dir() else False
 
 
 def result_stands(folder: Path, name: str, planned: Iterable[Path]) -> bool:
-    """Whether a folder has files of a case that a failed run must not replace: any but those of an earlier failure.
+    """Test if a folder has files of a case that a failed run must not replace: any but those of an earlier failure.
 
     Parameters
     ----------
@@ -217,9 +216,9 @@ def result_stands(folder: Path, name: str, planned: Iterable[Path]) -> bool:
     """
     report = folder / report_name(name)
     document = load_report(report) if is_failure_report(report) else None
-    own = {report.name, *(name for name, _ in _entries(document["outputs"]))} if document is not None else set()
+    replaced = {report.name, *(name for name, _ in _entries(document["outputs"]))} if document is not None else set()
     there = [path for path in {*planned, report} if os.path.lexists(path)]
-    return any(path.name not in own for path in there)
+    return any(path.name not in replaced for path in there)
 
 
 def outdated(
@@ -242,11 +241,11 @@ def outdated(
     reports = [folder / report_name(name)] if load_report(folder / report_name(name)) is not None else []
     if not failed and is_failure_report(folder / report_name(name + FAILED)):
         reports.append(folder / report_name(name + FAILED))
-    gone = [one for report in reports for one in (*unchanged_outputs(report, written), report.name)]
+    gone = [file for report in reports for file in (*unchanged_outputs(report, written), report.name)]
     if not overwrite:
         failures = f"{name.removesuffix(FAILED)}{FAILED}_", report_name(name)
-        gone = [one for one in gone if one.startswith(failures)]
-    return [one for one in gone if one not in written]
+        gone = [file for file in gone if file.startswith(failures)]
+    return [file for file in gone if file not in written]
 
 
 def _entries(outputs: Any) -> list[tuple[str, str]]:

@@ -1,7 +1,8 @@
-"""Which slices a picture shows, and which part of them: through clicks, late growth, or the largest section."""
+"""Slices that a picture shows, and the part of them: through clicks, late growth, or the largest section."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,21 +43,24 @@ class SliceView:
 
 def shown_ranges(content: PreviewContent) -> Ranges:
     """The voxels around the object and its clicks that are shown; the whole image without an object."""
-    up, shape = DisplayOrientation.of(content.geometry), content.geometry.shape
     box = bounding_box(content.inside())
     if box is None:
         return whole_ranges(content.geometry)
     ends = [(part.start, part.stop) for part in box]
     for mark in content.clicks:
         ends = [(min(a, part.start), max(b, part.stop)) for (a, b), part in zip(ends, mark.box, strict=True)]
-    smallest = min(content.geometry.steps)
+    return ranges_around(ends, content.geometry, MARGIN)
+
+
+def ranges_around(ends: Sequence[tuple[int, int]], geometry: Geometry, margin: float) -> Ranges:
+    """Return the voxels of a box (first and one past the last along each axis of the array) and a margin around it."""
+    up = DisplayOrientation.of(geometry)
     ranges = []
-    for axis in range(3):
+    for axis, (n, flip) in enumerate(zip(np.take(geometry.shape, up.order).tolist(), up.flips, strict=True)):
         low, high = ends[up.order[axis]]
-        n = shape[up.order[axis]]
-        if up.flips[axis]:
+        if flip:
             low, high = n - high, n - low
-        room = max(round(MARGIN * (high - low)), round(MIN_MARGIN * smallest / up.spacing[axis]), 1)
+        room = max(round(margin * (high - low)), round(MIN_MARGIN * min(geometry.steps) / up.spacing[axis]), 1)
         ranges.append((max(low - room, 0), min(high + room, n)))
     return ranges[0], ranges[1], ranges[2]
 
@@ -97,8 +101,8 @@ def displayed(place: tuple[float, float, float] | tuple[int, int, int], geometry
     """A (continuous) index (z, y, x) of the image, on the axes as they are displayed."""
     up = DisplayOrientation.of(geometry)
     return tuple(
-        geometry.shape[own] - 1 - place[own] if flip else float(place[own])
-        for own, flip in zip(up.order, up.flips, strict=True)
+        geometry.shape[axis] - 1 - place[axis] if flip else float(place[axis])
+        for axis, flip in zip(up.order, up.flips, strict=True)
     )
 
 
@@ -140,7 +144,8 @@ def doubt_views(content: PreviewContent) -> list[SliceView]:
     views = [] if late is None else [late]
     if content.next_clicks:
         plane, place = native_plane(content.geometry), displayed(content.next_clicks[0], content.geometry)
-        if all(round(place[one.plane]) != one.index for one in (*main_views(content), *click_views(content), *views)):
+        others = (*main_views(content), *click_views(content), *views)
+        if all(round(place[view.plane]) != view.index for view in others):
             views.append(SliceView(plane, round(place[plane]), "click next"))
     return views
 
@@ -158,5 +163,5 @@ def click_views(content: PreviewContent) -> list[SliceView]:
 
 
 def plane_name(plane: int, anatomical: bool) -> str:
-    """What a plane is called."""
+    """Return the name of a plane."""
     return PLANES[plane] if anatomical else "Slice"

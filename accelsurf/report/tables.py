@@ -1,4 +1,4 @@
-"""The tables of a run as CSV text: one line per step, or one per object; pure functions from values to text."""
+"""The tables of a run as CSV text: a line per step, per object, or of an object's figures; pure functions."""
 
 from __future__ import annotations
 
@@ -9,10 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from accelsurf.analysis.statistics import statistics
+from accelsurf.io.metadata import VALUE_UNIT_KEY
+from accelsurf.report.document import to_json
+from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.trace_columns import TRACE_COLUMNS, row_values
 
 if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord
+    from accelsurf.segmentation.result import Result
 
 
 def trace_csv(history: Iterable[StepRecord]) -> str:
@@ -28,7 +33,7 @@ def trace_csv(history: Iterable[StepRecord]) -> str:
 
 def objects_trace_csv(histories: Mapping[int, Iterable[StepRecord]]) -> str:
     """Return the trace of several objects, one after the other: as `trace_csv`, after a column ``object``."""
-    rows = ((own, *row_values(record).values()) for own, history in histories.items() for record in history)
+    rows = ((object_id, *row_values(record).values()) for object_id, history in histories.items() for record in history)
     return csv_text(("object", *TRACE_COLUMNS), rows)
 
 
@@ -36,14 +41,14 @@ def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
     """Return a table of several objects, one row each, from `describe_objects`; missing values are empty."""
     # What a run cost is not the same after it was taken up again.
     plain = [key for key in objects[0] if key not in ("centroid", "quality", "message", "cells_visited")]
-    known: Mapping[str, Any] = next((one["quality"] for one in objects if one["quality"]), {})
+    known: Mapping[str, Any] = next((row["quality"] for row in objects if row["quality"]), {})
     measures = [key for key in known if key != "warnings"]
     rows = []
-    for one in objects:
-        quality = one["quality"] or {}
-        place = one["centroid"] or (None, None, None)
+    for row in objects:
+        quality = row["quality"] or {}
+        place = row["centroid"] or (None, None, None)
         doubts = "; ".join(quality.get("warnings", ()))
-        rows.append([*(one[key] for key in plain), *place, *(quality.get(key) for key in measures), doubts])
+        rows.append([*(row[key] for key in plain), *place, *(quality.get(key) for key in measures), doubts])
     return csv_text((*plain, "x_mm", "y_mm", "z_mm", *measures, "warnings"), rows)
 
 
@@ -59,3 +64,66 @@ def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 def _cell(value: Any) -> Any:
     value = value.item() if isinstance(value, np.generic) else value
     return int(value) if isinstance(value, bool) else repr(value) if isinstance(value, float) else value
+
+
+#: Of quality, what the tables have.
+_QUALITY = ("probability", "warnings")
+
+
+def rows_of(result: Result, table: LabelTable, with_quality: bool = True) -> list[dict[str, Any]]:
+    """Return a dictionary for each object that has a voxel, in order of their ids.
+
+    Parameters
+    ----------
+    result : Result
+    table : LabelTable
+        Their names.
+    with_quality : bool, optional
+        Whether to assess how likely each is good, which takes longest.
+    """
+    rows = []
+    for segmented in result.objects:
+        if not segmented.labels.any() or not segmented.has_surface:
+            continue
+        values = result.volume.array[segmented.box] if result.has_ids else result.volume.array
+        quality = {key: getattr(segmented.quality, key) for key in _QUALITY} if with_quality else {}
+        rows.append({"id": segmented.id, "name": table[segmented.id].name, **statistics(segmented, values), **quality})
+    return rows
+
+
+def statistics_json(rows: Sequence[Mapping[str, Any]], result: Result) -> str:
+    """Return the figures as JSON, with the unit of the image's values."""
+    return to_json({"unit": result.volume.metadata.get(VALUE_UNIT_KEY), "objects": list(rows)}) + "\n"
+
+
+def statistics_csv(rows: Sequence[Mapping[str, Any]], result: Result) -> str:
+    """Return the figures as a table, one row each; the columns of the image's values carry their unit."""
+    unit = result.volume.metadata.get(VALUE_UNIT_KEY)
+    columns: list[str] = []
+    cells = []
+    for row in rows:
+        flat = _flat(row, unit)
+        columns = columns or list(flat)
+        cells.append(list(flat.values()))
+    return csv_text(columns or ["id", "name"], cells)
+
+
+def _flat(row: Mapping[str, Any], unit: str | None) -> dict[str, Any]:
+    """A cell for each number; of lists one for each of (x, y, z)."""
+    flat: dict[str, Any] = {}
+    for key, value in row.items():
+        if key == "warnings":
+            flat["warnings"] = "; ".join(value)
+        elif key == "axes_directions":
+            for n, direction in enumerate(value, 1):
+                flat |= {f"axis{n}_{axis}": part for axis, part in zip("xyz", direction, strict=True)}
+        elif key == "axes_mm":
+            flat |= {f"axis{n}_mm": part for n, part in enumerate(value, 1)}
+        elif isinstance(value, list):
+            stem, _, last = key.rpartition("_")
+            names = (f"{stem}_{axis}_{last}" for axis in "xyz")
+            flat |= dict(zip(names, value, strict=True))
+        else:
+            in_unit = key in ("mean", "sd", "min", "max") or (key[:1] == "p" and key[1:].isdigit())
+            flat[f"{key}_{unit.lower()}" if in_unit and unit else key] = value
+    return flat

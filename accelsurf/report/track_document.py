@@ -1,4 +1,4 @@
-"""The report of a tracking as JSON, after the model of `accelsurf.report.document`."""
+"""The report of a tracking as JSON, after the model of `accelsurf.report.document`, and its tables as CSV text."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from typing import Any
 
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.report import document
-from accelsurf.report.document import SCHEMA_VERSION, Status, to_json
-from accelsurf.report.environment import peak_rss_mb, versions
-from accelsurf.report.file_entries import describe_input
+from accelsurf.report.document import SCHEMA_VERSION, Status, describe_input, peak_rss_mb, to_json, versions
+from accelsurf.report.tables import csv_text
 from accelsurf.report.track_frames import TrackSet
-from accelsurf.report.track_tables import ML
-from accelsurf.report.volume_curves import beats_of
+from accelsurf.report.track_slices import beats_of
 
 __all__ = ["Status", "build", "to_json"]
 
@@ -49,7 +47,7 @@ def build(
     warnings : sequence of str, optional
     seconds : mapping of str to float, optional
     outputs : sequence of mapping, optional
-        From `accelsurf.report.file_entries.describe_output`.
+        From `accelsurf.report.document.describe_output`.
 
     Returns
     -------
@@ -105,8 +103,8 @@ def describe_tracks(tracks: TrackSet) -> list[dict[str, Any]]:
     """Return an entry for each identity: its life, where it came from, and how large it was."""
     entries, beats = [], beats_of(tracks)
     for track in tracks.lineage.tracks:
-        seen = [one for _, one in tracks.by_object.get(track.id, ()) if one.seen]
-        volumes = [one.volume_mm3 * ML for one in seen]
+        seen = [tracked for _, tracked in tracks.by_object.get(track.id, ()) if tracked.seen]
+        volumes = [tracked.volume_mm3 * ML for tracked in seen]
         entries.append({
             "id": track.id,
             "first": track.first,
@@ -119,7 +117,7 @@ def describe_tracks(tracks: TrackSet) -> list[dict[str, Any]]:
             "volume_ml_smallest": min(volumes, default=None),
             "volume_ml_largest": max(volumes, default=None),
             "beat": beats[track.id]._asdict() if track.id in beats else None,
-            "quality_lowest": min((one.quality for one in seen), default=None),
+            "quality_lowest": min((tracked.quality for tracked in seen), default=None),
         })
     return entries
 
@@ -130,9 +128,49 @@ def describe_frames(tracks: TrackSet) -> list[dict[str, Any]]:
         {
             "frame": row.frame,
             "time": row.time,
-            "seen": [one.id for one in row.objects if one.seen],
-            "not_seen": [one.id for one in row.objects if not one.seen],
+            "seen": [tracked.id for tracked in row.objects if tracked.seen],
+            "not_seen": [tracked.id for tracked in row.objects if not tracked.seen],
             "seconds": row.seconds,
         }
         for row in tracks.rows
     ]
+
+
+#: A line for each object in each frame. Velocities are mm per unit of time.
+TRACK_COLUMNS = (
+    "frame", "time", "time_unit", "id", "parent", "x_mm", "y_mm", "z_mm", "vx", "vy", "vz", "volume_ml",
+    "area_mm2", "quality", "seen",
+)
+ML = 1e-3  # mm3
+
+
+def tracks_csv(tracks: TrackSet) -> str:
+    """Return a line for each object in each frame, by frame and id; an object that merged of several has all parents.
+
+    ``parent`` stands in every line of an object, with ; between several, and is empty where there is none. Positions
+    are those of the centroid, world mm (LPS). ``seen`` is 0 where the frame does not show the object: the line then
+    has its prediction.
+    """
+    parents = {row.id: ";".join(map(str, tracks.lineage.parents(row.id))) for row in tracks.lineage.tracks}
+    unit = tracks.sequence.time_unit
+    return csv_text(TRACK_COLUMNS, (
+        (
+            row.frame, row.time, unit, tracked.id, parents.get(tracked.id, ""), *tracked.centroid, *tracked.velocity,
+            tracked.volume_mm3 * ML, tracked.area_mm2, tracked.quality, tracked.seen,
+        )
+        for row in tracks.rows for tracked in row.objects
+    ))
+
+
+def curves_csv(tracks: TrackSet) -> str:
+    """Return the volumes of all objects against time, ml: a line for each frame, a column for each object.
+
+    A cell is empty where an object is not seen.
+    """
+    ids = list(tracks.by_object)
+    lines = []
+    for row in tracks.rows:
+        seen = {tracked.id: tracked.volume_mm3 * ML for tracked in row.objects if tracked.seen}
+        lines.append((row.frame, row.time, *(seen.get(object_id) for object_id in ids)))
+    columns = (f"object_{object_id}_ml" for object_id in ids)
+    return csv_text(("frame", f"time_{tracks.sequence.time_unit}", *columns), lines)

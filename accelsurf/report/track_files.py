@@ -1,4 +1,4 @@
-"""Which files a tracking leaves, and their names."""
+"""Files that a tracking writes, and their names."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from accelsurf.settings.track_fields import TRACK_FORMATS
 
 @dataclass(frozen=True)
 class TrackFiles:
-    """What is written beside the tables, the curves, the film strip and the report, which always are.
+    """Choice of files beside the tables, the curves, the film strip and the report, which are always written.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class TrackFiles:
 
     def paths(self, folder: Path, name: str) -> dict[str, Path]:
         """Every possible file by its kind; of those of single frames, the ones that exist already."""
-        paths = {kind: folder / own for kind, own in self.names(name).items()}
+        paths = {kind: folder / file for kind, file in self.names(name).items()}
         there = folder.iterdir() if folder.is_dir() else ()
         return paths | {path.name: path for path in sorted(there) if is_of_frame(path.name, name)}
 
@@ -98,7 +98,7 @@ def labels_name(name: str, number: str, suffix: str) -> str:
     return f"{name}_labels_t{number}.{suffix}"
 
 
-def mesh_name(name: str, shape: str, own: int, number: str, suffix: str) -> str:
+def mesh_name(name: str, shape: str, object_id: int, number: str, suffix: str) -> str:
     """Name of the mesh of an object in a frame; the number of the frame is last: viewers then find a series.
 
     Examples
@@ -106,11 +106,11 @@ def mesh_name(name: str, shape: str, own: int, number: str, suffix: str) -> str:
     >>> mesh_name("cells", "surface", 7, "003", "ply")
     'cells_surface_7_t003.ply'
     """
-    return f"{name}_{shape}_{own}_t{number}.{suffix}"
+    return f"{name}_{shape}_{object_id}_t{number}.{suffix}"
 
 
 def is_of_frame(file: str, name: str) -> bool:
-    """Whether a file has the name of one of a single frame.
+    """Test if a file has the name of one of a single frame.
 
     Examples
     --------

@@ -52,19 +52,17 @@ class ObjectRow:
     quality: float
 
     @classmethod
-    def of(cls, one: TrackedObject) -> ObjectRow:
+    def of(cls, tracked: TrackedObject) -> ObjectRow:
         """The numbers of an object, as plain ones."""
-        x, y, z = (float(v) for v in one.centroid)
-        vx, vy, vz = (float(v) for v in one.velocity)
-        numbers = float(one.volume_mm3), float(one.area_mm2), float(one.quality)
-        return cls(int(one.id), bool(one.seen), (x, y, z), (vx, vy, vz), *numbers)
+        x, y, z = (float(v) for v in tracked.centroid)
+        vx, vy, vz = (float(v) for v in tracked.velocity)
+        numbers = float(tracked.volume_mm3), float(tracked.area_mm2), float(tracked.quality)
+        return cls(int(tracked.id), bool(tracked.seen), (x, y, z), (vx, vy, vz), *numbers)
 
     @classmethod
     def read(cls, values: Mapping[str, Any]) -> ObjectRow:
-        """The numbers as they stand in the file of a frame."""
-        (x, y, z), (vx, vy, vz) = values["centroid"], values["velocity"]
-        numbers = values["volume_mm3"], values["area_mm2"], values["quality"]
-        return cls(values["id"], values["seen"], (x, y, z), (vx, vy, vz), *numbers)
+        """Read the numbers as they stand in the file of a frame."""
+        return cls(**{**values, "centroid": tuple(values["centroid"]), "velocity": tuple(values["velocity"])})
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ class FrameRow:
 
 
 class DrawnObject(NamedTuple):
-    """What pictures show of an object: its id, whether it is seen, its surface, and where it was predicted."""
+    """An object as it is drawn: its id, whether it is seen, its surface, and its prediction."""
 
     id: int
     seen: bool
@@ -119,7 +117,7 @@ def remove_store(folder: Path) -> None:
 
 
 def _is_of_a_store(path: Path) -> bool:
-    """Whether a file or folder in the folder of the frames is what a tracking has written there."""
+    """Test if a tracking has written a file or folder in the folder of the frames."""
     if path.is_symlink() or _OF_A_STORE.fullmatch(path.name) is None:
         return False
     if path.name == _MESHES:
@@ -175,16 +173,16 @@ class FrameStore:
         """
         arrays: dict[str, NDArray[Any]] = {}
         labels, band = result.labels(), _BAND * max(result.geometry.spacing)
-        for one in result.objects:
-            box = one.surface.box
-            arrays[f"corner_{one.id}"] = np.array([side.start for side in box], np.int64)
-            arrays[f"shape_{one.id}"] = np.array(one.surface.psi.shape, np.int64)
-            arrays[f"mask_{one.id}"] = np.packbits(labels[box] == one.id)
-            arrays[f"psi_{one.id}"] = _rounded(one.surface.psi, band)
-            if one.predicted is not None:
-                arrays[f"predicted_corner_{one.id}"] = np.array(one.predicted.corner, np.int64)
-                arrays[f"predicted_{one.id}"] = _rounded(one.predicted.psi, band)
-        rows = tuple(ObjectRow.of(one) for one in result.objects)
+        for tracked in result.objects:
+            box = tracked.surface.box
+            arrays[f"corner_{tracked.id}"] = np.array([side.start for side in box], np.int64)
+            arrays[f"shape_{tracked.id}"] = np.array(tracked.surface.psi.shape, np.int64)
+            arrays[f"mask_{tracked.id}"] = np.packbits(labels[box] == tracked.id)
+            arrays[f"psi_{tracked.id}"] = _rounded(tracked.surface.psi, band)
+            if tracked.predicted is not None:
+                arrays[f"predicted_corner_{tracked.id}"] = np.array(tracked.predicted.corner, np.int64)
+                arrays[f"predicted_{tracked.id}"] = _rounded(tracked.predicted.psi, band)
+        rows = tuple(ObjectRow.of(tracked) for tracked in result.objects)
         row = FrameRow(int(result.frame), float(result.time), float(result.seconds), rows)
         arrays["row"] = np.frombuffer(json.dumps(asdict(row)).encode(), np.uint8)
         draft = self.folder / f".{result.frame}.npz"
@@ -215,27 +213,27 @@ class FrameStore:
         """Label map (nz, ny, nx) of a frame: the ids of the objects that it shows."""
         labels = np.zeros(geometry.shape, dtype)
         with self._opened(number) as arrays:
-            for one in _row_of(arrays).objects:
-                if one.seen:
-                    labels[_box(arrays, one.id)][_mask(arrays, one.id)] = one.id
+            for row in _row_of(arrays).objects:
+                if row.seen:
+                    labels[_box(arrays, row.id)][_mask(arrays, row.id)] = row.id
         return labels
 
     def shown(self, number: int) -> list[int]:
         """The ids in the label map of a frame."""
         with self._opened(number) as arrays:
-            return [one.id for one in _row_of(arrays).objects if one.seen and arrays[f"mask_{one.id}"].any()]
+            return [row.id for row in _row_of(arrays).objects if row.seen and arrays[f"mask_{row.id}"].any()]
 
     def drawn(self, number: int) -> list[DrawnObject]:
-        """What pictures show of a frame; psi is exact to 1/1000 of the distance, and flat far from the surface."""
+        """Return the objects of a frame as they are drawn; psi is exact to 1/1000, and flat far from the surface."""
         found = []
         with self._opened(number) as arrays:
-            for one in _row_of(arrays).objects:
-                surface = SurfacePiece(_corner(arrays[f"corner_{one.id}"]), _single(arrays[f"psi_{one.id}"]))
+            for row in _row_of(arrays).objects:
+                surface = SurfacePiece(_corner(arrays[f"corner_{row.id}"]), _single(arrays[f"psi_{row.id}"]))
                 predicted = None
-                if f"predicted_{one.id}" in arrays:
-                    corner = _corner(arrays[f"predicted_corner_{one.id}"])
-                    predicted = SurfacePiece(corner, _single(arrays[f"predicted_{one.id}"]))
-                found.append(DrawnObject(one.id, one.seen, surface, predicted))
+                if f"predicted_{row.id}" in arrays:
+                    corner = _corner(arrays[f"predicted_corner_{row.id}"])
+                    predicted = SurfacePiece(corner, _single(arrays[f"predicted_{row.id}"]))
+                found.append(DrawnObject(row.id, row.seen, surface, predicted))
         return found
 
     def _path(self, number: int) -> Path:
@@ -274,8 +272,8 @@ class TrackSet:
 
     @property
     def label_type(self) -> np.dtype[Any]:
-        """Of the label maps of all frames."""
-        return label_type(max((one.id for row in self.rows for one in row.objects), default=0))
+        """Type of the label maps of all frames."""
+        return label_type(max((tracked.id for row in self.rows for tracked in row.objects), default=0))
 
     def labels(self, number: int) -> NDArray[Any]:
         """Label map (nz, ny, nx) of a frame; 0 in one that the tracking has not reached."""
@@ -284,20 +282,20 @@ class TrackSet:
         return np.zeros(self.geometry.shape, self.label_type)
 
     def frames_shown(self) -> dict[int, list[int]]:
-        """Of each object the frames whose label map has a voxel of it, rising."""
+        """Return the frames whose label map has a voxel of an object, rising, by its id."""
         frames: dict[int, list[int]] = {}
         for row in self.rows:
-            for own in self.store.shown(row.frame):
-                frames.setdefault(own, []).append(row.frame)
+            for object_id in self.store.shown(row.frame):
+                frames.setdefault(object_id, []).append(row.frame)
         return frames
 
     @cached_property
     def by_object(self) -> dict[int, list[tuple[FrameRow, ObjectRow]]]:
-        """Of each object, by id, the frames in which it is seen or predicted, rising."""
+        """Frames in which an object is seen or predicted, rising, by its id."""
         found: dict[int, list[tuple[FrameRow, ObjectRow]]] = {}
         for row in self.rows:
-            for one in row.objects:
-                found.setdefault(one.id, []).append((row, one))
+            for tracked in row.objects:
+                found.setdefault(tracked.id, []).append((row, tracked))
         return dict(sorted(found.items()))
 
     @cached_property
@@ -306,7 +304,7 @@ class TrackSet:
 
         All pictures show this part. Each frame is read, one at a time, when the first picture asks.
         """
-        boxes = [box for row in self.rows for one in self.store.drawn(row.frame) for box in _inside_boxes(one)]
+        boxes = [box for row in self.rows for drawn in self.store.drawn(row.frame) for box in _inside_boxes(drawn)]
         return functools.reduce(enclosing, boxes) if boxes else None
 
     @cached_property
@@ -354,14 +352,14 @@ def _corner(values: NDArray[np.int64]) -> Corner:
 
 def _row_of(arrays: Mapping[str, NDArray[Any]]) -> FrameRow:
     found = json.loads(arrays["row"].tobytes())
-    objects = tuple(ObjectRow.read(one) for one in found["objects"])
+    objects = tuple(ObjectRow.read(values) for values in found["objects"])
     return FrameRow(found["frame"], found["time"], found["seconds"], objects)
 
 
-def _box(arrays: Mapping[str, NDArray[Any]], own: int) -> Box:
-    return box_at(_corner(arrays[f"corner_{own}"]), tuple(int(n) for n in arrays[f"shape_{own}"]))
+def _box(arrays: Mapping[str, NDArray[Any]], object_id: int) -> Box:
+    return box_at(_corner(arrays[f"corner_{object_id}"]), tuple(int(n) for n in arrays[f"shape_{object_id}"]))
 
 
-def _mask(arrays: Mapping[str, NDArray[Any]], own: int) -> NDArray[np.bool_]:
-    shape = tuple(int(n) for n in arrays[f"shape_{own}"])
-    return np.unpackbits(arrays[f"mask_{own}"], count=int(np.prod(shape))).reshape(shape).view(np.bool_)
+def _mask(arrays: Mapping[str, NDArray[Any]], object_id: int) -> NDArray[np.bool_]:
+    shape = tuple(int(n) for n in arrays[f"shape_{object_id}"])
+    return np.unpackbits(arrays[f"mask_{object_id}"], count=int(np.prod(shape))).reshape(shape).view(np.bool_)

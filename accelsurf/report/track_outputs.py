@@ -17,8 +17,8 @@ from accelsurf.grid.sequence import ImageSequence
 from accelsurf.grid.volume import Volume
 from accelsurf.io.file_set import FileSet, refuse_links
 from accelsurf.io.files import write_bytes
-from accelsurf.report import film_strip, output_folder, result_sets, track_document, track_tables, volume_curves
-from accelsurf.report.file_entries import describe_drafts
+from accelsurf.report import output_folder, result_sets, track_document, track_slices
+from accelsurf.report.document import describe_drafts
 from accelsurf.report.inputs import inputs_of
 from accelsurf.report.track_files import TrackFiles, is_of_frame, labels_name, mesh_name
 from accelsurf.report.track_frames import FrameStore, TrackSet, frame_digits, remove_store
@@ -196,20 +196,20 @@ class TrackOutputs:
         for old in folder.glob(f"*_t{number}.*"):
             old.unlink()
         for kind in self.files.mesh:
-            for one in result.objects:
-                if one.seen and one.surface.has_inside:
+            for tracked in result.objects:
+                if tracked.seen and tracked.surface.has_inside:
                     shape = "surface" if self.sequence.geometry.slice_axis is None else "contour"
-                    path = folder / mesh_name(self.name, shape, one.id, number, kind)
-                    self._mesh_of(one).write(path, self.files.mesh_space)
+                    path = folder / mesh_name(self.name, shape, tracked.id, number, kind)
+                    self._mesh_of(tracked).write(path, self.files.mesh_space)
 
-    def _mesh_of(self, one: TrackedObject) -> Surface | contours.Contours:
+    def _mesh_of(self, tracked: TrackedObject) -> Surface | contours.Contours:
         """The mesh that is carried along, else that of the surface."""
-        geometry = cropped(self.sequence.geometry, one.surface.box)
+        geometry = cropped(self.sequence.geometry, tracked.surface.box)
         if geometry.slice_axis is not None:
-            return contours.extract(one.surface.psi, geometry)
-        if one.mesh is not None:
-            return Surface(one.mesh.vertices, one.mesh.faces.astype("int32"))
-        return surface_mesh.extract(one.surface.psi, geometry)
+            return contours.extract(tracked.surface.psi, geometry)
+        if tracked.mesh is not None:
+            return Surface(tracked.mesh.vertices, tracked.mesh.faces.astype("int32"))
+        return surface_mesh.extract(tracked.surface.psi, geometry)
 
     @property
     def _mesh_folder(self) -> Path:
@@ -237,11 +237,11 @@ class TrackOutputs:
         else:
             self._write_sequence(tracks, self._set.drafts / names["labels"])
             kinds[names["labels"]] = "labels"
-        texts = {"tracks": track_tables.tracks_csv(tracks), "curves": track_tables.curves_csv(tracks)}
+        texts = {"tracks": track_document.tracks_csv(tracks), "curves": track_document.curves_csv(tracks)}
         for kind, text in (texts | ({"config": self._toml} if self._toml else {})).items():
             write_bytes(self._set.drafts / names[kind], text.encode())
             kinds[names[kind]] = kind
-        pictures = {"preview": film_strip.film_strip_png(tracks), "curves-picture": volume_curves.curves_png(tracks)}
+        pictures = {"preview": track_slices.film_strip_png(tracks), "curves-picture": track_slices.curves_png(tracks)}
         for kind, picture in pictures.items():
             write_bytes(self._set.drafts / names[kind], picture)
             kinds[names[kind]] = kind

@@ -1,39 +1,80 @@
-"""What pictures of a tracking show: which slice of a frame, which part of it, and the objects in it."""
+"""Pictures of a tracking: a strip of frames, a movie with predictions beside corrections, and volumes against time.
+
+All frames show the same part of the image in the same grey window, so that motion is seen.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import Box as VoxelBox
+from accelsurf.analysis.beats import Beat, find_beat
+from accelsurf.errors import OutputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.grid.volume import Volume
-from accelsurf.report.canvas import DARK, REFERENCE, SOLID, Box, Canvas, Dashes, object_color
+from accelsurf.io.metadata import UNIT_KEY
+from accelsurf.report import movies
+from accelsurf.report.canvas import (
+    DARK,
+    PALE,
+    REFERENCE,
+    SOLID,
+    TICK_SIZE,
+    TITLE_SIZE,
+    Box,
+    Canvas,
+    Dashes,
+    object_color,
+    range_of,
+    write_legend,
+    write_scales,
+)
+from accelsurf.report.movies import Picture
 from accelsurf.report.slice_plot import (
     REFERENCE_DASHES,
+    NamedLine,
+    ShownImage,
     Slice,
     draw_contour,
+    draw_slice_scale,
     lay_slice,
     name_section,
-    write_legend,
+    write_line_names,
 )
-from accelsurf.report.slice_views import MARGIN, MIN_MARGIN, Ranges, SliceView, displayed, native_plane
+from accelsurf.report.slice_views import MARGIN, Ranges, SliceView, displayed, native_plane, ranges_around
 from accelsurf.report.track_frames import DrawnObject, FrameRow, TrackSet
 from accelsurf.tracking.records import SurfacePiece
 
-#: More ids than these are not written into a picture.
+#: Ids are not written into a picture of more objects than these.
 MAX_NAMES = 40
+#: Frames in a strip at most, and in a line of it.
+MAX_FRAMES, COLUMNS = 12, 4
+#: Width of a panel of a strip, of the space between panels, of the title and below a panel, pixels; a panel's height.
+PANEL, GAP, TOP, BELOW = 320, 14, 56, 34
+LOWEST, HIGHEST = 100.0, 480.0
+#: Width and height of a movie, of the margin around a panel and of the lines above it, pixels.
+MOVIE_SIZE = (960, 540)
+MOVIE_MARGIN, MOVIE_TOP = 12, 58
+#: Length of a movie, s, and its frames per second at least and at most.
+SECONDS, SLOWEST, FASTEST = 8.0, 2.0, 15.0
+#: Width and height of the curves, pixels; how many are named, and drawn, at most.
+CURVES_SIZE = (900, 460)
+MAX_NAMED_CURVES, MAX_CURVES = 18, 200
+#: Volumes below this, ml, are written as mm3.
+SMALL = 0.1
 
 
 @dataclass(frozen=True)
 class TrackView:
-    """How all frames are shown, so that motion is seen: one plane, one part, one grey window.
+    """The view of all frames: one plane, one part, one grey window.
 
     Attributes
     ----------
@@ -57,12 +98,14 @@ class TrackView:
         geometry = tracks.geometry
         order = DisplayOrientation.of(geometry).order
         plane = native_plane(geometry) if geometry.slice_axis is None else order.index(geometry.slice_axis)
-        colors = {own: object_color(n) for n, own in enumerate(tracks.by_object)}
-        return cls(plane, _ranges(tracks.extent, geometry), tracks.window, colors)
+        colors = {number: object_color(n) for n, number in enumerate(tracks.by_object)}
+        box = tracks.extent or tuple(slice(0, n) for n in geometry.shape)
+        ranges = ranges_around([(side.start, side.stop) for side in box], geometry, MARGIN / 2)
+        return cls(plane, ranges, tracks.window, colors)
 
     def slice_of(self, row: FrameRow, geometry: Geometry) -> SliceView:
         """The slice through the largest object of a frame that is seen, else through the middle."""
-        objects = sorted(row.objects, key=lambda one: (not one.seen, -one.volume_mm3, one.id))
+        objects = sorted(row.objects, key=lambda found: (not found.seen, -found.volume_mm3, found.id))
         middle = tuple(0.5 * (n - 1) for n in geometry.shape)
         place = geometry.world_to_index(objects[0].centroid) if objects else np.array(middle)
         at = round(displayed((float(place[0]), float(place[1]), float(place[2])), geometry)[self.plane])
@@ -71,7 +114,7 @@ class TrackView:
 
 
 class FrameContent(NamedTuple):
-    """A frame with all that is drawn of it: its ``image`` as it was read, and its objects."""
+    """A frame as it is drawn: its ``image`` as it was read, and its objects."""
 
     row: FrameRow
     image: Volume
@@ -97,30 +140,22 @@ def draw_frame(
     what : sequence of {"predicted", "corrected"}
         Which surfaces.
     """
-    shown = lay_slice(
-        canvas, panel, frame.image.array, geometry, view.slice_of(frame.row, geometry), view.ranges, view.window
-    )
-    for one in frame.drawn:
-        if "predicted" in what and one.predicted is not None:
-            _draw_piece(shown, one.predicted, REFERENCE, REFERENCE_DASHES, geometry)
-    for one in frame.drawn:
+    image = ShownImage(frame.image.array, geometry, view.window)
+    shown = lay_slice(canvas, panel, image, view.slice_of(frame.row, geometry), view.ranges)
+    for found in frame.drawn:
+        if "predicted" in what and found.predicted is not None:
+            _draw_piece(shown, found.predicted, REFERENCE, REFERENCE_DASHES, geometry)
+    for found in frame.drawn:
         if "corrected" in what:
-            dashes = SOLID if one.seen else REFERENCE_DASHES
-            section = _draw_piece(shown, one.surface, view.colors[one.id], dashes, geometry)
+            dashes = SOLID if found.seen else REFERENCE_DASHES
+            section = _draw_piece(shown, found.surface, view.colors[found.id], dashes, geometry)
             if section is not None and 1 < len(view.colors) <= MAX_NAMES:
-                name_section(shown, section < 0, str(one.id), view.colors[one.id])
+                name_section(shown, section < 0, str(found.id), view.colors[found.id])
     return shown
 
 
-def write_lines(shown: Slice, view: TrackView, what: Sequence[str]) -> None:
-    """Write what the lines of a frame are, in its lower left corner."""
-    first = next(iter(view.colors.values()), DARK)
-    names = {"predicted": ("predicted", REFERENCE, REFERENCE_DASHES), "corrected": ("corrected", first, SOLID)}
-    write_legend(shown, [names[one] for one in what])
-
-
 def time_text(tracks: TrackSet, row: FrameRow) -> str:
-    """When a frame was: its time where it has one, and its number."""
+    """Return the time of a frame, where it has one, and its number."""
     number = f"frame {row.frame}"
     return number if tracks.sequence.time_unit == "frame" else f"{row.time:.4g} s, {number}"
 
@@ -128,15 +163,14 @@ def time_text(tracks: TrackSet, row: FrameRow) -> str:
 def _draw_piece(
     shown: Slice, piece: SurfacePiece, color: str, dashes: Dashes, geometry: Geometry
 ) -> NDArray[np.float32] | None:
-    """Draw where a slice cuts a surface; its section, None where it does not."""
+    """Draw the cut of a slice through a surface; returns its section, None where there is none."""
     up, psi = shown.up, shown.up.reorient(piece.psi)
     parts: list[slice] = []
     places: list[slice] = []
     for axis, (low, high) in enumerate(shown.ranges):
-        own = up.order[axis]
-        first = piece.corner[own]
+        first = piece.corner[up.order[axis]]
         if up.flips[axis]:
-            first = geometry.shape[own] - first - psi.shape[axis]
+            first = geometry.shape[up.order[axis]] - first - psi.shape[axis]
         if axis == shown.view.plane:
             low, high = shown.view.index, shown.view.index + 1
         begin, end = max(first, low), min(first + psi.shape[axis], high)
@@ -152,16 +186,171 @@ def _draw_piece(
     return section
 
 
-def _ranges(extent: VoxelBox | None, geometry: Geometry) -> Ranges:
-    """Voxels around a box, along the displayed axes; all of them without one."""
-    up = DisplayOrientation.of(geometry)
-    ranges = []
-    for axis in range(3):
-        own = up.order[axis]
-        n = geometry.shape[own]
-        low, high = (0, n) if extent is None else (extent[own].start, extent[own].stop)
-        if up.flips[axis]:
-            low, high = n - high, n - low
-        room = max(round(MARGIN / 2 * (high - low)), round(MIN_MARGIN * min(geometry.steps) / up.spacing[axis]), 1)
-        ranges.append((max(low - room, 0), min(high + room, n)))
-    return ranges[0], ranges[1], ranges[2]
+def film_strip_png(tracks: TrackSet) -> bytes:
+    """Draw frames evenly spaced from the first to the last that was reached.
+
+    The slice is the one through the largest object. Of each object the surface is drawn in its colour, dashed where the
+    frame does not show it, and its prediction in blue, dashed.
+
+    Returns
+    -------
+    bytes
+        A PNG file.
+    """
+    rows, view = picked(tracks.rows), TrackView.of(tracks)
+    columns = min(COLUMNS, max(len(rows), 1))
+    width = max(columns * (PANEL + GAP) + GAP, 700)
+    left = (width - columns * (PANEL + GAP) + GAP) / 2
+    lines, tall = math.ceil(max(len(rows), 1) / columns), _height(tracks, view)
+    count = len(tracks.by_object)
+    objects = "one object" if count == 1 else f"{count} objects"
+    title = f"{tracks.name}: {objects} in {len(tracks.rows)} of {len(tracks.sequence)} frames"
+    canvas = Canvas(width, TOP + lines * (tall + BELOW) + 24, title)
+    for number, row in enumerate(rows):
+        line, column = divmod(number, columns)
+        x, y = left + column * (PANEL + GAP), TOP + line * (tall + BELOW)
+        frame = FrameContent.of(tracks, row)
+        panel = Box(x, y, x + PANEL, y + tall)
+        shown = draw_frame(canvas, panel, tracks.geometry, frame, view, ("predicted", "corrected"))
+        below = canvas.height - shown.axes.bbox.y0 + 8
+        canvas.text((x + PANEL / 2, below), _caption(tracks, row, shown), TITLE_SIZE, anchor="ma")
+        if number == 0:
+            color = next(iter(view.colors.values()), DARK)
+            predicted = NamedLine("predicted", REFERENCE, REFERENCE_DASHES)
+            write_line_names(shown, [predicted, NamedLine("corrected", color)])
+            draw_slice_scale(shown, frame.image.metadata.get(UNIT_KEY, "mm"))
+    canvas.text((canvas.width - 10, canvas.height - 8), f"window {view.window.text}", TICK_SIZE, PALE, "rd")
+    return canvas.png()
+
+
+def _height(tracks: TrackSet, view: TrackView) -> float:
+    """Return the height of a panel: as the part of the image that is shown."""
+    spacing = DisplayOrientation.of(tracks.geometry).spacing
+    tall, wide = (
+        (view.ranges[axis][1] - view.ranges[axis][0]) * spacing[axis] for axis in IN_PLANE[view.plane]
+    )
+    return min(max(PANEL * tall / wide, LOWEST), HIGHEST)
+
+
+def _caption(tracks: TrackSet, row: FrameRow, shown: Slice) -> str:
+    """Return the time of a frame, and of a volume the place of the slice."""
+    if tracks.geometry.slice_axis is not None:
+        return time_text(tracks, row)
+    plane = shown.view.plane
+    place = f"{shown.up.names[plane]} = {shown.up.coordinate(plane, shown.view.index):.4g} mm"
+    return f"{time_text(tracks, row)}, {place}"
+
+
+def picked(rows: tuple[FrameRow, ...]) -> list[FrameRow]:
+    """Return rows evenly spaced, the first and the last among them.
+
+    Examples
+    --------
+    >>> rows = tuple(FrameRow(n, float(n), 0.0, ()) for n in range(30))
+    >>> [row.frame for row in picked(rows)]
+    [0, 3, 5, 8, 11, 13, 16, 18, 21, 24, 26, 29]
+    """
+    if len(rows) <= MAX_FRAMES:
+        return list(rows)
+    return [rows[int(place)] for place in np.rint(np.linspace(0, len(rows) - 1, MAX_FRAMES))]
+
+
+def check_mp4(geometry: Geometry) -> None:
+    """Refuse to begin without the encoder of mp4; errors as `accelsurf.report.movies.check_target`."""
+    movies.check_target(Path("movie.mp4"), MOVIE_SIZE)
+
+
+def check_webp(geometry: Geometry) -> None:
+    """Refuse to begin without the encoder of webp; errors as `accelsurf.report.movies.check_target`."""
+    movies.check_target(Path("movie.webp"), MOVIE_SIZE)
+
+
+def write_movie(tracks: TrackSet, path: Path) -> None:
+    """Write the movie; the suffix decides the format.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written, or no frame was reached.
+    """
+    if not tracks.rows:
+        raise OutputError(f"{path.name}: no frame to show")
+    speed = min(max(len(tracks.rows) / SECONDS, SLOWEST), FASTEST)
+    movies.write(path, movie_frames(tracks), MOVIE_SIZE, speed)
+
+
+def movie_frames(tracks: TrackSet) -> Iterator[Picture]:
+    """Draw the pictures of a movie, one for each frame.
+
+    Yields
+    ------
+    ndarray (height, width, 3), uint8
+    """
+    view = TrackView.of(tracks)
+    wide, tall = MOVIE_SIZE
+    half = wide / 2
+    for row in tracks.rows:
+        canvas = Canvas(wide, tall)
+        canvas.text((half, 18), f"{tracks.name}: {time_text(tracks, row)}", 16, anchor="mm")
+        frame = FrameContent.of(tracks, row)
+        for left, what in ((0.0, "predicted"), (half, "corrected")):
+            panel = Box(left + MOVIE_MARGIN, MOVIE_TOP, left + half - MOVIE_MARGIN, tall - MOVIE_MARGIN)
+            shown = draw_frame(canvas, panel, tracks.geometry, frame, view, (what,))
+            canvas.text((left + half / 2, 44), what, TITLE_SIZE, anchor="mm")
+        draw_slice_scale(shown, frame.image.metadata.get(UNIT_KEY, "mm"))
+        yield canvas.pixels()
+
+
+def beats_of(tracks: TrackSet) -> dict[int, Beat]:
+    """Return the beat of each object that has one, over the frames in which it is seen."""
+    found = {}
+    for number, life in tracks.by_object.items():
+        seen = [(row.time, shape.volume_mm3) for row, shape in life if shape.seen]
+        beat = find_beat(*zip(*seen, strict=True)) if len(seen) > 1 else None
+        if beat is not None:
+            found[number] = beat
+    return found
+
+
+def curves_png(tracks: TrackSet) -> bytes:
+    """Draw the volume of each object against time, with a gap where it is not seen.
+
+    Returns
+    -------
+    bytes
+        A PNG file.
+    """
+    largest = max((shape.volume_mm3 for row in tracks.rows for shape in row.objects), default=0.0)
+    unit, scale = ("mm\u00b3", 1.0) if largest < 1e3 * SMALL else ("ml", 1e-3)
+    curves = {
+        number: [(row.time, scale * shape.volume_mm3 if shape.seen else np.nan) for row, shape in life]
+        for number, life in list(tracks.by_object.items())[:MAX_CURVES]
+    }
+    width, height = CURVES_SIZE
+    canvas = Canvas(width, height, _curves_title(tracks))
+    times = [row.time for row in tracks.rows] or [0.0]
+    first, last = (min(times), max(times)) if max(times) > min(times) else (min(times) - 0.5, min(times) + 0.5)
+    low, high = range_of([value for curve in curves.values() for _, value in curve])
+    box = Box(90, 56, width - (130 if len(curves) > 1 else 30), height - 58)
+    axes = canvas.axes(box, (first, last), (max(low, 0.0), high))
+    write_scales(axes, "time (s)" if tracks.sequence.time_unit == "s" else "frame", f"volume ({unit})", grid=True)
+    lines = []
+    for number, curve in enumerate(curves.values()):
+        lines += axes.plot(
+            *zip(*curve, strict=True), color=object_color(number), linestyle="-", linewidth=2, clip_on=False,
+            marker="o" if len(curve) <= MAX_CURVES else "", markersize=5, markeredgecolor="none",
+        )  # fmt: skip
+    if len(lines) > 1:
+        names = [f"object {number}" for number in curves][:MAX_NAMED_CURVES]
+        write_legend(axes, lines[:MAX_NAMED_CURVES], names, "upper left", bbox_to_anchor=(1.0, 1.0))
+    return canvas.png()
+
+
+def _curves_title(tracks: TrackSet) -> str:
+    words, beats = [f"{tracks.name}: volume"], list(beats_of(tracks).values())
+    if len(beats) == 1:
+        words.append(f"ejection fraction {beats[0].ejection_fraction:.0%}")
+        if beats[0].period is not None:
+            unit = " s" if tracks.sequence.time_unit == "s" else " frames"
+            words.append(f"period {beats[0].period:.3g}{unit}")
+    return ", ".join(words)

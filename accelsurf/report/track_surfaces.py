@@ -49,7 +49,7 @@ def write(tracks: TrackSet, folder: Path) -> None:
 
 
 class SavedTracks:
-    """What a tracking has left in its folder, a frame at a time: surfaces, predictions, paths of the centroids.
+    """A finished tracking in its folder, read frame by frame: surfaces, predictions, paths of the centroids.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class SavedTracks:
     def __init__(self, folder: Path, name: str, sequence: ImageSequence) -> None:
         self._sequence = sequence
         self._centroids = _read_centroids(folder / f"{name}_tracks.csv")
-        self.ids = tuple(sorted({own for frame in self._centroids.values() for own in frame}))
+        self.ids = tuple(sorted({object_id for frame in self._centroids.values() for object_id in frame}))
         self._store: FrameStore | None = None
         self._labels: ImageSequence | None = None
         surfaces = folder / f"{name}_surfaces"
@@ -103,20 +103,21 @@ class SavedTracks:
                 raise InputError(f"{self._store.folder}: frame {number} is damaged ({error})", _TRACK) from None
         assert self._labels is not None  # one of both is there
         labels = self._labels.frame(number).array
-        return [_piece_of(labels, int(own)) for own in np.unique(labels) if own]
+        return [_piece_of(labels, int(object_id)) for object_id in np.unique(labels) if object_id]
 
     def paths(self, number: int) -> dict[int, NDArray[np.float64]]:
-        """Of each object of a frame the centroids (n, 3), world mm, in the frames up to it, rising."""
-        found: dict[int, list[tuple[float, float, float]]] = {own: [] for own in self._centroids.get(number, {})}
+        """Return the centroids (n, 3), world mm, of each object of a frame in the frames up to it, rising."""
+        present = self._centroids.get(number, {})
+        found: dict[int, list[tuple[float, float, float]]] = {object_id: [] for object_id in present}
         for frame in sorted(self._centroids):
             if frame <= number:
-                for own in found.keys() & self._centroids[frame].keys():
-                    found[own].append(self._centroids[frame][own])
-        return {own: np.array(places) for own, places in sorted(found.items())}
+                for object_id in found.keys() & self._centroids[frame].keys():
+                    found[object_id].append(self._centroids[frame][object_id])
+        return {object_id: np.array(places) for object_id, places in sorted(found.items())}
 
 
 def _read_centroids(path: Path) -> dict[int, dict[int, tuple[float, float, float]]]:
-    """Of each frame the centroids by id, from the table of tracks."""
+    """Read the centroids of each frame, by id, from the table of tracks."""
     found: dict[int, dict[int, tuple[float, float, float]]] = {}
     check_readable(path, f"{path}: ")
     try:
@@ -158,17 +159,17 @@ def _check_grid(folder: Path, sequence: ImageSequence, labels: ImageSequence) ->
         raise InputError(f"{folder}: the label maps are of another sequence: {why}", _TRACK)
 
 
-def _piece_of(labels: NDArray[np.unsignedinteger], own: int) -> DrawnObject:
+def _piece_of(labels: NDArray[np.unsignedinteger], object_id: int) -> DrawnObject:
     """An object of a label map, its stair steps smoothed; psi is negative inside, in no unit."""
     # Not with the module: the viewer, which knows these folders, begins without half of SciPy.
     from scipy import ndimage
 
-    inner = bounding_box(labels == own)
+    inner = bounding_box(labels == object_id)
     assert inner is not None  # it has a voxel
     box = widened(inner, labels.shape, (_AROUND, _AROUND, _AROUND))
-    mask = (labels[box] == own).astype(np.float32)
+    mask = (labels[box] == object_id).astype(np.float32)
     soft = ndimage.gaussian_filter(mask, [_SOFT if n > 1 else 0.0 for n in labels.shape], mode="nearest")
     psi = np.float32(0.5) - soft
     # No voxel changes sides: a small object would vanish.
     psi = np.where(mask > 0, np.minimum(psi, -_LEAST), np.maximum(psi, _LEAST)).astype(np.float32)
-    return DrawnObject(own, True, SurfacePiece(corner_of(box), psi), None)
+    return DrawnObject(object_id, True, SurfacePiece(corner_of(box), psi), None)

@@ -6,14 +6,20 @@ those of the world (LPS) are features of their own. Its documentation, "TrackMat
 
 from __future__ import annotations
 
+import math
 import statistics
+from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree as Xml
 
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+
 from accelsurf.io.files import write_bytes
-from accelsurf.report.track_frames import TrackSet
-from accelsurf.report.track_spots import Spot, SpotGraph, spots_of
-from accelsurf.report.track_tables import ML
+from accelsurf.report.track_document import ML
+from accelsurf.report.track_frames import FrameRow, ObjectRow, TrackSet
 
 _VERSION = "7.11.1"
 #: Features of spots, edges and tracks: name, what it is, dimension, whether it is a whole number.
@@ -87,12 +93,12 @@ def _add_spots(model: Xml.Element, tracks: TrackSet, graph: SpotGraph) -> None:
     for spot in graph.spots:
         x, y, z = spot.along
         values = {
-            "ID": spot.number, "name": f"object {spot.own.id}", "QUALITY": spot.own.quality,
+            "ID": spot.number, "name": f"object {spot.tracked.id}", "QUALITY": spot.tracked.quality,
             "POSITION_X": x, "POSITION_Y": y, "POSITION_Z": z, "POSITION_T": spot.row.time, "FRAME": spot.row.frame,
-            "RADIUS": spot.radius, "VISIBILITY": 1, "OBJECT_ID": spot.own.id,
-            **dict(zip(("WORLD_X", "WORLD_Y", "WORLD_Z"), spot.own.centroid, strict=True)),
-            **dict(zip(("VELOCITY_X", "VELOCITY_Y", "VELOCITY_Z"), spot.own.velocity, strict=True)),
-            "VOLUME_ML": spot.own.volume_mm3 * ML, "SURFACE_AREA": spot.own.area_mm2,
+            "RADIUS": spot.radius, "VISIBILITY": 1, "OBJECT_ID": spot.tracked.id,
+            **dict(zip(("WORLD_X", "WORLD_Y", "WORLD_Z"), spot.tracked.centroid, strict=True)),
+            **dict(zip(("VELOCITY_X", "VELOCITY_Y", "VELOCITY_Z"), spot.tracked.velocity, strict=True)),
+            "VOLUME_ML": spot.tracked.volume_mm3 * ML, "SURFACE_AREA": spot.tracked.area_mm2,
         }
         Xml.SubElement(in_frame[spot.row.frame], "Spot", {name: _text(value) for name, value in values.items()})
 
@@ -160,3 +166,79 @@ def _distance(a: Spot, b: Spot) -> float:
 
 def _text(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+class Spot(NamedTuple):
+    """An object in a frame.
+
+    ``number`` counts the spots by frame and id; ``along`` is its place (x, y, z) along the grid from the middle of the
+    first voxel, mm; ``radius`` that of a ball of its volume, or of a disc of its area in an image of one slice, mm.
+    """
+
+    number: int
+    row: FrameRow
+    tracked: ObjectRow
+    along: tuple[float, float, float]
+    radius: float
+
+
+class SpotLink(NamedTuple):
+    """From a spot to one in a later frame; ``kind`` is motion, division or merging."""
+
+    source: int
+    target: int
+    kind: str
+
+
+@dataclass(frozen=True)
+class SpotGraph:
+    """Spots by number, and links by source and target."""
+
+    spots: tuple[Spot, ...]
+    links: tuple[SpotLink, ...]
+
+    def components(self) -> list[tuple[int, ...]]:
+        """Numbers of the spots that links join, each rising; by the first. A spot without links is one of its own."""
+        ends = np.array([(link.source, link.target) for link in self.links], np.int64).reshape(-1, 2).T
+        shape = (len(self.spots), len(self.spots))
+        count, part = csgraph.connected_components(sparse.coo_matrix((np.ones(ends.shape[1]), ends), shape), False)
+        return [tuple(np.flatnonzero(part == number).tolist()) for number in range(count)]
+
+
+def spots_of(tracks: TrackSet) -> SpotGraph:
+    """Return the spots of a tracking, and their links.
+
+    An object that is not seen for some frames has a link over the gap. A child is linked to where its parent was last
+    seen before.
+    """
+    spots: list[Spot] = []
+    of_object: dict[int, list[Spot]] = {}
+    for row in tracks.rows:
+        for tracked in row.objects:
+            if tracked.seen:
+                spots.append(Spot(len(spots), row, tracked, _along(tracks, tracked), _radius(tracks, tracked)))
+                of_object.setdefault(tracked.id, []).append(spots[-1])
+    links = [
+        SpotLink(spot.number, following.number, "motion")
+        for line in of_object.values()
+        for spot, following in zip(line[:-1], line[1:], strict=True)
+    ]
+    for link in tracks.lineage.links:
+        line = of_object.get(link.child, [])
+        before = [spot for spot in of_object.get(link.parent, []) if line and spot.row.frame < line[0].row.frame]
+        if before:
+            links.append(SpotLink(before[-1].number, line[0].number, link.kind))
+    return SpotGraph(tuple(spots), tuple(sorted(links)))
+
+
+def _along(tracks: TrackSet, tracked: ObjectRow) -> tuple[float, float, float]:
+    index = tracks.geometry.world_to_index(tracked.centroid)
+    z, y, x = (float(at) * step for at, step in zip(index, tracks.geometry.spacing, strict=True))
+    return x, y, z
+
+
+def _radius(tracks: TrackSet, tracked: ObjectRow) -> float:
+    axis = tracks.geometry.slice_axis
+    if axis is None:
+        return math.cbrt(3 * tracked.volume_mm3 / (4 * math.pi))
+    return math.sqrt(tracked.volume_mm3 / tracks.geometry.spacing[axis] / math.pi)

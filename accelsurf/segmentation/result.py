@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from accelsurf.analysis import contours
 from accelsurf.analysis.contours import Contours
-from accelsurf.analysis.quality import Quality, RestNote, assess
+from accelsurf.analysis.quality import Quality, RestNote, ValueRange, assess
 from accelsurf.analysis.surface_mesh import Surface, extract
 from accelsurf.energies.seeded import Sureness
 from accelsurf.errors import InputError
@@ -159,7 +159,8 @@ class SegmentedObject:
         """Measures of quality that need no reference."""
         rests = [RestNote(one.step, one.volume_mm3, one.left_at, one.place) for one in self.rests]
         seen = self.labels, self.image, self.geometry, self.history, self.stop
-        return assess(*seen, self.learned, rests, self.clicked, self.sureness)
+        learned = None if self.learned is None else ValueRange(*self.learned)
+        return assess(*seen, learned, rests, self.clicked, self.sureness)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -139,16 +139,16 @@ LABEL_OUTPUTS: Registry[LabelOutput] = Registry(
     LabelOutput("ctbl", "colour table of 3D Slicer", "labels.ctbl", "accelsurf.report.label_files:color_table"),
     LabelOutput("tsv", "table of labels as in BIDS", "dseg.tsv", "accelsurf.report.label_files:bids_table"),
     LabelOutput(
-        "dicom-seg", "DICOM segmentation, of an image in DICOM", "segmentation.dcm", "accelsurf.report.dicom_seg:write",
-        needs_dicom=True,
+        "dicom-seg", "DICOM segmentation, of an image in DICOM", "segmentation.dcm",
+        "accelsurf.report.dicom_seg:write_segmentation", needs_dicom=True,
     ),
     LabelOutput(
         "dicom-labelmap", "the same as a label map, which is smaller; few programs read it", "labelmap.dcm",
         "accelsurf.report.dicom_seg:write_labelmap", needs_dicom=True,
     ),
     LabelOutput(
-        "rtstruct", "DICOM structure set, of an image in DICOM", "rtstruct.dcm", "accelsurf.report.rtstruct:write",
-        needs_dicom=True,
+        "rtstruct", "DICOM structure set, of an image in DICOM", "rtstruct.dcm",
+        "accelsurf.report.dicom_seg:write_structure_set", needs_dicom=True,
     ),
 )
 

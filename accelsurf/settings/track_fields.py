@@ -63,13 +63,13 @@ TRACK_FORMATS: Registry[TrackFormat] = Registry(
     ),
     TrackFormat("trackmate", "XML file of TrackMate", "trackmate.xml", "accelsurf.report.trackmate_file:write"),
     TrackFormat(
-        "mp4", "movie of slices, prediction beside correction", "movie.mp4", "accelsurf.report.track_movie:write",
-        "accelsurf.report.track_movie:check_mp4",
+        "mp4", "movie of slices, prediction beside correction", "movie.mp4", "accelsurf.report.track_slices:write_movie",
+        "accelsurf.report.track_slices:check_mp4",
     ),
-    TrackFormat("gif", "the same as GIF", "movie.gif", "accelsurf.report.track_movie:write"),
+    TrackFormat("gif", "the same as GIF", "movie.gif", "accelsurf.report.track_slices:write_movie"),
     TrackFormat(
-        "webp", "the same as WebP", "movie.webp", "accelsurf.report.track_movie:write",
-        "accelsurf.report.track_movie:check_webp",
+        "webp", "the same as WebP", "movie.webp", "accelsurf.report.track_slices:write_movie",
+        "accelsurf.report.track_slices:check_webp",
     ),
 )
 

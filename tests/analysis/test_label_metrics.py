@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from accelsurf.analysis.label_metrics import LabelMap, evaluate_labels, evaluate_object, label_boxes, over_cases
-from accelsurf.analysis.metrics import evaluate
-from accelsurf.analysis.surface_dice import surface_dice
+from accelsurf.analysis.metrics import evaluate, surface_dice
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.volume import Volume
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.analysis.mesh_distance import TriangleIndex, largest_distance, mean_side, sides
-from accelsurf.analysis.mesh_shaping import MeshWish, is_sound, shape, smallest_angles, smoothed
+from accelsurf.analysis.mesh_shaping import MeshOptions, is_sound, shape, smallest_angles, smoothed
 from accelsurf.analysis.surface_mesh import Surface, extract
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
@@ -45,7 +45,7 @@ def test_a_spike_is_found_from_either_side(ball: Surface) -> None:
 def test_nearest_triangles_are_those_of_a_plain_search(ball: Surface) -> None:
     from accelsurf.analysis.mesh_distance import nearest_in
 
-    coarse = shape(ball, MeshWish(faces=60)).surface
+    coarse = shape(ball, MeshOptions(faces=60)).surface
     points = CENTRE + np.random.default_rng(1).normal(0, 7, (200, 3))
     corners = coarse.vertices[coarse.faces]
     plain = [
@@ -55,17 +55,17 @@ def test_nearest_triangles_are_those_of_a_plain_search(ball: Surface) -> None:
 
 
 def test_a_number_of_triangles_and_the_distance_that_it_costs(ball: Surface) -> None:
-    shaped = shape(ball, MeshWish(faces=300))
+    shaped = shape(ball, MeshOptions(faces=300))
     assert len(shaped.surface.faces) == 300 and is_sound(shaped.surface)
     assert 0.02 < shaped.distance_mm < 0.5
     assert shaped.distance_mm == largest_distance(ball, shaped.surface)
-    again = shape(ball, MeshWish(faces=300))
+    again = shape(ball, MeshOptions(faces=300))
     assert again.surface.vertices.tobytes() == shaped.surface.vertices.tobytes()
-    assert shape(ball, MeshWish(faces=10**6)).warnings
+    assert shape(ball, MeshOptions(faces=10**6)).warnings
 
 
 def test_an_error_holds_and_is_used(ball: Surface) -> None:
-    fine, coarse = shape(ball, MeshWish(error=0.05)), shape(ball, MeshWish(error=0.4))
+    fine, coarse = shape(ball, MeshOptions(error=0.05)), shape(ball, MeshOptions(error=0.4))
     for shaped, error in ((fine, 0.05), (coarse, 0.4)):
         assert error / 4 < largest_distance(ball, shaped.surface) <= error
         assert is_sound(shaped.surface)
@@ -74,22 +74,22 @@ def test_an_error_holds_and_is_used(ball: Surface) -> None:
 
 def test_what_contradicts_the_error_is_refused_with_one_that_does_not(ball: Surface) -> None:
     with pytest.raises(UsageError, match="20 triangles") as caught:
-        shape(ball, MeshWish(faces=20, error=0.1))
+        shape(ball, MeshOptions(faces=20, error=0.1))
     offered = float(caught.value.hint.split()[1].rstrip(","))
-    assert shape(ball, MeshWish(faces=20, error=offered)).distance_mm <= offered
+    assert shape(ball, MeshOptions(faces=20, error=offered)).distance_mm <= offered
     with pytest.raises(UsageError, match="mesh-smooth"):
-        shape(ball, MeshWish(smooth=6.0, error=1e-3))
+        shape(ball, MeshOptions(smooth=6.0, error=1e-3))
 
 
 def test_triangles_of_a_length_have_it_on_average(ball: Surface) -> None:
     for side in (3.0, 1.5):
-        shaped = shape(ball, MeshWish(side=side))
+        shaped = shape(ball, MeshOptions(side=side))
         own = shaped.surface
         assert mean_side(own) == pytest.approx(side, rel=0.15)
         assert is_sound(own)
         assert np.median(smallest_angles(own.vertices[own.faces])) > 40
     with pytest.raises(UsageError, match=r"0\.1 mm was given"):
-        shape(ball, MeshWish(side=0.1))
+        shape(ball, MeshOptions(side=0.1))
 
 
 def halved(surface: Surface) -> Surface:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.analysis import good_result
+from accelsurf.analysis import quality
 from accelsurf.analysis.metrics import dice
 from accelsurf.analysis.quality import RestNote, assess, click_features, features
 from accelsurf.energies.seeded import Proposal, Sureness
@@ -186,8 +186,8 @@ def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
     image = (r < 12) + np.random.default_rng(1).normal(0, 0.05, SHAPE)
     history = [step_record(0, volume_mm3=900.0), step_record(9, volume_mm3=7200.0, area_mm2=1810.0)]
     good, bad = (look(mask, image, history) for mask in (r < 12, (r < 7) | ((x > 0) & (r < 16))))
-    assert good.probability > good_result.threshold("image") > bad.probability
-    model = good_result.models()["image"]
+    assert good.probability > quality.warning_threshold("image") > bad.probability
+    model = quality.calibrated_models()["image"]
     total = model["constant"] + sum(
         weight * (features(good, "converged", 7200.0)[name] - mean) / deviation
         for name, (mean, deviation, weight) in model["features"].items()
@@ -204,7 +204,7 @@ def test_what_the_model_of_the_clicks_says_counts_for_all():
         found = assess(*seen, sureness=Sureness(0.85, 1, 0.3, 0.9, Proposal(7000.0, 0.6))._replace(**changes))
         assert click_features(found) == features(found, "converged", 7200.0)
         doubted = [words for words in found.warnings if words.startswith("doubt: ")]
-        assert bool(doubted) == (found.probability < good_result.threshold("clicks"))
+        assert bool(doubted) == (found.probability < quality.warning_threshold("clicks"))
         return found.probability
 
     usual = probability()
@@ -242,7 +242,7 @@ def test_nothing_left_and_one_slice():
 
 @pytest.mark.parametrize("shape", [(12, 14, 9), (1, 20, 13)])
 def test_gradients_of_some_voxels_are_those_of_all(shape):
-    from accelsurf.analysis.edges import gradients
+    from accelsurf.analysis.quality import gradients
     from accelsurf.energies.geodesic import gradient_magnitude
 
     image = np.random.default_rng(1).normal(size=shape).astype(np.float32)
@@ -252,7 +252,7 @@ def test_gradients_of_some_voxels_are_those_of_all(shape):
 
 
 def test_a_sample_of_the_inside_tells_as_much(monkeypatch):
-    from accelsurf.analysis import edges
+    from accelsurf.analysis import quality as edges
 
     z, y, x = coordinates()
     r = np.sqrt(z**2 + y**2 + x**2)
@@ -264,7 +264,7 @@ def test_a_sample_of_the_inside_tells_as_much(monkeypatch):
 
 
 def test_slabs_make_no_difference(monkeypatch):
-    from accelsurf.analysis import edges
+    from accelsurf.analysis import quality as edges
     from accelsurf.grid import boxes
 
     z, y, x = coordinates()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from accelsurf.analysis.contours import extract as extract_contours
-from accelsurf.analysis.small_parts import cubic_at
 from accelsurf.analysis.surface_mesh import extract
+from accelsurf.analysis.vertex_placement import cubic_at
 from accelsurf.grid.geometry import Geometry
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.analysis.track_graph import Stretch, stretches
-from accelsurf.analysis.tracking_scores import Operations, TrackedLabels, score
+from accelsurf.analysis.tracking_scores import Operations, Stretch, TrackedLabels, score, stretches
 
 
 def line(*runs):

@@ -11,7 +11,7 @@ from accelsurf.evolution.loop import Stop
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import Level
-from accelsurf.report import document, file_entries
+from accelsurf.report import document
 from accelsurf.settings.run_config import RunConfig
 from tests.support.records import step_record
 
@@ -60,7 +60,7 @@ def test_every_key_is_there_with_and_without_a_result():
         exit_code=0,
         argv=["accelsurf", "segment"],
         config=RunConfig(seed=4, threads=2),
-        source=file_entries.describe_input("scan.nii", geometry=Geometry((5, 4, 3), (2.0, 1.0, 0.5)), checksum="abc"),
+        source=document.describe_input("scan.nii", geometry=Geometry((5, 4, 3), (2.0, 1.0, 0.5)), checksum="abc"),
         result=finished(),
         seconds={"load": 0.5, "total": 3.0},
         warnings=["from outside"],
@@ -111,3 +111,11 @@ def test_json_is_strict_and_takes_numpy():
     text = document.to_json({"a": np.float32(0.5), "b": float("inf"), "c": (1, np.int64(2)), "d": np.eye(2), "é": True})
     assert json.loads(text) == {"a": 0.5, "b": None, "c": [1, 2], "d": [[1, 0], [0, 1]], "é": True}
     assert "Infinity" not in text
+
+
+def test_describe_output_has_the_checksum_of_the_file(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"abc")
+    entry = document.describe_output(path, "trace")
+    assert entry["sha256"] == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert (entry["path"], entry["kind"]) == (str(path), "trace")

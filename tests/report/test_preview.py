@@ -5,18 +5,21 @@ import io
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import matplotlib
 import numpy as np
 import pytest
 from matplotlib import image as mpl_image
+from matplotlib.colors import to_hex
+from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 
 from accelsurf.analysis.surface_mesh import Surface, extract
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.report import canvas, preview
-from accelsurf.report.axes import ticks
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.report.slice_views import click_views, doubt_views, main_views, shown_ranges, whole_ranges
 from accelsurf.settings.wording import volume_text
@@ -147,94 +150,83 @@ def test_clicks_are_drawn_in_their_colours_and_late_growth_has_its_slice():
     assert share_of(plain[len(plain) // 2 :], canvas.ORANGE) == 0
 
 
-def test_around_the_object_30_percent_are_shown_and_the_whole_slice_is_inset(monkeypatch):
+@pytest.fixture
+def figures(monkeypatch):
+    """Figures as they are drawn."""
+    drawn, pixels_of = [], canvas.Canvas.pixels
+
+    def pixels(self):
+        drawn.append(self.figure)
+        return pixels_of(self)
+
+    monkeypatch.setattr(canvas.Canvas, "pixels", pixels)
+    return drawn
+
+
+def texts_of(figure):
+    return [text.get_text() for text in figure.findobj(Text) if text.get_text()]
+
+
+def test_around_the_object_30_percent_are_shown_and_the_whole_slice_is_inset(figures):
     psi, geometry = wide((60, 90, 96), 12, (30, 40, 50))  # 12 slices of 2 mm, 24 voxels to the sides
     ranges = shown_ranges(content(psi, geometry))
     box = [np.flatnonzero((psi < 0).any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
     for (low, high), own, least in zip(ranges, box, (3, 6, 6), strict=True):
         room = max(round(0.3 * (own[-1] + 1 - own[0])), least)
         assert (low, high) == (own[0] - room, own[-1] + 1 + room)
-    frames, rectangle = [], canvas.Canvas.rectangle
-
-    def drawn(self, box, **options):
-        frames.append((box, options.get("outline")))
-        return rectangle(self, box, **options)
-
-    monkeypatch.setattr(canvas.Canvas, "rectangle", drawn)
     preview.preview_png(content(psi, geometry))
-    whole, part = ([box for box, color in frames if color == wanted] for wanted in ("white", canvas.YELLOW))
-    assert len(whole) == len(part) == 3  # an inset in each slice, with what is shown in it
-    for (left, top, right, bottom), inner in zip(whole, part, strict=True):
-        assert left <= inner[0] < inner[2] <= right and top <= inner[1] < inner[3] <= bottom
+    insets = [axes for axes in figures[0].axes if to_hex(axes.spines["left"].get_edgecolor()) == "#ffffff"]
+    assert len(insets) == 3  # in each slice
+    for inset in insets:
+        (part,) = inset.patches
+        assert isinstance(part, Rectangle) and to_hex(part.get_edgecolor()) == canvas.YELLOW.lower()
+        inner, whole = part.get_window_extent(), inset.bbox
+        assert whole.x0 <= inner.x0 < inner.x1 <= whole.x1 and whole.y0 <= inner.y0 < inner.y1 <= whole.y1
     # Of an object that fills its image there is none.
-    frames.clear()
     preview.preview_png(content(*ball_on_grid()))
-    assert not [box for box, color in frames if color == canvas.YELLOW]
+    assert not any(axes.patches for axes in figures[1].axes)
 
 
-@pytest.fixture
-def written(monkeypatch):
-    """Texts as they are written, with their places."""
-    said, write = [], canvas.Canvas.text
-
-    def text(self, at, text, *more, **named):
-        said.append((text, at))
-        return write(self, at, text, *more, **named)
-
-    monkeypatch.setattr(canvas.Canvas, "text", text)
-    return said
-
-
-def test_where_to_click_next_is_drawn_with_a_slice_of_its_own_where_no_other_shows_it(written):
+def test_where_to_click_next_is_drawn_with_a_slice_of_its_own_where_no_other_shows_it(figures):
     psi, geometry = wide()
     captions = {}
     for place in ((10, 20, 46), (13, 22, 42)):
-        written.clear()
         made = content(psi, geometry, history=[], next_clicks=[place])
         views = doubt_views(made)
         assert [(view.index, view.why) for view in views] == ([] if place[0] == 10 else [(13, "click next")])
         picture = pixels(preview.preview_png(made))
         assert share_of(picture, canvas.YELLOW) > 2e-5
-        captions[place] = [text for text, _ in written].count("click next?")
+        captions[place] = texts_of(figures[-1]).count("click next?")
     assert captions == {(10, 20, 46): 2, (13, 22, 42): 1}  # in the slices that go through it
-    written.clear()
     late = content(psi, geometry, history=[], next_clicks=[(13, 22, 42)], late_growth=(12.0, 24.0, 40.0))
     assert [view.why for view in doubt_views(late)] == ["latest growth", "click next"]
     preview.preview_png(late)
-    assert sum(text.startswith(("latest growth", "click next,")) for text, _ in written) == 2
-    written.clear()
+    assert sum(text.startswith(("latest growth", "click next,")) for text in texts_of(figures[-1])) == 2
     preview.preview_png(content(psi, geometry))
-    assert "click next?" not in [text for text, _ in written]
+    assert "click next?" not in texts_of(figures[-1])
 
 
-def test_an_id_is_written_away_from_the_mark_of_the_click(written, monkeypatch):
+def test_an_id_is_written_away_from_the_mark_of_the_click(figures):
     psi, geometry = wide()
     whole = (slice(0, 20), slice(0, 60), slice(0, 64))
-    arms, line = [], canvas.Canvas.line
-
-    def drawn(self, points, color, width=1.0, *more):
-        if len(points) == 2 and width == 5.0:
-            arms.append(np.mean(points, axis=0))
-        return line(self, points, color, width, *more)
-
-    monkeypatch.setattr(canvas.Canvas, "line", drawn)
     for place in ((10, 20, 40), (10, 22, 38)):
-        written.clear(), arms.clear()
         marks = marks_of([click("inside", place, id=70)], geometry.spacing)
         preview.preview_png(content(psi, geometry, history=[], objects=[ObjectShape(70, whole, psi)], clicks=marks))
-        ids = [at for text, at in written if text == "70"]
-        assert len(ids) == 3 and len(arms) == 6  # two to each mark
-        for at, mark in zip(ids, arms[::2], strict=True):
-            assert np.hypot(*(np.array(at) - mark)) > 18
+        slices = [axes for axes in figures[-1].axes if any(text.get_text() == "70" for text in axes.texts)]
+        assert len(slices) == 3
+        for axes in slices:
+            (name,) = (text for text in axes.texts if text.get_text() == "70")
+            (mark, *_) = (line for line in axes.lines if line.get_marker() == "+")
+            box = name.get_window_extent()
+            middle = np.array([box.x0 + box.x1, box.y0 + box.y1]) / 2
+            assert np.hypot(*(middle - axes.transData.transform(mark.get_xydata()[0]))) > 18
 
 
-def test_energies_of_corrections_are_not_drawn_and_it_is_said(written):
-    made = content(*ball_on_grid(), steps_left_out=12)
-    preview.preview_png(made)
-    assert "12 steps of corrections are not drawn:" in [text for text, _ in written]
-    written.clear()
+def test_energies_of_corrections_are_not_drawn_and_it_is_said(figures):
+    preview.preview_png(content(*ball_on_grid(), steps_left_out=12))
+    assert any("12 steps of corrections are not drawn:" in text for text in texts_of(figures[-1]))
     preview.preview_png(content(*ball_on_grid()))
-    assert not [text for text, _ in written if "corrections" in text]
+    assert not any("corrections" in text for text in texts_of(figures[-1]))
 
 
 def test_objects_have_their_own_colours_in_slices_and_in_3d():
@@ -278,24 +270,44 @@ def test_window_is_that_of_the_object_and_its_surroundings():
     assert grey.tolist() == [0, 127, 255, 0]
 
 
-def test_a_picture_loads_no_plotting_library():
+def test_the_plotting_library_is_loaded_by_the_first_picture_and_never_pyplot():
     code = (
         "import sys, numpy as np; from accelsurf.grid.geometry import Geometry\n"
         "from accelsurf.report import preview; from accelsurf.report.preview_content import PreviewContent\n"
+        "assert 'matplotlib' not in sys.modules\n"
         "psi = np.ones((5, 6, 7), np.float32); psi[2, 2:4, 2:4] = -1\n"
         "made = PreviewContent(psi, psi, Geometry(psi.shape, (1.0, 1.0, 1.0)), [], None, 'a')\n"
-        "assert preview.preview_png(made)[1:4] == b'PNG'; sys.exit('matplotlib' in sys.modules)"
+        "assert preview.preview_png(made)[1:4] == b'PNG'; sys.exit('matplotlib.pyplot' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], timeout=120).returncode == 0
 
 
-def test_ticks_are_round_and_few():
-    assert [text for _, text in ticks(-774.5, -700.0, 5)] == ["-760", "-740", "-720", "-700"]
-    assert [text for _, text in ticks(0.0, 2.1e6, 3)] == ["0", "1e6", "2e6"]
-    assert [text for _, text in ticks(0.0, 0.3, 4)] == ["0.0", "0.1", "0.2", "0.3"]
-    assert len(ticks(5.0, 5.0, 4)) == 1
-    for count in range(1, 12):
-        assert len(ticks(-3.7, 118.2, count)) <= count + 1
+@pytest.mark.parametrize(
+    ("ends", "texts"),
+    [((-774.5, -700.0), {"-760", "-740", "-720", "-700"}), ((0.0, 0.3), {"0.0", "0.1", "0.2", "0.3"})],
+)
+def test_ticks_are_round_and_few(ends, texts):
+    axes = canvas.Canvas(400, 400).axes(canvas.Box(50, 50, 350, 350), ends, (0, 1))
+    canvas.write_scales(axes, "mm", "mm")
+    axes.figure.canvas.draw()
+    low, high = ends
+    shown = {text.get_text() for text in axes.get_xticklabels() if low <= text.get_position()[0] <= high + 1e-9}
+    assert {text.replace("\u2212", "-") for text in shown} == texts
+
+
+def test_the_same_bytes_whatever_a_users_settings_of_matplotlib():
+    made = content(*ball_on_grid())
+    usual = preview.preview_png(made)
+    style = {"font.size": 30, "lines.linewidth": 9, "axes.grid": True, "font.family": "serif", "xtick.direction": "in"}
+    with matplotlib.rc_context(style):
+        assert preview.preview_png(made) == usual
+
+
+def test_pictures_in_threads_have_the_same_bytes():
+    made = content(*ball_on_grid())
+    usual = preview.preview_png(made)
+    with ThreadPoolExecutor(3) as pool:
+        assert set(pool.map(preview.preview_png, [made] * 3)) == {usual}
 
 
 def test_long_titles_are_shortened_and_volumes_have_the_unit_of_their_size():
@@ -304,17 +316,9 @@ def test_long_titles_are_shortened_and_volumes_have_the_unit_of_their_size():
     assert canvas.text_width(short, 14) <= 120 and "..." in short
 
 
-def test_scale_bars_are_in_the_unit_of_the_file(monkeypatch):
-    said, write = [], canvas.Canvas.text
-
-    def text(self, at, text, *more, **named):
-        said.append(text)
-        write(self, at, text, *more, **named)
-
-    monkeypatch.setattr(canvas.Canvas, "text", text)
+def test_scale_bars_are_in_the_unit_of_the_file(figures):
     for unit, factor in (("mm", 1), ("um", 1000)):
-        said.clear()
         preview.preview_png(content(*ball_on_grid(), unit=unit))
-        bars = [words for words in said if re.fullmatch(r"[\d.e+]+ [um]m", words)]
+        bars = [words for words in texts_of(figures[-1]) if re.fullmatch(r"[\d.e+]+ [um]m", words)]
         assert len(bars) >= 2 and all(words.endswith(f" {unit}") for words in bars)
         assert all(1 <= float(words.split()[0]) / factor <= 20 for words in bars)

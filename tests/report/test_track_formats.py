@@ -7,7 +7,7 @@ from accelsurf import io
 from accelsurf.errors import OutputError
 from accelsurf.report import challenge_files, geff_file, trackmate_file
 from accelsurf.report.track_frames import FrameStore, TrackSet
-from accelsurf.report.track_spots import spots_of
+from accelsurf.report.trackmate_file import spots_of
 from accelsurf.tracking.records import Lineage, Track
 from tests.support.trackings import Ball, dividing_cells, flat_cells, tracking
 
@@ -65,7 +65,7 @@ def test_an_object_without_a_voxel_is_in_no_frame_of_the_challenge(tmp_path):
 
 def test_spots_are_linked_over_gaps_and_divisions(cells):
     graph = spots_of(cells)
-    named = [(spot.row.frame, spot.own.id) for spot in graph.spots]
+    named = [(spot.row.frame, spot.tracked.id) for spot in graph.spots]
     assert named == [(0, 1), (0, 2), (1, 1), (1, 2), (2, 2), (3, 1), (3, 3), (3, 4), (4, 1), (4, 3), (4, 4)]
     assert {(named[a], named[b]): kind for a, b, kind in graph.links} == {
         ((0, 1), (1, 1)): "motion", ((1, 1), (3, 1)): "motion", ((3, 1), (4, 1)): "motion",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
-from accelsurf.report.label_names import given_of
+from accelsurf.report.label_files import given_labels
 from accelsurf.settings.labels import colored, named
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object
@@ -42,7 +42,7 @@ class ObjectCommands:
     def __init__(self, timeline: Timeline, config: RunConfig) -> None:
         self._timeline = timeline
         self._names, self._colors = dict[int, str](), dict[int, str]()
-        self.labels = self._first = given_of(config)
+        self.labels = self._first = given_labels(config)
         self._drag: tuple[SizeDrag, int | None] | None = None
 
     # -- which there are -----------------------------------------------------------------------------------

@@ -14,9 +14,7 @@ from accelsurf.io.file_set import FileSet, InputFiles
 from accelsurf.io.files import write_bytes
 from accelsurf.report import (
     document,
-    file_entries,
     label_files,
-    object_files,
     output_folder,
     output_names,
     outputs,
@@ -129,8 +127,8 @@ def _result_paths(result: Result, folder: Path, names: Mapping[str, str]) -> dic
     """The files of a result by kind; of meshes of several objects those that exist: they are replaced or removed."""
     if not result.has_ids:
         return {kind: folder / last for kind, last in names.items()}
-    paths = {kind: folder / last for kind, last in names.items() if not kind.startswith(object_files.EACH)}
-    return paths | {path.name: path for path in object_files.existing(folder, names)}
+    paths = {kind: folder / last for kind, last in names.items() if not kind.startswith(output_names.EACH)}
+    return paths | {path.name: path for path in output_names.existing(folder, names)}
 
 
 def _check_paths(paths: dict[str, Path], replaceable: Collection[Path] | None) -> None:
@@ -149,9 +147,9 @@ def _write_report(
         exit_code=0,
         argv=sys.argv,
         config=result.config,
-        source=None if source is None else file_entries.describe_input(source, geometry=result.geometry),
+        source=None if source is None else document.describe_input(source, geometry=result.geometry),
         result=result,
-        outputs=file_entries.describe_drafts(files, kinds),
+        outputs=document.describe_drafts(files, kinds),
     )
     write_bytes(files.drafts / report, (document.to_json(contents) + "\n").encode())
 

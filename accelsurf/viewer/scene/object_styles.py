@@ -8,7 +8,7 @@ from typing import NamedTuple
 import pyvista as pv
 
 from accelsurf.report.canvas import object_color
-from accelsurf.report.label_names import given_of
+from accelsurf.report.label_files import given_labels
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame
 
@@ -56,7 +56,7 @@ def given_styles(config: RunConfig) -> dict[int, ObjectStyle]:
     >>> given_styles(RunConfig(name=["liver"], color=["#c83c3c"]))
     {1: ObjectStyle(name='liver', color='#c83c3c', visible=True, opacity=1.0)}
     """
-    return {own: ObjectStyle(said.name, said.hex) for own, said in given_of(config).entries.items()}
+    return {own: ObjectStyle(said.name, said.hex) for own, said in given_labels(config).entries.items()}
 
 
 class ObjectStyles:
