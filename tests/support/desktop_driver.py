@@ -27,7 +27,7 @@ from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.desktop import Window, application
-from accelsurf.viewer.frontends.panels.setting_row import EnergyRow, SettingRow, SliderRow, SwitchRow, TextRow
+from accelsurf.viewer.frontends.panels.settings import EnergyRow, SettingRow, SliderRow, SwitchRow, TextRow
 
 
 def main() -> None:

@@ -22,8 +22,7 @@ from PIL import Image
 
 from accelsurf import cli, io
 from accelsurf.viewer.frontends import page_connections
-from accelsurf.viewer.frontends.page_connections import MAX_CONNECTIONS, MAX_IDLE, ConnectionLimit
-from accelsurf.viewer.frontends.page_guard import LOCAL, PageGuard
+from accelsurf.viewer.frontends.page_guard import LOCAL, MAX_CONNECTIONS, MAX_IDLE, ConnectionLimit, PageGuard
 from tests.support import viewing
 
 aiohttp = pytest.importorskip("aiohttp", reason='trame is missing: pip install "accelsurf[viewer]"')

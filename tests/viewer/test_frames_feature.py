@@ -13,7 +13,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.sequence_view import MAX_FRAMES, SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.scene.track_marks import dashed
+from accelsurf.viewer.scene.shapes import dashed
 from accelsurf.viewer.workplace.frames import FramesFeature
 from accelsurf.viewer.workplace.workplace import Workplace
 from tests.support import viewing

@@ -7,9 +7,8 @@ import pytest
 
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.page_document import document
-from accelsurf.viewer.workplace.history import HistoryFeature
-from accelsurf.viewer.workplace.mouse import MouseFeature
-from accelsurf.viewer.workplace.wheel import ZOOM
+from accelsurf.viewer.workplace.mouse import ZOOM, MouseFeature
+from accelsurf.viewer.workplace.run import HistoryFeature
 from accelsurf.viewer.workplace.workplace import Workplace
 from tests.viewer.test_corrections import CONFIGS, ended, scan
 from tests.viewer.test_strokes import drag, place_of, shown

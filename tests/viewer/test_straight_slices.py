@@ -16,8 +16,8 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.measurements import Measurement
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.size_drag import SizeDrag
-from accelsurf.viewer.scene.cuts import DragLines, function_lines, surface_lines
 from accelsurf.viewer.scene.scene import Scene
+from accelsurf.viewer.scene.slices import DragLines, function_lines, surface_lines
 from accelsurf.viewer.workplace.box import BoxFeature
 from accelsurf.viewer.workplace.force import ForceFeature
 from accelsurf.viewer.workplace.workplace import Workplace

@@ -115,8 +115,8 @@ def test_the_page_reads_unit_and_digits_from_the_rows():
 WINDOW = """
 from PySide6.QtWidgets import QApplication
 app = QApplication([])
-from accelsurf.viewer.frontends.panels.amount import Amount
-from accelsurf.viewer.workplace.amounts import amount
+from accelsurf.viewer.frontends.panels.section import Amount
+from accelsurf.viewer.workplace.settings_rows import amount
 made, emitted = Amount(amount(0.00025, 0.024, 0.001, 2.0, 1.0)), []
 made.changed.connect(emitted.append)
 made.show_value(0.001)

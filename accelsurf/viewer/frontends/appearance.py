@@ -8,8 +8,7 @@ from typing import NamedTuple
 from PySide6.QtGui import QColor, QPalette
 
 from accelsurf.viewer.scene.colors import ALARM, EDGE, ON_SURFACE, SURFACE
-from accelsurf.viewer.workplace.feature import Key
-from accelsurf.viewer.workplace.help import help_rows
+from accelsurf.viewer.workplace.tool import Key, help_rows
 
 
 class ControlColors(NamedTuple):

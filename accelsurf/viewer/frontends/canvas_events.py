@@ -8,9 +8,8 @@ from PySide6.QtCore import QEvent, QObject, QPointF, Qt
 from PySide6.QtGui import QEventPoint, QInputDevice, QMouseEvent, QNativeGestureEvent, QTouchEvent, QWheelEvent
 from pyvistaqt import QtInteractor
 
-from accelsurf.viewer.workplace.mouse import LEFT, MIDDLE, RIGHT, MouseFeature
+from accelsurf.viewer.workplace.mouse import LEFT, MIDDLE, RIGHT, ZOOM, MouseFeature
 from accelsurf.viewer.workplace.slices import SlicesFeature
-from accelsurf.viewer.workplace.wheel import ZOOM
 from accelsurf.viewer.workplace.workplace import Workplace
 
 _BUTTONS = {Qt.MouseButton.LeftButton: LEFT, Qt.MouseButton.MiddleButton: MIDDLE, Qt.MouseButton.RightButton: RIGHT}

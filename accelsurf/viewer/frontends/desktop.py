@@ -28,15 +28,13 @@ from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.appearance import page_of_help, palette, sheet
 from accelsurf.viewer.frontends.canvas_events import CanvasEvents
-from accelsurf.viewer.frontends.frame_bar import FrameBar
-from accelsurf.viewer.frontends.one_line import OneLine
+from accelsurf.viewer.frontends.panels.section import OneLine
 from accelsurf.viewer.frontends.panels.side import SidePanels
-from accelsurf.viewer.frontends.playback_bar import PlaybackBar
+from accelsurf.viewer.frontends.playback_bar import FrameBar, PlaybackBar
 from accelsurf.viewer.scene.scene import SIZE, Scene
 from accelsurf.viewer.workplace.mouse import MouseFeature
-from accelsurf.viewer.workplace.quiet import Quiet
 from accelsurf.viewer.workplace.slices import READ_OUT
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Quiet, Workplace
 
 #: How often the window looks for something new, milliseconds.
 POLL_MS = 15

@@ -18,9 +18,7 @@ from accelsurf.viewer.frontends.appearance import palette, sheet
 from accelsurf.viewer.frontends.desktop import Window, application
 from accelsurf.viewer.frontends.start_page import ChoiceDialog, StartPage, question_box
 from accelsurf.viewer.scene.scene import SIZE
-from accelsurf.viewer.workplace.folders import ResultFolders
-from accelsurf.viewer.workplace.former_sessions import FormerSessions
-from accelsurf.viewer.workplace.opening import Opening
+from accelsurf.viewer.workplace.opening import FormerSessions, Opening, ResultFolders
 
 #: How often it looks for what has been opened, milliseconds.
 POLL_MS = 30

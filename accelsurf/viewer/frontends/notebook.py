@@ -18,8 +18,8 @@ from accelsurf.report.movies import png_bytes
 from accelsurf.segmentation.api import Result
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.frontends.export import html_page, write_html
+from accelsurf.viewer.scene.colors import given_styles
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
-from accelsurf.viewer.scene.object_styles import given_styles
 from accelsurf.viewer.scene.scene import SIZE, Scene
 
 #: PyVista's backends for notebooks.

@@ -13,10 +13,11 @@ import io
 import secrets
 import socket
 import sys
+import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,14 +37,11 @@ from accelsurf.viewer.frontends.page_guard import LOCAL, PageGuard
 from accelsurf.viewer.frontends.page_uploads import PageUploads
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.files import FilesFeature
-from accelsurf.viewer.workplace.folders import ResultFolders
-from accelsurf.viewer.workplace.former_sessions import FormerSessions
-from accelsurf.viewer.workplace.help import help_rows
 from accelsurf.viewer.workplace.mouse import MouseFeature
-from accelsurf.viewer.workplace.opening import Opening
+from accelsurf.viewer.workplace.opening import FormerSessions, Opening, ResultFolders
 from accelsurf.viewer.workplace.picture import PictureFeature
-from accelsurf.viewer.workplace.quiet import Quiet
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.tool import help_rows
+from accelsurf.viewer.workplace.workplace import Quiet, Workplace
 
 #: Seconds between looks at the session; `Session.next_view` bounds the pictures per second.
 POLL_SECONDS = 0.02
@@ -329,3 +327,64 @@ def _import_trame() -> tuple[Any, Any, Any]:
     except ImportError:
         raise UsageError("browser: trame is not installed", INSTALL) from None
     return get_server, DivLayout, Style
+
+
+def serve(
+    opening: Opening,
+    first: tuple[OpenedImage, Session] | None,
+    folder: Path | None,
+    theme: str,
+    overwrite: bool = False,
+    checkpoint_mb: float = CHECKPOINT_MB,
+    host: str = LOCAL,
+    port: int = 0,
+    on_ready: Callable[[str], None] | None = None,
+) -> None:
+    """Serve the page until Ctrl-C.
+
+    Parameters
+    ----------
+    opening : Opening
+    first : (OpenedImage, Session) or None
+        The image that is open at first; None for the start page.
+    folder : Path or None
+        Where files are saved; None: a folder that is deleted at the end, from which they can be downloaded.
+    theme : str
+        "dark" or "light".
+    overwrite : bool, optional
+        Replace files there that a session has not written.
+    checkpoint_mb : float, optional
+        Memory for stored steps, MB.
+    host, port : str, int, optional
+        As of `Page`.
+    on_ready : callable, optional
+        Called with the address, once the page is served.
+
+    Raises
+    ------
+    UsageError
+        When trame is not installed.
+    OutputError
+        When the server cannot listen on the address.
+    GraphicsError
+        When nothing can be drawn here.
+    """
+    with contextlib.ExitStack() as stack:
+        temporary = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="accelsurf-")))
+        uploads = temporary / "uploads"
+        uploads.mkdir()
+        page = Page(opening, folder or temporary, uploads, host, port, overwrite, theme, checkpoint_mb)
+        stack.callback(page.close)
+        if first is not None:
+            page.open(*first)
+        with contextlib.suppress(KeyboardInterrupt):
+            asyncio.run(_serve(page, on_ready))
+
+
+async def _serve(page: Page, on_ready: Callable[[str], None] | None) -> None:
+    serving = asyncio.ensure_future(page.serve())
+    while not page.address and not serving.done():
+        await asyncio.sleep(POLL_SECONDS)
+    if page.address and on_ready is not None:
+        on_ready(page.address)
+    await serving

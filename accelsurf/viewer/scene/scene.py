@@ -5,15 +5,16 @@ A scene draws `Frame`s and knows no solver. Nothing is rendered before `render` 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
+from vtkmodules.vtkRenderingCore import vtkRenderWindow, vtkWindowToImageFilter
 
-from accelsurf.errors import UsageError, check_known
+from accelsurf.errors import InputError, UsageError, check_known
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow, window_of
@@ -25,19 +26,15 @@ from accelsurf.io.metadata import UNIT_KEY
 from accelsurf.report.movies import write_png
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
-from accelsurf.viewer.scene.captions import caption, legend_lines, volume_line
 from accelsurf.viewer.scene.chart import EnergyChart
-from accelsurf.viewer.scene.colors import Theme, theme_named
+from accelsurf.viewer.scene.colors import ObjectStyle, ObjectStyles, Theme, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
-from accelsurf.viewer.scene.legend import Legend
-from accelsurf.viewer.scene.marks import Marks
+from accelsurf.viewer.scene.legend import Legend, caption, legend_lines, volume_line
 from accelsurf.viewer.scene.measure_marks import MeasureLayer
-from accelsurf.viewer.scene.object_styles import ObjectStyle, ObjectStyles
-from accelsurf.viewer.scene.picking import Picked, place_in_renderer
-from accelsurf.viewer.scene.pictures import grab
-from accelsurf.viewer.scene.reference import Reference
+from accelsurf.viewer.scene.shapes import label_surface
 from accelsurf.viewer.scene.slices import SliceTile
-from accelsurf.viewer.scene.space import SpaceTile
+from accelsurf.viewer.scene.space import Picked, SpaceTile, place_in_renderer
+from accelsurf.viewer.scene.stroke_marks import Marks
 from accelsurf.viewer.scene.tiles import Tiles
 
 #: Size of a window or picture unless another is asked for, pixels.
@@ -398,3 +395,60 @@ class Scene:
     def close(self) -> None:
         """Free the plotter and its memory."""
         self.plotter.close()
+
+
+def grab(window: vtkRenderWindow) -> NDArray[np.uint8]:
+    """Return what a rendered window shows, (height, width, 3)."""
+    filter_ = vtkWindowToImageFilter()
+    filter_.SetInput(window)
+    filter_.ReadFrontBufferOff()
+    filter_.ShouldRerenderOff()
+    filter_.Update()
+    image = pv.wrap(filter_.GetOutput())
+    width, height, _ = image.dimensions
+    return np.asarray(image.point_data.active_scalars).reshape(height, width, -1)[::-1, :, :3].copy()
+
+
+class Reference:
+    """The true object or objects, as one.
+
+    Parameters
+    ----------
+    labels : Volume
+        Above 0 is the object.
+    geometry : Geometry
+        Of the image.
+
+    Attributes
+    ----------
+    inside : ndarray (nz, ny, nx), bool
+    contour_function : ndarray (nz, ny, nx), float32
+        Negative inside; 0 halfway between voxels inside and outside.
+
+    Raises
+    ------
+    InputError
+        When the labels are on another grid than the image.
+    """
+
+    def __init__(self, labels: Volume, geometry: Geometry) -> None:
+        if not geometry.matches(labels.geometry):
+            raise InputError(
+                f"the reference is not on the image's grid: {geometry.difference(labels.geometry)}",
+                "resample it to the image's grid",
+            )
+        self._geometry = geometry
+        self.inside: NDArray[np.bool_] = np.asarray(labels.array > 0)
+        self.contour_function: NDArray[np.float32] = np.asarray(np.float32(0.5) - self.inside)
+        self._voxels = int(self.inside.sum())
+
+    def draw(self, space: SpaceTile | None, tiles: Iterable[SliceTile]) -> None:
+        """Draw the surface in 3D, and the contours in the slices."""
+        if space is not None:
+            space.show_reference(label_surface(self.inside, self._geometry))
+        for tile in tiles:
+            tile.draw_reference(self.contour_function)
+
+    def dice(self, frame: Frame) -> float:
+        """Dice of the reference and all objects of a frame; coarse frames count their voxels."""
+        return frame.dice(self.inside, self._voxels)

@@ -2,26 +2,191 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
+from vtkmodules.vtkCommonDataModel import vtkPlane
 from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
-from accelsurf.viewer.core.frame import Frame
-from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, SURFACE, Theme, color_range
+from accelsurf.viewer.core.frame import Frame, SurfaceFrame
+from accelsurf.viewer.scene.colors import (
+    CURSOR,
+    MARK,
+    REFERENCE,
+    SHADES,
+    SURFACE,
+    ObjectStyles,
+    Theme,
+    color_range,
+    paint,
+)
 from accelsurf.viewer.scene.legend import color_scale
-from accelsurf.viewer.scene.object_styles import ObjectStyles, paint
 from accelsurf.viewer.scene.overlay import EDGE, Label, Pixels, ScaleBar, orientation_cube
-from accelsurf.viewer.scene.picking import place_in_renderer
-from accelsurf.viewer.scene.ray import first_met
-from accelsurf.viewer.scene.shapes import GreyTexture, box_edges, isosurface
-from accelsurf.viewer.scene.track_marks import TRANSLUCENT, path_lines
-from accelsurf.viewer.scene.volume_picture import VolumePicture
+from accelsurf.viewer.scene.shapes import TRANSLUCENT, GreyTexture, box_edges, isosurface, path_lines
+
+
+class Picked(NamedTuple):
+    """What lies under a pixel: the ``tile`` (space, axial, coronal, sagittal, energies), and the ``world`` point
+    (x, y, z), mm, in a slice or on a surface; None beside them.
+    """
+
+    tile: str
+    world: NDArray[np.float64] | None
+
+
+def place_in_renderer(renderer: pv.Renderer, x: float, y: float) -> tuple[float, float] | None:
+    """Place of a pixel of the window in a renderer, each coordinate from 0 to 1; None outside it."""
+    width, height = renderer.GetRenderWindow().GetSize()
+    left, bottom, right, top = renderer.GetViewport()
+    if right <= left or top <= bottom:
+        return None
+    place = ((x / width - left) / (right - left), (y / height - bottom) / (top - bottom))
+    return place if all(0 <= part < 1 for part in place) else None
+
+
+#: Most voxels along an axis that are drawn; more take too long.
+MAX_ALONG = 160
+
+
+class VolumePicture:
+    """The image in 3D, made when it is shown first.
+
+    Parameters
+    ----------
+    plotter : pyvista.Plotter
+    renderer : pyvista.Renderer
+        The plotter's first, in which it is drawn.
+    geometry : Geometry
+    image : ndarray (nz, ny, nx)
+    """
+
+    def __init__(self, plotter: pv.Plotter, renderer: pv.Renderer, geometry: Geometry, image: NDArray[Any]) -> None:
+        self._plotter, self._renderer = plotter, renderer
+        self._geometry, self._image = geometry, image
+        self._volume: pv.Volume | None = None
+        self._cut = vtkPlane()
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether it is drawn."""
+        return self._volume is not None and bool(self._volume.GetVisibility())
+
+    def show(self, on: bool, window: GreyWindow) -> None:
+        """Draw it, or not."""
+        if on and self._volume is None:
+            self._volume = self._make(window)
+        if self._volume is not None:
+            self._volume.SetVisibility(on)
+
+    def use_image(self, image: NDArray[Any], window: GreyWindow) -> None:
+        """Draw another image (nz, ny, nx) on the same grid."""
+        self._image = image
+        self.use_window(window)
+
+    def use_window(self, window: GreyWindow) -> None:
+        """Draw other values black and white."""
+        if self._volume is not None:
+            shown = self.is_shown
+            self._renderer.remove_actor(self._volume, reset_camera=False, render=False)
+            self._volume = self._make(window) if shown else None
+
+    def cut_away(self, meshes: Sequence[pv.PolyData]) -> None:
+        """Leave out what is nearer than the middle of the surfaces, so that it does not hide them."""
+        if not self.is_shown:
+            return
+        bounds = np.array([mesh.bounds for mesh in meshes if mesh.n_points])
+        camera = self._renderer.camera
+        if len(bounds):
+            middle = 0.5 * (bounds[:, ::2].min(axis=0) + bounds[:, 1::2].max(axis=0))
+        else:  # no surface: all of it
+            middle = np.array(camera.position)
+        self._cut.SetOrigin(*middle)
+        self._cut.SetNormal(*camera.direction)
+
+    def _make(self, window: GreyWindow) -> pv.Volume:
+        stride = [max(1, -(-n // MAX_ALONG)) for n in self._image.shape]
+        grey = window.grey(self._image[tuple(slice(None, None, s) for s in stride)])
+        steps = [h * s for h, s in zip(self._geometry.spacing, stride, strict=True)]
+        image = pv.ImageData(dimensions=grey.shape[::-1], spacing=steps[::-1])
+        image.point_data["grey"] = grey.ravel()
+        self._plotter.subplot(0, 0)
+        # Nothing below a fifth of the range: noise in the air would hide everything.
+        opacity = np.concatenate([np.zeros(51), np.linspace(0.0, 110.0, 205)]).astype(np.uint8)
+        volume = self._plotter.add_volume(
+            image, scalars="grey", cmap="gray", clim=(0, 255), opacity=opacity, shade=False,
+            opacity_unit_distance=4.0 * max(steps), show_scalar_bar=False, reset_camera=False, render=False,
+        )
+        turn = np.eye(4)
+        turn[:3, :3], turn[:3, 3] = self._geometry.direction, self._geometry.origin
+        volume.user_matrix = turn
+        volume.mapper.AddClippingPlane(self._cut)
+        return volume
+
+
+#: Places along the line for each voxel of psi.
+FINE = 2.0
+
+Floats = NDArray[np.float64]
+
+
+def first_met(surfaces: Iterable[SurfaceFrame], geometry: Geometry, start: Floats, end: Floats) -> Floats | None:
+    """Return the point (x, y, z), world mm, where the line from start to end enters the first surface; None beside all.
+
+    Parameters
+    ----------
+    surfaces : iterable of SurfaceFrame
+    geometry : Geometry
+        Of the image.
+    start, end : ndarray (3,)
+        World mm.
+    """
+    ends = geometry.world_to_index(np.stack([start, end]))
+    shares = [share for one in surfaces if (share := _share(one, ends)) is not None]
+    return None if not shares else np.asarray(start + min(shares) * (end - start))
+
+
+def _share(one: SurfaceFrame, ends: Floats) -> float | None:
+    """How far along the line, 0 to 1, it enters an object."""
+    if not one.has_surface:
+        return None
+    # Not with the module: the first picture has no surface yet, and what makes one has loaded this.
+    from scipy import ndimage
+
+    first, last = one.from_image(ends)
+    span = _within(first, last, one.psi.shape)
+    if span is None:
+        return None
+    count = int(FINE * np.abs(last - first).max() * (span[1] - span[0])) + 2
+    shares = np.linspace(*span, count)
+    places = first + shares[:, None] * (last - first)
+    psi = ndimage.map_coordinates(one.psi, places.T, order=1, mode="nearest")
+    inside = np.flatnonzero(psi < 0)
+    if not inside.size:
+        return None
+    at = int(inside[0])
+    if at == 0:
+        return float(shares[0])
+    part = psi[at - 1] / (psi[at - 1] - psi[at])
+    return float(shares[at - 1] + part * (shares[at] - shares[at - 1]))
+
+
+def _within(first: Floats, last: Floats, shape: tuple[int, ...]) -> tuple[float, float] | None:
+    """The part of a line, from 0 to 1, within a box of voxels and half a voxel around it."""
+    low, high = 0.0, 1.0
+    for a, b, n in zip(first, last, shape, strict=True):
+        if a == b:
+            if not -0.5 <= a <= n - 0.5:
+                return None
+            continue
+        one, other = sorted(((-0.5 - a) / (b - a), (n - 0.5 - a) / (b - a)))
+        low, high = max(low, one), min(high, other)
+    return (low, high) if low < high else None
+
 
 #: Width of the edges of the volume, of the ways of tracked objects, pixels of a usual screen.
 BOX, WAY = 1.0, 2.0

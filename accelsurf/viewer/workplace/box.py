@@ -12,9 +12,8 @@ from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.segmentation.region_of_interest import region_of_interest
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.box import BoxOverlay, VoxelBox
-from accelsurf.viewer.scene.picking import Picked
-from accelsurf.viewer.workplace.feature import Feature
-from accelsurf.viewer.workplace.tool import Tool
+from accelsurf.viewer.scene.space import Picked
+from accelsurf.viewer.workplace.tool import Feature, Tool
 
 #: How much a box is larger than the object it is laid around, to each side: of the object's extent, and voxels.
 AROUND, AROUND_VOXELS = 0.25, 6

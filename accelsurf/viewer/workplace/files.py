@@ -9,8 +9,7 @@ from typing import Any
 from accelsurf.errors import UsageError
 from accelsurf.viewer.core.saved_kinds import KINDS
 from accelsurf.viewer.core.status import Status
-from accelsurf.viewer.workplace.checks import word
-from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.workplace.tool import Feature, Key, word
 
 
 class FilesFeature(Feature):

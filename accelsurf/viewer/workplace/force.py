@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from accelsurf.grid.slice_stack import SliceStack
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.force_overlay import ForceOverlay, ForceSlice
-from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.workplace.tool import Feature, Key
 
 if TYPE_CHECKING:
     from accelsurf.segmentation.run import Run

@@ -10,12 +10,11 @@ from accelsurf.errors import UsageError
 from accelsurf.report.canvas import object_color
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.status import Status, View
-from accelsurf.viewer.scene.object_styles import ObjectStyle, unnamed
-from accelsurf.viewer.scene.track_marks import show_image
-from accelsurf.viewer.workplace.checks import whole
-from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.scene.colors import ObjectStyle, unnamed
+from accelsurf.viewer.scene.shapes import show_image
 from accelsurf.viewer.workplace.force import ForceFeature
 from accelsurf.viewer.workplace.slices import SlicesFeature
+from accelsurf.viewer.workplace.tool import Feature, Key, whole
 
 #: Frames a second while they play; fewer where one takes longer to read and draw.
 RATE = 8.0

@@ -14,8 +14,7 @@ from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_expression import with_setting
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 from accelsurf.viewer.core.status import Status, View
-from accelsurf.viewer.workplace.checks import number, whole, word
-from accelsurf.viewer.workplace.feature import Feature
+from accelsurf.viewer.workplace.tool import Feature, number, whole, word
 
 #: Bars; percentiles of the image at their ends; voxels that are counted at most, spread evenly.
 BARS, ENDS, SAMPLE = 96, (0.05, 99.95), 300_000

@@ -7,19 +7,74 @@ parts of the width, and of the height from the top, each from 0 to 1.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from accelsurf.viewer.core.status import Status
-from accelsurf.viewer.scene.picking import Picked
-from accelsurf.viewer.workplace.checks import number, whole, word
-from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.scene.space import Picked
 from accelsurf.viewer.workplace.frames import FramesFeature
+from accelsurf.viewer.workplace.settings_rows import amount, from_read, read_in
 from accelsurf.viewer.workplace.slices import SlicesFeature
-from accelsurf.viewer.workplace.tool import Tool
+from accelsurf.viewer.workplace.tool import Feature, Key, Tool, finest, number, whole, word
 from accelsurf.viewer.workplace.tools import TOOLS
-from accelsurf.viewer.workplace.wheel import ZOOM, SliceTurns, notches_of
+
+#: Zoom per notch.
+ZOOM = 1.12
+#: What browsers report for a notch, in pixels, lines and pages: the modes in which they count, in this order.
+PER_NOTCH = (100.0, 3.0, 1.0)
+#: From this part of a notch in pixels on it is a mouse's, which turns by whole notches: how many pixels one has depends
+#: on the system and on the browser's own zoom.
+WHOLE = 0.5
+#: Largest magnitude that a browser may report.
+MAX_DELTA = 1e6
+
+
+def notches_of(delta: object, mode: object, zoom: bool) -> float:
+    """Return the notches of what a browser reports of a wheel, up positive.
+
+    Parameters
+    ----------
+    delta, mode : object
+        ``deltaY`` and ``deltaMode`` of the event, not trusted.
+    zoom : bool
+        Whether it zooms: a small turn is then a pinch on a trackpad, of which 100 pixels are a factor of e.
+
+    Raises
+    ------
+    UsageError
+        When they are no such numbers.
+
+    Examples
+    --------
+    >>> notches_of(-120, 0, False), notches_of(-4, 0, False), notches_of(3, 1, False), notches_of(0, 0, False)
+    (1.0, 0.04, -1.0, 0.0)
+    """
+    unit = whole(mode, 0, len(PER_NOTCH) - 1)
+    turned = 0.0 - number(delta, -MAX_DELTA, MAX_DELTA) / PER_NOTCH[unit]
+    if unit == 0 and abs(turned) >= WHOLE:
+        return math.copysign(min(max(round(abs(turned)), 1), 100), turned)
+    if unit == 0 and zoom:
+        return turned / math.log(ZOOM)
+    return min(max(turned, -100.0), 100.0)
+
+
+class SliceTurns:
+    """Turns of the wheel over slices: fractions of a notch add up until they are a whole slice."""
+
+    def __init__(self) -> None:
+        self._tile, self._left = "", 0.0
+
+    def add(self, tile: str, notches: float) -> int:
+        """Add a turn over a tile; returns how many slices further it is now."""
+        if tile != self._tile or notches * self._left < 0:
+            self._left = 0.0
+        self._tile, self._left = tile, self._left + notches
+        slices = int(self._left + math.copysign(1e-9, self._left))
+        self._left -= slices
+        return slices
+
 
 #: Buttons, as browsers number them.
 LEFT, MIDDLE, RIGHT = 0, 1, 2
@@ -238,3 +293,135 @@ class MouseFeature(Feature):
         if right <= left or top <= bottom:  # another layout, which does not show it
             return 0.5, 0.5
         return (x / width - left) / (right - left), (y / height - bottom) / (top - bottom)
+
+
+#: Fingers that are counted; and the largest magnitude of the number by which a screen knows one.
+MAX_FINGERS, MAX_NUMBER = 10, 2**31
+#: Two fingers are never nearer than so many pixels: their distance is divided by.
+NEAR = 10.0
+
+
+class FingersFeature(Feature):
+    """Makes of fingers what the mouse does.
+
+    The first one draws. With the second one a gesture of two begins, so what the first has begun is cancelled, and
+    nothing is drawn until all are up: who lifts one finger of two does not mean a stroke.
+    """
+
+    def __init__(self, workplace: Any) -> None:
+        super().__init__(workplace)
+        #: Places of all that are down, parts of the width and of the height from the top.
+        self._places: dict[int, tuple[float, float]] = {}
+        #: Those whose moves count: one, two, or none where the rest of a gesture is waited for.
+        self._leading: tuple[int, ...] = ()
+        self._gesture = 0
+
+    def requests(self) -> Mapping[str, Callable[..., None]]:
+        return {
+            "finger_down": self._down,
+            "finger_move": self._move,
+            "finger_up": self._up,
+            "finger_cancel": self._cancel,
+        }
+
+    @property
+    def _mouse(self) -> MouseFeature:
+        return self.workplace.feature(MouseFeature)
+
+    @property
+    def _leads(self) -> bool:
+        """Whether what is dragged now was begun by these fingers, not by a mouse or a pen meanwhile."""
+        return bool(self._leading) and self._mouse.is_dragging and self._mouse.gesture == self._gesture
+
+    def _down(self, x: Any, y: Any, finger: Any, first: Any = False) -> None:
+        """A finger comes down; ``first`` when the screen knows of no other: any that are known here were lost."""
+        finger, place = _number(finger), _place(x, y)
+        if first:
+            self._cancel()
+        if len(self._places) >= MAX_FINGERS or (not self._places and self._mouse.is_dragging):
+            return  # a hand that rests on the screen while a pen draws
+        is_alone = not self._places
+        self._places[finger] = place
+        if is_alone:
+            self._begin_with((finger,), LEFT)
+        elif len(self._leading) == 1 and finger not in self._leading:
+            if self._leads:
+                self._mouse.cancel()
+                self._begin_with((*self._leading, finger), MIDDLE)
+            else:  # a pen draws meanwhile, or what was begun has ended by a key
+                self._leading = ()
+
+    def _begin_with(self, fingers: tuple[int, ...], button: int) -> None:
+        self._leading = fingers
+        try:
+            self._mouse.press(*self._middle(), button)
+        finally:  # a tool may be refused; the button is down all the same
+            self._gesture = self._mouse.gesture
+
+    def _move(self, x: Any, y: Any, finger: Any) -> None:
+        finger, place = _number(finger), _place(x, y)
+        if finger not in self._places:
+            return
+        before, self._places[finger] = self._apart(), place
+        if finger in self._leading and self._leads:
+            self._mouse.move(*self._middle())
+            if len(self._leading) == 2:
+                self._mouse.zoom(*self._middle(), self._apart() / before)
+
+    def _up(self, finger: Any) -> None:
+        self._forget(_number(finger), self._mouse.release)
+
+    def _cancel(self, finger: Any = None) -> None:
+        """The system has taken a finger, or all, for something else."""
+        for one in (*self._places,) if finger is None else (_number(finger),):
+            self._forget(one, self._mouse.cancel)
+
+    def _forget(self, finger: int, end: Callable[[], None]) -> None:
+        """A finger is no longer down; what it has begun ends with ``end``."""
+        self._places.pop(finger, None)
+        if finger in self._leading:
+            leads, self._leading = self._leads, ()
+            if leads:
+                end()
+
+    def _middle(self) -> tuple[float, float]:
+        """Between the fingers that lead."""
+        x, y = zip(*(self._places[finger] for finger in self._leading), strict=True)
+        return sum(x) / len(x), sum(y) / len(y)
+
+    def _apart(self) -> float:
+        """Pixels between the two fingers that lead."""
+        if len(self._leading) != 2:
+            return NEAR
+        width, height = self.workplace.scene.plotter.render_window.GetSize()
+        (x, y), (far_x, far_y) = (self._places[finger] for finger in self._leading)
+        return max(math.hypot((far_x - x) * width, (far_y - y) * height), NEAR)
+
+
+def _number(finger: Any) -> int:
+    return whole(finger, -MAX_NUMBER, MAX_NUMBER)
+
+
+def _place(x: Any, y: Any) -> tuple[float, float]:
+    return number(x, 0.0, 1.0), number(y, 0.0, 1.0)
+
+
+#: Ends of the slider: voxels of the smallest spacing, and parts of the image's longest side.
+LEAST, MOST = 0.5, 0.4
+
+
+class RadiusFeature(Feature):
+    """Shows the radius on a slider, and takes what is set there."""
+
+    def __init__(self, workplace: Any) -> None:
+        super().__init__(workplace)
+        self._unit, self._per = read_in("mm", workplace.scene.unit)
+
+    def requests(self) -> Mapping[str, Callable[..., None]]:
+        return {"set_radius": lambda value: self.workplace.request("radius", from_read(value, self._per))}
+
+    def state(self, status: Status) -> dict[str, Any]:
+        geometry = self.workplace.scene.geometry
+        least, longest = LEAST * finest(geometry), float(max(geometry.extent_mm))
+        row = amount(least, MOST * longest, self.workplace.radius, 2.0, longest, per=self._per)
+        return {"radius_row": {"unit": self._unit, **row}}

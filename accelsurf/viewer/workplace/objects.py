@@ -10,12 +10,9 @@ from accelsurf.errors import UsageError
 from accelsurf.settings.labels import MAX_NAME
 from accelsurf.settings.refinements import MAX_ID
 from accelsurf.viewer.core.status import Status, View
-from accelsurf.viewer.scene.colors import OBJECT_COLORS
-from accelsurf.viewer.scene.object_styles import ObjectStyle, unnamed
-from accelsurf.viewer.scene.picking import Picked
-from accelsurf.viewer.workplace.checks import number, short, text, whole, word
-from accelsurf.viewer.workplace.feature import Feature, Key
-from accelsurf.viewer.workplace.tool import Tool, numbers_text
+from accelsurf.viewer.scene.colors import OBJECT_COLORS, ObjectStyle, unnamed
+from accelsurf.viewer.scene.space import Picked
+from accelsurf.viewer.workplace.tool import Feature, Key, Tool, number, numbers_text, short, text, whole, word
 
 #: In place of an id: the object that is nearest to where a stroke begins.
 NEAREST = "nearest"

@@ -29,10 +29,61 @@ from accelsurf.viewer.core.opening import (
 )
 from accelsurf.viewer.core.recent_files import RecentFiles
 from accelsurf.viewer.core.served_folder import ServedFolder
+from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import error_line
-from accelsurf.viewer.workplace.checks import carry_out, text, whole, word
 from accelsurf.viewer.workplace.files import FilesFeature
+from accelsurf.viewer.workplace.tool import carry_out, text, whole, word
 from accelsurf.viewer.workplace.workplace import Workplace
+
+#: Seconds that a session has at the end of the program to end its step, and to finish a save.
+STEP_SECONDS, SAVING_SECONDS = 10.0, 600.0
+
+
+class FormerSessions:
+    """Ends sessions without waiting for them; at the end of the program they finish what was asked of them."""
+
+    def __init__(self) -> None:
+        self._sessions: list[tuple[Session, float]] = []
+
+    def add(self, workplace: Workplace) -> None:
+        """End the session of a workplace that is left."""
+        is_saving = workplace.feature(FilesFeature).is_saving
+        workplace.session.close(0.0)
+        self._sessions = [one for one in self._sessions if one[0].is_alive]
+        self._sessions.append((workplace.session, SAVING_SECONDS if is_saving else STEP_SECONDS))
+
+    def close(self) -> None:
+        """Wait until they have ended."""
+        for session, seconds in self._sessions:
+            session.close(seconds)
+
+
+class ResultFolders:
+    """Folders for results: the first image is saved in the folder itself, each further one in a folder of its own.
+
+    Parameters
+    ----------
+    folder : Path or None
+        None where the user is asked for one.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder, self._count = folder, 0
+
+    def of_next(self, name: str) -> Path | None:
+        """Return the folder for the image that is opened next, by its name; it is made when something is saved.
+
+        Examples
+        --------
+        >>> folders = ResultFolders(Path("out"))
+        >>> [folders.of_next("scan").as_posix() for _ in range(3)]
+        ['out', 'out/scan-2', 'out/scan-3']
+        """
+        self._count += 1
+        if self._folder is None or self._count == 1:
+            return self._folder
+        return self._folder / f"{name}-{self._count}"
+
 
 #: Letters of a path that a page sends, and of a message.
 MAX_PATH, MAX_MESSAGE = 1024, 300

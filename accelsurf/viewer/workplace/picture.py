@@ -9,9 +9,8 @@ from accelsurf.viewer.core.frame import COLORS
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.colors import THEMES
 from accelsurf.viewer.scene.space import VIEWS
-from accelsurf.viewer.workplace.checks import number, word
-from accelsurf.viewer.workplace.feature import Feature, Key
 from accelsurf.viewer.workplace.slices import SlicesFeature
+from accelsurf.viewer.workplace.tool import Feature, Key, number, word
 
 #: Smallest and largest size of a picture, pixels.
 MIN_SIZE, MAX_SIZE = (320, 200), (3840, 2400)

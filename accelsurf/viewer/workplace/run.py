@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from accelsurf.errors import UsageError
 from accelsurf.viewer.core.status import Status
-from accelsurf.viewer.workplace.checks import whole
-from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.workplace.tool import Feature, Key, whole
+
+if TYPE_CHECKING:
+    from accelsurf.viewer.core.doubts import Doubt
+    from accelsurf.viewer.workplace.workplace import Workplace
 
 
 class RunFeature(Feature):
@@ -53,3 +57,62 @@ class RunFeature(Feature):
         session = self.workplace.session
         if session.status.step > 0:
             self.workplace.ask(session.go_to(session.status.step - 1))
+
+
+class HistoryFeature(Feature):
+    """Goes back and forward over changes, and to doubtful places."""
+
+    def __init__(self, workplace: Workplace) -> None:
+        super().__init__(workplace)
+        self._doubts: tuple[Doubt, ...] = ()
+        #: Which of them N went to last.
+        self._at = -1
+
+    def requests(self) -> Mapping[str, Callable[..., None]]:
+        session, ask = self.workplace.session, self.workplace.ask
+        return {
+            "change": lambda count: ask(session.go_to_change(whole(count, 0, 10**6))),
+            "next_doubt": self._next_doubt,
+            "doubt": lambda number: self._go_to(whole(number, 1, max(len(self._doubts), 1)) - 1),
+        }
+
+    def keys(self) -> Mapping[str, Key]:
+        return {"N": Key("next_doubt", (), "where to click next, once more: the next place")}
+
+    def state(self, status: Status) -> dict[str, Any]:
+        if status.doubts != self._doubts:
+            self._doubts, self._at = status.doubts, -1
+            self.workplace.scene.marks.show_places([doubt.world for doubt in self._doubts])
+            self.workplace.changed = True
+        return {
+            "changes": [one._asdict() for one in status.changes],
+            "rests": list(status.rests),
+            "doubts": [
+                {"place": ", ".join(f"{v:.4g}" for v in one.world), "percent": round(100.0 * one.share)}
+                for one in status.doubts
+            ],
+            "doubt_at": self._at + 1,
+        }
+
+    def _next_doubt(self) -> None:
+        """Go to the most doubtful place, and from there to the next.
+
+        Raises
+        ------
+        UsageError
+            When there is none.
+        """
+        if not self._doubts:
+            ended = self.workplace.session.status.stop is not None
+            raise UsageError("no place is in doubt" if ended else "where to click next is known when the run has ended")
+        self._go_to((self._at + 1) % len(self._doubts))
+
+    def _go_to(self, number: int) -> None:
+        if not number < len(self._doubts):
+            raise UsageError("no place is in doubt")
+        self._at, doubt = number, self._doubts[number]
+        self.workplace.scene.cursor = doubt.world
+        self.workplace.note(
+            f"place {number + 1} of {len(self._doubts)}, {100.0 * doubt.share:.0f} % doubt: click inside or outside"
+        )
+        self.workplace.changed = True

@@ -15,11 +15,8 @@ from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import did_you_mean
 from accelsurf.viewer.core.status import Status
-from accelsurf.viewer.workplace.amounts import from_read
-from accelsurf.viewer.workplace.checks import short, text, whole
-from accelsurf.viewer.workplace.feature import Feature
-from accelsurf.viewer.workplace.settings_rows import Row, settings_rows, unit_read
-from accelsurf.viewer.workplace.tool import finest
+from accelsurf.viewer.workplace.settings_rows import Row, from_read, settings_rows, unit_read
+from accelsurf.viewer.workplace.tool import Feature, finest, short, text, whole
 
 #: Settings that can be changed.
 SETTINGS = (*viewer_settings("first"), *viewer_settings("more"))

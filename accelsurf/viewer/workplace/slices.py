@@ -15,9 +15,8 @@ from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import SurfaceFrame
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.layouts import LAYOUTS, fitting
-from accelsurf.viewer.scene.picking import Picked
-from accelsurf.viewer.workplace.checks import number, text, whole, word
-from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.scene.space import Picked
+from accelsurf.viewer.workplace.tool import Feature, Key, number, text, whole, word
 
 #: The window of the whole image; `AUTO` is that of the object and what is around it.
 IMAGE = "image"

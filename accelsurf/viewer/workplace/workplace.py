@@ -16,26 +16,22 @@ from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import Status, View, error_line
+from accelsurf.viewer.scene.headless import draws_in_software
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.box import BoxFeature
-from accelsurf.viewer.workplace.checks import carry_out
-from accelsurf.viewer.workplace.feature import Feature, Key
 from accelsurf.viewer.workplace.files import FilesFeature
-from accelsurf.viewer.workplace.fingers import FingersFeature
 from accelsurf.viewer.workplace.force import ForceFeature
 from accelsurf.viewer.workplace.frames import FramesFeature
 from accelsurf.viewer.workplace.histogram import HistogramFeature
-from accelsurf.viewer.workplace.history import HistoryFeature
 from accelsurf.viewer.workplace.measure import MeasureFeature
-from accelsurf.viewer.workplace.mouse import MouseFeature
+from accelsurf.viewer.workplace.mouse import FingersFeature, MouseFeature, RadiusFeature
 from accelsurf.viewer.workplace.objects import ObjectsFeature
 from accelsurf.viewer.workplace.picture import PictureFeature
-from accelsurf.viewer.workplace.radius import RadiusFeature
-from accelsurf.viewer.workplace.run import RunFeature
+from accelsurf.viewer.workplace.run import HistoryFeature, RunFeature
 from accelsurf.viewer.workplace.settings import SettingsFeature
 from accelsurf.viewer.workplace.slices import SlicesFeature
-from accelsurf.viewer.workplace.strokes import StrokesFeature
-from accelsurf.viewer.workplace.tool import Tool, first_radius
+from accelsurf.viewer.workplace.tool import Feature, Key, Tool, carry_out, first_radius
+from accelsurf.viewer.workplace.tools import StrokesFeature
 
 #: The features, in the order in which window and page show them.
 FEATURES: tuple[type[Feature], ...] = (
@@ -215,3 +211,48 @@ class Workplace:
 
     def _has_failed(self, status: Status) -> bool:
         return not self._note and (bool(self.message) or status.failed)
+
+
+#: Seconds without a change after which the picture is drawn in full.
+DELAY = 0.4
+
+
+class Quiet:
+    """Draws in full when it is quiet.
+
+    Parameters
+    ----------
+    workplace : Workplace
+    """
+
+    def __init__(self, workplace: Workplace) -> None:
+        self._workplace, self._since, self._is_full = workplace, time.perf_counter(), True
+        self._is_software: bool | None = None
+
+    @property
+    def is_software(self) -> bool:
+        """Whether the processor draws, not a graphics card."""
+        if self._is_software is None:
+            self._is_software = draws_in_software(self._workplace.scene.plotter.render_window)
+        return self._is_software
+
+    def touch(self) -> None:
+        """Something has changed, and is to be drawn as fast as possible."""
+        self._since, self._is_full = time.perf_counter(), False
+        if self.is_software:
+            self._workplace.scene.tiles.smooth_edges(False)
+
+    def draw_in_full(self) -> bool:
+        """Draw all triangles and smooth edges, once nothing has happened for some time; returns whether it is time."""
+        if self._is_full or time.perf_counter() - self._since < DELAY or self._is_busy():
+            return False
+        scene, self._is_full = self._workplace.scene, True
+        changed = scene.tiles.coarsen(False)
+        if not self.is_software or self._workplace.feature(MouseFeature).tool.name == "look":
+            changed |= scene.tiles.smooth_edges(True)
+        if changed:
+            scene.render()
+        return True
+
+    def _is_busy(self) -> bool:
+        return self._workplace.session.status.playing or self._workplace.feature(MouseFeature).is_dragging

@@ -10,7 +10,7 @@ from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QLabel, QWidget
 
 from accelsurf.viewer.frontends.panels.section import Section, show_switch, switch
-from accelsurf.viewer.frontends.panels.setting_row import column
+from accelsurf.viewer.frontends.panels.settings import column
 from accelsurf.viewer.scene.colors import MARK, SURFACE
 from accelsurf.viewer.workplace.workplace import Workplace
 

@@ -22,8 +22,7 @@ from PySide6.QtWidgets import (
     QTableWidgetItem,
 )
 
-from accelsurf.viewer.frontends.panels.section import Section, button
-from accelsurf.viewer.frontends.panels.wheel import WheelGuard
+from accelsurf.viewer.frontends.panels.section import Section, WheelGuard, button
 from accelsurf.viewer.workplace.objects import NEAREST
 from accelsurf.viewer.workplace.workplace import Workplace
 

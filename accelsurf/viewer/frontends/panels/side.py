@@ -6,19 +6,50 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QScrollArea, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QButtonGroup, QGridLayout, QLabel, QPushButton, QScrollArea, QVBoxLayout, QWidget
 
-from accelsurf.viewer.frontends.panels.changes import ChangesBar
 from accelsurf.viewer.frontends.panels.histogram import HistogramPanel
-from accelsurf.viewer.frontends.panels.history import HistoryPanel
+from accelsurf.viewer.frontends.panels.history import ChangesBar, HistoryPanel
 from accelsurf.viewer.frontends.panels.measure import MeasurePanel
 from accelsurf.viewer.frontends.panels.objects import ObjectsPanel
-from accelsurf.viewer.frontends.panels.picture import PicturePanel
-from accelsurf.viewer.frontends.panels.section import Section
+from accelsurf.viewer.frontends.panels.section import Amount, Section, button
 from accelsurf.viewer.frontends.panels.settings import SettingsPanel
-from accelsurf.viewer.frontends.panels.slices import SlicesPanel
-from accelsurf.viewer.frontends.panels.tools import ToolsPanel
+from accelsurf.viewer.frontends.panels.slices import PicturePanel, SlicesPanel
 from accelsurf.viewer.workplace.workplace import Workplace
+
+#: Buttons beside each other.
+IN_ROW = 4
+
+
+class ToolsPanel(Section):
+    """A button for each tool."""
+
+    def __init__(self, workplace: Workplace) -> None:
+        super().__init__("Mouse", workplace)
+        grid = QGridLayout(self.body)
+        grid.setSpacing(4)
+        grid.setContentsMargins(8, 2, 8, 6)
+        self._group = QButtonGroup(self)
+        self.tools: dict[str, QPushButton] = {}
+        for place, (name, tool) in enumerate(workplace.tools.items()):
+            made = self.tools[name] = button(tool.text, f"{tool.tip} ({tool.key})")
+            made.setCheckable(True)
+            made.clicked.connect(lambda _, name=name: self.ask("tool", name))
+            self._group.addButton(made)
+            grid.addWidget(made, place // IN_ROW, place % IN_ROW)
+        row = -(-len(self.tools) // IN_ROW)
+        shown = workplace.state()["radius_row"]
+        self.radius = Amount(shown)
+        self.radius.changed.connect(lambda value: self.ask("set_radius", value))
+        grid.addWidget(QLabel(f"Radius of click, ball and brush ({shown['unit']})"), row, 0, 1, IN_ROW)
+        grid.addWidget(self.radius, row + 1, 0, 1, IN_ROW)
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show the tool in use, and its radius."""
+        self.tools[state["tool"]].setChecked(True)
+        if not self.radius.is_being_moved:
+            self.radius.show_value(state["radius_row"]["value"])
+
 
 #: In their order; that of the page is the same.
 PANELS: tuple[Callable[[Workplace], Section], ...] = (
