@@ -271,7 +271,7 @@ def test_a_stroke_marks_the_voxels_under_the_brush(workplace, name):
     workplace.request("radius", 2.5)
     workplace.request("tool", "inside")
     drag(workplace, name, start, 0.5 * (start + end), end)
-    strokes = scene.marks.strokes
+    strokes = scene.marks
     drawn = {key: layer._sides > 0 for key, layer in zip(scene.slice_tiles, strokes._layers, strict=True)}
     workplace.request("release")
     settle(workplace)

@@ -95,10 +95,10 @@ def test_a_stroke_is_drawn_as_it_is_painted_and_until_the_surface_obeys(workplac
     drawn = pixels(workplace, color)
     assert drawn > first + 50 and workplace.session.status.changes == ()
     workplace.request("release")
-    assert pixels(workplace, color) == drawn and workplace.scene.marks.strokes.count == 1
+    assert pixels(workplace, color) == drawn and workplace.scene.marks.count == 1
     assert workplace.session.wait(60)
     shown(workplace)
-    assert workplace.scene.marks.strokes.count == 0 and pixels(workplace, color) < drawn
+    assert workplace.scene.marks.count == 0 and pixels(workplace, color) < drawn
     assert workplace.session.status.undoable == 1
 
 
@@ -108,7 +108,7 @@ def test_what_is_painted_is_what_is_clicked(workplace):
     workplace.request("radius", 2.0)
     workplace.request("tool", "inside")
     drag(workplace, "axial", (9.0, 8.0, 9.0), (12.0, 9.0, 9.0), (16.0, 11.0, 9.0))
-    strokes = workplace.scene.marks.strokes
+    strokes = workplace.scene.marks
     drawn = {}
     for z in range(SHAPE[0]):
         workplace.scene.cursor = (9.0, 8.0, z * SPACING[0])
@@ -190,7 +190,7 @@ def test_a_stroke_that_is_refused_is_drawn_no_longer(workplace):
     workplace.request("release")
     assert workplace.session.wait(60)
     shown(workplace)
-    assert "nothing would be left" in workplace.message and workplace.scene.marks.strokes.count == 0
+    assert "nothing would be left" in workplace.message and workplace.scene.marks.count == 0
     assert workplace.session.status.changes == ()
 
 
@@ -225,9 +225,9 @@ def test_escape_drops_a_stroke_that_is_being_painted(workplace):
     workplace.request("cursor", 9.0, 8.0, 9.0)
     workplace.request("key", "I")
     drag(workplace, "axial", (12.0, 8.0, 9.0), (16.0, 8.0, 9.0))
-    assert workplace.scene.marks.strokes.count == 1
+    assert workplace.scene.marks.count == 1
     workplace.request("key", "Escape")
-    assert workplace.scene.marks.strokes.count == 0 and workplace.state()["tool"] == "look"
+    assert workplace.scene.marks.count == 0 and workplace.state()["tool"] == "look"
     workplace.request("release")
     assert workplace.session.wait(60) and workplace.session.status.changes == ()
 

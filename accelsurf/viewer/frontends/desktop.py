@@ -184,7 +184,6 @@ class Window(QMainWindow):
     def refresh(self) -> None:
         """Draw what has changed, and show the state: at once, not when the session has something new."""
         if self.workplace.changed:
-            self.workplace.changed = False
             self.quiet.touch()
             self.scene.render()
         self._show_state()
@@ -197,7 +196,6 @@ class Window(QMainWindow):
         if view is not None:
             began, spent = time.perf_counter(), time.thread_time()
             self.workplace.update(view)
-            self.workplace.changed = False
             self.quiet.touch()
             self.scene.render()
             if view.status.playing:

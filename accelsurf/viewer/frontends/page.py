@@ -273,10 +273,8 @@ class Page:
         if view is not None or workplace.changed:
             quiet.touch()
             workplace.feature(PictureFeature).draw_fine(False)
-            may_send = self._may_send(now)
-            if may_send:
+            if self._may_send(now):
                 self._drawing.append(self._draw(workplace))
-            workplace.changed = not may_send
         elif self._may_send(now) and quiet.draw_in_full():
             workplace.feature(PictureFeature).draw_fine(True)
             self._draw(workplace)

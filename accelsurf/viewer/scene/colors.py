@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import pyvista as pv
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
@@ -163,10 +162,3 @@ class ObjectStyles:
             given.get(one.id) or ObjectStyle(unnamed(one.id), object_color(position))
             for position, one in enumerate(surfaces)
         ]
-
-
-def paint(actors: Sequence[pv.Actor], meshes: Sequence[pv.PolyData], styles: Sequence[ObjectStyle]) -> None:
-    """Have surfaces drawn in their styles."""
-    for actor, mesh, style in zip(actors, meshes, styles, strict=False):
-        actor.prop.color, actor.prop.opacity = style.color, style.opacity
-        actor.SetVisibility(mesh.n_points > 0 and style.visible)

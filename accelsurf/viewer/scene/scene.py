@@ -31,6 +31,7 @@ from accelsurf.viewer.scene.colors import ObjectStyle, ObjectStyles, Theme, them
 from accelsurf.viewer.scene.headless import require_graphics
 from accelsurf.viewer.scene.legend import Legend, caption, legend_lines, volume_line
 from accelsurf.viewer.scene.measure_marks import MeasureLayer
+from accelsurf.viewer.scene.redraw import Redraw, TileContext
 from accelsurf.viewer.scene.shapes import label_surface
 from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import Picked, SpaceTile, place_in_renderer
@@ -115,11 +116,11 @@ class Scene:
             plotter = pv.Plotter(off_screen=True, window_size=list(size), **self.layout(self.geometry))
         self.plotter = plotter
         self.styles = ObjectStyles()
+        self._redraw = Redraw(plotter.render_window, plotter.renderers)
         self._build()
-        self.tiles = Tiles(plotter, self.space, self.slice_tiles, self._chart_renderer)
-        self._redraw = self.tiles.redraw
+        self.tiles = Tiles(self._redraw, self.space, self.slice_tiles, self._chart_renderer)
         self.measures = MeasureLayer(self.geometry, self.slice_tiles, self.space, self.unit, self._redraw)
-        self.marks = Marks(self.geometry, self.slice_tiles, self.space, self._redraw)
+        self.marks = Marks(self.geometry, self.slice_tiles.values(), self.space, self._redraw)
         self.paint(theme)
         others = self._legend, self._chart, self.measures
         plotter.render_window.AddObserver("StartEvent", lambda *_: self.tiles.fit(*others))
@@ -133,17 +134,17 @@ class Scene:
 
     def _build(self) -> None:
         plotter, upright, image = self.plotter, DisplayOrientation.of(self.geometry), self.volume.array
-        flat, style = self.geometry.slice_axis, (self.anatomical, self._theme, self.unit)
+        flat = self.geometry.slice_axis
+        context = TileContext(self._redraw, self.styles, self._theme, self.anatomical, self.unit)
         places = {0: (0, 2), 1: (0, 3), 2: (1, 2)} if flat is None else {upright.order.index(flat): (0, 0)}
         self.space: SpaceTile | None = None
         if flat is None:
             plotter.subplot(0, 0)
-            self.space = SpaceTile(plotter, self.geometry, image, self._window, *style)
-            self.space.styles = self.styles
+            self.space = SpaceTile(plotter, self.geometry, image, self._window, context)
         self.slice_tiles: dict[str, SliceTile] = {}
         for plane, place in places.items():
             plotter.subplot(*place)
-            tile = SliceTile(plotter.renderer, image, self._window, self._stack_of(plane), plane, *style)
+            tile = SliceTile(plotter.renderer, image, self._window, self._stack_of(plane), plane, context)
             self.slice_tiles[TILES[plane]] = tile
         plotter.subplot(*((1, 3) if flat is None else (0, 2)))
         self._chart_renderer = plotter.renderer
@@ -153,7 +154,6 @@ class Scene:
         largest = self.space.renderer if self.space is not None else next(iter(self.slice_tiles.values())).renderer
         self._legend = Legend(largest, self._theme.ink)
         for tile in self.slice_tiles.values():
-            tile.styles = self.styles
             tile.show(self._cursor)
         if self._reference is not None:
             self._reference.draw(self.space, self.slice_tiles.values())
@@ -201,7 +201,7 @@ class Scene:
 
     @property
     def theme(self) -> Theme:
-        """The colours in use."""
+        """Colours in use."""
         return self._theme
 
     def compare(self, labels: Volume) -> None:
@@ -213,7 +213,7 @@ class Scene:
 
     @property
     def legend(self) -> tuple[str, ...]:
-        """What each colour is, and Dice; empty for one object without a reference."""
+        """Lines of the legend, with Dice; empty for one object without a reference."""
         return self._legend.lines
 
     @property
@@ -230,34 +230,32 @@ class Scene:
 
     @property
     def color(self) -> str:
-        """What the surfaces are coloured by, where they have it."""
+        """Quantity that colours the surfaces, where they have it."""
         return self._color
 
     def show_volume(self, on: bool) -> None:
         """Draw the image itself in 3D, translucent, or not; an image of one slice has no such picture."""
         if self.space is not None:
             self.space.show_volume(on)
-            self._redraw.mark(self.space.renderer)
 
     @property
     def shows_volume(self) -> bool:
-        """Whether the image is drawn in 3D."""
+        """Test if the image is drawn in 3D."""
         return self.space is not None and self.space.shows_volume
 
     def show_planes(self, on: bool) -> None:
         """Draw the three slices in 3D, or not."""
         if self.space is not None:
             self.space.show_planes([tile.in_space() for tile in self.slice_tiles.values()] if on else None)
-            self._redraw.mark(self.space.renderer)
 
     @property
     def shows_planes(self) -> bool:
-        """Whether the three slices are drawn in 3D."""
+        """Test if the three slices are drawn in 3D."""
         return self.space is not None and self.space.shows_planes
 
     @property
     def window(self) -> GreyWindow:
-        """Which values of the image are black and white."""
+        """Range of the values of the image from black to white."""
         return self._window
 
     @window.setter
@@ -265,15 +263,14 @@ class Scene:
         self._window = window
         for tile in self.slice_tiles.values():
             tile.use_window(window)
-            self._redraw.mark(tile.renderer)
         if self.space is not None:
             self.space.use_window(window)
-            if self.shows_planes or self.shows_volume:
-                self.show_planes(self.shows_planes)
+            if self.shows_planes:
+                self.show_planes(True)
 
     @property
     def is_interpolated(self) -> bool:
-        """Whether slices are drawn smoothly between voxels, not each voxel as a rectangle."""
+        """Test if slices are drawn smoothly between voxels, not each voxel as a rectangle."""
         return self._is_interpolated
 
     def interpolate(self, on: bool) -> None:
@@ -281,11 +278,10 @@ class Scene:
         self._is_interpolated = on
         for tile in self.slice_tiles.values():
             tile.interpolate(on)
-            self._redraw.mark(tile.renderer)
 
     @property
     def is_oblique(self) -> bool:
-        """Whether slices along the voxels and straight ones differ."""
+        """Test if slices along the voxels and straight ones differ."""
         return self.geometry.slice_axis is None and not DisplayOrientation.of(self.geometry).is_parallel
 
     def straighten(self, on: bool) -> None:
@@ -335,7 +331,6 @@ class Scene:
                     tile.draw_reference(self._reference.contour_function)
                 if self.frame is not None:
                     tile.draw_objects(self.frame)
-            self._redraw.mark(tile.renderer)
         self.measures.move()
         self.marks.show_slices()
         if self.shows_planes:
@@ -344,18 +339,16 @@ class Scene:
     def mark_ball(self, center: ArrayLike | None, radius: float = 0.0) -> None:
         """Draw a ball that is being placed (world mm), in 3D and where it cuts the slices; None removes it."""
         middle = None if center is None else np.asarray(center, float)
-        if self.space is not None and self.space.mark_ball(middle, radius):
-            self._redraw.mark(self.space.renderer)
+        if self.space is not None:
+            self.space.mark_ball(middle, radius)
         for tile in self.slice_tiles.values():
-            if tile.mark_ball(None if middle is None else self.geometry.world_to_index(middle), radius):
-                self._redraw.mark(tile.renderer)
+            tile.mark_ball(None if middle is None else self.geometry.world_to_index(middle), radius)
 
     def mark_size(self, drag: SizeDrag | None, drag_mm: float = 0.0) -> None:
         """Draw in the slices what belongs to an object of the size that a drag stands for; None removes it."""
         volume = None if drag is None else drag.volume_of(drag_mm)
         for tile in self.slice_tiles.values():
             tile.mark_size(drag, volume, "" if volume is None else f"size {volume_line(volume, self.unit)}")
-            self._redraw.mark(tile.renderer)
 
     def paint(self, theme: str) -> None:
         """Use a theme; an unknown one is a UsageError."""
@@ -367,10 +360,20 @@ class Scene:
             if part is not None:
                 part.paint(self._theme)
 
+    def show_image(self, volume: Volume) -> None:
+        """Show another image on the same grid; cursor, camera and grey values stay."""
+        self.volume = volume
+        for tile in self.slice_tiles.values():
+            tile.use_image(volume.array)
+        if self.space is not None:
+            self.space.use_image(volume.array)
+            self.show_planes(self.shows_planes)
+        self._redraw.mark_all()
+
     # -- pictures -----------------------------------------------------------------------------------------
 
     def pick(self, x: float, y: float) -> Picked:
-        """What lies under a pixel, counted from the lower left corner of the window."""
+        """Return the tile and the point under a pixel, counted from the lower left corner of the window."""
         for name, tile in self.slice_tiles.items():
             inside = place_in_renderer(tile.renderer, x, y)
             if inside is not None:

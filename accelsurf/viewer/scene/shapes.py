@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pyvista as pv
@@ -13,11 +12,6 @@ from vtkmodules.vtkRenderingCore import vtkTexture
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.viewer.core.frame import SurfaceFrame
-
-if TYPE_CHECKING:
-    from accelsurf.grid.volume import Volume
-    from accelsurf.viewer.scene.scene import Scene
-
 
 #: Standard deviation, voxels, of the Gaussian that turns a label map into something with a smooth surface.
 SMOOTH_LABELS = 0.8
@@ -222,17 +216,6 @@ def _to_world(
 
 #: Dashes around a closed line, and how opaque a predicted surface is.
 DASHES, TRANSLUCENT = 24, 0.25
-
-
-def show_image(scene: Scene, volume: Volume) -> None:
-    """Show another image on the same grid; cursor, camera and grey values stay."""
-    scene.volume = volume
-    for tile in scene.slice_tiles.values():
-        tile.use_image(volume.array)
-    if scene.space is not None:
-        scene.space.use_image(volume.array)
-        scene.show_planes(scene.shows_planes)
-    scene.tiles.redraw.mark_all()
 
 
 def dashed(lines: NDArray[np.float64]) -> NDArray[np.float64]:

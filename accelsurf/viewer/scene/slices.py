@@ -15,9 +15,10 @@ from accelsurf.grid.slice_stack import Patch, SliceStack, linear
 from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 from accelsurf.viewer.core.size_drag import SizeDrag
-from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFERENCE, ObjectStyles, Theme
+from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFERENCE, Theme
 from accelsurf.viewer.scene.legend import measure
 from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar
+from accelsurf.viewer.scene.redraw import TileContext
 from accelsurf.viewer.scene.shapes import ColorTexture, GreyTexture, contour, dashed, polygon, slice_of
 
 Floats = NDArray[np.float64]
@@ -39,7 +40,7 @@ def surface_lines(surface: SurfaceFrame, stack: SliceStack, number: int) -> Floa
 
 
 def function_lines(function: NDArray[np.float32], stack: SliceStack, number: int) -> Floats:
-    """Where a function (nz, ny, nx) of the whole image, negative inside, is 0 in a slice."""
+    """Return the lines in a slice on which a function (nz, ny, nx) of the whole image, negative inside, is 0."""
     if not stack.is_straight:
         return stack.to_place(_ends(contour(np.asarray(function.take(number, axis=stack.axis))), stack.axis))[..., :2]
     patch = stack.patch(number)
@@ -101,8 +102,8 @@ def _in_plane(
     places[..., 1] = bottom + up * (patch.rows.start + lines[..., 0] + 0.5)
     middles = places.mean(axis=1)
     index = stack.to_index(np.column_stack([middles, np.full(len(middles), stack.across(number))]))
-    within = (index >= np.asarray(low, float)) & (index <= np.asarray(high, float))
-    return np.asarray(places[within.all(axis=1)])
+    is_inside = (index >= np.asarray(low, float)) & (index <= np.asarray(high, float))
+    return np.asarray(places[is_inside.all(axis=1)])
 
 
 #: Part of a tile's width and height that the image may take; the rest is for text.
@@ -135,11 +136,7 @@ class SliceTile:
         The slices.
     plane : int
         0 is axial, 1 coronal, 2 sagittal.
-    anatomical : bool
-        Whether letters may be written.
-    theme : Theme
-    unit : str, optional
-        Of lengths in the file, in which they are written.
+    context : TileContext
 
     Attributes
     ----------
@@ -155,19 +152,16 @@ class SliceTile:
         window: GreyWindow,
         stack: SliceStack,
         plane: int,
-        anatomical: bool,
-        theme: Theme,
-        unit: str = "mm",
+        context: TileContext,
     ) -> None:
-        self.renderer, self.plane, self._unit = renderer, plane, unit
-        self.stack, self._anatomical, self._theme = stack, anatomical, theme
+        self.renderer, self.plane, self.stack, self._context = renderer, plane, stack, context
         self._image, self._window, self._is_smooth = image, window, True
         self._vertical, self._horizontal = IN_PLANE[plane]
         self.index = -1
         #: What draws each line, and its width in pixels of a usual screen.
         self._lines: dict[str, tuple[pv.Actor, float]] = {}
         self._ratio = 1.0
-        self._drawn_objects, self.styles, self._drag = 0, ObjectStyles(), DragLines()
+        self._drawn_objects, self._drag = 0, DragLines()
         self._texture, self._grey = GreyTexture(), np.zeros((2, 2), np.uint8)
         self._values: NDArray[Any] = self._grey
         #: Pictures of the whole slice, and their depth.
@@ -182,9 +176,9 @@ class SliceTile:
         camera.clipping_range = (1.0, 200.0)
         renderer.camera_set = True
         renderer.SetInteractive(False)
-        self.title = Label(renderer, theme.ink, (0.03, 0.975), top=True)
-        self._bar = ScaleBar(renderer, theme.ink, unit)
-        self._letters = self._write_letters() if anatomical else []
+        self.title = Label(renderer, context.theme.ink, (0.03, 0.975), top=True)
+        self._bar = ScaleBar(renderer, context.theme.ink, context.unit)
+        self._letters = self._write_letters() if context.anatomical else []
 
     # -- places -------------------------------------------------------------------------------------------
 
@@ -195,7 +189,7 @@ class SliceTile:
 
     @property
     def count(self) -> int:
-        """How many slices there are."""
+        """Number of slices."""
         return self.stack.count
 
     @property
@@ -205,7 +199,7 @@ class SliceTile:
 
     @property
     def sight(self) -> tuple[bool, int]:
-        """What tells this slice from others of the tile: whether it is straight, and its number."""
+        """Key of the slice that is shown, among all of the tile: whether it is straight, and its number."""
         return self.stack.is_straight, self.index
 
     @property
@@ -228,7 +222,7 @@ class SliceTile:
         return np.clip(index, 0.0, np.array(self._image.shape) - 1.0) if self.stack.contains(index) else None
 
     def is_near(self, indices: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which of the indices (z, y, x), (n, 3), lie in this slice, within half of its thickness."""
+        """Test which of the indices (z, y, x), (n, 3), lie in this slice, within half of its thickness."""
         return np.asarray(np.abs(self.stack.place_number(indices) - self.index) <= 0.5 + 1e-6)
 
     def to_plane(self, right: float, up: float) -> tuple[float, float]:
@@ -250,9 +244,8 @@ class SliceTile:
         x, y = self.to_tile(np.asarray(cursor, float))
         cross = np.array([[[left, y], [right, y]], [[x, bottom], [x, top]]])
         self._draw_lines("cursor", cross, CURSOR, 1.0, 0.45)
-        name = PLANES[self.plane] if self._anatomical else "Slice"
-        where = in_unit(self.across, self._unit)
-        self.title.text = f"{name}  {self.stack.name} = {measure(where)} {self._unit}"
+        name, unit = PLANES[self.plane] if self._context.anatomical else "Slice", self._context.unit
+        self.title.text = f"{name}  {self.stack.name} = {measure(in_unit(self.across, unit))} {unit}"
 
     def use_stack(self, stack: SliceStack, cursor: NDArray[np.float64]) -> None:
         """Show other slices of the image, the one nearest to an index (z, y, x), as a whole."""
@@ -273,6 +266,7 @@ class SliceTile:
     def _show_grey(self) -> None:
         self._grey = self._window.grey(self._values)
         self._texture.show(self._grey)
+        self.mark()
 
     @property
     def _corners(self) -> NDArray[np.float64]:
@@ -280,7 +274,7 @@ class SliceTile:
         return np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
 
     def in_space(self) -> tuple[pv.PolyData, NDArray[np.uint8]]:
-        """The slice in world mm, and its picture, as a texture has it."""
+        """Return the slice in world mm, and its picture, as a texture has it."""
         mesh = self._picture.mapper.GetInput().copy()
         places = np.asarray(mesh.points, float)
         places[:, 2] = self.across
@@ -302,39 +296,33 @@ class SliceTile:
         """Draw smoothly between voxels, or each voxel as a rectangle."""
         self._texture.interpolate(on)
         self._is_smooth = on
+        self.mark()
         if self.stack.is_straight:
             self._show_values()
 
     def draw_objects(self, frame: Frame) -> None:
         """Draw the contour of each object of a frame in this slice."""
-        for position, (surface, style) in enumerate(zip(frame.surfaces, self.styles.of(frame), strict=True)):
+        for position, (surface, style) in enumerate(zip(frame.surfaces, self._context.styles.of(frame), strict=True)):
             lines = surface_lines(surface, self.stack, self.index) if style.visible else NONE
             self._draw_lines(f"object {position}", lines, style.color, 2.2, style.opacity)
         for position in range(len(frame.surfaces), self._drawn_objects):
             self._lines[f"object {position}"][0].SetVisibility(False)
         self._drawn_objects = len(frame.surfaces)
-        self._draw_predicted(frame)
+        expected = (dashed(surface_lines(surface, self.stack, self.index)) for surface in frame.predicted)
+        self._draw_lines("predicted", np.concatenate([NONE, *expected]), REFERENCE, 1.6)
         self._draw_clicks(frame)
 
-    def _draw_predicted(self, frame: Frame) -> None:
-        """Draw where tracked objects were expected in this slice, dashed."""
-        lines = (dashed(surface_lines(one, self.stack, self.index)) for one in frame.predicted)
-        self._draw_lines("predicted", np.concatenate([NONE, *lines]), REFERENCE, 1.6)
-
     def draw_reference(self, function: NDArray[np.float32]) -> None:
-        """Draw where a function of the whole image, negative inside, is 0 in this slice."""
+        """Draw the lines in this slice on which a function of the whole image, negative inside, is 0."""
         self._draw_lines("reference", function_lines(function, self.stack, self.index), REFERENCE, 1.8)
 
-    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> bool:
+    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> None:
         """Draw the circle in which this slice cuts a ball around an index (z, y, x) of the image, radius in mm; nothing
-        for None or beside it. Returns whether the picture has changed.
+        for None or beside it.
         """
         lines = NONE if center is None else ball_lines(center, radius, self.stack, self.index)
-        was_there = "ball" in self._lines and bool(self._lines["ball"][0].GetVisibility())
-        if not was_there and not len(lines):
-            return False
-        self._draw_lines("ball", lines, MARK, 2.2)
-        return True
+        if len(lines) or ("ball" in self._lines and self._lines["ball"][0].GetVisibility()):
+            self._draw_lines("ball", lines, MARK, 2.2)
 
     def mark_size(self, drag: SizeDrag | None, volume_mm3: float | None, text: str = "") -> None:
         """Draw the outline that a drag shows in this slice, and write a text below the title; nothing for None."""
@@ -345,7 +333,7 @@ class SliceTile:
         self._draw_lines("size", lines, MARK, 2.2)
 
     def mark_places(self, places: NDArray[np.float64]) -> None:
-        """Draw a diamond in another one at each of these indices (z, y, x), (n, 3), that lies in this slice."""
+        """Draw a diamond in a larger one at each of these indices (z, y, x), (n, 3), that lies in this slice."""
         left, right, bottom, top = self.extent
         here = self.to_tile(places[np.rint(self.stack.place_number(places)) == self.index].reshape(-1, 3))
         corners = ARM * max(right - left, top - bottom) * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
@@ -391,14 +379,19 @@ class SliceTile:
         actor.prop.color, actor.prop.opacity = color, opacity
         actor.mapper.SetInputData(mesh)
         actor.SetVisibility(len(lines) > 0)
+        self.mark()
+
+    def mark(self) -> None:
+        """Have the tile drawn anew."""
+        self._context.redraw.mark(self.renderer)
 
     def fit(self, pixels: Pixels) -> None:
         """Make the slice as large as its tile allows, the bar as long as that makes it, and text readable."""
         for label in (self.title, *self._letters):
             label.fit(pixels)
         self._ratio = pixels.ratio
-        for actor, own_width in self._lines.values():
-            actor.prop.line_width = own_width * pixels.ratio
+        for actor, line_width in self._lines.values():
+            actor.prop.line_width = line_width * pixels.ratio
         width, height = self.renderer.GetSize()
         if not width or not height:
             return
@@ -429,14 +422,19 @@ class SliceTile:
         before = np.array(self.to_plane(right, up))
         self._zoom = float(np.clip(self._zoom * factor, MIN_ZOOM, MAX_ZOOM))
         self._aim()
-        self.shift(*(before - self.to_plane(right, up)))
+        self._move(*(before - self.to_plane(right, up)))
 
-    def shift(self, right_mm: float, up_mm: float) -> None:
+    def shift(self, right: float, up: float) -> None:
+        """Shift the slice by pixels of the picture."""
+        mm = self.mm_per_pixel()
+        self._move(-right * mm, -up * mm)
+
+    def _move(self, right_mm: float, up_mm: float) -> None:
         """Move the camera by mm in the tile's plane; never so far that the slice is out of sight."""
         left, right, bottom, top = self.extent
-        moved = self._middle + np.array([right_mm, up_mm])
-        self._middle = np.clip(moved, [left, bottom], [right, top])
+        self._middle = np.clip(self._middle + np.array([right_mm, up_mm]), [left, bottom], [right, top])
         self._aim()
+        self.mark()
 
     def show_whole(self) -> None:
         """Show the whole slice, as at first."""
@@ -444,13 +442,11 @@ class SliceTile:
         self._aim()
 
     def mm_per_pixel(self) -> float:
-        """How many mm a pixel of the picture is."""
+        """Return the mm that a pixel of the picture is wide."""
         return 2.0 * self.renderer.camera.parallel_scale / max(self.renderer.GetSize()[1], 1)
 
     def paint(self, theme: Theme) -> None:
         """Use another theme."""
-        self._theme = theme
-        self.renderer.background_color = theme.background
         for part in (self.title, self._bar):
             part.paint(theme.ink)
 

@@ -14,24 +14,15 @@ from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
-from accelsurf.viewer.scene.colors import (
-    CURSOR,
-    MARK,
-    REFERENCE,
-    SHADES,
-    SURFACE,
-    ObjectStyles,
-    Theme,
-    color_range,
-    paint,
-)
+from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, SURFACE, Theme, color_range
 from accelsurf.viewer.scene.legend import color_scale
 from accelsurf.viewer.scene.overlay import EDGE, Label, Pixels, ScaleBar, orientation_cube
+from accelsurf.viewer.scene.redraw import TileContext
 from accelsurf.viewer.scene.shapes import TRANSLUCENT, GreyTexture, box_edges, isosurface, path_lines
 
 
 class Picked(NamedTuple):
-    """What lies under a pixel: the ``tile`` (space, axial, coronal, sagittal, energies), and the ``world`` point
+    """Result of a pick at a pixel: the ``tile`` (space, axial, coronal, sagittal, energies), and the ``world`` point
     (x, y, z), mm, in a slice or on a surface; None beside them.
     """
 
@@ -73,7 +64,7 @@ class VolumePicture:
 
     @property
     def is_shown(self) -> bool:
-        """Whether it is drawn."""
+        """Test if it is drawn."""
         return self._volume is not None and bool(self._volume.GetVisibility())
 
     def show(self, on: bool, window: GreyWindow) -> None:
@@ -146,25 +137,25 @@ def first_met(surfaces: Iterable[SurfaceFrame], geometry: Geometry, start: Float
         World mm.
     """
     ends = geometry.world_to_index(np.stack([start, end]))
-    shares = [share for one in surfaces if (share := _share(one, ends)) is not None]
+    shares = [share for surface in surfaces if (share := _share(surface, ends)) is not None]
     return None if not shares else np.asarray(start + min(shares) * (end - start))
 
 
-def _share(one: SurfaceFrame, ends: Floats) -> float | None:
-    """How far along the line, 0 to 1, it enters an object."""
-    if not one.has_surface:
+def _share(surface: SurfaceFrame, ends: Floats) -> float | None:
+    """Return the part of the line, 0 to 1, after which it enters an object."""
+    if not surface.has_surface:
         return None
     # Not with the module: the first picture has no surface yet, and what makes one has loaded this.
     from scipy import ndimage
 
-    first, last = one.from_image(ends)
-    span = _within(first, last, one.psi.shape)
+    first, last = surface.from_image(ends)
+    span = _clipped(first, last, surface.psi.shape)
     if span is None:
         return None
     count = int(FINE * np.abs(last - first).max() * (span[1] - span[0])) + 2
     shares = np.linspace(*span, count)
     places = first + shares[:, None] * (last - first)
-    psi = ndimage.map_coordinates(one.psi, places.T, order=1, mode="nearest")
+    psi = ndimage.map_coordinates(surface.psi, places.T, order=1, mode="nearest")
     inside = np.flatnonzero(psi < 0)
     if not inside.size:
         return None
@@ -175,7 +166,7 @@ def _share(one: SurfaceFrame, ends: Floats) -> float | None:
     return float(shares[at - 1] + part * (shares[at] - shares[at - 1]))
 
 
-def _within(first: Floats, last: Floats, shape: tuple[int, ...]) -> tuple[float, float] | None:
+def _clipped(first: Floats, last: Floats, shape: tuple[int, ...]) -> tuple[float, float] | None:
     """The part of a line, from 0 to 1, within a box of voxels and half a voxel around it."""
     low, high = 0.0, 1.0
     for a, b, n in zip(first, last, shape, strict=True):
@@ -183,8 +174,8 @@ def _within(first: Floats, last: Floats, shape: tuple[int, ...]) -> tuple[float,
             if not -0.5 <= a <= n - 0.5:
                 return None
             continue
-        one, other = sorted(((-0.5 - a) / (b - a), (n - 0.5 - a) / (b - a)))
-        low, high = max(low, one), min(high, other)
+        enters, leaves = sorted(((-0.5 - a) / (b - a), (n - 0.5 - a) / (b - a)))
+        low, high = max(low, enters), min(high, leaves)
     return (low, high) if low < high else None
 
 
@@ -218,11 +209,7 @@ class SpaceTile:
     image : ndarray (nz, ny, nx)
     window : GreyWindow
         Which of its values are black and white.
-    anatomical : bool
-        Whether directions may be named by letters.
-    theme : Theme
-    unit : str, optional
-        Of lengths in the file, in which they are written.
+    context : TileContext
     """
 
     def __init__(
@@ -231,17 +218,14 @@ class SpaceTile:
         geometry: Geometry,
         image: NDArray[Any],
         window: GreyWindow,
-        anatomical: bool,
-        theme: Theme,
-        unit: str = "mm",
+        context: TileContext,
     ) -> None:
-        self.renderer = plotter.renderer
+        self.renderer, self._context, theme = plotter.renderer, context, context.theme
         self._geometry, self._window = geometry, window
         self._meshes: list[pv.PolyData] = []
         self._frame: Frame | None = None
         self.is_coarse = False  # whether fewer triangles are drawn than the frame has
         self._wanted = self._color = "plain"
-        self.styles = ObjectStyles()
         self._surfaces = [self._add_surface()]
         #: Edges of the volume; the reference's surface, None without one; both world mm.
         self.box = box_edges(geometry)
@@ -263,8 +247,8 @@ class SpaceTile:
         # VTK's own labels come to lie on the colours in a picture that is drawn once.
         self._ends = [Label(self.renderer, theme.ink, (right, 0.095), top=True) for right in (0.2, 0.5, 0.8)]
         self.title = Label(self.renderer, theme.ink, (0.015, 0.985), top=True)
-        self._bar = ScaleBar(self.renderer, theme.ink, unit)
-        self._cube = orientation_cube(anatomical)
+        self._bar = ScaleBar(self.renderer, theme.ink, context.unit)
+        self._cube = orientation_cube(context.anatomical)
         plotter.add_orientation_widget(self._cube, interactive=False, viewport=(0, 0, 0.17, 0.17))
         self.look_from()
 
@@ -273,8 +257,8 @@ class SpaceTile:
     def show(self, frame: Frame, color: str, coarse: bool = False) -> None:
         """Draw a frame coloured by a quantity, plain where it lacks that; ``coarse``: fewer triangles, much sooner."""
         self._frame, self._wanted = frame, color
-        drawn = tuple(one.coarser(COARSE_VOXELS) for one in frame.surfaces) if coarse else frame.surfaces
-        self.is_coarse = any(one is not fine for one, fine in zip(drawn, frame.surfaces, strict=True))
+        drawn = tuple(surface.coarser(COARSE_VOXELS) for surface in frame.surfaces) if coarse else frame.surfaces
+        self.is_coarse = any(shown is not fine for shown, fine in zip(drawn, frame.surfaces, strict=True))
         self._meshes = [isosurface(surface, self._geometry, color) for surface in drawn]
         while len(self._surfaces) < len(self._meshes):
             self._surfaces.append(self._add_surface())
@@ -288,7 +272,7 @@ class SpaceTile:
         self._show_tracks(frame)
 
     def _show_tracks(self, frame: Frame) -> None:
-        """Draw where tracked objects were expected, translucent, and the ways that they have come."""
+        """Draw tracked objects as they were predicted, translucent, and their paths."""
         if self._tracks is None:
             if not frame.predicted and not frame.paths:
                 return
@@ -304,7 +288,14 @@ class SpaceTile:
 
     def restyle(self) -> None:
         """Draw each surface in its style."""
-        paint(self._surfaces, self._meshes, self.styles.of(self._frame))
+        for actor, mesh, style in zip(self._surfaces, self._meshes, self._context.styles.of(self._frame), strict=False):
+            actor.prop.color, actor.prop.opacity = style.color, style.opacity
+            actor.SetVisibility(mesh.n_points > 0 and style.visible)
+        self.mark()
+
+    def mark(self) -> None:
+        """Have the tile drawn anew."""
+        self._context.redraw.mark(self.renderer)
 
     def coarsen(self, on: bool) -> bool:
         """Draw the same coarsely, or in full; returns whether that is a change."""
@@ -352,17 +343,17 @@ class SpaceTile:
             self.renderer.RemoveActor(self._reference_actor)
         self.reference, self._reference_actor = mesh, self._add(mesh, REFERENCE, opacity=0.35)
 
-    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> bool:
-        """Draw a translucent ball (world mm); nothing for None. Returns whether the picture has changed."""
+    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> None:
+        """Draw a translucent ball (world mm); nothing for None."""
         if center is None and (self._ball is None or not self._ball.GetVisibility()):
-            return False
+            return
+        self.mark()
         if self._ball is None:
             self._ball = self._add(pv.Sphere(radius=1.0, theta_resolution=48, phi_resolution=32), MARK, opacity=0.55)
         self._ball.SetVisibility(center is not None)
         if center is not None:
             self._ball.position = tuple(center)
             self._ball.scale = (radius, radius, radius)
-        return True
 
     @property
     def smallest(self) -> float:
@@ -377,25 +368,30 @@ class SpaceTile:
         diamonds = [pv.Octahedron(radius=2.5 * self.smallest, center=place) for place in places]
         self._places.mapper.SetInputData(pv.merge(diamonds) if diamonds else pv.PolyData())
         self._places.SetVisibility(bool(diamonds))
+        self.mark()
 
     # -- the image ----------------------------------------------------------------------------------------
 
     def show_volume(self, on: bool) -> None:
         """Draw the image translucent, bright parts denser, cut away in front of the surfaces; or not."""
         self._volume.show(on, self._window)
+        self.mark()
 
     def use_image(self, image: NDArray[Any]) -> None:
         """Show another image (nz, ny, nx) on the same grid."""
         self._volume.use_image(image, self._window)
+        self.mark()
 
     def use_window(self, window: GreyWindow) -> None:
         """Draw other values black and white."""
         self._window = window
         self._volume.use_window(window)
+        if self.shows_volume:
+            self.mark()
 
     @property
     def shows_volume(self) -> bool:
-        """Whether the image is drawn."""
+        """Test if the image is drawn."""
         return self._volume.is_shown
 
     def show_planes(self, slices: Iterable[PlanePicture] | None) -> None:
@@ -412,6 +408,7 @@ class SpaceTile:
             self._planes[number][1].show(grey)
         for actor, _ in self._planes:
             actor.SetVisibility(self.shows_planes)
+        self.mark()
 
     # -- camera -------------------------------------------------------------------------------------------
 
@@ -427,12 +424,17 @@ class SpaceTile:
         camera.up = upright
         camera.parallel_scale = self.fitted_scale()
         self.renderer.camera_set = True
+        self._show_moved()
+
+    def _show_moved(self) -> None:
+        """Draw what the camera sees after it was moved."""
         self.renderer.ResetCameraClippingRange()
+        self.mark()
 
     def orbit(self, degrees: float) -> None:
         """Turn the camera around the vertical axis."""
         self.renderer.camera.Azimuth(degrees)
-        self.renderer.ResetCameraClippingRange()
+        self._show_moved()
 
     def fitted_scale(self) -> float:
         """Half the mm that the tile must be high for the whole image to be seen from where the camera is."""
@@ -453,18 +455,23 @@ class SpaceTile:
         camera.Azimuth(degrees)
         camera.Elevation(up)
         camera.OrthogonalizeViewUp()
-        self.renderer.ResetCameraClippingRange()
+        self._show_moved()
 
-    def zoom(self, factor: float) -> None:
-        """Enlarge by a factor, within limits."""
+    def mm_per_pixel(self) -> float:
+        """Return the mm that a pixel of the picture is wide."""
+        return 2.0 * float(self.renderer.camera.parallel_scale) / max(self.renderer.GetSize()[1], 1)
+
+    def zoom(self, factor: float, right: float = 0.5, up: float = 0.5) -> None:
+        """Enlarge by a factor, within limits; what is at this place of the tile, each from 0 to 1, stays there."""
+        before, (width, height) = self.mm_per_pixel(), self.renderer.GetSize()
         camera, diagonal = self.renderer.camera, float(np.linalg.norm(self._geometry.extent_mm))
         camera.parallel_scale = float(np.clip(camera.parallel_scale / factor, 1e-3 * diagonal, 10.0 * diagonal))
+        grown = 1.0 - before / self.mm_per_pixel()
+        self.shift((right - 0.5) * width * grown, (up - 0.5) * height * grown)
 
     def shift(self, right: float, up: float) -> None:
         """Shift the picture by pixels."""
-        camera = self.renderer.camera
-        height = self.renderer.GetSize()[1]
-        mm = 2.0 * camera.parallel_scale / max(height, 1)
+        camera, mm = self.renderer.camera, self.mm_per_pixel()
         position, focus, upward = (np.array(v) for v in (camera.position, camera.focal_point, camera.up))
         side = np.cross(focus - position, upward)
         side /= max(float(np.linalg.norm(side)), 1e-30)
@@ -475,7 +482,7 @@ class SpaceTile:
         distance = np.linalg.norm(focus + shift - self._geometry.center_world())
         if distance < 3.0 * np.linalg.norm(self._geometry.extent_mm):
             camera.focal_point, camera.position = tuple(focus + shift), tuple(position + shift)
-            self.renderer.ResetCameraClippingRange()
+        self._show_moved()
 
     def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
         """Point (x, y, z) of a surface under a pixel of the window; None beside them."""
@@ -513,7 +520,6 @@ class SpaceTile:
 
     def paint(self, theme: Theme) -> None:
         """Use a theme."""
-        self.renderer.background_color = theme.background
         for label in (self.title, self._quantity, *self._ends):
             label.paint(theme.ink)
         self._bar.paint(theme.ink)

@@ -5,7 +5,7 @@ In 3D the beads are drawn over what is there, so that the surface, which takes l
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pyvista as pv
@@ -33,8 +33,8 @@ _TABLE = np.array(
 _PACKED = _TABLE.view(np.uint32).ravel()
 
 
-class StrokeMarks:
-    """The strokes that are being painted, or that the surface has not obeyed yet.
+class Marks:
+    """Strokes that are being painted, or that the surface has not obeyed yet; and places to look at.
 
     Parameters
     ----------
@@ -43,16 +43,22 @@ class StrokeMarks:
     tiles : iterable of SliceTile
     space : SpaceTile or None
     redraw : Redraw
+
+    Attributes
+    ----------
+    places : tuple of (float, float, float)
+        Uncertain locations (x, y, z), world mm.
     """
 
     def __init__(
         self, geometry: Geometry, tiles: Iterable[SliceTile], space: SpaceTile | None, redraw: Redraw
     ) -> None:
-        self._geometry, self._redraw, self._space = geometry, redraw, space
+        self._geometry, self._space = geometry, space
         self._layers = [_Layer(tile) for tile in tiles]
         self._beads = None if space is None else _Beads(space, redraw)
         self._strokes: dict[int, list[Click]] = {}
         self._last = 0
+        self.places: tuple[tuple[float, float, float], ...] = ()
 
     def new_stroke(self) -> int:
         """Begin a stroke; returns its number."""
@@ -69,8 +75,7 @@ class StrokeMarks:
         piece = Click(side, *found)
         self._strokes[stroke].append(piece)
         for layer in self._layers:
-            if layer.add(piece):
-                self._redraw.mark(layer.tile.renderer)
+            layer.add(piece)
         if self._beads is not None:
             self._beads.add(side, places[-1], radius)
 
@@ -83,15 +88,23 @@ class StrokeMarks:
 
     @property
     def count(self) -> int:
-        """How many strokes are drawn."""
+        """Number of strokes that are drawn."""
         return sum(bool(pieces) for pieces in self._strokes.values())
 
+    def show_places(self, places: Sequence[tuple[float, float, float]]) -> None:
+        """Draw uncertain locations in place of those drawn before."""
+        self.places = tuple(places)
+        if self._space is not None:
+            self._space.mark_places(np.array(self.places).reshape(-1, 3))
+        self.show_slices()
+
     def show_slices(self) -> None:
-        """Draw them in the slices that are shown now."""
+        """Draw strokes and places in the slices that are shown now."""
         pieces = [piece for stroke in self._strokes.values() for piece in stroke]
+        index = np.array([self._geometry.world_to_index(place) for place in self.places]).reshape(-1, 3)
         for layer in self._layers:
-            if layer.show(pieces):
-                self._redraw.mark(layer.tile.renderer)
+            layer.show(pieces)
+            layer.tile.mark_places(index)
 
 
 def voxels_of(piece: Click, stack: SliceStack, number: int) -> tuple[slice, slice, NDArray[np.bool_]] | None:
@@ -105,9 +118,9 @@ def voxels_of(piece: Click, stack: SliceStack, number: int) -> tuple[slice, slic
     inside = np.ones((patch.rows.stop - patch.rows.start, patch.columns.stop - patch.columns.start), np.bool_)
     at = []
     for place, first, n in zip(patch.places, low, piece.mask.shape, strict=True):
-        own = np.rint(place).astype(np.intp) - first
-        inside &= (own >= 0) & (own < n)
-        at.append(np.clip(own, 0, n - 1))
+        offset = np.rint(place).astype(np.intp) - first
+        inside &= (offset >= 0) & (offset < n)
+        at.append(np.clip(offset, 0, n - 1))
     return patch.rows, patch.columns, inside & piece.mask[at[0], at[1], at[2]]
 
 
@@ -121,25 +134,21 @@ class _Layer:
         self._actor = tile.add_picture(self._texture, DEPTH)
         self._actor.SetVisibility(False)
 
-    def show(self, pieces: Sequence[Click]) -> bool:
-        """Draw pieces alone; returns whether the picture has changed."""
+    def show(self, pieces: Sequence[Click]) -> None:
+        """Draw pieces alone."""
         was_empty, size = self._is_empty, self.tile.stack.size(self.tile.stack.fine)
         if self._sides.shape != size:
             self._sides = np.zeros(size, np.uint8)
         self._sides[:], self._is_empty = 0, True
         for piece in pieces:
             self._put(piece)
-        if self._is_empty and was_empty:
-            return False
-        self._draw()
-        return True
+        if not (self._is_empty and was_empty):
+            self._draw()
 
-    def add(self, piece: Click) -> bool:
-        """Draw one more; returns whether this slice cuts it."""
-        if not self._put(piece):
-            return False
-        self._draw()
-        return True
+    def add(self, piece: Click) -> None:
+        """Draw a further piece, if this slice cuts it."""
+        if self._put(piece):
+            self._draw()
 
     def _put(self, piece: Click) -> bool:
         named = voxels_of(piece, self.tile.stack, self.tile.index)
@@ -151,6 +160,7 @@ class _Layer:
         return True
 
     def _draw(self) -> None:
+        self.tile.mark()
         self._actor.SetVisibility(not self._is_empty)
         if not self._is_empty:
             self._texture.show(_PACKED.take(self._sides).view(np.uint8).reshape(*self._sides.shape, 4))
@@ -170,7 +180,7 @@ class _Beads:
         self._actors: list[vtkActor] = []
 
     def add(self, side: Side, place: NDArray[np.float64], radius: float) -> None:
-        """Draw one more."""
+        """Draw a further ball."""
         mapper = vtkPolyDataMapper()
         mapper.SetInputData(self._ball)
         actor = vtkActor()
@@ -181,56 +191,11 @@ class _Beads:
         actor.SetScale(size, size, size)
         self.renderer.AddActor(actor)
         self._actors.append(actor)
-        self._redraw.mark_overlay(self.renderer)
+        self._redraw.mark(self.renderer)
 
     def clear(self) -> None:
         """Draw none."""
         for actor in self._actors:
             self.renderer.RemoveActor(actor)
         self._actors = []
-        self._redraw.mark(self._space.renderer)
-
-
-class Marks:
-    """The marks of a scene.
-
-    Parameters
-    ----------
-    geometry : Geometry
-        Of the image.
-    slices : mapping of str to SliceTile
-    space : SpaceTile or None
-    redraw : Redraw
-
-    Attributes
-    ----------
-    strokes : StrokeMarks
-    places : tuple of (float, float, float)
-        Doubtful places (x, y, z), world mm.
-    """
-
-    def __init__(
-        self, geometry: Geometry, slices: Mapping[str, SliceTile], space: SpaceTile | None, redraw: Redraw
-    ) -> None:
-        self._geometry, self._slices, self._space, self._redraw = geometry, slices, space, redraw
-        self.strokes = StrokeMarks(geometry, slices.values(), space, redraw)
-        self.places: tuple[tuple[float, float, float], ...] = ()
-
-    def show_places(self, places: Sequence[tuple[float, float, float]]) -> None:
-        """Draw doubtful places in place of those drawn before."""
-        self.places = tuple(places)
-        if self._space is not None:
-            self._space.mark_places(np.array(self.places).reshape(-1, 3))
-            self._redraw.mark(self._space.renderer)
-        self._show_places()
-
-    def show_slices(self) -> None:
-        """Draw what lies in the slices that are shown now."""
-        self.strokes.show_slices()
-        self._show_places()
-
-    def _show_places(self) -> None:
-        index = np.array([self._geometry.world_to_index(place) for place in self.places]).reshape(-1, 3)
-        for tile in self._slices.values():
-            tile.mark_places(index)
-            self._redraw.mark(tile.renderer)
+        self._space.mark()

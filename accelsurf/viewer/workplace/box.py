@@ -44,7 +44,6 @@ class BoxFeature(Feature):
         if (self._is_stale or status.settings.roi != self._shown) and not self._tool.is_drawing:
             self._shown, self._is_stale = status.settings.roi, False
             self.overlay.show(self.in_force())
-            self.workplace.changed = True
         return {"has_box": status.settings.roi is not None}
 
     def forget(self) -> None:

@@ -72,6 +72,7 @@ class FilesFeature(Feature):
         if is_all:
             picture = folder / f"{self.workplace.session.name}_view.png"
             self.workplace.scene.screenshot(picture)
+            self.workplace.scene.tiles.redraw.mark_all()  # a page has not got this picture
             self.add(picture, *(path for feature in self.workplace.features for path in feature.save_beside(folder)))
 
 

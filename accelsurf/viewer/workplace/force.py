@@ -56,7 +56,6 @@ class ForceFeature(Feature):
         self.is_on, self._run, self._note = on, (), ""
         if not on:
             self.overlay.show({})
-        self.workplace.changed = True
 
     def _ask(self, status: Status) -> None:
         """Ask for the forces of the present slices, unless they are known or have been asked for."""
@@ -89,7 +88,6 @@ class ForceFeature(Feature):
         (self.overlay.add if is_same else self.overlay.show)(shown)
         scale = f"full colour at {self.overlay.scale:.3g}"
         self._note = f"purple grows, orange shrinks, {scale}" if slices else "this energy does not tell its force"
-        self.workplace.changed = True
 
 
 def _forces(

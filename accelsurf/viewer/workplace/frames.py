@@ -11,7 +11,6 @@ from accelsurf.report.canvas import object_color
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.colors import ObjectStyle, unnamed
-from accelsurf.viewer.scene.shapes import show_image
 from accelsurf.viewer.workplace.force import ForceFeature
 from accelsurf.viewer.workplace.slices import SlicesFeature
 from accelsurf.viewer.workplace.tool import Feature, Key, whole
@@ -163,12 +162,11 @@ class FramesFeature(Feature):
     def _draw(self) -> None:
         frames, scene = self._checked(), self.workplace.scene
         volume, frame = frames.volume(self.number), frames.frame(self.number)
-        show_image(scene, volume)
+        scene.show_image(volume)
         if self.shows_run and self._view is not None:
             scene.update(self._view.frame, self._view.histories)
         else:
             scene.update(frame)
-        self.workplace.changed = True
 
     def _copy_correction(self) -> None:
         """Copy the words with which ``accelsurf track`` corrects this frame at the place under the mouse."""
@@ -178,4 +176,4 @@ class FramesFeature(Feature):
     def _correction(self) -> str:
         if self._frames is None:
             return ""
-        return f'--correct "frame={self.number} inside={self.workplace.feature(SlicesFeature).point_text()}"'
+        return f'--correct "frame={self.number} inside={self.workplace.feature(SlicesFeature).read_out()["as_point"]}"'

@@ -57,7 +57,7 @@ class Distance(Tool):
             return
         known = self._measurements
         tiles = self.workplace.scene.tiles
-        self._pixel_mm = tiles.pixel_ratio * tiles.mm_per_pixel(at.tile)
+        self._pixel_mm = tiles.pixel_ratio * tiles.tile(at.tile).mm_per_pixel()
         near = known.nearest(at.world, GRAB * self._pixel_mm)
         if self._unfinished is not None and near != (self._unfinished, len(known[self._unfinished].points) - 1):
             known.add_point(self._unfinished, at.world)
@@ -110,7 +110,6 @@ class Distance(Tool):
 
     def _show(self, dragged_in: str | None = None) -> None:
         self.workplace.scene.measures.show(self._measurements, dragged_in)
-        self.workplace.changed = True
 
 
 class Angle(Distance):
@@ -217,7 +216,6 @@ class MeasureFeature(Feature):
         for tool in self._tools:
             tool.forget()
         self.workplace.scene.measures.show(self.measurements)
-        self.workplace.changed = True
 
     # -- out of the program -------------------------------------------------------------------------------
 

@@ -85,7 +85,7 @@ STILL = 0.5
 
 
 class MouseFeature(Feature):
-    """What mouse and tools do.
+    """Mouse and tools.
 
     Attributes
     ----------
@@ -136,12 +136,12 @@ class MouseFeature(Feature):
 
     @property
     def is_dragging(self) -> bool:
-        """Whether a button is down."""
+        """Test if a button is down."""
         return bool(self._tile)
 
     @property
     def is_moving(self) -> bool:
-        """Whether a button is down and the mouse has moved a moment ago."""
+        """Test if a button is down and the mouse has moved a moment ago."""
         return self.is_dragging and time.monotonic() - self._moved_at < STILL
 
     # -- choices ------------------------------------------------------------------------------------------
@@ -153,13 +153,11 @@ class MouseFeature(Feature):
         self.tool = tool
         self.workplace.scene.mark_ball(None)
         self.workplace.note(tool.tip)
-        self.workplace.changed = True
 
     def _radius(self, mm: Any) -> None:
         geometry = self.workplace.scene.geometry
         self.workplace.radius = number(mm, 0.0, float(max(geometry.extent_mm)))
         self.tool.resize()
-        self.workplace.changed = True
 
     # -- events -------------------------------------------------------------------------------------------
 
@@ -174,13 +172,12 @@ class MouseFeature(Feature):
         self._pressed, self._button = button, MIDDLE if shift and button == LEFT else button
         self._tile, self._at = at.tile, pixel
         tiles = self.workplace.scene.tiles
-        tiles.redraw.hurries = at.tile in self.workplace.scene.slice_tiles
+        tiles.redraw.hurry(at.tile in self.workplace.scene.slice_tiles)
         if at.tile == "space":
             tiles.coarsen(True)
         if self._button == LEFT and at.world is not None and self._uses_tool(at.tile):
             self.workplace.feature(FramesFeature).refuse_tool(self.tool.name)
             self.tool.press(at)
-        self.workplace.changed = True
 
     def move(self, x: Any, y: Any) -> None:
         """The mouse moves; without a button nothing happens."""
@@ -197,24 +194,21 @@ class MouseFeature(Feature):
             self._look_around(right, up)
             at = self.workplace.scene.pick(*pixel)
         self._read(at)
-        self.workplace.changed = True
 
     def _look_around(self, right: float, up: float) -> None:
         """Move by pixels in the tile in which a button went down."""
-        scene, tile = self.workplace.scene, self._tile
-        tiles, size = scene.tiles, scene.plotter.render_window.GetSize()
-        if tile in scene.slice_tiles:
-            if self._button == MIDDLE:
-                tiles.shift_slice(tile, right, up)
-            elif self._button == RIGHT:
-                self.workplace.feature(SlicesFeature).drag_window(right / size[0], up / size[1])
-        elif tile == "space":
-            if self._button == MIDDLE:
-                tiles.shift(right, up)
-            elif self._button == RIGHT:
-                tiles.zoom(ZOOM ** (40.0 * up / size[1]))
-            else:
-                tiles.turn(-TURN * 720.0 / size[1] * right, -TURN * 720.0 / size[1] * up)
+        scene = self.workplace.scene
+        if self._tile not in scene.tiles.names:
+            return
+        size, space = scene.plotter.render_window.GetSize(), scene.space if self._tile == "space" else None
+        if self._button == MIDDLE:
+            scene.tiles.tile(self._tile).shift(right, up)
+        elif self._button == RIGHT and space is None:
+            self.workplace.feature(SlicesFeature).drag_window(right / size[0], up / size[1])
+        elif self._button == RIGHT and space is not None:
+            space.zoom(ZOOM ** (40.0 * up / size[1]))
+        elif space is not None:
+            space.turn(-TURN * 720.0 / size[1] * right, -TURN * 720.0 / size[1] * up)
 
     def release(self, button: Any = None) -> None:
         """A button goes up, by default the one that is down."""
@@ -230,10 +224,9 @@ class MouseFeature(Feature):
             self.workplace.scene.mark_ball(None)
 
     def _leave_tile(self) -> bool:
-        """No button is down any more; returns whether the tool was used."""
+        """Note that no button is down any more; returns whether the tool was used."""
         tile, self._tile = self._tile, ""
-        self.workplace.scene.tiles.redraw.hurries = False
-        self.workplace.changed = True
+        self.workplace.scene.tiles.redraw.hurry(False)
         return bool(tile) and self._button == LEFT and self._uses_tool(tile)
 
     def _hover(self, x: Any, y: Any) -> None:
@@ -244,16 +237,13 @@ class MouseFeature(Feature):
         at, notches = scene.pick(across, up), number(notches, -100, 100)
         factor = ZOOM ** min(max(notches, -5.0), 5.0)
         if at.tile in scene.slice_tiles and zoom:
-            scene.tiles.zoom_slice(at.tile, factor, *self._place(at.tile, across, up))
+            scene.slice_tiles[at.tile].zoom(factor, *self._place(at.tile, across, up))
         elif at.tile in scene.slice_tiles:
-            slices = self._turns.add(at.tile, notches)
-            if not slices:
-                return
-            scene.step_slice(at.tile, slices)
-            self._read(scene.pick(across, up))
-        elif at.tile == "space":
-            scene.tiles.zoom(factor)
-        self.workplace.changed = True
+            if slices := self._turns.add(at.tile, notches):
+                scene.step_slice(at.tile, slices)
+                self._read(scene.pick(across, up))
+        elif scene.space is not None and at.tile == "space":
+            scene.space.zoom(factor)
 
     def _scroll(self, x: Any, y: Any, delta: Any, mode: Any, zoom: Any = False) -> None:
         """The wheel as browsers report it: how much, and in pixels, lines or pages."""
@@ -261,12 +251,9 @@ class MouseFeature(Feature):
 
     def zoom(self, x: float, y: float, factor: float) -> None:
         """Enlarge the tile in which a button is down; what is at this place stays there."""
-        scene, place = self.workplace.scene, self._place(self._tile, *self._pixel(x, y))
-        if self._tile in scene.slice_tiles:
-            scene.tiles.zoom_slice(self._tile, factor, *place)
-        elif self._tile == "space":
-            scene.tiles.zoom(factor, *place)
-        self.workplace.changed = True
+        tiles, pixel = self.workplace.scene.tiles, self._pixel(x, y)
+        if self._tile in tiles.names:
+            tiles.tile(self._tile).zoom(factor, *self._place(self._tile, *pixel))
 
     def _double(self, x: Any, y: Any) -> None:
         tile = self.workplace.scene.pick(*self._pixel(x, y)).tile
@@ -275,7 +262,7 @@ class MouseFeature(Feature):
             self.workplace.feature(SlicesFeature).enlarge(tile)
 
     def _uses_tool(self, tile: str) -> bool:
-        """Whether the left button uses the tool there: to look around in 3D is to turn the camera."""
+        """Test if the left button uses the tool there: to look around in 3D is to turn the camera."""
         return tile in self.workplace.scene.slice_tiles or (tile == "space" and self.tool.name != "look")
 
     def _read(self, at: Picked | None) -> None:
@@ -330,7 +317,7 @@ class FingersFeature(Feature):
 
     @property
     def _leads(self) -> bool:
-        """Whether what is dragged now was begun by these fingers, not by a mouse or a pen meanwhile."""
+        """Test if the drag was begun by these fingers, not by a mouse or a pen meanwhile."""
         return bool(self._leading) and self._mouse.is_dragging and self._mouse.gesture == self._gesture
 
     def _down(self, x: Any, y: Any, finger: Any, first: Any = False) -> None:

@@ -125,7 +125,6 @@ class ObjectsFeature(Feature):
         styles = self._styles(status)
         if styles != self.workplace.scene.styles.given:
             self.workplace.scene.restyle(styles)
-            self.workplace.changed = True
 
     def _known(self, wanted: Any) -> int:
         """The id of an object in the list.

@@ -318,7 +318,6 @@ class Opening:
             self.workplace.scene.compare(labels)
         except AccelsurfError as error:
             self._fail(error)
-        self.workplace.changed = True
 
     def show(self, workplace: Workplace, opened: OpenedImage) -> None:
         """An image that was read is shown in a workplace now."""

@@ -83,7 +83,6 @@ class HistoryFeature(Feature):
         if status.doubts != self._doubts:
             self._doubts, self._at = status.doubts, -1
             self.workplace.scene.marks.show_places([doubt.world for doubt in self._doubts])
-            self.workplace.changed = True
         return {
             "changes": [one._asdict() for one in status.changes],
             "rests": list(status.rests),
@@ -115,4 +114,3 @@ class HistoryFeature(Feature):
         self.workplace.note(
             f"place {number + 1} of {len(self._doubts)}, {100.0 * doubt.share:.0f} % doubt: click inside or outside"
         )
-        self.workplace.changed = True

@@ -1,4 +1,4 @@
-"""Slices that one can read: grey values, layout, the cursor, and what is under the mouse."""
+"""Slices to be read: grey values, layout, the cursor, and the read-out under the mouse."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ AROUND = 0.5
 
 
 class SlicesFeature(Feature):
-    """How slices are drawn, and what is under the mouse."""
+    """Draws slices, and reads the image under the mouse."""
 
     def __init__(self, workplace: Any) -> None:
         super().__init__(workplace)
@@ -44,25 +44,26 @@ class SlicesFeature(Feature):
         self._word = IMAGE
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
+        scene = self.workplace.scene
         return {
             "window": self._window,
             "window_named": self._window_named,
             "layout": self._layout,
             "next_layout": self._next_layout,
-            "large": lambda tile: self.enlarge(word(tile, self.workplace.scene.tiles.names)),
+            "large": lambda tile: self.enlarge(word(tile, scene.tiles.names)),
             "next_large": self._next_large,
             "chart": self._chart,
-            "next_chart": lambda: self._chart(not self.workplace.scene.tiles.shows_chart),
-            "interpolate": self._interpolate,
-            "next_interpolate": lambda: self._interpolate(not self.workplace.scene.is_interpolated),
+            "next_chart": lambda: self._chart(not scene.tiles.shows_chart),
+            "interpolate": lambda on: scene.interpolate(bool(on)),
+            "next_interpolate": lambda: scene.interpolate(not scene.is_interpolated),
             "straight": self._straighten,
-            "next_straight": lambda: self._straighten(not self.workplace.scene.is_straight),
-            "whole": self._whole,
+            "next_straight": lambda: self._straighten(not scene.is_straight),
+            "whole": scene.tiles.show_whole,
             "slice": self._slice,
             "through": self._through,
             "cursor": self._cursor,
-            "copy_point": lambda: self.workplace.copy(self._read_out()["as_point"]),
-            "copy_ball": lambda: self.workplace.copy(self._read_out()["as_ball"]),
+            "copy_point": lambda: self.workplace.copy(self.read_out()["as_point"]),
+            "copy_ball": lambda: self.workplace.copy(self.read_out()["as_ball"]),
         }
 
     def keys(self) -> Mapping[str, Key]:
@@ -87,8 +88,10 @@ class SlicesFeature(Feature):
             "level": window.level, "width": window.width, "window_word": self._word, "windows": list(WINDOWS),
             "layout": tiles.layout, "layouts": list(LAYOUTS), "large": tiles.large, "chart": tiles.shows_chart,
             "interpolate": scene.is_interpolated, "straight": scene.is_straight, "is_oblique": scene.is_oblique,
-            "slices": self._slices(), "cursor": self._text(scene.cursor),
-            **self._read_out(),
+            # Number of the slice that each tile shows, from 1, and how many there are.
+            "slices": {name: [tile.index + 1, tile.count] for name, tile in scene.slice_tiles.items()},
+            "cursor": self._text(scene.cursor),
+            **self.read_out(),
         }
 
     # -- grey values --------------------------------------------------------------------------------------
@@ -101,7 +104,7 @@ class SlicesFeature(Feature):
 
     def _window_named(self, name: Any) -> None:
         if text(name, 40) == IMAGE:
-            return self._show_window(self._image_window(), IMAGE)
+            return self._show_window(window_of(self.workplace.scene.volume.array), IMAGE)
         window = parse_window(name)
         known = window is None or name in CT_WINDOWS
         return self._show_window(window or self._object_window(), name if known else "")
@@ -110,13 +113,9 @@ class SlicesFeature(Feature):
         self._word = name
         self.workplace.scene.window = window
         self.workplace.note(f"level {window.level:.4g}, width {window.width:.4g}", 3.0)
-        self.workplace.changed = True
-
-    def _image_window(self) -> GreyWindow:
-        return window_of(self.workplace.scene.volume.array)
 
     def _object_window(self) -> GreyWindow:
-        """From the values in the objects and around them.
+        """Return the window of the values in the objects and around them.
 
         Raises
         ------
@@ -143,7 +142,7 @@ class SlicesFeature(Feature):
 
     @staticmethod
     def _inside(surfaces: Sequence[SurfaceFrame], box: Box) -> NDArray[np.bool_]:
-        """Which voxels of a box of the image are in an object, as far as it is drawn."""
+        """Test which voxels of a box of the image are in an object, as far as it is drawn."""
         inside = np.zeros([side.stop - side.start for side in box], bool)
         for surface in surfaces:
             axes = [
@@ -151,8 +150,8 @@ class SlicesFeature(Feature):
                 for axis, side in enumerate(box)
             ]
             valid = [(at >= 0) & (at < n) for at, n in zip(axes, surface.psi.shape, strict=True)]
-            where = np.ix_(*(np.flatnonzero(one) for one in valid))
-            inside[where] |= surface.psi[np.ix_(*(at[one] for at, one in zip(axes, valid, strict=True)))] < 0
+            where = np.ix_(*(np.flatnonzero(part) for part in valid))
+            inside[where] |= surface.psi[np.ix_(*(at[part] for at, part in zip(axes, valid, strict=True)))] < 0
         return inside
 
     def drag_window(self, right: float, up: float) -> None:
@@ -171,12 +170,10 @@ class SlicesFeature(Feature):
             return
         tiles.lay_out(layout, chart=chart)
         self._before = layout
-        self.workplace.changed = True
 
     def _layout(self, name: Any) -> None:
         self._layout_is_set = True
         self.workplace.scene.tiles.lay_out(word(name, LAYOUTS))
-        self.workplace.changed = True
 
     def _next_layout(self) -> None:
         self._layout(LAYOUTS[(LAYOUTS.index(self.workplace.scene.tiles.layout) + 1) % len(LAYOUTS)])
@@ -189,7 +186,6 @@ class SlicesFeature(Feature):
         else:
             self._before = self._before if tiles.layout == "single" else tiles.layout
             tiles.lay_out("single", tile)
-        self.workplace.changed = True
 
     def _next_large(self) -> None:
         """Show the tile under the mouse alone, or else the large one; asked for again, all as before."""
@@ -200,62 +196,40 @@ class SlicesFeature(Feature):
     def _chart(self, on: Any) -> None:
         self._layout_is_set = True
         self.workplace.scene.tiles.lay_out(chart=bool(on))
-        self.workplace.changed = True
-
-    def _interpolate(self, on: Any) -> None:
-        self.workplace.scene.interpolate(bool(on))
-        self.workplace.changed = True
 
     def _straighten(self, on: Any) -> None:
         if not self.workplace.scene.is_oblique:
             raise UsageError("straight: the voxels of this image lie along the world's axes, or in one slice")
         self.workplace.scene.straighten(bool(on))
-        self.workplace.changed = True
-
-    def _whole(self) -> None:
-        self.workplace.scene.tiles.show_whole()
-        self.workplace.changed = True
 
     # -- places -------------------------------------------------------------------------------------------
-
-    def _slices(self) -> dict[str, list[int]]:
-        """Number of the slice that each tile shows, from 1, and how many there are."""
-        tiles = self.workplace.scene.slice_tiles
-        return {name: [tile.index + 1, tile.count] for name, tile in tiles.items()}
 
     def _slice(self, tile: Any, number_from_1: Any) -> None:
         scene = self.workplace.scene
         shown = scene.slice_tiles[word(tile, tuple(scene.slice_tiles))]
         scene.go_to_slice(tile, whole(number_from_1, 1, shown.count) - 1)
-        self.workplace.changed = True
 
     def _through(self, count: Any) -> None:
         """Go through the slices of the tile under the mouse, or else of the first."""
         scene, picked = self.workplace.scene, self._picked
         tile = picked.tile if picked is not None and picked.tile in scene.slice_tiles else next(iter(scene.slice_tiles))
         scene.step_slice(tile, whole(count, -100, 100))
-        self.workplace.changed = True
 
     def _cursor(self, x: Any, y: Any, z: Any) -> None:
         self.workplace.scene.cursor = [number(part, -1e9, 1e9) for part in (x, y, z)]
-        self.workplace.changed = True
 
     def read(self, at: Picked | None) -> None:
-        """The mouse is at this place."""
+        """Read values at this place from now on: the mouse is there."""
         self._picked = at
 
-    def point_text(self) -> str:
-        """The place under the mouse, ``point:X,Y,Z``."""
-        return str(self._read_out()["as_point"])
-
-    def _read_out(self) -> dict[str, Any]:
+    def read_out(self) -> dict[str, Any]:
         """Place, voxel, value and label under the mouse, or at the cursor where the mouse is beside the image."""
         scene, picked = self.workplace.scene, self._picked
         world = scene.cursor if picked is None or picked.world is None else np.asarray(picked.world)
         index = scene.geometry.world_to_index(world)
         voxel = tuple(int(np.clip(round(float(i)), 0, n - 1)) for i, n in zip(index, scene.geometry.shape, strict=True))
         surfaces = () if scene.frame is None else scene.frame.surfaces
-        ids = [str(one.id) for one in surfaces if one.contains(voxel)]
+        ids = [str(surface.id) for surface in surfaces if surface.contains(voxel)]
         value = scene.volume.array[voxel]
         where = self._text(world)
         return {

@@ -184,11 +184,11 @@ class StrokeTool(Tool):
         if at.world is None:
             return
         self.leave()
-        self._mark = self.workplace.scene.marks.strokes.new_stroke()
+        self._mark = self.workplace.scene.marks.new_stroke()
         self.move(at)
 
     def move(self, at: Picked) -> None:
-        strokes = self.workplace.scene.marks.strokes
+        strokes = self.workplace.scene.marks
         if at.world is None or not self._mark:
             return
         # As the settings will have it, so that what is drawn is what is clicked, to the last voxel.
@@ -213,7 +213,7 @@ class StrokeTool(Tool):
 
     def leave(self) -> None:
         if self._mark:
-            self.workplace.scene.marks.strokes.end(self._mark)
+            self.workplace.scene.marks.end(self._mark)
         self._pieces, self._mark = [], 0
 
     def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
@@ -224,7 +224,7 @@ class StrokeTool(Tool):
         """Draw no longer what the surface has obeyed, or the session refused."""
         for mark, future in self.sent:
             if future.done():
-                self.workplace.scene.marks.strokes.end(mark)
+                self.workplace.scene.marks.end(mark)
         self.sent = [(mark, future) for mark, future in self.sent if not future.done()]
 
 

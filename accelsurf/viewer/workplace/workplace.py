@@ -77,8 +77,6 @@ class Workplace:
 
     Attributes
     ----------
-    changed : bool
-        Whether the scene has changed since it was drawn last; whoever draws it resets this.
     message : str
         What went wrong last, in one line; empty when nothing did.
     object_id : int or None
@@ -98,7 +96,7 @@ class Workplace:
     ) -> None:
         self.session, self.scene, self.folder, self.overwrite = session, scene, folder, overwrite
         self.frames = frames
-        self.changed, self.message = True, ""
+        self.message = ""
         self.object_id: int | None = None
         self.radius = first_radius(scene.geometry)
         self._note, self._note_until = "", 0.0
@@ -113,8 +111,13 @@ class Workplace:
         self.keys |= {key: does for feature in self.features for key, does in feature.keys().items()}
 
     def feature(self, kind: type[P]) -> P:
-        """The feature of a kind."""
-        return next(one for one in self.features if isinstance(one, kind))
+        """Return the feature of a kind."""
+        return next(feature for feature in self.features if isinstance(feature, kind))
+
+    @property
+    def changed(self) -> bool:
+        """Test if the scene has changed since it was drawn last."""
+        return self.scene.tiles.redraw.is_due
 
     # -- to ask -------------------------------------------------------------------------------------------
 
