@@ -233,7 +233,7 @@ class Hand:
     def _take(self, tool: str) -> None:
         """Take a tool, with balls of the size that fits the object."""
         self._in_window(lambda: self.window._ask("tool", tool))
-        self._in_window(lambda: self.window.workplace.request("radius", 0.12 * self.radius))
+        self._in_window(lambda: self.window.user_actions.request("radius", 0.12 * self.radius))
 
     def _event(self, kind: str, place: tuple[float, float] | None, right: bool = False) -> tuple[float, float]:
         """Send an event of a button; milliseconds until the picture after it, and of the window's thread until then."""

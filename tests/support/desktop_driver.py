@@ -127,7 +127,7 @@ def line_of(row: SettingRow) -> QWidget:
 
 def shown(session: Session, window: Window) -> dict[str, Any]:
     """What the session and the window say."""
-    status, frame, state = session.status, window.scene.frame, window.workplace.state()
+    status, frame, state = session.status, window.scene.frame, window.user_actions.state()
     return {
         "step": status.step, "playing": status.playing, "checkpoints": status.checkpoints,
         "message": window.message.text(), "edits": [edit.model_dump() for edit in status.edits],

@@ -9,7 +9,7 @@ from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.page_document import document
 from accelsurf.viewer.workplace.mouse import ZOOM, MouseFeature
 from accelsurf.viewer.workplace.run import HistoryFeature
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.viewer.test_corrections import CONFIGS, ended, scan
 from tests.viewer.test_strokes import drag, place_of, shown
 
@@ -27,7 +27,7 @@ def session():
 
 @pytest.fixture
 def workplace(session, scene_of):
-    made = Workplace(session, scene_of(session.volume, size=(960, 544)))
+    made = Actions(session, scene_of(session.volume, size=(960, 544)))
     shown(made)
     made.request("cursor", 9.0, 8.0, 9.0)
     made.request("radius", 1.6)
@@ -302,7 +302,7 @@ def test_the_slices_go_to_points_too(scene_of):
     image = scan()
     with Session(image, CONFIGS["seeded"]) as session:
         session.ready.result(60)
-        workplace = shown(Workplace(session, scene_of(image, size=(960, 544))))
+        workplace = shown(Actions(session, scene_of(image, size=(960, 544))))
         workplace.request("cursor", 9.0, 8.0, 9.0)
         workplace.request("tool", "points")
         for world in (FIRST, SECOND):

@@ -20,7 +20,7 @@ from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.slices import DragLines, function_lines, surface_lines
 from accelsurf.viewer.workplace.box import BoxFeature
 from accelsurf.viewer.workplace.force import ForceFeature
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 from tests.support.viewing import settle
 
@@ -240,7 +240,7 @@ def workplace():
     start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
     with Session(rough, RunConfig(start=start, threads=1, max_steps=60), name="ball") as session:
         session.ready.result(60)
-        made = Workplace(session, scene)
+        made = Actions(session, scene)
         made.request("layout", "slices")
         made.request("chart", False)
         made.request("cursor", *center)
@@ -346,7 +346,7 @@ def test_the_switch_is_refused_where_it_does_nothing(scene_of):
     start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
     with Session(volume, RunConfig(start=start, threads=1), name="ball") as session:
         session.ready.result(60)
-        made = Workplace(session, scene)
+        made = Actions(session, scene)
         made.request("straight", True)
         assert made.message.startswith("straight: ") and not made.state()["straight"]
         assert not made.state()["is_oblique"]

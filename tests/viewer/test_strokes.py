@@ -10,7 +10,7 @@ from accelsurf.segmentation.api import segment
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.colors import INSIDE, OUTSIDE
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.support.steering import views
 from tests.viewer.test_corrections import CONFIGS, SHAPE, SPACING, ended, scan, until
 
@@ -25,7 +25,7 @@ def workplace(image, scene_of):
     scene = scene_of(image, size=(960, 544))
     with Session(image, CONFIGS["seeded"]) as session:
         ended(session)
-        made = Workplace(session, scene)
+        made = Actions(session, scene)
         shown(made)
         yield made
 
@@ -240,7 +240,7 @@ def test_in_one_slice_too(scene_of):
     scene = scene_of(volume, size=(640, 360))
     with Session(volume, RunConfig(inside="ball:14,20,0,3", threads=1)) as session:
         ended(session)
-        workplace = shown(Workplace(session, scene))
+        workplace = shown(Actions(session, scene))
         workplace.request("radius", 2.0)
         workplace.request("tool", "inside")
         drag(workplace, "axial", (34.0, 20.0, 0.0), (38.0, 20.0, 0.0))
@@ -294,7 +294,7 @@ def test_n_goes_to_the_doubtful_places_one_after_another(scene_of):
     image = image.with_array((image.array + 90.0 * bridge).clip(None, 100).astype(np.float32))
     scene = scene_of(image, size=(960, 544))
     with Session(image, CONFIGS["seeded"]) as session:
-        workplace = Workplace(session, scene)
+        workplace = Actions(session, scene)
         session.ready.result(60)
         workplace.request("key", "N")
         assert "when the run has ended" in workplace.message

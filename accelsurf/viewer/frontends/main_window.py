@@ -214,13 +214,13 @@ class MainWindow(QMainWindow):
         self.inner.setWindowFlags(Qt.WindowType.Widget)
         self.inner.windowTitleChanged.connect(self.setWindowTitle)
         if former is not None:
-            self._former.add(former.workplace)
+            self._former.add(former.user_actions)
             former.leave()
         self.start_page = None
         self.setCentralWidget(self.inner)  # deletes the former
         self.setWindowTitle(self.inner.windowTitle())
         self.inner.show()
-        self.opening.show(self.inner.workplace, opened)
+        self.opening.show(self.inner.user_actions, opened)
         self._awaited = session if close_if_it_fails else None
 
     def closeEvent(self, event: QCloseEvent) -> None:

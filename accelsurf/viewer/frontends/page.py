@@ -37,11 +37,10 @@ from accelsurf.viewer.frontends.page_guard import LOCAL, PageGuard
 from accelsurf.viewer.frontends.page_uploads import PageUploads
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.files import FilesFeature
-from accelsurf.viewer.workplace.mouse import MouseFeature
 from accelsurf.viewer.workplace.opening import FormerSessions, Opening, ResultFolders
 from accelsurf.viewer.workplace.picture import PictureFeature
 from accelsurf.viewer.workplace.tool import help_rows
-from accelsurf.viewer.workplace.workplace import Quiet, Workplace
+from accelsurf.viewer.workplace.workplace import Actions, IdleDrawing
 
 #: Seconds between looks at the session; `Session.next_view` bounds the pictures per second.
 POLL_SECONDS = 0.02
@@ -72,7 +71,7 @@ class Page:
 
     Attributes
     ----------
-    workplace : Workplace or None
+    actions : Actions or None
         Of the image that is open; drawn in the thread that serves.
     token : str
         Whoever has it can change the run.
@@ -97,7 +96,7 @@ class Page:
         checkpoint_mb: float = CHECKPOINT_MB,
     ) -> None:
         self.opening, self._theme, self._overwrite, self._checkpoint_mb = opening, theme, overwrite, checkpoint_mb
-        self.workplace: Workplace | None = None
+        self.actions: Actions | None = None
         self._folders = ResultFolders(folder)
         self._former = FormerSessions()
         #: The room that the page has said the picture has, and its pixels; nothing before.
@@ -108,7 +107,7 @@ class Page:
         self._host, self._port = host, port
         #: Seconds of the last pictures; the shortest counts: the first of a size takes long.
         self._drawing: deque[float] = deque([0.0], maxlen=3)
-        self.quiet: Quiet | None = None
+        self.idle: IdleDrawing | None = None
         self._sent_at, self._is_shown = 0.0, True
         self._server = self._make_server()
         #: What draws takes seconds to load: while the person chooses.
@@ -135,33 +134,33 @@ class Page:
         with self._layout as page:
             page.root.clear()
             page.root.add_child(self._style(style_sheet()))
-            page.root.add_child(document(() if self.workplace is None else PANELS))
+            page.root.add_child(document(() if self.actions is None else PANELS))
 
     def _state(self) -> dict[str, Any]:
         """What the page shows beside the picture."""
         state = self.opening.state()
-        if self.workplace is None:
+        if self.actions is None:
             return state
         link = f"files/{{}}?secret={self.token}"
-        state |= self.workplace.state()
+        state |= self.actions.state()
         return state | {"files": [{"name": name, "link": link.format(name)} for name in state["saved"]]}
 
     def _saved_files(self) -> Mapping[str, Path]:
-        return {} if self.workplace is None else self.workplace.feature(FilesFeature).files
+        return {} if self.actions is None else self.actions.feature(FilesFeature).files
 
     def _ask(self, *request: Any, **_: Any) -> None:
         name = request[0] if request else None
-        if self.workplace is None or (isinstance(name, str) and name in self.opening.names):
+        if self.actions is None or (isinstance(name, str) and name in self.opening.names):
             self.opening.request(*(request[:8] or (None,)))
         else:
-            self.workplace.request(*request[:8])
+            self.actions.request(*request[:8])
 
     def _was_shown(self, *size: Any, **_: Any) -> None:
         """The page shows the last picture, in a window of this size and this many pixels of the device for one."""
         self._is_shown = True
-        if self.workplace is not None:
+        if self.actions is not None:
             self._room = size[:3]
-            self.workplace.request("size", *self._room)
+            self.actions.request("size", *self._room)
 
     # -- images -------------------------------------------------------------------------------------------
 
@@ -180,7 +179,7 @@ class Page:
             When it cannot be drawn; what was shown stays.
         """
         self._loading.join()
-        former = self.workplace
+        former = self.actions
         scene = Scene(
             opened.volume, theme=self._theme if former is None else former.scene.theme_name, reference=opened.reference,
             title=None if opened.source is not None else opened.name, window=parse_window(opened.config.window),
@@ -189,15 +188,15 @@ class Page:
             self._former.add(former)
             former.scene.close()
         session = opened.session(self._checkpoint_mb) if session is None else session
-        self.workplace = Workplace(session, scene, self._folders.of_next(opened.name), self._overwrite, opened.frames)
-        self.quiet = Quiet(self.workplace)
+        self.actions = Actions(session, scene, self._folders.of_next(opened.name), self._overwrite, opened.frames)
+        self.idle = IdleDrawing(self.actions)
         if self._room:
-            self.workplace.request("size", *self._room)
+            self.actions.request("size", *self._room)
         self._drawing.extend((0.0,) * 3)
         self._is_shown = True
-        self.opening.show(self.workplace, opened)
+        self.opening.show(self.actions, opened)
         self._uploads.discard(opened.source)
-        tools, keys = self.workplace.tools.values(), self.workplace.keys
+        tools, keys = self.actions.tools.values(), self.actions.keys
         with self._server.state as state:
             state.update(self._state() | {
                 "picture": "", "title": scene.title or "accelsurf", "keys": list(keys),
@@ -208,9 +207,9 @@ class Page:
 
     def close(self) -> None:
         """Close the image; sessions finish what was asked of them."""
-        if self.workplace is not None:
-            self._former.add(self.workplace)
-            self.workplace.scene.close()
+        if self.actions is not None:
+            self._former.add(self.actions)
+            self.actions.scene.close()
         self._former.close()
 
     # -- serving ------------------------------------------------------------------------------------------
@@ -256,37 +255,32 @@ class Page:
                 self.open(opened)
             except AccelsurfError as error:
                 self.opening.refuse(error_line(error))
-        if self.workplace is not None and self.quiet is not None:
-            self._update_picture(self.workplace, self.quiet)
+        if self.actions is not None and self.idle is not None:
+            self._update_picture(self.actions, self.idle)
         with self._server.state as state:
             state.update(self._state())
 
-    def _update_picture(self, workplace: Workplace, quiet: Quiet) -> None:
+    def _update_picture(self, actions: Actions, idle: IdleDrawing) -> None:
         """Draw what has changed, and send it."""
         now = time.perf_counter()
-        workplace.collect_results()
-        # While a button is down the hand comes first.
-        is_moving = workplace.feature(MouseFeature).is_moving
-        view = None if is_moving else workplace.session.next_view(min(self._drawing))
-        if view is not None:
-            workplace.update(view)
-        if view is not None or workplace.changed:
-            quiet.touch()
-            workplace.feature(PictureFeature).draw_fine(False)
+        view = actions.poll(min(self._drawing))
+        if view is not None or actions.changed:
+            idle.interrupt()
+            actions.feature(PictureFeature).draw_fine(False)
             if self._may_send(now):
-                self._drawing.append(self._draw(workplace))
-        elif self._may_send(now) and quiet.draw_in_full():
-            workplace.feature(PictureFeature).draw_fine(True)
-            self._draw(workplace)
+                self._drawing.append(self._draw(actions))
+        elif self._may_send(now) and idle.draw_in_full():
+            actions.feature(PictureFeature).draw_fine(True)
+            self._draw(actions)
 
     def _may_send(self, now: float) -> bool:
         """Whether the page has shown the last picture; a slow page does not get more than it can show."""
         return self._is_shown or now - self._sent_at > PATIENCE
 
-    def _draw(self, workplace: Workplace) -> float:
+    def _draw(self, actions: Actions) -> float:
         """Draw and send a picture; returns the seconds that it took."""
         began = time.perf_counter()
-        data = _jpeg(workplace.scene.screenshot())
+        data = _jpeg(actions.scene.screenshot())
         self._server.state.picture = "data:image/jpeg;base64," + base64.b64encode(data).decode()
         self._sent_at, self._is_shown = time.perf_counter(), False
         return self._sent_at - began

@@ -10,7 +10,7 @@ from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSlider, QStyle, QWidget
 
 from accelsurf.viewer.scene.colors import CURSOR
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 #: Half the width in which a tick is hit, and its height, pixels.
 HIT, HEIGHT = 5, 5
@@ -80,10 +80,10 @@ class PlaybackBar(QWidget):
 
     help_wanted = Signal()
 
-    def __init__(self, workplace: Workplace) -> None:
+    def __init__(self, actions: Actions) -> None:
         super().__init__()
         self._steps: list[int] = []
-        self._workplace = workplace
+        self._actions = actions
         self.restart = _button("|<", "Restart: from the start, with the settings in force (Home)")
         self.back = _button("<", "Back one step (Left)")
         self.play = _button("Run", "Run or pause (Space)")
@@ -108,13 +108,13 @@ class PlaybackBar(QWidget):
         for button, name in (
             (self.restart, "restart"), (self.back, "back"), (self.play, "toggle"), (self.forward, "step"),
         ):
-            button.clicked.connect(lambda _=False, name=name: workplace.request(name))
+            button.clicked.connect(lambda _=False, name=name: actions.request(name))
         self.help.clicked.connect(self.help_wanted)
         self.timeline.valueChanged.connect(self._slid)
-        self.timeline.tick_clicked.connect(lambda step: workplace.request("go_to", step))
+        self.timeline.tick_clicked.connect(lambda step: actions.request("go_to", step))
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show the state of the workplace."""
+        """Show the state."""
         self._steps = list(state["checkpoints"])
         self.play.setText("Pause" if state["playing"] else "Run")
         for part in (self.play, self.forward, self.restart):
@@ -137,8 +137,8 @@ class PlaybackBar(QWidget):
         return after - 1 + (step - before) / (following - before)
 
     def _slid(self, place: int) -> None:
-        if place < len(self._steps) and self._steps[place] != self._workplace.session.status.step:
-            self._workplace.request("go_to", self._steps[place])
+        if place < len(self._steps) and self._steps[place] != self._actions.session.status.step:
+            self._actions.request("go_to", self._steps[place])
 
 
 def _button(text: str, tip: str) -> QPushButton:
@@ -152,16 +152,16 @@ def _button(text: str, tip: str) -> QPushButton:
 class FrameBar(QWidget):
     """Buttons and a slider to move over frames."""
 
-    def __init__(self, workplace: Workplace) -> None:
+    def __init__(self, actions: Actions) -> None:
         super().__init__()
-        self._workplace = workplace
+        self._actions = actions
         self.before = self._button("<", "Frame before this one (,)", "step_frame", -1)
         self.play = self._button("Play", "Play the frames, or stop (X)", "play_frames")
         self.next = self._button(">", "Next frame (.)", "step_frame", 1)
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.slider.setAccessibleName("frame")
-        self.slider.valueChanged.connect(lambda number: workplace.request("frame", number))
+        self.slider.valueChanged.connect(lambda number: actions.request("frame", number))
         self.where = QLabel("")
         self.where.setMinimumWidth(210)
         line = QHBoxLayout(self)
@@ -178,11 +178,11 @@ class FrameBar(QWidget):
         button.setToolTip(tip)
         button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         button.setFixedWidth(64 if len(text) > 1 else 40)
-        button.clicked.connect(lambda: self._workplace.request(name, *values))
+        button.clicked.connect(lambda: self._actions.request(name, *values))
         return button
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show the state of the workplace."""
+        """Show the state."""
         self.setVisible(state["frames"] > 1)
         self.play.setText("Stop" if state["frames_play"] else "Play")
         with QSignalBlocker(self.slider):

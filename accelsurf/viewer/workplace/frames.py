@@ -37,9 +37,9 @@ class FramesFeature(Feature):
         Whether the frames follow each other by themselves.
     """
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
-        self._frames: SequenceView | None = workplace.frames
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
+        self._frames: SequenceView | None = actions.frames
         self.number, self.is_playing = 0, False
         self._due = 0.0
         #: The last view of the run, for when its frame is shown again.
@@ -48,7 +48,7 @@ class FramesFeature(Feature):
             self.number = self._frames.home
             tracks = self._frames.tracks
             ids = () if tracks is None else tracks.ids
-            workplace.scene.styles.tracked = {
+            actions.scene.styles.tracked = {
                 own: ObjectStyle(unnamed(own), object_color(place)) for place, own in enumerate(ids)
             }
             if tracks is not None:
@@ -150,8 +150,8 @@ class FramesFeature(Feature):
 
     def _show(self, number: int) -> None:
         """Show a frame; what was shown stays where it cannot be read."""
-        if number != self.number and self.workplace.feature(ForceFeature).is_on:
-            self.workplace.request("force", False)  # it is that of the frame that is left
+        if number != self.number and self.actions.feature(ForceFeature).is_on:
+            self.actions.request("force", False)  # it is that of the frame that is left
         before, self.number = self.number, number
         try:
             self._draw()
@@ -160,7 +160,7 @@ class FramesFeature(Feature):
             raise
 
     def _draw(self) -> None:
-        frames, scene = self._checked(), self.workplace.scene
+        frames, scene = self._checked(), self.actions.scene
         volume, frame = frames.volume(self.number), frames.frame(self.number)
         scene.show_image(volume)
         if self.shows_run and self._view is not None:
@@ -171,9 +171,9 @@ class FramesFeature(Feature):
     def _copy_correction(self) -> None:
         """Copy the words with which ``accelsurf track`` corrects this frame at the place under the mouse."""
         self._checked()
-        self.workplace.copy(self._correction())
+        self.actions.copy(self._correction())
 
     def _correction(self) -> str:
         if self._frames is None:
             return ""
-        return f'--correct "frame={self.number} inside={self.workplace.feature(SlicesFeature).read_out()["as_point"]}"'
+        return f'--correct "frame={self.number} inside={self.actions.feature(SlicesFeature).read_out()["as_point"]}"'

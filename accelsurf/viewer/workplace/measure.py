@@ -27,7 +27,7 @@ from accelsurf.viewer.workplace.tool import Feature, Tool, whole
 
 if TYPE_CHECKING:
     from accelsurf.viewer.core.figures import Figures
-    from accelsurf.viewer.workplace.workplace import Workplace
+    from accelsurf.viewer.workplace.workplace import Actions
 
 
 #: An end is grabbed from so many pixels away, of a usual screen.
@@ -42,8 +42,8 @@ class Distance(Tool):
     name, key, text = "distance", "D", "Length"
     tip = "Drag from one end to the other, or click both; drag an end to move it"
 
-    def __init__(self, workplace: Workplace, measurements: Measurements) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Actions, measurements: Measurements) -> None:
+        super().__init__(actions)
         self._measurements = measurements
         #: Number of the measurement, and its end, that moves with the mouse.
         self._held: tuple[int, int] | None = None
@@ -56,7 +56,7 @@ class Distance(Tool):
         if at.world is None:
             return
         known = self._measurements
-        tiles = self.workplace.scene.tiles
+        tiles = self.actions.scene.tiles
         self._pixel_mm = tiles.pixel_ratio * tiles.tile(at.tile).mm_per_pixel()
         near = known.nearest(at.world, GRAB * self._pixel_mm)
         if self._unfinished is not None and near != (self._unfinished, len(known[self._unfinished].points) - 1):
@@ -109,7 +109,7 @@ class Distance(Tool):
         self._held = self._unfinished = self._restore = None
 
     def _show(self, dragged_in: str | None = None) -> None:
-        self.workplace.scene.measures.show(self._measurements, dragged_in)
+        self.actions.scene.measures.show(self._measurements, dragged_in)
 
 
 class Angle(Distance):
@@ -129,11 +129,11 @@ class MeasureFeature(Feature):
         Of the state for which they were asked last.
     """
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
         self.measurements = Measurements()
         self.figures: Figures | None = None
-        self._tools = Distance(workplace, self.measurements), Angle(workplace, self.measurements)
+        self._tools = Distance(actions, self.measurements), Angle(actions, self.measurements)
         self._is_measuring, self._is_current = False, False
         self._lines: list[list[str]] = []
         #: The tables as they are copied, and what they are of.
@@ -155,7 +155,7 @@ class MeasureFeature(Feature):
         return self._tools
 
     def state(self, status: Status) -> dict[str, Any]:
-        unit = self.workplace.scene.unit
+        unit = self.actions.scene.unit
         figures = self.figures
         return {
             "measurements": [[one.number, one.kind, one.text(unit)] for one in self.measurements],
@@ -174,32 +174,32 @@ class MeasureFeature(Feature):
     def _measure(self) -> None:
         if self._is_measuring:
             return
-        future = self.workplace.session.figures()
+        future = self.actions.session.figures()
         self._is_measuring = True
         future.add_done_callback(lambda _: setattr(self, "_is_measuring", False))
-        self.workplace.ask(future, self._show_figures)
+        self.actions.ask(future, self._show_figures)
 
     def _show_figures(self, figures: Figures) -> None:
         self.figures, self._is_current = figures, True
-        self._lines = table_of(figures, self.workplace.scene.unit, self._thickness())
+        self._lines = table_of(figures, self.actions.scene.unit, self._thickness())
         if not figures.rows:
-            self.workplace.note("there is no object to measure")
+            self.actions.note("there is no object to measure")
 
     def _thickness(self) -> float | None:
-        geometry = self.workplace.scene.geometry
+        geometry = self.actions.scene.geometry
         return None if geometry.slice_axis is None else float(geometry.spacing[geometry.slice_axis])
 
     def _draw_diameters(self, object_id: Any = None) -> None:
-        known = self.workplace.session.status.objects or (1,)
-        wanted = whole(object_id, 0, MAX_ID) if object_id is not None else self.workplace.object_id or known[0]
+        known = self.actions.session.status.objects or (1,)
+        wanted = whole(object_id, 0, MAX_ID) if object_id is not None else self.actions.object_id or known[0]
         if wanted not in known:
             raise UsageError(f"object {wanted} was named, expected {', '.join(map(str, known))}")
-        self.workplace.ask(self.workplace.session.diameters(wanted), self._show_diameters)
+        self.actions.ask(self.actions.session.diameters(wanted), self._show_diameters)
 
     def _show_diameters(self, lines: Diameters) -> None:
         for ends in lines:
             self.measurements.add("distance", list(ends))
-        self.workplace.scene.cursor = lines.axial.mean(axis=0)  # to the slice in which two of them lie
+        self.actions.scene.cursor = lines.axial.mean(axis=0)  # to the slice in which two of them lie
         self._show()
 
     # -- what is drawn ------------------------------------------------------------------------------------
@@ -215,7 +215,7 @@ class MeasureFeature(Feature):
     def _show(self) -> None:
         for tool in self._tools:
             tool.forget()
-        self.workplace.scene.measures.show(self.measurements)
+        self.actions.scene.measures.show(self.measurements)
 
     # -- out of the program -------------------------------------------------------------------------------
 
@@ -235,27 +235,27 @@ class MeasureFeature(Feature):
     def _copy(self) -> None:
         if not self._tabbed():
             raise UsageError("nothing has been measured", "press Measure, or draw a length")
-        self.workplace.copy(self._tabbed())
-        self.workplace.note("copied the tables, with tabs between the columns")
+        self.actions.copy(self._tabbed())
+        self.actions.note("copied the tables, with tabs between the columns")
 
     def _save(self) -> None:
-        workplace = self.workplace
-        if workplace.folder is None:
+        actions = self.actions
+        if actions.folder is None:
             raise UsageError("save: there is no folder to save in", "name one, or save the run first")
         if not self._texts():
             raise UsageError("nothing has been measured", "press Measure, or draw a length")
-        written = self._write(workplace.folder, self._texts())
-        workplace.feature(FilesFeature).add(*written)
-        workplace.note(f"saved in {workplace.folder.absolute()}: {', '.join(path.name for path in written)}", 20)
+        written = self._write(actions.folder, self._texts())
+        actions.feature(FilesFeature).add(*written)
+        actions.note(f"saved in {actions.folder.absolute()}: {', '.join(path.name for path in written)}", 20)
 
     def save_beside(self, folder: Path) -> list[Path]:
         # The figures of the objects are among the files of the run already.
         return self._write(folder, {name: text for name, text in self._texts().items() if name != "figures.csv"})
 
     def _write(self, folder: Path, texts: Mapping[str, str]) -> list[Path]:
-        paths = {folder / f"{self.workplace.session.name}_{name}": text for name, text in texts.items()}
+        paths = {folder / f"{self.actions.session.name}_{name}": text for name, text in texts.items()}
         others = {path.name: path for path in paths if path not in self._written}
-        output_folder.refuse_existing(others, self.workplace.overwrite)
+        output_folder.refuse_existing(others, self.actions.overwrite)
         output_folder.refuse_existing({path.name: path for path in paths}, overwrite=True)
         for path, text in paths.items():
             write_bytes(path, text.encode())

@@ -80,6 +80,8 @@ class SliceTurns:
 LEFT, MIDDLE, RIGHT = 0, 1, 2
 #: Degrees that the camera turns per pixel of a picture 720 high.
 TURN = 0.45
+#: Ends of the slider: voxels of the smallest spacing, and parts of the image's longest side.
+LEAST, MOST = 0.5, 0.4
 #: A mouse that has not moved for so many seconds is still.
 STILL = 0.5
 
@@ -97,20 +99,22 @@ class MouseFeature(Feature):
         How many presses there have been.
     """
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
-        self._tools = tuple(kind(workplace) for kind in TOOLS)
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
+        self._tools = tuple(kind(actions) for kind in TOOLS)
         self.tool: Tool = self._tools[0]
         #: The tile in which a button is down, that button, and what it does: with shift, left is as middle.
         self._tile, self._pressed, self._button, self._at = "", LEFT, LEFT, (0.0, 0.0)
         self._moved_at, self.gesture, self._turns = 0.0, 0, SliceTurns()
+        self._unit, self._per = read_in("mm", actions.scene.unit)
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
         return {
             "tool": self._use,
             "no_tool": lambda: self._use("look"),
             "radius": self._radius,
-            "scale_radius": lambda factor: self._radius(self.workplace.radius * number(factor, 0.1, 10.0)),
+            "set_radius": lambda value: self._radius(from_read(value, self._per)),
+            "scale_radius": lambda factor: self._radius(self.actions.radius * number(factor, 0.1, 10.0)),
             "press": self.press,
             "move": self.move,
             "release": self.release,
@@ -132,7 +136,10 @@ class MouseFeature(Feature):
         }
 
     def state(self, status: Status) -> dict[str, Any]:
-        return {"tool": self.tool.name, "radius": self.workplace.radius}
+        geometry, radius = self.actions.scene.geometry, self.actions.radius
+        longest = float(max(geometry.extent_mm))
+        row = amount(LEAST * finest(geometry), MOST * longest, radius, 2.0, longest, per=self._per)
+        return {"tool": self.tool.name, "radius": radius, "radius_row": {"unit": self._unit, **row}}
 
     @property
     def is_dragging(self) -> bool:
@@ -147,16 +154,15 @@ class MouseFeature(Feature):
     # -- choices ------------------------------------------------------------------------------------------
 
     def _use(self, name: Any) -> None:
-        tool = self.workplace.tools[word(name, tuple(self.workplace.tools))]
+        tool = self.actions.tools[word(name, tuple(self.actions.tools))]
         self.cancel()
         self.tool.leave()
         self.tool = tool
-        self.workplace.scene.mark_ball(None)
-        self.workplace.note(tool.tip)
+        self.actions.scene.mark_ball(None)
+        self.actions.note(tool.tip)
 
     def _radius(self, mm: Any) -> None:
-        geometry = self.workplace.scene.geometry
-        self.workplace.radius = number(mm, 0.0, float(max(geometry.extent_mm)))
+        self.actions.radius = number(mm, 0.0, float(max(self.actions.scene.geometry.extent_mm)))
         self.tool.resize()
 
     # -- events -------------------------------------------------------------------------------------------
@@ -168,15 +174,15 @@ class MouseFeature(Feature):
             return
         self.cancel()  # the same one again: its release was lost
         self._moved_at, self.gesture = time.monotonic(), self.gesture + 1
-        at = self.workplace.scene.pick(*pixel)
+        at = self.actions.scene.pick(*pixel)
         self._pressed, self._button = button, MIDDLE if shift and button == LEFT else button
         self._tile, self._at = at.tile, pixel
-        tiles = self.workplace.scene.tiles
-        tiles.redraw.hurry(at.tile in self.workplace.scene.slice_tiles)
+        tiles = self.actions.scene.tiles
+        tiles.redraw.hurry(at.tile in self.actions.scene.slice_tiles)
         if at.tile == "space":
             tiles.coarsen(True)
         if self._button == LEFT and at.world is not None and self._uses_tool(at.tile):
-            self.workplace.feature(FramesFeature).refuse_tool(self.tool.name)
+            self.actions.feature(FramesFeature).refuse_tool(self.tool.name)
             self.tool.press(at)
 
     def move(self, x: Any, y: Any) -> None:
@@ -187,24 +193,24 @@ class MouseFeature(Feature):
         right, up, self._moved_at = pixel[0] - self._at[0], pixel[1] - self._at[1], time.monotonic()
         self._at = pixel
         if self._button == LEFT and self._uses_tool(self._tile):
-            at = self.workplace.scene.pick(*pixel)
+            at = self.actions.scene.pick(*pixel)
             if at.world is not None and at.tile == self._tile:
                 self.tool.move(at)
         else:
             self._look_around(right, up)
-            at = self.workplace.scene.pick(*pixel)
+            at = self.actions.scene.pick(*pixel)
         self._read(at)
 
     def _look_around(self, right: float, up: float) -> None:
         """Move by pixels in the tile in which a button went down."""
-        scene = self.workplace.scene
+        scene = self.actions.scene
         if self._tile not in scene.tiles.names:
             return
         size, space = scene.plotter.render_window.GetSize(), scene.space if self._tile == "space" else None
         if self._button == MIDDLE:
             scene.tiles.tile(self._tile).shift(right, up)
         elif self._button == RIGHT and space is None:
-            self.workplace.feature(SlicesFeature).drag_window(right / size[0], up / size[1])
+            self.actions.feature(SlicesFeature).drag_window(right / size[0], up / size[1])
         elif self._button == RIGHT and space is not None:
             space.zoom(ZOOM ** (40.0 * up / size[1]))
         elif space is not None:
@@ -221,19 +227,19 @@ class MouseFeature(Feature):
         """End what is being dragged, as if no button had gone down."""
         if self._leave_tile():
             self.tool.cancel()
-            self.workplace.scene.mark_ball(None)
+            self.actions.scene.mark_ball(None)
 
     def _leave_tile(self) -> bool:
         """Note that no button is down any more; returns whether the tool was used."""
         tile, self._tile = self._tile, ""
-        self.workplace.scene.tiles.redraw.hurry(False)
+        self.actions.scene.tiles.redraw.hurry(False)
         return bool(tile) and self._button == LEFT and self._uses_tool(tile)
 
     def _hover(self, x: Any, y: Any) -> None:
-        self._read(self.workplace.scene.pick(*self._pixel(x, y)) if not self.is_dragging else None)
+        self._read(self.actions.scene.pick(*self._pixel(x, y)) if not self.is_dragging else None)
 
     def _wheel(self, x: Any, y: Any, notches: Any, zoom: Any = False) -> None:
-        scene, (across, up) = self.workplace.scene, self._pixel(x, y)
+        scene, (across, up) = self.actions.scene, self._pixel(x, y)
         at, notches = scene.pick(across, up), number(notches, -100, 100)
         factor = ZOOM ** min(max(notches, -5.0), 5.0)
         if at.tile in scene.slice_tiles and zoom:
@@ -251,32 +257,32 @@ class MouseFeature(Feature):
 
     def zoom(self, x: float, y: float, factor: float) -> None:
         """Enlarge the tile in which a button is down; what is at this place stays there."""
-        tiles, pixel = self.workplace.scene.tiles, self._pixel(x, y)
+        tiles, pixel = self.actions.scene.tiles, self._pixel(x, y)
         if self._tile in tiles.names:
             tiles.tile(self._tile).zoom(factor, *self._place(self._tile, *pixel))
 
     def _double(self, x: Any, y: Any) -> None:
-        tile = self.workplace.scene.pick(*self._pixel(x, y)).tile
+        tile = self.actions.scene.pick(*self._pixel(x, y)).tile
         self.cancel()
-        if tile in self.workplace.scene.tiles.names and self.tool.name == "look":
-            self.workplace.feature(SlicesFeature).enlarge(tile)
+        if tile in self.actions.scene.tiles.names and self.tool.name == "look":
+            self.actions.feature(SlicesFeature).enlarge(tile)
 
     def _uses_tool(self, tile: str) -> bool:
         """Test if the left button uses the tool there: to look around in 3D is to turn the camera."""
-        return tile in self.workplace.scene.slice_tiles or (tile == "space" and self.tool.name != "look")
+        return tile in self.actions.scene.slice_tiles or (tile == "space" and self.tool.name != "look")
 
     def _read(self, at: Picked | None) -> None:
-        self.workplace.feature(SlicesFeature).read(at)
+        self.actions.feature(SlicesFeature).read(at)
 
     def _pixel(self, x: Any, y: Any) -> tuple[float, float]:
         """Pixels from the lower left corner, of parts of the width and of the height from the top."""
-        width, height = self.workplace.scene.plotter.render_window.GetSize()
+        width, height = self.actions.scene.plotter.render_window.GetSize()
         return number(x, 0.0, 1.0) * width, (1.0 - number(y, 0.0, 1.0)) * height
 
     def _place(self, tile: str, x: float, y: float) -> tuple[float, float]:
         """Place of a pixel in a tile, each coordinate from 0 to 1; beyond that where it lies beside it."""
-        width, height = self.workplace.scene.plotter.render_window.GetSize()
-        left, bottom, right, top = self.workplace.scene.tiles.renderer(tile).GetViewport()
+        width, height = self.actions.scene.plotter.render_window.GetSize()
+        left, bottom, right, top = self.actions.scene.tiles.renderer(tile).GetViewport()
         if right <= left or top <= bottom:  # another layout, which does not show it
             return 0.5, 0.5
         return (x / width - left) / (right - left), (y / height - bottom) / (top - bottom)
@@ -288,15 +294,15 @@ MAX_FINGERS, MAX_NUMBER = 10, 2**31
 NEAR = 10.0
 
 
-class FingersFeature(Feature):
+class TouchFeature(Feature):
     """Makes of fingers what the mouse does.
 
     The first one draws. With the second one a gesture of two begins, so what the first has begun is cancelled, and
     nothing is drawn until all are up: who lifts one finger of two does not mean a stroke.
     """
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
         #: Places of all that are down, parts of the width and of the height from the top.
         self._places: dict[int, tuple[float, float]] = {}
         #: Those whose moves count: one, two, or none where the rest of a gesture is waited for.
@@ -313,7 +319,7 @@ class FingersFeature(Feature):
 
     @property
     def _mouse(self) -> MouseFeature:
-        return self.workplace.feature(MouseFeature)
+        return self.actions.feature(MouseFeature)
 
     @property
     def _leads(self) -> bool:
@@ -359,12 +365,12 @@ class FingersFeature(Feature):
         self._forget(_number(finger), self._mouse.release)
 
     def _cancel(self, finger: Any = None) -> None:
-        """The system has taken a finger, or all, for something else."""
-        for one in (*self._places,) if finger is None else (_number(finger),):
-            self._forget(one, self._mouse.cancel)
+        """End what a finger, or all, has begun: the system has taken it for something else."""
+        for lost in (*self._places,) if finger is None else (_number(finger),):
+            self._forget(lost, self._mouse.cancel)
 
     def _forget(self, finger: int, end: Callable[[], None]) -> None:
-        """A finger is no longer down; what it has begun ends with ``end``."""
+        """Forget a finger that is no longer down; what it has begun ends with ``end``."""
         self._places.pop(finger, None)
         if finger in self._leading:
             leads, self._leading = self._leads, ()
@@ -372,7 +378,7 @@ class FingersFeature(Feature):
                 end()
 
     def _middle(self) -> tuple[float, float]:
-        """Between the fingers that lead."""
+        """Return the place between the fingers that lead."""
         x, y = zip(*(self._places[finger] for finger in self._leading), strict=True)
         return sum(x) / len(x), sum(y) / len(y)
 
@@ -380,7 +386,7 @@ class FingersFeature(Feature):
         """Pixels between the two fingers that lead."""
         if len(self._leading) != 2:
             return NEAR
-        width, height = self.workplace.scene.plotter.render_window.GetSize()
+        width, height = self.actions.scene.plotter.render_window.GetSize()
         (x, y), (far_x, far_y) = (self._places[finger] for finger in self._leading)
         return max(math.hypot((far_x - x) * width, (far_y - y) * height), NEAR)
 
@@ -391,24 +397,3 @@ def _number(finger: Any) -> int:
 
 def _place(x: Any, y: Any) -> tuple[float, float]:
     return number(x, 0.0, 1.0), number(y, 0.0, 1.0)
-
-
-#: Ends of the slider: voxels of the smallest spacing, and parts of the image's longest side.
-LEAST, MOST = 0.5, 0.4
-
-
-class RadiusFeature(Feature):
-    """Shows the radius on a slider, and takes what is set there."""
-
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
-        self._unit, self._per = read_in("mm", workplace.scene.unit)
-
-    def requests(self) -> Mapping[str, Callable[..., None]]:
-        return {"set_radius": lambda value: self.workplace.request("radius", from_read(value, self._per))}
-
-    def state(self, status: Status) -> dict[str, Any]:
-        geometry = self.workplace.scene.geometry
-        least, longest = LEAST * finest(geometry), float(max(geometry.extent_mm))
-        row = amount(least, MOST * longest, self.workplace.radius, 2.0, longest, per=self._per)
-        return {"radius_row": {"unit": self._unit, **row}}

@@ -34,8 +34,8 @@ class Split(Tool):
     name, key, text = "split", "Q", "Split"
     tip = "Click in a part of an object: what is connected to it becomes an object of its own"
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
         self._at: tuple[float, ...] = ()
 
     def press(self, at: Picked) -> None:
@@ -44,7 +44,7 @@ class Split(Tool):
     def release(self) -> None:
         at, self._at = self._at, ()
         if at:
-            self.workplace.request("object_split", *at)
+            self.actions.request("object_split", *at)
 
     def leave(self) -> None:
         self._at = ()
@@ -53,8 +53,8 @@ class Split(Tool):
 class ObjectsFeature(Feature):
     """What a person does with objects, and how each is drawn."""
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
         self._hidden: set[int] = set()
         self._opacity: dict[int, float] = {}
         self._palette: dict[int, str] = {}
@@ -75,7 +75,7 @@ class ObjectsFeature(Feature):
         }
 
     def tools(self) -> Sequence[Tool]:
-        return (Split(self.workplace),)
+        return (Split(self.actions),)
 
     def keys(self) -> Mapping[str, Key]:
         return {"U": Key("object_add", (), "a further object: the next press or click inside begins it")}
@@ -83,7 +83,7 @@ class ObjectsFeature(Feature):
     def state(self, status: Status) -> dict[str, Any]:
         styles = self._styles(status)
         return {
-            "object_active": self.workplace.object_id or 0,
+            "object_active": self.actions.object_id or 0,
             "object_rows": [self._described(own, style, status) for own, style in styles.items()],
         }
 
@@ -95,7 +95,7 @@ class ObjectsFeature(Feature):
 
     def _ids(self, status: Status) -> list[int]:
         """Ids of all objects, and of one that was added and has not begun."""
-        own = self.workplace.object_id
+        own = self.actions.object_id
         ids = list(status.objects or (1,))
         return ids if own is None or own in ids else [*ids, own]
 
@@ -123,8 +123,8 @@ class ObjectsFeature(Feature):
     def _show(self, status: Status) -> None:
         """Draw each object in its style, where that has changed."""
         styles = self._styles(status)
-        if styles != self.workplace.scene.styles.given:
-            self.workplace.scene.restyle(styles)
+        if styles != self.actions.scene.styles.given:
+            self.actions.scene.restyle(styles)
 
     def _known(self, wanted: Any) -> int:
         """The id of an object in the list.
@@ -133,7 +133,7 @@ class ObjectsFeature(Feature):
         ------
         UsageError
         """
-        ids = self._ids(self.workplace.session.status)
+        ids = self._ids(self.actions.session.status)
         own = whole(wanted, 1, MAX_ID)
         if own not in ids:
             raise UsageError(f"object {own} was given, expected one of {', '.join(map(str, ids[:20]))}")
@@ -142,27 +142,27 @@ class ObjectsFeature(Feature):
     # -- what is asked -------------------------------------------------------------------------------------
 
     def _active(self, wanted: Any) -> None:
-        ids = self._ids(self.workplace.session.status)
+        ids = self._ids(self.actions.session.status)
         name = str(int(wanted)) if isinstance(wanted, float) and wanted.is_integer() else wanted
         name = str(name) if isinstance(name, int) and not isinstance(name, bool) else name
         known = word(name, (NEAREST, *map(str, ids)))
-        self.workplace.object_id = None if known == NEAREST else int(known)
+        self.actions.object_id = None if known == NEAREST else int(known)
 
     def _add(self) -> None:
-        status = self.workplace.session.status
+        status = self.actions.session.status
         own = max(status.objects or (1,)) + 1
         if own > MAX_ID:
             raise UsageError("objects: there is no further id")
-        self.workplace.object_id = own
-        self.workplace.request("tool", "size")
-        self.workplace.note(f"object {own}: press in it and drag outwards until the outline fits, or click inside", 30)
+        self.actions.object_id = own
+        self.actions.request("tool", "size")
+        self.actions.note(f"object {own}: press in it and drag outwards until the outline fits, or click inside", 30)
 
     def _remove(self, wanted: Any) -> None:
-        own, ids = self._known(wanted), self.workplace.session.status.objects or (1,)
+        own, ids = self._known(wanted), self.actions.session.status.objects or (1,)
         if own in ids:
-            self.workplace.ask(self.workplace.session.objects(lambda objects: objects.remove(own)))
-        if self.workplace.object_id == own:
-            self.workplace.object_id = None
+            self.actions.ask(self.actions.session.objects(lambda objects: objects.remove(own)))
+        if self.actions.object_id == own:
+            self.actions.object_id = None
 
     def _name(self, wanted: Any, name: Any) -> None:
         own, name = self._known(wanted), text(name, MAX_NAME)
@@ -178,30 +178,30 @@ class ObjectsFeature(Feature):
 
     def _describe(self, own: int, name: str = "", color: str = "") -> None:
         """Name or colour an object. Files then have a name and a colour for each: those that are seen."""
-        styles = self._styles(self.workplace.session.status)
+        styles = self._styles(self.actions.session.status)
         before = styles[own]
         styles[own] = before._replace(name=name or before.name, color=color or before.color)
         said = {each: (style.name, style.color) for each, style in styles.items()}
-        self.workplace.ask(self.workplace.session.objects(lambda objects: objects.describe(said, own)))
+        self.actions.ask(self.actions.session.objects(lambda objects: objects.describe(said, own)))
 
     def _visible(self, wanted: Any, on: Any) -> None:
         own = self._known(wanted)
         self._hidden = self._hidden - {own} if on else self._hidden | {own}
-        self._show(self.workplace.session.status)
+        self._show(self.actions.session.status)
 
     def _set_opacity(self, wanted: Any, opacity: Any) -> None:
         own = self._known(wanted)
         self._opacity[own] = number(opacity, 0.0, 1.0)
-        self._show(self.workplace.session.status)
+        self._show(self.actions.session.status)
 
     def _merge(self, *wanted: Any) -> None:
         ids = tuple(self._known(one) for one in wanted)
         if len(ids) < 2 or len(set(ids)) < len(ids):
             raise UsageError("merge: expected at least two objects")
-        self.workplace.ask(self.workplace.session.objects(lambda objects: objects.merge(ids)))
-        if self.workplace.object_id in ids:
-            self.workplace.object_id = ids[0]
+        self.actions.ask(self.actions.session.objects(lambda objects: objects.merge(ids)))
+        if self.actions.object_id in ids:
+            self.actions.object_id = ids[0]
 
     def _split(self, x: Any, y: Any, z: Any) -> None:
         place = numbers_text(number(one, -1e9, 1e9) for one in (x, y, z))
-        self.workplace.ask(self.workplace.session.objects(lambda objects: objects.split(f"point:{place}")))
+        self.actions.ask(self.actions.session.objects(lambda objects: objects.split(f"point:{place}")))

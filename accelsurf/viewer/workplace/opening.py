@@ -33,7 +33,7 @@ from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import error_line
 from accelsurf.viewer.workplace.files import FilesFeature
 from accelsurf.viewer.workplace.tool import carry_out, text, whole, word
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 #: Seconds that a session has at the end of the program to end its step, and to finish a save.
 STEP_SECONDS, SAVING_SECONDS = 10.0, 600.0
@@ -45,12 +45,12 @@ class FormerSessions:
     def __init__(self) -> None:
         self._sessions: list[tuple[Session, float]] = []
 
-    def add(self, workplace: Workplace) -> None:
-        """End the session of a workplace that is left."""
-        is_saving = workplace.feature(FilesFeature).is_saving
-        workplace.session.close(0.0)
+    def add(self, actions: Actions) -> None:
+        """End the session of an image that is left."""
+        is_saving = actions.feature(FilesFeature).is_saving
+        actions.session.close(0.0)
         self._sessions = [one for one in self._sessions if one[0].is_alive]
-        self._sessions.append((workplace.session, SAVING_SECONDS if is_saving else STEP_SECONDS))
+        self._sessions.append((actions.session, SAVING_SECONDS if is_saving else STEP_SECONDS))
 
     def close(self) -> None:
         """Wait until they have ended."""
@@ -105,7 +105,7 @@ class Opening:
 
     Attributes
     ----------
-    workplace : Workplace or None
+    actions : Actions or None
         The one that is open now; set by whoever shows it.
     message : str
         One line: what is being done, or what went wrong last.
@@ -114,7 +114,7 @@ class Opening:
     """
 
     def __init__(self, config: RunConfig, recent: RecentFiles, served: ServedFolder | None = None) -> None:
-        self.workplace: Workplace | None = None
+        self.actions: Actions | None = None
         self.message, self.failed = "", False
         self._config, self._recent, self._served = config, recent, served
         self._work: Future[Any] | None = None
@@ -177,7 +177,7 @@ class Opening:
         """
         self._check_free()
         then: dict[str, Callable[[], None]] = {"open": partial(self._look_into, path, not temporary)}
-        if dropped and self.workplace is not None:
+        if dropped and self.actions is not None:
             then["reference"] = partial(self.open_reference, path)
         self._ask_first(path.name or str(path), then)
 
@@ -190,9 +190,9 @@ class Opening:
             When no image is open, or something is being opened already.
         """
         self._check_free()
-        if self.workplace is None:
+        if self.actions is None:
             raise UsageError("reference: no image is open", "open the image first")
-        geometry = self.workplace.scene.geometry
+        geometry = self.actions.scene.geometry
         self._start(f"reading the reference {path.name}", lambda: read_reference(path, geometry))
 
     def _named(self, value: Any) -> Path:
@@ -262,8 +262,8 @@ class Opening:
     def _ask_first(self, name: str, then: dict[str, Callable[[], None]]) -> None:
         """Do it at once, or when the question is answered: what was not saved would be lost."""
         self._choices = []
-        workplace = self.workplace
-        is_unsaved = workplace is not None and workplace.feature(FilesFeature).is_unsaved
+        actions = self.actions
+        is_unsaved = actions is not None and actions.feature(FilesFeature).is_unsaved
         if not is_unsaved and len(then) == 1:
             then["open"]()
             return
@@ -312,22 +312,22 @@ class Opening:
         return None
 
     def _compare(self, labels: Volume) -> None:
-        if self.workplace is None:
+        if self.actions is None:
             return
         try:
-            self.workplace.scene.compare(labels)
+            self.actions.scene.compare(labels)
         except AccelsurfError as error:
             self._fail(error)
 
-    def show(self, workplace: Workplace, opened: OpenedImage) -> None:
-        """An image that was read is shown in a workplace now."""
-        self.workplace, self._path = workplace, None
+    def show(self, actions: Actions, opened: OpenedImage) -> None:
+        """Note that an image that was read is shown."""
+        self.actions, self._path = actions, None
         self._config = for_another_image(self._config)
         if opened.source is not None and self._is_listed:
             self._recent.add(opened.source)
         self._renew_lists()
         if opened.note:
-            workplace.note(opened.note, 30.0)
+            actions.note(opened.note, 30.0)
 
     # -- to show ------------------------------------------------------------------------------------------
 
@@ -339,7 +339,7 @@ class Opening:
     def state(self) -> dict[str, Any]:
         """What is shown, in types of JSON."""
         return {
-            "is_open": self.workplace is not None, "opening": self.is_busy, "opening_message": self.message,
+            "is_open": self.actions is not None, "opening": self.is_busy, "opening_message": self.message,
             "opening_failed": self.failed, "question": self._question,
             "answers": [[name, ANSWERS[name]] for name in (*self._asked, "cancel")] if self._question else [],
             "choices": [choice.text for choice in self._choices], **self._lists,
@@ -367,12 +367,12 @@ class Opening:
         }
 
     def say(self, line: str, failed: bool = False) -> None:
-        """Show a line: on the start page, or in the open workplace."""
+        """Show a line: on the start page, or beside the open image."""
         self.message, self.failed = line[:MAX_MESSAGE], failed
-        if self.workplace is not None:
-            self.workplace.note("" if failed else line, 600.0)
+        if self.actions is not None:
+            self.actions.note("" if failed else line, 600.0)
             if failed or line == "":
-                self.workplace.message = self.message
+                self.actions.message = self.message
 
     def _fail(self, error: Exception) -> None:
         self.say(error.message if isinstance(error, UsageError) and not error.hint else error_line(error), failed=True)

@@ -21,14 +21,14 @@ MAX_RATIO = 4.0
 class PictureFeature(Feature):
     """Changes how the scene is drawn."""
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
         #: Size of the picture in pixels of a usual screen, and how many of the device each is.
-        self._sides: tuple[int, int] = self.workplace.scene.plotter.render_window.GetSize()
+        self._sides: tuple[int, int] = self.actions.scene.plotter.render_window.GetSize()
         self._ratio = 1.0
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
-        scene = self.workplace.scene
+        scene = self.actions.scene
         return {
             "color": lambda name: scene.color_by(word(name, COLORS)),
             "next_color": lambda: scene.color_by(COLORS[(COLORS.index(scene.color) + 1) % len(COLORS)]),
@@ -51,7 +51,7 @@ class PictureFeature(Feature):
         }
 
     def state(self, status: Status) -> dict[str, Any]:
-        scene = self.workplace.scene
+        scene = self.actions.scene
         return {
             "color": scene.color, "colors": list(COLORS), "theme": scene.theme_name, "volume": scene.shows_volume,
             "planes": scene.shows_planes, "is_flat": scene.space is None,
@@ -69,11 +69,11 @@ class PictureFeature(Feature):
             return
         self._sides, self._ratio = (wide, high), ratio
         self.draw_fine(True)
-        self.workplace.feature(SlicesFeature).fit_layout(wide, high)
+        self.actions.feature(SlicesFeature).fit_layout(wide, high)
 
     def draw_fine(self, on: bool) -> None:
         """Draw in the pixels of the device, or, while something moves, in those of a usual screen, which is faster."""
-        scene, ratio = self.workplace.scene, self._ratio if on else 1.0
+        scene, ratio = self.actions.scene, self._ratio if on else 1.0
         sides = round(self._sides[0] * ratio), round(self._sides[1] * ratio)
         scene.tiles.pixel_ratio = ratio
         if tuple(scene.plotter.render_window.GetSize()) != sides:

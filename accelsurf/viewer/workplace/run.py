@@ -11,14 +11,14 @@ from accelsurf.viewer.workplace.tool import Feature, Key, whole
 
 if TYPE_CHECKING:
     from accelsurf.viewer.core.doubts import Doubt
-    from accelsurf.viewer.workplace.workplace import Workplace
+    from accelsurf.viewer.workplace.workplace import Actions
 
 
 class RunFeature(Feature):
     """Steers the run of the session."""
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
-        session, ask = self.workplace.session, self.workplace.ask
+        session, ask = self.actions.session, self.actions.ask
         return {
             "play": lambda: ask(session.play()),
             "pause": lambda: ask(session.pause()),
@@ -50,26 +50,26 @@ class RunFeature(Feature):
         }
 
     def _toggle(self) -> None:
-        session = self.workplace.session
-        self.workplace.ask(session.pause() if session.status.playing else session.play())
+        session = self.actions.session
+        self.actions.ask(session.pause() if session.status.playing else session.play())
 
     def _back(self) -> None:
-        session = self.workplace.session
+        session = self.actions.session
         if session.status.step > 0:
-            self.workplace.ask(session.go_to(session.status.step - 1))
+            self.actions.ask(session.go_to(session.status.step - 1))
 
 
 class HistoryFeature(Feature):
     """Goes back and forward over changes, and to doubtful places."""
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
         self._doubts: tuple[Doubt, ...] = ()
         #: Which of them N went to last.
         self._at = -1
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
-        session, ask = self.workplace.session, self.workplace.ask
+        session, ask = self.actions.session, self.actions.ask
         return {
             "change": lambda count: ask(session.go_to_change(whole(count, 0, 10**6))),
             "next_doubt": self._next_doubt,
@@ -82,7 +82,7 @@ class HistoryFeature(Feature):
     def state(self, status: Status) -> dict[str, Any]:
         if status.doubts != self._doubts:
             self._doubts, self._at = status.doubts, -1
-            self.workplace.scene.marks.show_places([doubt.world for doubt in self._doubts])
+            self.actions.scene.marks.show_places([doubt.world for doubt in self._doubts])
         return {
             "changes": [one._asdict() for one in status.changes],
             "rests": list(status.rests),
@@ -102,7 +102,7 @@ class HistoryFeature(Feature):
             When there is none.
         """
         if not self._doubts:
-            ended = self.workplace.session.status.stop is not None
+            ended = self.actions.session.status.stop is not None
             raise UsageError("no place is in doubt" if ended else "where to click next is known when the run has ended")
         self._go_to((self._at + 1) % len(self._doubts))
 
@@ -110,7 +110,7 @@ class HistoryFeature(Feature):
         if not number < len(self._doubts):
             raise UsageError("no place is in doubt")
         self._at, doubt = number, self._doubts[number]
-        self.workplace.scene.cursor = doubt.world
-        self.workplace.note(
+        self.actions.scene.cursor = doubt.world
+        self.actions.note(
             f"place {number + 1} of {len(self._doubts)}, {100.0 * doubt.share:.0f} % doubt: click inside or outside"
         )

@@ -31,9 +31,9 @@ LOOK_SECONDS, MAX_FILES = 5.0, 200
 class SettingsFeature(Feature):
     """Changes settings of the run; those that are fixed while it runs begin another, those of files touch no run."""
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
-        self._finest, self._unit = finest(workplace.scene.geometry), workplace.scene.unit
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
+        self._finest, self._unit = finest(actions.scene.geometry), actions.scene.unit
         self._shown: tuple[RunConfig, Sequence[Mapping[str, Any]], tuple[str, ...]] | None = None
         self._rows: list[Row] = []
         self._energy_error = ""
@@ -86,22 +86,22 @@ class SettingsFeature(Feature):
 
         Which files are written may change at any time.
         """
-        session = self.workplace.session
+        session = self.actions.session
         if entry(key).group is SettingGroup.FILES:
-            self.workplace.ask(session.change_files(**{key: value}))
+            self.actions.ask(session.change_files(**{key: value}))
             return
         if entry(key).fixed:
             if key == "preset" or as_typed(value) != as_typed(getattr(session.status.settings, key)):
-                self.workplace.ask(session.restart_with(**{key: value}))
+                self.actions.ask(session.restart_with(**{key: value}))
             return
         if key == "energy":
             self._energy_error = ""
-        self.workplace.ask(session.change(**{key: value}))
+        self.actions.ask(session.change(**{key: value}))
 
     def _set_term(self, place: Any, key: Any, value: Any) -> None:
         place, key = whole(place, 0, energy_expression.MAX_TERMS), text(key, 40)
         value = str(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else text(value, 40)
-        energy = self.workplace.session.status.settings.energy
+        energy = self.actions.session.status.settings.energy
         self._change("energy", energy_expression.with_setting(energy, place, key, value))
 
     def _type_energy(self, typed: Any) -> None:
@@ -130,8 +130,8 @@ class SettingsFeature(Feature):
         """Names of the files beside the image and among those that were saved that may be masks."""
         if time.monotonic() - self._looked_at >= LOOK_SECONDS:
             self._looked_at = time.monotonic()
-            image = self.workplace.session.source
-            folders = [one for one in (image and image.parent, self.workplace.folder) if one is not None]
+            image = self.actions.session.source
+            folders = [one for one in (image and image.parent, self.actions.folder) if one is not None]
             self._masks = {path.name: path for folder in folders for path in _images(folder) if path != image}
         given = () if status.settings.mask is None else (Path(status.settings.mask).name,)
         return tuple(dict.fromkeys(("", *self._masks, *given)))

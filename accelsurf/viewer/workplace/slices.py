@@ -35,8 +35,8 @@ AROUND = 0.5
 class SlicesFeature(Feature):
     """Draws slices, and reads the image under the mouse."""
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
         self._picked: Picked | None = None
         self._before = "one"
         #: Whether the person has said how the tiles lie; until then it follows from the room that there is.
@@ -44,7 +44,7 @@ class SlicesFeature(Feature):
         self._word = IMAGE
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
-        scene = self.workplace.scene
+        scene = self.actions.scene
         return {
             "window": self._window,
             "window_named": self._window_named,
@@ -62,8 +62,8 @@ class SlicesFeature(Feature):
             "slice": self._slice,
             "through": self._through,
             "cursor": self._cursor,
-            "copy_point": lambda: self.workplace.copy(self.read_out()["as_point"]),
-            "copy_ball": lambda: self.workplace.copy(self.read_out()["as_ball"]),
+            "copy_point": lambda: self.actions.copy(self.read_out()["as_point"]),
+            "copy_ball": lambda: self.actions.copy(self.read_out()["as_ball"]),
         }
 
     def keys(self) -> Mapping[str, Key]:
@@ -82,7 +82,7 @@ class SlicesFeature(Feature):
         }
 
     def state(self, status: Status) -> dict[str, Any]:
-        scene, tiles = self.workplace.scene, self.workplace.scene.tiles
+        scene, tiles = self.actions.scene, self.actions.scene.tiles
         window = scene.window
         return {
             "level": window.level, "width": window.width, "window_word": self._word, "windows": list(WINDOWS),
@@ -104,15 +104,15 @@ class SlicesFeature(Feature):
 
     def _window_named(self, name: Any) -> None:
         if text(name, 40) == IMAGE:
-            return self._show_window(window_of(self.workplace.scene.volume.array), IMAGE)
+            return self._show_window(window_of(self.actions.scene.volume.array), IMAGE)
         window = parse_window(name)
         known = window is None or name in CT_WINDOWS
         return self._show_window(window or self._object_window(), name if known else "")
 
     def _show_window(self, window: GreyWindow, name: str) -> None:
         self._word = name
-        self.workplace.scene.window = window
-        self.workplace.note(f"level {window.level:.4g}, width {window.width:.4g}", 3.0)
+        self.actions.scene.window = window
+        self.actions.note(f"level {window.level:.4g}, width {window.width:.4g}", 3.0)
 
     def _object_window(self) -> GreyWindow:
         """Return the window of the values in the objects and around them.
@@ -122,7 +122,7 @@ class SlicesFeature(Feature):
         UsageError
             When there is no surface.
         """
-        frame, array = self.workplace.scene.frame, self.workplace.scene.volume.array
+        frame, array = self.actions.scene.frame, self.actions.scene.volume.array
         surfaces = () if frame is None else frame.surfaces
         corners = [
             surface.to_image(end)
@@ -156,7 +156,7 @@ class SlicesFeature(Feature):
 
     def drag_window(self, right: float, up: float) -> None:
         """A drag with the right button, by parts of the picture: sideways the width, up darkens as a higher level."""
-        level, width = self.workplace.scene.window.level, self.workplace.scene.window.width
+        level, width = self.actions.scene.window.level, self.actions.scene.window.width
         # In widths, so that it is as fine in an image from 0 to 1 as in one of 16 bits.
         self._show_window(GreyWindow.of(level + DRAG * up * width, width * float(np.exp(DRAG * right))), "")
 
@@ -164,7 +164,7 @@ class SlicesFeature(Feature):
 
     def fit_layout(self, width: float, height: float) -> None:
         """Choose a layout in which slices can be read in so many pixels of a usual screen, if nobody has chosen one."""
-        tiles = self.workplace.scene.tiles
+        tiles = self.actions.scene.tiles
         layout, chart = fitting(width, height)
         if self._layout_is_set or len(tiles.names) == 1 or (layout, chart) == (tiles.layout, tiles.shows_chart):
             return
@@ -173,14 +173,14 @@ class SlicesFeature(Feature):
 
     def _layout(self, name: Any) -> None:
         self._layout_is_set = True
-        self.workplace.scene.tiles.lay_out(word(name, LAYOUTS))
+        self.actions.scene.tiles.lay_out(word(name, LAYOUTS))
 
     def _next_layout(self) -> None:
-        self._layout(LAYOUTS[(LAYOUTS.index(self.workplace.scene.tiles.layout) + 1) % len(LAYOUTS)])
+        self._layout(LAYOUTS[(LAYOUTS.index(self.actions.scene.tiles.layout) + 1) % len(LAYOUTS)])
 
     def enlarge(self, tile: str) -> None:
         """Show a tile alone; asked for again, all as before."""
-        tiles, self._layout_is_set = self.workplace.scene.tiles, True
+        tiles, self._layout_is_set = self.actions.scene.tiles, True
         if tiles.layout == "single" and tiles.large == tile:
             tiles.lay_out(self._before)
         else:
@@ -189,34 +189,34 @@ class SlicesFeature(Feature):
 
     def _next_large(self) -> None:
         """Show the tile under the mouse alone, or else the large one; asked for again, all as before."""
-        tiles, picked = self.workplace.scene.tiles, self._picked
+        tiles, picked = self.actions.scene.tiles, self._picked
         under = tiles.large if picked is None or tiles.layout == "single" else picked.tile
         self.enlarge(under if under in tiles.names else tiles.large)
 
     def _chart(self, on: Any) -> None:
         self._layout_is_set = True
-        self.workplace.scene.tiles.lay_out(chart=bool(on))
+        self.actions.scene.tiles.lay_out(chart=bool(on))
 
     def _straighten(self, on: Any) -> None:
-        if not self.workplace.scene.is_oblique:
+        if not self.actions.scene.is_oblique:
             raise UsageError("straight: the voxels of this image lie along the world's axes, or in one slice")
-        self.workplace.scene.straighten(bool(on))
+        self.actions.scene.straighten(bool(on))
 
     # -- places -------------------------------------------------------------------------------------------
 
     def _slice(self, tile: Any, number_from_1: Any) -> None:
-        scene = self.workplace.scene
+        scene = self.actions.scene
         shown = scene.slice_tiles[word(tile, tuple(scene.slice_tiles))]
         scene.go_to_slice(tile, whole(number_from_1, 1, shown.count) - 1)
 
     def _through(self, count: Any) -> None:
         """Go through the slices of the tile under the mouse, or else of the first."""
-        scene, picked = self.workplace.scene, self._picked
+        scene, picked = self.actions.scene, self._picked
         tile = picked.tile if picked is not None and picked.tile in scene.slice_tiles else next(iter(scene.slice_tiles))
         scene.step_slice(tile, whole(count, -100, 100))
 
     def _cursor(self, x: Any, y: Any, z: Any) -> None:
-        self.workplace.scene.cursor = [number(part, -1e9, 1e9) for part in (x, y, z)]
+        self.actions.scene.cursor = [number(part, -1e9, 1e9) for part in (x, y, z)]
 
     def read(self, at: Picked | None) -> None:
         """Read values at this place from now on: the mouse is there."""
@@ -224,7 +224,7 @@ class SlicesFeature(Feature):
 
     def read_out(self) -> dict[str, Any]:
         """Place, voxel, value and label under the mouse, or at the cursor where the mouse is beside the image."""
-        scene, picked = self.workplace.scene, self._picked
+        scene, picked = self.actions.scene, self._picked
         world = scene.cursor if picked is None or picked.world is None else np.asarray(picked.world)
         index = scene.geometry.world_to_index(world)
         voxel = tuple(int(np.clip(round(float(i)), 0, n - 1)) for i, n in zip(index, scene.geometry.shape, strict=True))
@@ -235,13 +235,13 @@ class SlicesFeature(Feature):
         return {
             "place": where, "where": self._shown(world), "voxel": ", ".join(str(i) for i in voxel[::-1]),
             "value": f"{value:.6g}" if np.isfinite(value) else str(value), "label": ", ".join(ids) or "0",
-            "as_ball": f"ball:{where.replace(' ', '')},{self.workplace.radius:.4g}",
+            "as_ball": f"ball:{where.replace(' ', '')},{self.actions.radius:.4g}",
             "as_point": f"point:{where.replace(' ', '')}",
         }
 
     def _shown(self, world: Any) -> str:
         """A place in the unit of the file."""
-        unit = self.workplace.scene.unit
+        unit = self.actions.scene.unit
         if unit == "mm":
             return f"{self._text(world)} mm"
         return ", ".join(f"{in_unit(float(part), unit) + 0.0:.5g}" for part in world) + f" {unit}"
@@ -249,5 +249,5 @@ class SlicesFeature(Feature):
     def _text(self, world: Any) -> str:
         """A place in world mm, as settings have it."""
         # A tenth of the smallest voxel is as fine as a mouse.
-        digits = max(0, 1 - int(np.floor(np.log10(min(self.workplace.scene.geometry.spacing)))))
+        digits = max(0, 1 - int(np.floor(np.log10(min(self.actions.scene.geometry.spacing)))))
         return ", ".join(f"{round(float(part), digits) + 0.0:g}" for part in world)

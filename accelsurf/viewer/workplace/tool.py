@@ -16,7 +16,7 @@ from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.space import Picked
 
 if TYPE_CHECKING:
-    from accelsurf.viewer.workplace.workplace import Workplace
+    from accelsurf.viewer.workplace.workplace import Actions
 
 
 class Key(NamedTuple):
@@ -28,16 +28,16 @@ class Key(NamedTuple):
 
 
 class Feature:
-    """A feature of the workplace; knows neither the window nor the page.
+    """A group of actions; knows neither the window nor the page.
 
     Parameters
     ----------
-    workplace : Workplace
+    actions : Actions
         Has session and scene.
     """
 
-    def __init__(self, workplace: Workplace) -> None:
-        self.workplace = workplace
+    def __init__(self, actions: Actions) -> None:
+        self.actions = actions
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
         """What can be asked for, by name. Values come from a page and are not trusted: each is checked."""
@@ -153,7 +153,7 @@ class Tool:
 
     Parameters
     ----------
-    workplace : Workplace
+    actions : Actions
 
     Attributes
     ----------
@@ -165,8 +165,8 @@ class Tool:
 
     name = key = text = tip = ""
 
-    def __init__(self, workplace: Workplace) -> None:
-        self.workplace = workplace
+    def __init__(self, actions: Actions) -> None:
+        self.actions = actions
 
     def press(self, at: Picked) -> None:
         """The button goes down at a place in a slice or on a surface."""
@@ -190,7 +190,7 @@ class Tool:
     @property
     def radius(self) -> float:
         """Of click, ball and brush, mm."""
-        return self.workplace.radius
+        return self.actions.radius
 
 
 def ball_text(center: NDArray[np.float64], radius: float) -> str:

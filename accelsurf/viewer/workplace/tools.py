@@ -17,7 +17,7 @@ from accelsurf.viewer.scene.space import Picked
 from accelsurf.viewer.workplace.tool import Feature, Tool, ball_text, finest, numbers_text
 
 if TYPE_CHECKING:
-    from accelsurf.viewer.workplace.workplace import Workplace
+    from accelsurf.viewer.workplace.workplace import Actions
 
 
 class Look(Tool):
@@ -26,24 +26,24 @@ class Look(Tool):
     name, key, text = "look", "V", "Look"
     tip = "Turn the surface; drag in a slice to move the slices"
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
         self._before: NDArray[np.float64] | None = None
 
     def press(self, at: Picked) -> None:
-        self._before = self.workplace.scene.cursor
+        self._before = self.actions.scene.cursor
         self.move(at)
 
     def move(self, at: Picked) -> None:
         if at.world is not None:
-            self.workplace.scene.cursor = at.world
+            self.actions.scene.cursor = at.world
 
     def release(self) -> None:
         self._before = None
 
     def cancel(self) -> None:
         if self._before is not None:
-            self.workplace.scene.cursor = self._before
+            self.actions.scene.cursor = self._before
         self._before = None
 
 
@@ -53,8 +53,8 @@ class Ball(Tool):
     name, key, text = "ball", "B", "Ball"
     tip = "Press in a slice or on the surface and drag: a ball to start from"
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
         self.center: NDArray[np.float64] | None = None
 
     def press(self, at: Picked) -> None:
@@ -65,48 +65,42 @@ class Ball(Tool):
 
     def resize(self) -> None:
         if self.center is not None:
-            self.workplace.scene.mark_ball(self.center, self.radius)
+            self.actions.scene.mark_ball(self.center, self.radius)
 
     def release(self) -> None:
         if self.center is not None:
-            self.workplace.scene.cursor = self.center
-            self.workplace.ask(self.workplace.session.start_from([ball_text(self.center, self.radius)]))
+            self.actions.scene.cursor = self.center
+            self.actions.ask(self.actions.session.start_from(self.start(ball_text(self.center, self.radius))))
         # The mark stays until the surface is drawn that it has led to.
         self.center = None
 
     def leave(self) -> None:
         self.center = None
 
+    def start(self, ball: str) -> list[str]:
+        """Return the balls from which the run starts, with the new one."""
+        return [ball]
 
-class Points(Tool):
+
+class Points(Ball):
     """Places a small ball at each click; the run starts from all."""
 
     name, key, text = "points", "P", "Points"
     tip = "Click in a slice: small balls to start from, one for each point"
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
         self._balls: list[str] = []
-        self._center: NDArray[np.float64] | None = None
 
-    def press(self, at: Picked) -> None:
-        self._center = at.world
-        self.workplace.scene.mark_ball(self._center, self.radius)
-
-    move = press
-
-    def release(self) -> None:
-        if self._center is not None:
-            self._balls.append(ball_text(self._center, self.radius))
-            self.workplace.scene.cursor = self._center
-            self.workplace.ask(self.workplace.session.start_from(self._balls))
-        self._center = None
+    def start(self, ball: str) -> list[str]:
+        self._balls.append(ball)
+        return self._balls
 
     def cancel(self) -> None:
-        self._center = None  # those placed before stay
+        self.center = None  # those placed before stay
 
     def leave(self) -> None:
-        self._balls, self._center = [], None
+        self._balls, self.center = [], None
 
 
 class Size(Tool):
@@ -115,8 +109,8 @@ class Size(Tool):
     name, key, text = "size", "S", "Size"
     tip = "Press in the object and drag outwards until the outline fits: a click and a size"
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
         self._center: NDArray[np.float64] | None = None
         self._dragging: Dragging | None = None
         self.drag_mm = 0.0
@@ -125,11 +119,11 @@ class Size(Tool):
         if at.world is None:
             return
         self._center, self.drag_mm = at.world, 0.0
-        press = functools.partial(self.workplace.session.press, object_id=self.workplace.object_id)
+        press = functools.partial(self.actions.session.press, object_id=self.actions.object_id)
         self._dragging = Dragging(press, ball_text(at.world, self.radius))
-        self.workplace.ask(self._dragging.pressed)
-        self.workplace.scene.cursor = at.world
-        self.workplace.scene.mark_ball(at.world, self.radius)
+        self.actions.ask(self._dragging.pressed)
+        self.actions.scene.cursor = at.world
+        self.actions.scene.mark_ball(at.world, self.radius)
 
     def move(self, at: Picked) -> None:
         if self._center is None or self._dragging is None or at.world is None:
@@ -137,16 +131,16 @@ class Size(Tool):
         self.drag_mm = float(np.linalg.norm(at.world - self._center))
         drag = self._dragging.at(self.drag_mm)
         if drag is not None:
-            self.workplace.scene.mark_size(drag, self.drag_mm)
+            self.actions.scene.mark_size(drag, self.drag_mm)
 
     def release(self) -> None:
         if self._dragging is not None and self.drag_mm > 0:
-            self.workplace.ask(self.workplace.session.release(self.drag_mm))
+            self.actions.ask(self.actions.session.release(self.drag_mm))
         self.leave()
 
     def leave(self) -> None:
         self._center = self._dragging = None
-        self.workplace.scene.mark_size(None)
+        self.actions.scene.mark_size(None)
 
 
 #: In the order of their buttons; those that paint follow.
@@ -167,8 +161,8 @@ class StrokeTool(Tool):
     #: In whose colour it is drawn.
     side: Side = "inside"
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
         #: Pieces of the stroke, each a line of places.
         self._pieces: list[list[Place]] = []
         self._mark = 0
@@ -178,24 +172,24 @@ class StrokeTool(Tool):
     @property
     def width(self) -> float:
         """Radius, mm; 0 where it is no larger than a voxel, so that a click is a point."""
-        return self.radius if self.radius > 0.5001 * finest(self.workplace.scene.geometry) else 0.0
+        return self.radius if self.radius > 0.5001 * finest(self.actions.scene.geometry) else 0.0
 
     def press(self, at: Picked) -> None:
         if at.world is None:
             return
         self.leave()
-        self._mark = self.workplace.scene.marks.new_stroke()
+        self._mark = self.actions.scene.marks.new_stroke()
         self.move(at)
 
     def move(self, at: Picked) -> None:
-        strokes = self.workplace.scene.marks
+        strokes = self.actions.scene.marks
         if at.world is None or not self._mark:
             return
         # As the settings will have it, so that what is drawn is what is clicked, to the last voxel.
         world = np.array([float(part) for part in numbers_text(at.world).split(",")])
         last = self._pieces[-1][-1] if self._pieces else None
         away = np.inf if last is None else float(np.linalg.norm(world - last))
-        step = max(STROKE_STEP * self.width, finest(self.workplace.scene.geometry))
+        step = max(STROKE_STEP * self.width, finest(self.actions.scene.geometry))
         if away < step:
             return
         if last is None or (at.tile == "space" and away > max(JUMP * self.width, 4.0 * step)):
@@ -207,13 +201,13 @@ class StrokeTool(Tool):
     def release(self) -> None:
         if self._pieces:
             future = self.send(self._pieces)
-            self.workplace.ask(future)
+            self.actions.ask(future)
             self.sent.append((self._mark, future))
         self._pieces, self._mark = [], 0
 
     def leave(self) -> None:
         if self._mark:
-            self.workplace.scene.marks.end(self._mark)
+            self.actions.scene.marks.end(self._mark)
         self._pieces, self._mark = [], 0
 
     def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
@@ -224,7 +218,7 @@ class StrokeTool(Tool):
         """Draw no longer what the surface has obeyed, or the session refused."""
         for mark, future in self.sent:
             if future.done():
-                self.workplace.scene.marks.end(mark)
+                self.actions.scene.marks.end(mark)
         self.sent = [(mark, future) for mark, future in self.sent if not future.done()]
 
 
@@ -236,7 +230,7 @@ class Inside(StrokeTool):
 
     def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
         texts = tuple(click_text(piece, self.width) for piece in pieces)
-        return self.workplace.session.add_click(self.side, texts, self.workplace.object_id)
+        return self.actions.session.add_click(self.side, texts, self.actions.object_id)
 
 
 class Outside(Inside):
@@ -256,7 +250,7 @@ class Grow(StrokeTool):
 
     def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
         balls = tuple(ball_text(place, self.radius) for piece in pieces for place in piece)
-        return self.workplace.session.edit_balls(self.kind, balls, self.workplace.object_id)
+        return self.actions.session.edit_balls(self.kind, balls, self.actions.object_id)
 
 
 class Shrink(Grow):
@@ -271,9 +265,9 @@ class Shrink(Grow):
 class StrokesFeature(Feature):
     """The tools that paint."""
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__(workplace)
-        self._tools = tuple(kind(workplace) for kind in (Inside, Outside, Grow, Shrink))
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
+        self._tools = tuple(kind(actions) for kind in (Inside, Outside, Grow, Shrink))
 
     def tools(self) -> Sequence[Tool]:
         return self._tools

@@ -1,11 +1,12 @@
-"""The workplace: a session and a scene, and the features that act on them; window and page only pass on what is asked.
+"""Actions of a person on a session and its scene, in groups; window and page pass on requests and show the state.
 
-mouse, keys, buttons --request--> Workplace -> Feature -> Session (a command: a Future) or Scene (drawn at once)
-window, page <----state()---- Workplace <- each Feature.state(status)
+mouse, keys, buttons --request--> Actions -> Feature -> Session (a command: a Future) or Scene (drawn at once)
+window, page <----state()---- Actions <- each Feature.state(status)
 """
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -15,7 +16,7 @@ from typing import Any, TypeVar
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.core.status import Status, View, error_line
+from accelsurf.viewer.core.status import View, error_line
 from accelsurf.viewer.scene.headless import draws_in_software
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.box import BoxFeature
@@ -24,7 +25,7 @@ from accelsurf.viewer.workplace.force import ForceFeature
 from accelsurf.viewer.workplace.frames import FramesFeature
 from accelsurf.viewer.workplace.histogram import HistogramFeature
 from accelsurf.viewer.workplace.measure import MeasureFeature
-from accelsurf.viewer.workplace.mouse import FingersFeature, MouseFeature, RadiusFeature
+from accelsurf.viewer.workplace.mouse import MouseFeature, TouchFeature
 from accelsurf.viewer.workplace.objects import ObjectsFeature
 from accelsurf.viewer.workplace.picture import PictureFeature
 from accelsurf.viewer.workplace.run import HistoryFeature, RunFeature
@@ -38,8 +39,7 @@ FEATURES: tuple[type[Feature], ...] = (
     FramesFeature,
     RunFeature,
     MouseFeature,
-    RadiusFeature,
-    FingersFeature,
+    TouchFeature,
     ObjectsFeature,
     StrokesFeature,
     HistoryFeature,
@@ -53,14 +53,16 @@ FEATURES: tuple[type[Feature], ...] = (
     FilesFeature,
 )
 #: Requests after which an earlier error stays in sight: the mouse moves all the time.
-QUIET = ("hover", "move", "release", "cancel", "finger_move", "finger_up", "finger_cancel", "size")
+KEEPING = ("hover", "move", "release", "cancel", "finger_move", "finger_up", "finger_cancel", "size")
+#: Seconds without a change after which the picture is drawn in full.
+DELAY = 0.4
 #: Letters of a message at most.
 MAX_MESSAGE = 300
 
 P = TypeVar("P", bound=Feature)
 
 
-class Workplace:
+class Actions:
     """What window and page share.
 
     Parameters
@@ -128,7 +130,7 @@ class Workplace:
 
     def request(self, name: Any, *values: Any) -> None:
         """Carry out a request; what is wrong with it becomes `message`. Raises nothing."""
-        if isinstance(name, str) and name not in QUIET:
+        if isinstance(name, str) and name not in KEEPING:
             self.message = ""
         try:
             self.feature(FramesFeature).refuse_elsewhere(name)
@@ -142,11 +144,11 @@ class Workplace:
         if does is not None:
             self.request(does.request, *does.values)
 
-    def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None, quiet: bool = False) -> None:
+    def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None, keeps_message: bool = False) -> None:
         """Wait for a command of the session, without blocking: `collect_results` reports its error, or passes its
-        result to ``then``. With ``quiet`` the message stays that is shown now.
+        result to ``then``. With ``keeps_message`` the message stays that is shown now.
         """
-        if not quiet:
+        if not keeps_message:
             self.message = ""
         self._waiting.append((future, then))
 
@@ -162,6 +164,20 @@ class Workplace:
     def _copy_failed(self) -> None:
         """The front end could not put the last text on the clipboard, though `copy` has said that it does."""
         raise UsageError("copy: the browser gives this page no clipboard", "open it on https, or on this machine")
+
+    def poll(self, drawing_seconds: float) -> View | None:
+        """Read results, and draw the next view of the session if there is one; not while a button is down.
+
+        Parameters
+        ----------
+        drawing_seconds : float
+            As of `Session.next_view`.
+        """
+        self.collect_results()
+        view = None if self.feature(MouseFeature).is_moving else self.session.next_view(drawing_seconds)
+        if view is not None:
+            self.update(view)
+        return view
 
     def collect_results(self) -> None:
         """Read the results and errors of the commands that have been carried out."""
@@ -192,7 +208,7 @@ class Workplace:
         frames = self.feature(FramesFeature)
         frames.note_view(view)
         if frames.shows_run:
-            self.scene.update(view.frame, view.histories, coarse=True)  # in full when it is quiet
+            self.scene.update(view.frame, view.histories, coarse=True)  # in full when it is idle
         if not self.feature(MouseFeature).is_dragging:
             self.scene.mark_ball(None)  # the surface is drawn that it has led to
         for feature in self.features:
@@ -201,61 +217,52 @@ class Workplace:
     def state(self) -> dict[str, Any]:
         """What panels show, in types of JSON."""
         status = self.session.status
-        said: dict[str, Any] = {"message": self._line(status), "failed": self._has_failed(status)}
-        said["copied"] = self._copied
+        if self._note and time.monotonic() > self._note_until:
+            self._note = ""
+        said: dict[str, Any] = {
+            "message": self._note or self.message or status.message or ("running" if status.playing else "ready"),
+            "failed": not self._note and (bool(self.message) or status.failed), "copied": self._copied,
+        }
         for feature in self.features:
             said |= feature.state(status)
         return said
 
-    def _line(self, status: Status) -> str:
-        if self._note and time.monotonic() > self._note_until:
-            self._note = ""
-        return self._note or self.message or status.message or ("running" if status.playing else "ready")
 
-    def _has_failed(self, status: Status) -> bool:
-        return not self._note and (bool(self.message) or status.failed)
+class IdleDrawing:
+    """Draws in full, all triangles and smooth edges, when nothing has happened for some time.
 
-
-#: Seconds without a change after which the picture is drawn in full.
-DELAY = 0.4
-
-
-class Quiet:
-    """Draws in full when it is quiet.
+    Until then it is drawn so that mouse and keys are answered at once. A processor that draws needs three times as long
+    for smooth edges, and as long again to begin without them: with a tool in hand they are left out there.
 
     Parameters
     ----------
-    workplace : Workplace
+    actions : Actions
     """
 
-    def __init__(self, workplace: Workplace) -> None:
-        self._workplace, self._since, self._is_full = workplace, time.perf_counter(), True
-        self._is_software: bool | None = None
+    def __init__(self, actions: Actions) -> None:
+        self._actions, self._since, self._is_full = actions, time.perf_counter(), True
 
-    @property
+    @functools.cached_property
     def is_software(self) -> bool:
-        """Whether the processor draws, not a graphics card."""
-        if self._is_software is None:
-            self._is_software = draws_in_software(self._workplace.scene.plotter.render_window)
-        return self._is_software
+        """Test if the processor draws, not a graphics card."""
+        return draws_in_software(self._actions.scene.plotter.render_window)
 
-    def touch(self) -> None:
-        """Something has changed, and is to be drawn as fast as possible."""
+    def interrupt(self) -> None:
+        """Draw as fast as possible for now: something has changed."""
         self._since, self._is_full = time.perf_counter(), False
         if self.is_software:
-            self._workplace.scene.tiles.smooth_edges(False)
+            self._actions.scene.tiles.smooth_edges(False)
 
     def draw_in_full(self) -> bool:
         """Draw all triangles and smooth edges, once nothing has happened for some time; returns whether it is time."""
-        if self._is_full or time.perf_counter() - self._since < DELAY or self._is_busy():
+        mouse = self._actions.feature(MouseFeature)
+        is_busy = self._actions.session.status.playing or mouse.is_dragging
+        if self._is_full or time.perf_counter() - self._since < DELAY or is_busy:
             return False
-        scene, self._is_full = self._workplace.scene, True
+        scene, self._is_full = self._actions.scene, True
         changed = scene.tiles.coarsen(False)
-        if not self.is_software or self._workplace.feature(MouseFeature).tool.name == "look":
+        if not self.is_software or mouse.tool.name == "look":
             changed |= scene.tiles.smooth_edges(True)
         if changed:
             scene.render()
         return True
-
-    def _is_busy(self) -> bool:
-        return self._workplace.session.status.playing or self._workplace.feature(MouseFeature).is_dragging

@@ -12,7 +12,7 @@ from PySide6.QtWidgets import QLabel, QWidget
 from accelsurf.viewer.frontends.panels.section import Section, show_switch, switch
 from accelsurf.viewer.frontends.panels.settings import column
 from accelsurf.viewer.scene.colors import MARK, SURFACE
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 HEIGHT = 86
 #: Pixels from a bound within which it is taken.
@@ -109,8 +109,8 @@ class HistogramView(QWidget):
 class HistogramPanel(Section):
     """The histogram, and a switch for the force over the slices."""
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__("Histogram", workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Histogram", actions)
         whole = column(self.body)
         self.view = HistogramView()
         self.view.moved.connect(lambda *moved: self.ask("bound", *moved))

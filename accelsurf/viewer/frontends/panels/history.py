@@ -10,7 +10,7 @@ from PySide6.QtGui import QPalette
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
 
 from accelsurf.viewer.frontends.panels.section import Section, button
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 
 class ChangesBar(QWidget):
@@ -18,13 +18,13 @@ class ChangesBar(QWidget):
 
     save_wanted = Signal()
 
-    def __init__(self, workplace: Workplace) -> None:
+    def __init__(self, actions: Actions) -> None:
         super().__init__()
         self.undo = button("Undo", "Undo the last change (Ctrl+Z)")
         self.redo = button("Redo", "Make the undone change again (Ctrl+Shift+Z)")
         self.save = button("Save", "Labels, mesh, picture, report and run.toml (Ctrl+S)")
-        self.undo.clicked.connect(lambda: workplace.request("undo"))
-        self.redo.clicked.connect(lambda: workplace.request("redo"))
+        self.undo.clicked.connect(lambda: actions.request("undo"))
+        self.redo.clicked.connect(lambda: actions.request("redo"))
         self.save.clicked.connect(self.save_wanted)
         line = QHBoxLayout(self)
         line.setContentsMargins(0, 0, 0, 0)
@@ -45,8 +45,8 @@ LINES = 4
 class HistoryPanel(Section):
     """All changes; a click on one goes there."""
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__("History", workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("History", actions)
         self.list = QListWidget()
         self.list.setAccessibleName("changes")
         self.list.setToolTip("A click goes back, or forward again, to what was in force after that change")

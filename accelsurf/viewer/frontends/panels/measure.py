@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
 )
 
 from accelsurf.viewer.frontends.panels.section import Section, button
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 #: Lines of a table that are seen without scrolling.
 LINES = 10
@@ -27,8 +27,8 @@ LINES = 10
 class MeasurePanel(Section):
     """Tables of the objects and of lengths and angles, and buttons to copy and save them."""
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__("Measures", workplace, folded=True)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Measures", actions, folded=True)
         self.measure = button("Measure", "Volume, surface, intensity and diameters of each object as it is now")
         self.diameters = button("Diameters", "Draw the largest diameter, the one across, and both in the axial slice")
         self.copy = button("Copy", "Copy the tables, with tabs between the columns")

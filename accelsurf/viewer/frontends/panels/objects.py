@@ -24,7 +24,7 @@ from PySide6.QtWidgets import (
 
 from accelsurf.viewer.frontends.panels.section import Section, WheelGuard, button
 from accelsurf.viewer.workplace.objects import NEAREST
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 Index = QModelIndex | QPersistentModelIndex
 COLUMNS = ("", "", "Name", "ml", "State")
@@ -45,8 +45,8 @@ class _ColorCell(QStyledItemDelegate):
 class ObjectsPanel(Section):
     """All objects. A double click renames one, one on its colour changes that."""
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__("Objects", workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Objects", actions)
         table = self.table = QTableWidget(0, len(COLUMNS))
         table.setAccessibleName("objects")
         table.setToolTip("The chosen object takes strokes and sizes; double click: rename, or another colour")

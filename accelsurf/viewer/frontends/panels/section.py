@@ -23,7 +23,7 @@ from PySide6.QtWidgets import (
 )
 
 from accelsurf.viewer.workplace.settings_rows import TICKS
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 
 class WheelGuard(QObject):
@@ -51,7 +51,7 @@ class Section(QWidget):
     Parameters
     ----------
     title : str
-    workplace : Workplace
+    actions : Actions
     folded : bool, optional
         At first.
 
@@ -61,9 +61,9 @@ class Section(QWidget):
         What folds away; a panel puts its widgets into its layout.
     """
 
-    def __init__(self, title: str, workplace: Workplace, folded: bool = False) -> None:
+    def __init__(self, title: str, actions: Actions, folded: bool = False) -> None:
         super().__init__()
-        self.workplace = workplace
+        self.user_actions = actions
         self.title = QToolButton()
         self.title.setObjectName("section")
         self.title.setText(title)
@@ -82,11 +82,11 @@ class Section(QWidget):
         self._fold(not folded)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show what the workplace says."""
+        """Show the state."""
 
     def ask(self, name: str, *values: Any) -> None:
-        """Ask the workplace."""
-        self.workplace.request(name, *values)
+        """Make a request."""
+        self.user_actions.request(name, *values)
 
     def _fold(self, is_open: bool) -> None:
         self.title.setArrowType(Qt.ArrowType.DownArrow if is_open else Qt.ArrowType.RightArrow)

@@ -24,7 +24,7 @@ from PySide6.QtWidgets import (
 from accelsurf.viewer.frontends.panels.section import Amount, Section, button, choice, switch
 from accelsurf.viewer.workplace.settings import SettingsFeature
 from accelsurf.viewer.workplace.settings_rows import Row
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 #: What a list shows for the empty word; and behind the name of a setting whose change begins another run.
 NOTHING, RESTARTS = "none", "\N{ANTICLOCKWISE OPEN CIRCLE ARROW}"
@@ -223,8 +223,8 @@ class SettingsPanel(Section):
         What is folded, by the group of the help.
     """
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__("Settings", workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Settings", actions)
         whole = column(self.body)
         self._first = QVBoxLayout()
         whole.addLayout(self._first)
@@ -275,7 +275,8 @@ class SettingsPanel(Section):
         if not group:
             return self._first
         if group not in self.groups:
-            self.groups[group] = folded = Section(f"More: {group[:1].lower()}{group[1:]}", self.workplace, folded=True)
+            title = f"More: {group[:1].lower()}{group[1:]}"
+            self.groups[group] = folded = Section(title, self.user_actions, folded=True)
             column(folded.body)
             self._whole.addWidget(folded)
         layout = self.groups[group].body.layout()
@@ -298,4 +299,4 @@ class SettingsPanel(Section):
     def _choose_mask(self) -> None:
         name, _ = QFileDialog.getOpenFileName(self, "Label map on the grid of the image")
         if name:
-            self.workplace.feature(SettingsFeature).use_mask(Path(name))
+            self.user_actions.feature(SettingsFeature).use_mask(Path(name))

@@ -15,7 +15,7 @@ from accelsurf.viewer.frontends.panels.objects import ObjectsPanel
 from accelsurf.viewer.frontends.panels.section import Amount, Section, button
 from accelsurf.viewer.frontends.panels.settings import SettingsPanel
 from accelsurf.viewer.frontends.panels.slices import PicturePanel, SlicesPanel
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 #: Buttons beside each other.
 IN_ROW = 4
@@ -24,21 +24,21 @@ IN_ROW = 4
 class ToolsPanel(Section):
     """A button for each tool."""
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__("Mouse", workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Mouse", actions)
         grid = QGridLayout(self.body)
         grid.setSpacing(4)
         grid.setContentsMargins(8, 2, 8, 6)
         self._group = QButtonGroup(self)
         self.tools: dict[str, QPushButton] = {}
-        for place, (name, tool) in enumerate(workplace.tools.items()):
+        for place, (name, tool) in enumerate(actions.tools.items()):
             made = self.tools[name] = button(tool.text, f"{tool.tip} ({tool.key})")
             made.setCheckable(True)
             made.clicked.connect(lambda _, name=name: self.ask("tool", name))
             self._group.addButton(made)
             grid.addWidget(made, place // IN_ROW, place % IN_ROW)
         row = -(-len(self.tools) // IN_ROW)
-        shown = workplace.state()["radius_row"]
+        shown = actions.state()["radius_row"]
         self.radius = Amount(shown)
         self.radius.changed.connect(lambda value: self.ask("set_radius", value))
         grid.addWidget(QLabel(f"Radius of click, ball and brush ({shown['unit']})"), row, 0, 1, IN_ROW)
@@ -52,7 +52,7 @@ class ToolsPanel(Section):
 
 
 #: In their order; that of the page is the same.
-PANELS: tuple[Callable[[Workplace], Section], ...] = (
+PANELS: tuple[Callable[[Actions], Section], ...] = (
     ToolsPanel,
     ObjectsPanel,
     HistoryPanel,
@@ -66,7 +66,7 @@ WIDTH = 318
 
 
 class SidePanels(QWidget):
-    """The panels of a workplace.
+    """All panels.
 
     Attributes
     ----------
@@ -75,11 +75,11 @@ class SidePanels(QWidget):
         By the names of their classes.
     """
 
-    def __init__(self, workplace: Workplace) -> None:
+    def __init__(self, actions: Actions) -> None:
         super().__init__()
         self.setFixedWidth(WIDTH)
-        self.changes = ChangesBar(workplace)
-        self.panels = {type(panel).__name__: panel for panel in (make(workplace) for make in PANELS)}
+        self.changes = ChangesBar(actions)
+        self.panels = {type(panel).__name__: panel for panel in (make(actions) for make in PANELS)}
         inner = QWidget()
         column = QVBoxLayout(inner)
         column.setContentsMargins(8, 2, 8, 8)
@@ -103,7 +103,7 @@ class SidePanels(QWidget):
         whole.addWidget(area, 1)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show what the workplace says."""
+        """Show the state."""
         self.changes.show_state(state)
         for panel in self.panels.values():
             panel.show_state(state)

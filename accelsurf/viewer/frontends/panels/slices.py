@@ -19,7 +19,7 @@ from accelsurf.viewer.frontends.panels.section import (
 )
 from accelsurf.viewer.scene.colors import THEMES
 from accelsurf.viewer.workplace.slices import MAX_GREY
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 #: What the list of windows shows where level and width were set by hand.
 BY_HAND = "by hand"
@@ -28,8 +28,8 @@ BY_HAND = "by hand"
 class SlicesPanel(Section):
     """Grey values and layout."""
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__("Slices", workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Slices", actions)
         grid = QGridLayout(self.body)
         grid.setSpacing(4)
         grid.setContentsMargins(8, 2, 8, 6)
@@ -94,8 +94,8 @@ def _number(low: float) -> QDoubleSpinBox:
 class PicturePanel(Section):
     """How the scene is drawn."""
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__("Picture", workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Picture", actions)
         form = QFormLayout(self.body)
         form.setSpacing(5)
         form.setContentsMargins(8, 2, 8, 6)
