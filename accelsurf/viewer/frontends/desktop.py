@@ -140,14 +140,14 @@ class Window(QMainWindow):
     def _connect(self) -> None:
         self.bar.help_wanted.connect(self.toggle_help)
         self.side.changes.save_wanted.connect(self.save)
-        own: dict[str, Callable[[], Any]] = {
+        of_window: dict[str, Callable[[], Any]] = {
             "Ctrl+S": self.save, "F1": self.toggle_help, "H": self.toggle_help, "Escape": self._escape,
             "Ctrl+Q": lambda: self.window().close(),
         }
-        for key in dict.fromkeys((*self.user_actions.keys, *own)):
+        for key in dict.fromkeys((*self.user_actions.keys, *of_window)):
             action = QAction(self)
             action.setShortcut(QKeySequence(key))
-            work = own.get(key) or functools.partial(self._ask, "key", key)
+            work = of_window.get(key) or functools.partial(self._ask, "key", key)
             action.triggered.connect(lambda _=False, work=work: work())
             self.addAction(action)
 
@@ -268,5 +268,5 @@ class Window(QMainWindow):
 
 
 def _without_place(state: dict[str, Any]) -> dict[str, Any]:
-    """What panels show, but for what is under the mouse, which changes with each of its motions."""
+    """Return the state without the read-out, which changes with each motion of the mouse."""
     return {key: value for key, value in state.items() if key not in READ_OUT}

@@ -37,7 +37,7 @@ Histories = Sequence[Sequence[StepRecord]]
 
 @dataclass(frozen=True)
 class SceneRecipe:
-    """How a scene is made, as `accelsurf.viewer.scene.scene.Scene` and its methods take it.
+    """Recipe of a scene, as `accelsurf.viewer.scene.scene.Scene` and its methods take it.
 
     Attributes
     ----------

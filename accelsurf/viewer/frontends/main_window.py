@@ -158,11 +158,11 @@ class MainWindow(QMainWindow):
             if state[key] == before.get(key):
                 continue
             menu.clear()
-            for number, one in enumerate(state[key]):
-                value = number if key == "recent" else one["name"]
-                action = menu.addAction(one["name"])
-                action.setToolTip(one.get("folder") or one.get("text"))
-                action.setEnabled(one.get("exists", True))
+            for number, entry in enumerate(state[key]):
+                value = number if key == "recent" else entry["name"]
+                action = menu.addAction(entry["name"])
+                action.setToolTip(entry.get("folder") or entry.get("text"))
+                action.setEnabled(entry.get("exists", True))
                 action.triggered.connect(functools.partial(self._ask, request, value))
             menu.setEnabled(bool(state[key]))
 

@@ -81,7 +81,7 @@ def show(
     scene = Scene(image, theme=theme, reference=reference, plotter=plotter, size=size, title=title)
     if isinstance(what, Result):
         scene.restyle(given_styles(what.config))
-        scene.update(Frame.of_result(what), [one.history for one in what.objects])
+        scene.update(Frame.of_result(what), [segmented.history for segmented in what.objects])
     scene.show_volume(volume)
     scene.show_planes(planes)
     return _show_in_pyvista(scene, backend) if plotter is not None else _output(scene, to, suffix)
@@ -163,14 +163,14 @@ class SceneOutput:
 
 
 def _has_screen() -> bool:
-    """Whether there may be a screen; VTK would end the process where there is none."""
+    """Test if there may be a screen; VTK would end the process where there is none."""
     return not sys.platform.startswith("linux") or bool(
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     )
 
 
 def in_notebook() -> bool:
-    """Whether a Jupyter kernel runs this."""
+    """Test if a Jupyter kernel runs this."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     return shell is not None and hasattr(shell, "kernel")

@@ -130,14 +130,14 @@ class Page:
         return server
 
     def _lay_out(self) -> None:
-        """The page has other parts when an image is open."""
+        """Lay out the page, which has other parts when an image is open."""
         with self._layout as page:
             page.root.clear()
             page.root.add_child(self._style(style_sheet()))
             page.root.add_child(document(() if self.actions is None else PANELS))
 
     def _state(self) -> dict[str, Any]:
-        """What the page shows beside the picture."""
+        """Return the state that the page shows beside the picture."""
         state = self.opening.state()
         if self.actions is None:
             return state
@@ -156,7 +156,7 @@ class Page:
             self.actions.request(*request[:8])
 
     def _was_shown(self, *size: Any, **_: Any) -> None:
-        """The page shows the last picture, in a window of this size and this many pixels of the device for one."""
+        """Note that the page shows the last picture; ``size`` is width, height and pixels of the device for one of them."""
         self._is_shown = True
         if self.actions is not None:
             self._room = size[:3]
@@ -200,7 +200,7 @@ class Page:
         with self._server.state as state:
             state.update(self._state() | {
                 "picture": "", "title": scene.title or "accelsurf", "keys": list(keys),
-                "tools": [{"name": one.name, "key": one.key, "text": one.text, "tip": one.tip} for one in tools],
+                "tools": [{"name": tool.name, "key": tool.key, "text": tool.text, "tip": tool.tip} for tool in tools],
                 "help": [list(row) for row in help_rows(keys)],
             })
             self._lay_out()
@@ -274,7 +274,7 @@ class Page:
             self._draw(actions)
 
     def _may_send(self, now: float) -> bool:
-        """Whether the page has shown the last picture; a slow page does not get more than it can show."""
+        """Test if the page has shown the last picture; a slow page does not get more than it can show."""
         return self._is_shown or now - self._sent_at > PATIENCE
 
     def _draw(self, actions: Actions) -> float:
@@ -311,7 +311,7 @@ def _command_line_for_trame(token: str) -> Iterator[None]:
 
 
 def _import_trame() -> tuple[Any, Any, Any]:
-    """What is used of trame: servers, a page that is a div, styles."""
+    """Return the parts of trame in use: servers, a page that is a div, styles."""
     try:
         from trame.app import get_server
         from trame.ui.html import DivLayout

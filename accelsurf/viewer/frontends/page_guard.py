@@ -1,4 +1,4 @@
-"""Who may talk to a page's server: every request and every message is checked before trame gets it."""
+"""Guard of a page's server: every request and message is checked before trame gets it; connections are limited."""
 
 from __future__ import annotations
 
@@ -60,25 +60,26 @@ class ConnectionLimit:
         """Take a new connection; where there are too many, the oldest without the token is closed, or else this one."""
         self.connections[_peer(transport)] = _Connection(transport, time.monotonic())
         if len(self.connections) > MAX_CONNECTIONS:
-            self._close(next((peer for peer, one in self.connections.items() if not one.trusted), _peer(transport)))
+            self._close(next((peer for peer, known in self.connections.items() if not known.trusted), _peer(transport)))
 
     def requested(self, transport: Any) -> None:
         """Note that a request came over a connection."""
-        one = self.connections.get(_peer(transport))
-        if one is not None:
-            one.since = time.monotonic()
+        connection = self.connections.get(_peer(transport))
+        if connection is not None:
+            connection.since = time.monotonic()
 
     def trust(self, transport: Any) -> None:
         """Note that a connection gave the token."""
-        one = self.connections.get(_peer(transport))
-        if one is not None:
-            one.trusted = True
+        connection = self.connections.get(_peer(transport))
+        if connection is not None:
+            connection.trusted = True
 
     def close_idle(self) -> None:
         """Close the connections that were idle for too long."""
         latest = time.monotonic() - MAX_IDLE
-        for peer in [peer for peer, one in self.connections.items() if not one.trusted and one.since < latest]:
-            self._close(peer)
+        for peer, connection in list(self.connections.items()):
+            if not connection.trusted and connection.since < latest:
+                self._close(peer)
 
     def _close(self, peer: Any) -> None:
         self.connections.pop(peer).transport.abort()
@@ -157,7 +158,7 @@ class PageGuard:
         self.connections.watch(self._server.runner.server)
 
     def _is_addressed(self, request: Any) -> bool:
-        """Whether a request came to the address that was opened, and from its page: no other site may ask."""
+        """Test if a request came to the address that was opened, and from its page: no other site may ask."""
         host = request.headers.get("Host", "")
         if self._host == LOCAL and host.rpartition(":")[0] not in (LOCAL, "localhost"):
             return False
@@ -165,7 +166,7 @@ class PageGuard:
         return origin is None or origin.partition("://")[2] == host
 
     def has_token(self, request: Any) -> bool:
-        """Whether a request has the token; its connection is trusted then."""
+        """Test if a request has the token; its connection is trusted then."""
         if not hmac.compare_digest(request.query.get("secret", "").encode(), self._token.encode()):
             return False
         self.connections.trust(request.transport)
@@ -224,7 +225,7 @@ def _may_leave(connections_of: Callable[..., list[Any]]) -> Callable[..., list[_
     """
 
     def connections(*args: Any, **options: Any) -> list[_PageThatMayLeave]:
-        return [_PageThatMayLeave(one) for one in connections_of(*args, **options) if one is not None]
+        return [_PageThatMayLeave(page) for page in connections_of(*args, **options) if page is not None]
 
     return connections
 

@@ -1,4 +1,4 @@
-"""The bar below the scene: restart, back, play, forward, and the slider over checkpoints."""
+"""The bars below the scene: over the steps of a run, and over the frames of a sequence."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ class PlaybackBar(QWidget):
         self.where.setText(f"step {state['step']}{edits}")
 
     def _place_of(self, step: int) -> float:
-        """Where a step is among the stored ones, which the slider counts."""
+        """Return the place of a step among the stored ones, which the slider counts."""
         after = sum(stored <= step for stored in self._steps)
         if not 0 < after < len(self._steps):
             return float(max(min(after, len(self._steps)) - 1, 0))

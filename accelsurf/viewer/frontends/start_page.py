@@ -26,7 +26,7 @@ _WIDTH = 380
 
 
 class StartPage(QWidget):
-    """What is shown while no image is open.
+    """Page that is shown while no image is open.
 
     Attributes
     ----------
@@ -90,10 +90,11 @@ class StartPage(QWidget):
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show what can be opened, and what is being done."""
         if state["recent"] != self._shown.get("recent"):
-            rows = [(f"{one['name']}\n{one['folder']}", one["name"], one["exists"]) for one in state["recent"]]
+            rows = [(f"{file['name']}\n{file['folder']}", file["name"], file["exists"]) for file in state["recent"]]
             _fill(self.recent, rows or [("none yet", "", False)])
         if state["phantoms"] != self._shown.get("phantoms"):
-            _fill(self.phantoms, [(f"{one['name']}\n{one['text']}", one["name"], True) for one in state["phantoms"]])
+            phantoms = [(f"{entry['name']}\n{entry['text']}", entry["name"], True) for entry in state["phantoms"]]
+            _fill(self.phantoms, phantoms)
         for part in (self.recent, self.phantoms, self.open_file, self.open_folder):
             part.setEnabled(not state["opening"])
         line = state["opening_message"]

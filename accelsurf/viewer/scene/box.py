@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyvista as pv
@@ -29,18 +29,18 @@ class VoxelBox(NamedTuple):
     high: tuple[int, int, int]
 
     @classmethod
-    def between(cls, one: NDArray[np.float64], other: NDArray[np.float64], shape: tuple[int, int, int]) -> VoxelBox:
-        """The box between two indices, within an image, of at least two voxels along axes that have them."""
+    def between(cls, corner: NDArray[Any], opposite: NDArray[Any], shape: tuple[int, int, int]) -> VoxelBox:
+        """Return the box between two indices, within an image, of at least two voxels along axes that have them."""
         last = np.array(shape) - 1
-        low = np.clip(np.rint(np.minimum(one, other)), 0, np.maximum(last - 1, 0)).astype(int)
-        high = np.clip(np.rint(np.maximum(one, other)), np.minimum(low + 1, last), last).astype(int)
+        low = np.clip(np.rint(np.minimum(corner, opposite)), 0, np.maximum(last - 1, 0)).astype(int)
+        high = np.clip(np.rint(np.maximum(corner, opposite)), np.minimum(low + 1, last), last).astype(int)
         z, y, x = (int(v) for v in low)
         far_z, far_y, far_x = (int(v) for v in high)
         return cls((z, y, x), (far_z, far_y, far_x))
 
     @property
     def text(self) -> str:
-        """As ``--roi`` takes it, its first corner below the second.
+        """Text of the box as ``--roi`` takes it, its first corner below the second.
 
         Examples
         --------
@@ -128,7 +128,7 @@ class BoxOverlay:
 
 
 def _rectangle(tile: SliceTile, box: VoxelBox) -> pv.PolyData:
-    """What the slice cuts of a box; where it cuts none, what a slice through the middle of the box does."""
+    """Return the cut of a slice through a box; where it cuts none, that of a slice through the box's middle."""
     middle = tile.stack.to_place(0.5 * (np.array(box.low) + np.array(box.high)))[2]
     across = tile.across if tile.stack.cuts(tile.index, *box) else float(middle)
     corners = tile.stack.outline(across, *box)

@@ -169,7 +169,7 @@ class EnergyChart:
 
 
 def _most(room: float) -> int:
-    """How many gaps between ticks there may be, from 1 to 5."""
+    """Return the largest number of gaps between ticks, from 1 to 5."""
     return min(max(int(room), 1), 5)
 
 

@@ -1,4 +1,4 @@
-"""Colours of the scene, dark and light, and of quantities on the surface; told apart with any colour vision."""
+"""Colours of the scene, of objects and of quantities on the surface; told apart with any colour vision."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ INSIDE, OUTSIDE = GREEN, VERMILION
 
 
 class Shade(NamedTuple):
-    """How a quantity is shown: title of its scale, colour map of matplotlib, whether 0 is the middle of the map."""
+    """Display of a quantity: title of its scale, colour map of matplotlib, whether 0 is the middle of the map."""
 
     title: str
     cmap: str
@@ -95,7 +95,7 @@ def color_range(values: NDArray[np.float32], signed: bool) -> tuple[float, float
 
 
 class ObjectStyle(NamedTuple):
-    """How an object is drawn.
+    """Style of an object.
 
     Attributes
     ----------
@@ -113,15 +113,15 @@ class ObjectStyle(NamedTuple):
     opacity: float = 1.0
 
 
-def unnamed(own: int) -> str:
-    """What an object is called that nobody has named.
+def unnamed(object_id: int) -> str:
+    """Return the name of an object that nobody has named.
 
     Examples
     --------
     >>> unnamed(3)
     'object 3'
     """
-    return f"object {own}"
+    return f"object {object_id}"
 
 
 def given_styles(config: RunConfig) -> dict[int, ObjectStyle]:
@@ -137,7 +137,7 @@ def given_styles(config: RunConfig) -> dict[int, ObjectStyle]:
     >>> given_styles(RunConfig(name=["liver"], color=["#c83c3c"]))
     {1: ObjectStyle(name='liver', color='#c83c3c', visible=True, opacity=1.0)}
     """
-    return {own: ObjectStyle(said.name, said.hex) for own, said in given_of(config).entries.items()}
+    return {object_id: ObjectStyle(said.name, said.hex) for object_id, said in given_of(config).entries.items()}
 
 
 class ObjectStyles:
@@ -159,6 +159,6 @@ class ObjectStyles:
         surfaces = () if frame is None else frame.surfaces
         given = self.tracked if frame is not None and frame.said else self.given
         return [
-            given.get(one.id) or ObjectStyle(unnamed(one.id), object_color(position))
-            for position, one in enumerate(surfaces)
+            given.get(surface.id) or ObjectStyle(unnamed(surface.id), object_color(position))
+            for position, surface in enumerate(surfaces)
         ]

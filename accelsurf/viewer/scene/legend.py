@@ -1,4 +1,4 @@
-"""The legend: what each colour is, at the upper right of a tile; and a scale of colours."""
+"""Text over the picture: step, level and volume; the legend at the upper right of a tile; a scale of colours."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Legend:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """What is written."""
+        """Lines that are written."""
         return tuple(label.text for label in self._labels if label.text)
 
     def fit(self, pixels: Pixels) -> None:
@@ -138,8 +138,8 @@ def legend_lines(
         return []
     lines: list[tuple[str, str | None]] = [
         # One object alone is the surface, unless somebody has named it.
-        (style.name if several or style.name != unnamed(one.id) else "surface", style.color)
-        for one, style in zip(frame.surfaces[:MAX_LEGEND], styles, strict=False)
+        (style.name if several or style.name != unnamed(surface.id) else "surface", style.color)
+        for surface, style in zip(frame.surfaces[:MAX_LEGEND], styles, strict=False)
         if style.visible
     ]
     if len(frame.surfaces) > MAX_LEGEND:

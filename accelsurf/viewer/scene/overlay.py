@@ -1,4 +1,4 @@
-"""What lies over a picture: lines of text, a scale bar in mm, the marker that tells directions."""
+"""Overlays of a picture: lines of text, a scale bar in mm, the marker that tells directions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DPI = 72
 
 
 class Pixels(NamedTuple):
-    """How large text and lines are drawn.
+    """Size of text and lines.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Label:
 
     @property
     def text(self) -> str:
-        """What is written; several lines are allowed."""
+        """Text that is written; several lines are allowed."""
         return str(self._actor.GetInput() or "")
 
     @text.setter

@@ -1,4 +1,4 @@
-"""From psi to what VTK draws: the surface in world mm, the contour in a slice; no plotter here."""
+"""Meshes and textures for VTK: surfaces and paths in world mm, contours in a slice; no plotter here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""One slice of the image as radiologists hang it, with contours, the cursor's lines, letters and a scale bar."""
+"""One slice of the image as radiologists hang it, with contours, the cursor's lines, letters and a scale bar.
+
+Contours are cuts of surfaces, functions of the image and drags: segments (n, 2, 2) in the slice's plane, mm.
+"""
 
 from __future__ import annotations
 

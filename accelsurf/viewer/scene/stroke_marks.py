@@ -1,4 +1,4 @@
-"""Strokes as they are painted: the voxels that they name, in the slices at once; beads along them in 3D.
+"""Marks: strokes as they are painted, voxels in the slices at once and beads in 3D; and uncertain locations.
 
 In 3D the beads are drawn over what is there, so that the surface, which takes longer, is not drawn anew for each.
 """

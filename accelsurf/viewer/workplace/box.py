@@ -145,6 +145,6 @@ class BoxTool(Tool):
         return VoxelBox.between(self._fixed, self._moving, self.actions.scene.geometry.shape)
 
     def _has_extent(self) -> bool:
-        """Whether the mouse has moved by more than a voxel: a click alone draws no box."""
+        """Test if the mouse has moved by more than a voxel: a click alone draws no box."""
         apart: NDArray[np.float64] = np.abs(self._moving - self._fixed)[self._axes]
         return bool((apart >= 1.0).all())

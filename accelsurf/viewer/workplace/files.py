@@ -32,7 +32,7 @@ class FilesFeature(Feature):
 
     @property
     def is_unsaved(self) -> bool:
-        """Whether something was done that is not in the files that were saved last."""
+        """Test if something was done that is not in the files that were saved last."""
         status = self.actions.session.status
         return bool(status.step or status.undoable) and _content(status) != self._stored
 
@@ -77,5 +77,5 @@ class FilesFeature(Feature):
 
 
 def _content(status: Status) -> tuple[Any, ...]:
-    """What files hold of a run."""
+    """Return the part of a run that files hold."""
     return status.step, status.settings, status.edits, status.refinements

@@ -49,7 +49,7 @@ class FramesFeature(Feature):
             tracks = self._frames.tracks
             ids = () if tracks is None else tracks.ids
             actions.scene.styles.tracked = {
-                own: ObjectStyle(unnamed(own), object_color(place)) for place, own in enumerate(ids)
+                object_id: ObjectStyle(unnamed(object_id), object_color(place)) for place, object_id in enumerate(ids)
             }
             if tracks is not None:
                 self._draw()
@@ -79,7 +79,7 @@ class FramesFeature(Feature):
         }
 
     def _lines(self) -> str:
-        """What the lines of the tracked objects are."""
+        """Return the legend of the lines of tracked objects."""
         if self._frames is None or self._frames.tracks is None:
             return ""
         if self._frames.tracks.has_predictions:
@@ -90,11 +90,11 @@ class FramesFeature(Feature):
 
     @property
     def shows_run(self) -> bool:
-        """Whether what is seen is the run: in its own frame, where no tracked objects are shown."""
+        """Test if the run is shown: in its frame, where no tracked objects are."""
         return self._frames is None or (self._frames.tracks is None and self.number == self._frames.home)
 
     def note_view(self, view: View) -> None:
-        """The run has a new view; it is drawn when its frame is shown."""
+        """Take a new view of the run; it is drawn when its frame is shown."""
         self._view = view
 
     def refuse_elsewhere(self, name: Any) -> None:

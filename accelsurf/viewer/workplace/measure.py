@@ -1,4 +1,4 @@
-"""Measures: distances and angles that a person draws, and the figures of the objects."""
+"""Measures: distances and angles that a person draws, and mesh statistics of the objects."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ class Distance(Tool):
             self._held = near
             self._restore = functools.partial(known.move, *near, known[near[0]].points[near[1]])
         else:
-            one = known.add(self.name, [at.world, at.world])
-            self._held, self._unfinished, self._restore = (one.number, 1), one.number, self.forget
+            drawn = known.add(self.name, [at.world, at.world])
+            self._held, self._unfinished, self._restore = (drawn.number, 1), drawn.number, self.forget
         self._show()
 
     def move(self, at: Picked) -> None:
@@ -83,15 +83,15 @@ class Distance(Tool):
         self._show()
 
     def _finish(self, number: int) -> None:
-        """The button went up while this one was drawn: has it all its points?"""
-        one = self._measurements[number]
-        if len(one.points) == 2 and np.linalg.norm(np.subtract(*one.points)) <= CLICK * self._pixel_mm:
-            self._measurements.shorten(one.number)  # a click: the next one is the second point
-        elif one.is_complete:
+        """End a press: a click alone waits for its second point; a measurement with all its points is finished."""
+        drawn = self._measurements[number]
+        if len(drawn.points) == 2 and np.linalg.norm(np.subtract(*drawn.points)) <= CLICK * self._pixel_mm:
+            self._measurements.shorten(drawn.number)  # a click: the next one is the second point
+        elif drawn.is_complete:
             self._unfinished = None
 
     def cancel(self) -> None:
-        """What was clicked before this press stays."""
+        """Take back this press; points that were clicked before stay."""
         restore, self._restore, self._held = self._restore, None, None
         if restore is not None:
             restore()
@@ -158,7 +158,7 @@ class MeasureFeature(Feature):
         unit = self.actions.scene.unit
         figures = self.figures
         return {
-            "measurements": [[one.number, one.kind, one.text(unit)] for one in self.measurements],
+            "measurements": [[drawn.number, drawn.kind, drawn.text(unit)] for drawn in self.measurements],
             "figures": self._lines,
             "figures_ids": [] if figures is None else [row["id"] for row in figures.rows],
             "figures_step": -1 if figures is None else figures.step,

@@ -1,4 +1,4 @@
-"""The mouse in the scene, of window and page alike.
+"""Mouse, wheel and touch in the scene, of window and page alike.
 
 Left uses the tool, or looks around; right changes the grey values of slices, and zooms in 3D; middle (or shift with
 left) moves the picture; the wheel goes through slices, with Ctrl it zooms. One button at a time counts. Places are

@@ -22,7 +22,7 @@ _COLOR = re.compile(r"#[0-9a-fA-F]{6}")
 
 
 class _Drawn(NamedTuple):
-    """What the last frame shows of an object."""
+    """Size of an object in the last frame."""
 
     mm3: float
     voxels: int
@@ -51,7 +51,7 @@ class Split(Tool):
 
 
 class ObjectsFeature(Feature):
-    """What a person does with objects, and how each is drawn."""
+    """Changes objects, and the style in which each is drawn."""
 
     def __init__(self, actions: Any) -> None:
         super().__init__(actions)
@@ -84,40 +84,41 @@ class ObjectsFeature(Feature):
         styles = self._styles(status)
         return {
             "object_active": self.actions.object_id or 0,
-            "object_rows": [self._described(own, style, status) for own, style in styles.items()],
+            "object_rows": [self._described(object_id, style, status) for object_id, style in styles.items()],
         }
 
     def update(self, view: View) -> None:
-        self._drawn = {one.id: _Drawn(one.record.volume_mm3, one.voxels) for one in view.frame.surfaces}
+        self._drawn = {surface.id: _Drawn(surface.record.volume_mm3, surface.voxels) for surface in view.frame.surfaces}
         self._show(view.status)
 
     # -- what is shown -------------------------------------------------------------------------------------
 
     def _ids(self, status: Status) -> list[int]:
         """Ids of all objects, and of one that was added and has not begun."""
-        own = self.actions.object_id
+        object_id = self.actions.object_id
         ids = list(status.objects or (1,))
-        return ids if own is None or own in ids else [*ids, own]
+        return ids if object_id is None or object_id in ids else [*ids, object_id]
 
     def _styles(self, status: Status) -> dict[int, ObjectStyle]:
         styles = {}
-        for own in self._ids(status):
+        for object_id in self._ids(status):
             # A colour stays with its object, whatever becomes of the others.
-            usual = self._palette.setdefault(own, OBJECT_COLORS[len(self._palette) % len(OBJECT_COLORS)])
-            said = status.labels.entries.get(own)
-            name = unnamed(own) if said is None else said.name
+            usual = self._palette.setdefault(object_id, OBJECT_COLORS[len(self._palette) % len(OBJECT_COLORS)])
+            said = status.labels.entries.get(object_id)
+            name = unnamed(object_id) if said is None else said.name
             color = usual if said is None else said.hex
-            styles[own] = ObjectStyle(name, color, own not in self._hidden, self._opacity.get(own, 1.0))
+            is_visible, opacity = object_id not in self._hidden, self._opacity.get(object_id, 1.0)
+            styles[object_id] = ObjectStyle(name, color, is_visible, opacity)
         return styles
 
-    def _described(self, own: int, style: ObjectStyle, status: Status) -> dict[str, Any]:
-        drawn = self._drawn.get(own)
-        is_there = drawn is not None and own in (status.objects or (1,))
+    def _described(self, object_id: int, style: ObjectStyle, status: Status) -> dict[str, Any]:
+        drawn = self._drawn.get(object_id)
+        is_there = drawn is not None and object_id in (status.objects or (1,))
         return {
-            "id": own, **style._asdict(),
+            "id": object_id, **style._asdict(),
             "ml": f"{drawn.mm3 / 1000.0:.4g}" if is_there and drawn is not None else "",
             "voxels": drawn.voxels if is_there and drawn is not None else 0,
-            "word": status.object_words.get(own, NOT_BEGUN),
+            "word": status.object_words.get(object_id, NOT_BEGUN),
         }
 
     def _show(self, status: Status) -> None:
@@ -134,10 +135,10 @@ class ObjectsFeature(Feature):
         UsageError
         """
         ids = self._ids(self.actions.session.status)
-        own = whole(wanted, 1, MAX_ID)
-        if own not in ids:
-            raise UsageError(f"object {own} was given, expected one of {', '.join(map(str, ids[:20]))}")
-        return own
+        object_id = whole(wanted, 1, MAX_ID)
+        if object_id not in ids:
+            raise UsageError(f"object {object_id} was given, expected one of {', '.join(map(str, ids[:20]))}")
+        return object_id
 
     # -- what is asked -------------------------------------------------------------------------------------
 
@@ -150,52 +151,53 @@ class ObjectsFeature(Feature):
 
     def _add(self) -> None:
         status = self.actions.session.status
-        own = max(status.objects or (1,)) + 1
-        if own > MAX_ID:
+        object_id = max(status.objects or (1,)) + 1
+        if object_id > MAX_ID:
             raise UsageError("objects: there is no further id")
-        self.actions.object_id = own
+        self.actions.object_id = object_id
         self.actions.request("tool", "size")
-        self.actions.note(f"object {own}: press in it and drag outwards until the outline fits, or click inside", 30)
+        how = "press in it and drag outwards until the outline fits, or click inside"
+        self.actions.note(f"object {object_id}: {how}", 30)
 
     def _remove(self, wanted: Any) -> None:
-        own, ids = self._known(wanted), self.actions.session.status.objects or (1,)
-        if own in ids:
-            self.actions.ask(self.actions.session.objects(lambda objects: objects.remove(own)))
-        if self.actions.object_id == own:
+        object_id, ids = self._known(wanted), self.actions.session.status.objects or (1,)
+        if object_id in ids:
+            self.actions.ask(self.actions.session.objects(lambda objects: objects.remove(object_id)))
+        if self.actions.object_id == object_id:
             self.actions.object_id = None
 
     def _name(self, wanted: Any, name: Any) -> None:
-        own, name = self._known(wanted), text(name, MAX_NAME)
+        object_id, name = self._known(wanted), text(name, MAX_NAME)
         if not name:
-            raise UsageError(f"object {own}: no name was given")
-        self._describe(own, name=name)
+            raise UsageError(f"object {object_id}: no name was given")
+        self._describe(object_id, name=name)
 
     def _color(self, wanted: Any, color: Any) -> None:
-        own, color = self._known(wanted), text(color, 7)
+        object_id, color = self._known(wanted), text(color, 7)
         if not _COLOR.fullmatch(color):
             raise UsageError(f"color: {short(color)} was given, expected #rrggbb")
-        self._describe(own, color=color)
+        self._describe(object_id, color=color)
 
-    def _describe(self, own: int, name: str = "", color: str = "") -> None:
+    def _describe(self, object_id: int, name: str = "", color: str = "") -> None:
         """Name or colour an object. Files then have a name and a colour for each: those that are seen."""
         styles = self._styles(self.actions.session.status)
-        before = styles[own]
-        styles[own] = before._replace(name=name or before.name, color=color or before.color)
+        before = styles[object_id]
+        styles[object_id] = before._replace(name=name or before.name, color=color or before.color)
         said = {each: (style.name, style.color) for each, style in styles.items()}
-        self.actions.ask(self.actions.session.objects(lambda objects: objects.describe(said, own)))
+        self.actions.ask(self.actions.session.objects(lambda objects: objects.describe(said, object_id)))
 
     def _visible(self, wanted: Any, on: Any) -> None:
-        own = self._known(wanted)
-        self._hidden = self._hidden - {own} if on else self._hidden | {own}
+        object_id = self._known(wanted)
+        self._hidden = self._hidden - {object_id} if on else self._hidden | {object_id}
         self._show(self.actions.session.status)
 
     def _set_opacity(self, wanted: Any, opacity: Any) -> None:
-        own = self._known(wanted)
-        self._opacity[own] = number(opacity, 0.0, 1.0)
+        object_id = self._known(wanted)
+        self._opacity[object_id] = number(opacity, 0.0, 1.0)
         self._show(self.actions.session.status)
 
     def _merge(self, *wanted: Any) -> None:
-        ids = tuple(self._known(one) for one in wanted)
+        ids = tuple(self._known(named) for named in wanted)
         if len(ids) < 2 or len(set(ids)) < len(ids):
             raise UsageError("merge: expected at least two objects")
         self.actions.ask(self.actions.session.objects(lambda objects: objects.merge(ids)))
@@ -203,5 +205,5 @@ class ObjectsFeature(Feature):
             self.actions.object_id = ids[0]
 
     def _split(self, x: Any, y: Any, z: Any) -> None:
-        place = numbers_text(number(one, -1e9, 1e9) for one in (x, y, z))
+        place = numbers_text(number(part, -1e9, 1e9) for part in (x, y, z))
         self.actions.ask(self.actions.session.objects(lambda objects: objects.split(f"point:{place}")))

@@ -1,4 +1,4 @@
-"""What a person opens: by name, from the list of recent files, from a folder; read in a thread, with questions first.
+"""Opening of images: by name, from the list of recent files, from a folder; read in a thread, with questions first.
 
 It exists before any image is open, and outlives each. Window and page pass on what is asked for, show `state()`, and
 take what was read from `fetch()`: then they begin another session.
@@ -49,7 +49,7 @@ class FormerSessions:
         """End the session of an image that is left."""
         is_saving = actions.feature(FilesFeature).is_saving
         actions.session.close(0.0)
-        self._sessions = [one for one in self._sessions if one[0].is_alive]
+        self._sessions = [former for former in self._sessions if former[0].is_alive]
         self._sessions.append((actions.session, SAVING_SECONDS if is_saving else STEP_SECONDS))
 
     def close(self) -> None:
@@ -134,7 +134,7 @@ class Opening:
     # -- to ask -------------------------------------------------------------------------------------------
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
-        """What can be asked for, by name; values come from a page and are not trusted."""
+        """Return the requests by name; values come from a page and are not trusted."""
         return {
             "open": lambda path: self.open_path(self._named(path)),
             "open_recent": self._open_recent,
@@ -333,11 +333,11 @@ class Opening:
 
     @property
     def is_busy(self) -> bool:
-        """Whether something is being opened."""
+        """Test if something is being opened."""
         return self._work is not None
 
     def state(self) -> dict[str, Any]:
-        """What is shown, in types of JSON."""
+        """Return the state to be shown, in types of JSON."""
         return {
             "is_open": self.actions is not None, "opening": self.is_busy, "opening_message": self.message,
             "opening_failed": self.failed, "question": self._question,
@@ -347,8 +347,8 @@ class Opening:
 
     def _renew_lists(self) -> None:
         """Look anew at what is listed."""
-        recent = [{"name": one.path.name, "folder": str(one.path.parent), "exists": one.exists}
-                  for one in self._recent.entries()]
+        recent = [{"name": entry.path.name, "folder": str(entry.path.parent), "exists": entry.exists}
+                  for entry in self._recent.entries()]
         phantoms = [{"name": name, "text": said} for name, said in self._phantoms.items()]
         self._lists = {"recent": recent, "phantoms": phantoms, "folder": "", "folders": [], "images": [], "above": None}
         self._lists |= {"unlisted": 0, "this_image": ""}
@@ -360,8 +360,8 @@ class Opening:
         self._lists |= {
             "folder": shown or self._served.root.name,
             "above": self._served.shown(self._folder.parent) if shown else None,
-            "folders": [[one.name, inner + one.name] for one in entries if one.is_folder],
-            "images": [[one.name, inner + one.name] for one in entries if one.is_image],
+            "folders": [[entry.name, inner + entry.name] for entry in entries if entry.is_folder],
+            "images": [[entry.name, inner + entry.name] for entry in entries if entry.is_image],
             "unlisted": more,
             "this_image": (shown or ".") if self._served.is_image(self._folder) else "",
         }

@@ -1,4 +1,4 @@
-"""Run, pause, go back and forward, undo."""
+"""Run, pause, go back and forward, undo; the list of changes, and uncertain locations to click at next."""
 
 from __future__ import annotations
 
@@ -84,11 +84,11 @@ class HistoryFeature(Feature):
             self._doubts, self._at = status.doubts, -1
             self.actions.scene.marks.show_places([doubt.world for doubt in self._doubts])
         return {
-            "changes": [one._asdict() for one in status.changes],
+            "changes": [change._asdict() for change in status.changes],
             "rests": list(status.rests),
             "doubts": [
-                {"place": ", ".join(f"{v:.4g}" for v in one.world), "percent": round(100.0 * one.share)}
-                for one in status.doubts
+                {"place": ", ".join(f"{v:.4g}" for v in doubt.world), "percent": round(100.0 * doubt.share)}
+                for doubt in status.doubts
             ],
             "doubt_at": self._at + 1,
         }

@@ -75,7 +75,7 @@ class SettingsFeature(Feature):
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             value = str(value)
         typed = text(value, MAX_VALUE)
-        if any(one in typed for one in FILE_WORDS):
+        if any(start in typed for start in FILE_WORDS):
             raise UsageError(f"{key}: {short(value)} was given, expected no file", "the command line takes files")
         if not typed:
             return default_of(key)
@@ -131,7 +131,7 @@ class SettingsFeature(Feature):
         if time.monotonic() - self._looked_at >= LOOK_SECONDS:
             self._looked_at = time.monotonic()
             image = self.actions.session.source
-            folders = [one for one in (image and image.parent, self.actions.folder) if one is not None]
+            folders = [folder for folder in (image and image.parent, self.actions.folder) if folder is not None]
             self._masks = {path.name: path for folder in folders for path in _images(folder) if path != image}
         given = () if status.settings.mask is None else (Path(status.settings.mask).name,)
         return tuple(dict.fromkeys(("", *self._masks, *given)))
@@ -139,7 +139,7 @@ class SettingsFeature(Feature):
 
 def _images(folder: Path) -> list[Path]:
     """The image files of a folder, in order of their names; none where it cannot be read."""
-    endings = tuple(ending for one in IMAGE_FORMATS.values() for ending in one.suffixes)
+    endings = tuple(ending for kind in IMAGE_FORMATS.values() for ending in kind.suffixes)
     try:
         found = sorted(path for path in folder.iterdir() if path.name.lower().endswith(endings) and path.is_file())
     except OSError:

@@ -1,4 +1,6 @@
-"""The settings as window and page show them: rows made from the catalogue, and from the terms of the energy."""
+"""The settings as window and page show them, and numbers on sliders: in the unit of the file, with as many digits as
+they can resolve. The session, its files and what is copied from it are in mm.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,7 @@ def amount(
 
 
 def digits_of(low: float, high: float) -> int:
-    """How many digits after the point a slider needs: thousandths of its upper end, and two digits of its lower one.
+    """Return a slider's digits after the point: thousandths of its upper end, and two digits of its lower end.
 
     Examples
     --------
@@ -178,8 +180,8 @@ def _setting_row(key: str, settings: RunConfig, finest: float, is_first: bool, o
         "tick": 0,
     }
     if said.slider is not None:
-        scale, one = finest**said.slider.voxel_power, said.slider
-        row |= amount(one.low * scale, one.high * scale, value, one.power, one.limit, one.words, per)
+        scale, slider = finest**said.slider.voxel_power, said.slider
+        row |= amount(slider.low * scale, slider.high * scale, value, slider.power, slider.limit, slider.words, per)
     return row
 
 
@@ -193,9 +195,9 @@ def shown_value(key: str, value: Any, per: float) -> Any:
 
 
 def _names(key: str, settings: RunConfig) -> list[dict[str, str]]:
-    """What can be chosen, each with what it means."""
+    """Return the choices, each with its meaning."""
     if key == "preset":
-        presets = {name: f"{one.summary} Sets {_said(one.settings)}." for name, one in PRESETS.items()}
+        presets = {name: f"{preset.summary} Sets {_said(preset.settings)}." for name, preset in PRESETS.items()}
         return _listed({"": "No preset: its values are the defaults again.", **presets})
     if key == "energy":
         # The run's energy may be an expression that is not in the list.

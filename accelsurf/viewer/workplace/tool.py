@@ -1,4 +1,4 @@
-"""A tool: what a drag of the left button does in the scene."""
+"""Bases of actions: groups of requests, tools of the left button, keys; and checks of values that a page has sent."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Key(NamedTuple):
-    """What a key does: a ``request`` with its ``values``, and the ``text`` of the help."""
+    """Effect of a key: a ``request`` with its ``values``, and the ``text`` of the help."""
 
     request: str
     values: tuple[Any, ...]
@@ -40,23 +40,23 @@ class Feature:
         self.actions = actions
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
-        """What can be asked for, by name. Values come from a page and are not trusted: each is checked."""
+        """Return the requests by name. Values come from a page and are not trusted: each is checked."""
         return {}
 
     def tools(self) -> Sequence[Tool]:
-        """What a drag of the left button may do."""
+        """Return the tools of the left button."""
         return ()
 
     def keys(self) -> Mapping[str, Key]:
-        """What each key does, by Qt's names: ``Space``, ``Ctrl+Z``, ``N``."""
+        """Return the effect of each key, by Qt's names: ``Space``, ``Ctrl+Z``, ``N``."""
         return {}
 
     def state(self, status: Status) -> dict[str, Any]:
-        """What panels show, in types of JSON; names are unique over all features. Must be cheap."""
+        """Return the state that panels show, in types of JSON; names are unique over all features. Must be cheap."""
         return {}
 
     def update(self, view: View) -> None:
-        """A new frame has been drawn."""
+        """Take a view that has been drawn."""
 
     def save_beside(self, folder: Path) -> list[Path]:
         """Write what belongs beside the files of the run, which have been saved; return the paths."""
@@ -149,7 +149,7 @@ def short(value: Any) -> str:
 
 
 class Tool:
-    """What a drag of the left button does.
+    """Effect of a drag with the left button.
 
     Parameters
     ----------
@@ -169,27 +169,27 @@ class Tool:
         self.actions = actions
 
     def press(self, at: Picked) -> None:
-        """The button goes down at a place in a slice or on a surface."""
+        """Begin where the button goes down in a slice or on a surface."""
 
     def move(self, at: Picked) -> None:
-        """The mouse is at another place of the tile in which it was pressed."""
+        """Go on to another place of the tile in which the button went down."""
 
     def release(self) -> None:
-        """The button goes up."""
+        """End: the button goes up."""
 
     def cancel(self) -> None:
-        """What the press has begun is not meant: all is as before it, and the button is up."""
+        """Take back what the press has begun: all is as before it, and the button is up."""
         self.leave()
 
     def resize(self) -> None:
-        """The radius has changed."""
+        """Use another radius."""
 
     def leave(self) -> None:
-        """Another tool is used from now on."""
+        """Let go: another tool is used from now on."""
 
     @property
     def radius(self) -> float:
-        """Of click, ball and brush, mm."""
+        """Radius of click, ball and brush, mm."""
         return self.actions.radius
 
 

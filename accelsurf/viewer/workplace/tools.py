@@ -1,4 +1,4 @@
-"""The tools that do not paint: to look, to press and draw a size, to start."""
+"""Tools: to look, to press and draw a size, to start, to paint strokes that are drawn until the surface obeys."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ P = TypeVar("P", bound=Feature)
 
 
 class Actions:
-    """What window and page share.
+    """All requests of window and page, and the state that they show.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ class Actions:
         self.note(f"copied {words}")
 
     def _copy_failed(self) -> None:
-        """The front end could not put the last text on the clipboard, though `copy` has said that it does."""
+        """Refuse: the front end could not put the last text on the clipboard, though `copy` has said that it does."""
         raise UsageError("copy: the browser gives this page no clipboard", "open it on https, or on this machine")
 
     def poll(self, drawing_seconds: float) -> View | None:
@@ -215,7 +215,7 @@ class Actions:
             feature.update(view)
 
     def state(self) -> dict[str, Any]:
-        """What panels show, in types of JSON."""
+        """Return the state that panels show, in types of JSON."""
         status = self.session.status
         if self._note and time.monotonic() > self._note_until:
             self._note = ""

@@ -34,7 +34,7 @@ class HistogramView(QWidget):
         self._taken: dict[str, Any] | None = None
 
     def sizeHint(self) -> QSize:
-        """As wide as the panel."""
+        """Return a size as wide as the panel."""
         return QSize(260, HEIGHT)
 
     def show_state(self, histogram: Mapping[str, Any], bounds: list[dict[str, Any]]) -> None:
@@ -83,7 +83,7 @@ class HistogramView(QWidget):
         """Take the bound that is nearest."""
         x = event.position().x()
         near = [bound for bound in self._bounds if abs(self.place_of(bound["value"]) - x) <= REACH]
-        self._taken = dict(min(near, key=lambda one: abs(self.place_of(one["value"]) - x))) if near else None
+        self._taken = dict(min(near, key=lambda bound: abs(self.place_of(bound["value"]) - x))) if near else None
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
         """Draw the bound where it is dragged; show which can be."""

@@ -1,4 +1,4 @@
-"""The panel of changes: a list to go back and forward in, and where to click next."""
+"""The panel of changes: a list to go back and forward in, and where to click next; undo, redo, save above all."""
 
 from __future__ import annotations
 
@@ -80,12 +80,12 @@ class HistoryPanel(Section):
         with QSignalBlocker(self.list):
             self.list.clear()
             self.list.addItem("0: as at first")
-            for one in self._shown:
-                item = QListWidgetItem(f"{one['number']}: {one['line']}")
-                item.setToolTip(f"{one['line']}, at step {one['step']}{'' if one['done'] else ', undone'}")
-                if not one["done"]:
+            for change in self._shown:
+                item = QListWidgetItem(f"{change['number']}: {change['line']}")
+                item.setToolTip(f"{change['line']}, at step {change['step']}{'' if change['done'] else ', undone'}")
+                if not change["done"]:
                     item.setForeground(grey)
                 self.list.addItem(item)
-            done = sum(one["done"] for one in self._shown)
+            done = sum(change["done"] for change in self._shown)
             self.list.setCurrentRow(done)
             self.list.scrollToItem(self.list.item(done))

@@ -81,7 +81,7 @@ class MeasurePanel(Section):
 
 
 def _about(state: Mapping[str, Any]) -> str:
-    """Of which state the table is."""
+    """Return the step that the table is of."""
     return f"of step {state['figures_step']}" + ("" if state["figures_current"] else ", not the one shown")
 
 

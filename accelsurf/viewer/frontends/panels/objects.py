@@ -165,29 +165,29 @@ class ObjectsPanel(Section):
         if column == _COLOR:
             self._ask_color(self._id(row), self._rows[row]["color"])
 
-    def _ask_color(self, own: int, now: str) -> None:
+    def _ask_color(self, object_id: int, now: str) -> None:
         color = QColorDialog.getColor(QColor(now), self, "Colour of the object")
         if color.isValid():
-            self.ask("object_color", own, color.name())
+            self.ask("object_color", object_id, color.name())
 
     def _set_opacity(self, percent: int) -> None:
         if self._rows:
             self.ask("object_opacity", self._active or self._id(0), percent / 100)
 
     def _remove(self) -> None:
-        for own in self._selected():
-            self.ask("object_remove", own)
+        for object_id in self._selected():
+            self.ask("object_remove", object_id)
 
     def _menu(self, at: QPoint) -> None:
-        """What can be done with the object under the mouse."""
+        """Show a menu for the object under the mouse."""
         row = self.table.rowAt(at.y())
         if not 0 <= row < len(self._rows):
             return
-        own, menu = self._id(row), QMenu(self)
+        object_id, menu = self._id(row), QMenu(self)
         menu.addAction("Rename", lambda: self.table.editItem(self.table.item(row, _NAME)))
-        menu.addAction("Colour ...", lambda: self._ask_color(own, self._rows[row]["color"]))
-        for other in (one for one in self._rows if one["id"] != own):
+        menu.addAction("Colour ...", lambda: self._ask_color(object_id, self._rows[row]["color"]))
+        for other in (row_ for row_ in self._rows if row_["id"] != object_id):
             text = f"Merge into {other['name']}"
-            menu.addAction(text, lambda first=other["id"]: self.ask("object_merge", first, own))
-        menu.addAction("Remove", lambda: self.ask("object_remove", own))
+            menu.addAction(text, lambda first=other["id"]: self.ask("object_merge", first, object_id))
+        menu.addAction("Remove", lambda: self.ask("object_remove", object_id))
         menu.popup(self.table.viewport().mapToGlobal(at))

@@ -1,4 +1,4 @@
-"""A panel that folds, and the widgets that several panels use."""
+"""A panel that folds, and the widgets that several panels use: buttons, lists, numbers on sliders, a line of text."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ class Amount(QWidget):
 
     @property
     def is_being_moved(self) -> bool:
-        """Whether the user is changing it now, so that it does not show the value in force."""
+        """Test if the user is changing it now, so that it does not show the value in force."""
         return self.slider.isSliderDown() or self._delay.isActive() or self.box.hasFocus()
 
     def show_value(self, value: float | str) -> None:
@@ -264,7 +264,7 @@ class OneLine(QLabel):
 
     @property
     def shown(self) -> str:
-        """What is drawn of the text."""
+        """Part of the text that is drawn."""
         return self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width())
 
     def sizeHint(self) -> QSize:

@@ -1,4 +1,4 @@
-"""The panel of settings: the common ones, and the others folded by the groups of the help."""
+"""The panel of settings: a widget for each row of the state, those that are not common folded by groups."""
 
 from __future__ import annotations
 
@@ -196,11 +196,11 @@ def show_names(made: QComboBox, names: Sequence[dict[str, str]], value: Any) -> 
     if made.view().isVisible():
         return
     with QSignalBlocker(made):
-        if [made.itemData(place) for place in range(made.count())] != [one["name"] for one in names]:
+        if [made.itemData(place) for place in range(made.count())] != [entry["name"] for entry in names]:
             made.clear()
-            for one in names:
-                made.addItem(one["name"] or NOTHING, one["name"])
-                made.setItemData(made.count() - 1, one["help"], Qt.ItemDataRole.ToolTipRole)
+            for entry in names:
+                made.addItem(entry["name"] or NOTHING, entry["name"])
+                made.setItemData(made.count() - 1, entry["help"], Qt.ItemDataRole.ToolTipRole)
         made.setCurrentIndex(made.findData(value))
 
 
@@ -233,8 +233,8 @@ class SettingsPanel(Section):
         self.around.clicked.connect(lambda: self.ask("box_around"))
         self.no_box = button("No box", "The run is made in the whole image")
         self.no_box.clicked.connect(lambda: self.ask("box_none"))
-        for one in (self.around, self.no_box):
-            boxes.addWidget(one)
+        for made in (self.around, self.no_box):
+            boxes.addWidget(made)
         whole.addLayout(boxes)
         self.rows: dict[str, SettingRow] = {}
         self.groups: dict[str, Section] = {}
@@ -271,7 +271,7 @@ class SettingsPanel(Section):
             places[group] = place + 1
 
     def _layout_of(self, group: str) -> QVBoxLayout:
-        """Where the rows of a group are; that of the common ones has no name."""
+        """Return the layout of a group's rows; the group of the common ones has no name."""
         if not group:
             return self._first
         if group not in self.groups:

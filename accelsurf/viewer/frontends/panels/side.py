@@ -1,4 +1,4 @@
-"""All panels beside the scene, one below the other."""
+"""The panels beside the scene: tools, and all others below."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The panel of slices: grey values, layout, place."""
+"""The panels of slices and of the picture: grey values, layout, colours, theme."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def _number(low: float) -> QDoubleSpinBox:
 
 
 class PicturePanel(Section):
-    """How the scene is drawn."""
+    """Look of the scene."""
 
     def __init__(self, actions: Actions) -> None:
         super().__init__("Picture", actions)
