@@ -156,7 +156,7 @@ class Page:
             self.actions.request(*request[:8])
 
     def _was_shown(self, *size: Any, **_: Any) -> None:
-        """Note that the page shows the last picture; ``size`` is width, height and pixels of the device for one of them."""
+        """Note that the page shows the last picture, and its room: width, height, pixels of the device for one."""
         self._is_shown = True
         if self.actions is not None:
             self._room = size[:3]

@@ -1,6 +1,6 @@
 """The tile in 3D: the surfaces in world mm, the image around them on request, the scale, the directions; picking.
 
-A pick reads psi along the line of sight: a cell picker looks at each triangle, 35 ms on half a million, with each motion
+A pick reads psi along the line of sight: a cell picker looks at each triangle, 35 ms on half a million with each motion
 of the mouse.
 """
 

@@ -7,10 +7,9 @@ from typing import Any
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QLabel, QWidget
+from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from accelsurf.viewer.frontends.panels.section import Section, show_switch, switch
-from accelsurf.viewer.frontends.panels.settings import column
+from accelsurf.viewer.frontends.panels.section import Section, framed, show_switch
 from accelsurf.viewer.scene.colors import MARK, SURFACE
 from accelsurf.viewer.workplace.workplace import Actions
 
@@ -111,11 +110,11 @@ class HistogramPanel(Section):
 
     def __init__(self, actions: Actions) -> None:
         super().__init__("Histogram", actions)
-        whole = column(self.body)
+        whole = framed(QVBoxLayout(self.body), 5)
         self.view = HistogramView()
         self.view.moved.connect(lambda *moved: self.ask("bound", *moved))
-        self.force = switch("Show force", "Over the slices: where the energy makes a surface grow, and shrink (F)")
-        self.force.toggled.connect(lambda on: self.ask("force", on))
+        tip = "Over the slices: where the energy makes a surface grow, and shrink (F)"
+        self.force = self.switch("Show force", "force", tip)
         self.note = QLabel("")
         self.note.setWordWrap(True)
         for part in (self.view, self.force, self.note):

@@ -7,9 +7,9 @@ from typing import Any
 
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
 from PySide6.QtGui import QPalette
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
 
-from accelsurf.viewer.frontends.panels.section import Section, button
+from accelsurf.viewer.frontends.panels.section import Section, button, framed, in_row
 from accelsurf.viewer.workplace.workplace import Actions
 
 
@@ -26,10 +26,9 @@ class ChangesBar(QWidget):
         self.undo.clicked.connect(lambda: actions.request("undo"))
         self.redo.clicked.connect(lambda: actions.request("redo"))
         self.save.clicked.connect(self.save_wanted)
-        line = QHBoxLayout(self)
-        line.setContentsMargins(0, 0, 0, 0)
-        for part in (self.undo, self.redo, self.save):
-            line.addWidget(part)
+        row = in_row(self.undo, self.redo, self.save)
+        row.setContentsMargins(0, 0, 0, 0)
+        self.setLayout(row)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show what can be undone."""
@@ -54,17 +53,14 @@ class HistoryPanel(Section):
         # A long line ends in an ellipsis, with all of it in its tip: a bar below would cover one of the few lines.
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.list.itemClicked.connect(lambda item: self.ask("change", self.list.row(item)))
-        self.next = button("Where to click next", "Go to the most doubtful place; again: the next one (N)")
-        self.next.clicked.connect(lambda: self.ask("next_doubt"))
+        tip = "Go to the most doubtful place; again: the next one (N)"
+        self.next = self.button("Where to click next", tip, "next_doubt")
         self.where = QLabel("")
-        column = QVBoxLayout(self.body)
-        column.setContentsMargins(8, 2, 8, 6)
-        column.setSpacing(4)
+        column = framed(QVBoxLayout(self.body))
         column.addWidget(self.list)
-        line = QHBoxLayout()
-        line.addWidget(self.next)
-        line.addWidget(self.where, 1)
-        column.addLayout(line)
+        row = in_row(self.next)
+        row.addWidget(self.where, 1)
+        column.addLayout(row)
         self._shown: list[Any] = []
 
     def show_state(self, state: Mapping[str, Any]) -> None:

@@ -22,7 +22,7 @@ from PySide6.QtWidgets import (
     QTableWidgetItem,
 )
 
-from accelsurf.viewer.frontends.panels.section import Section, WheelGuard, button
+from accelsurf.viewer.frontends.panels.section import Section, WheelGuard, button, framed
 from accelsurf.viewer.workplace.objects import NEAREST
 from accelsurf.viewer.workplace.workplace import Actions
 
@@ -67,22 +67,19 @@ class ObjectsPanel(Section):
         table.cellDoubleClicked.connect(self._double_clicked)
         table.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
         table.customContextMenuRequested.connect(self._menu)
-        self.add = button("Add", "A further object: the next press or click inside begins it (U)")
-        self.add.clicked.connect(lambda: self.ask("object_add"))
+        self.add = self.button("Add", "A further object: the next press or click inside begins it (U)", "object_add")
         self.merge = button("Merge", "Make the chosen objects the first of them (choose several with Ctrl)")
         self.merge.clicked.connect(lambda: self.ask("object_merge", *self._selected()))
         self.remove = button("Remove", "Take the chosen object away")
         self.remove.clicked.connect(self._remove)
-        self.nearest = button("Nearest", "Strokes are for the object that is nearest to where they begin")
-        self.nearest.clicked.connect(lambda: self.ask("object_active", NEAREST))
+        tip = "Strokes are for the object that is nearest to where they begin"
+        self.nearest = self.button("Nearest", tip, "object_active", NEAREST)
         self.opacity = QSlider(Qt.Orientation.Horizontal)
         self.opacity.setAccessibleName("opacity")
         self.opacity.setRange(0, 100)
         WheelGuard(self.opacity)
         self.opacity.valueChanged.connect(self._set_opacity)
-        grid = QGridLayout(self.body)
-        grid.setContentsMargins(8, 2, 8, 6)
-        grid.setSpacing(4)
+        grid = framed(QGridLayout(self.body))
         grid.addWidget(table, 0, 0, 1, 4)
         for column, made in enumerate((self.add, self.merge, self.remove, self.nearest)):
             grid.addWidget(made, 1, column)
@@ -186,7 +183,7 @@ class ObjectsPanel(Section):
         object_id, menu = self._id(row), QMenu(self)
         menu.addAction("Rename", lambda: self.table.editItem(self.table.item(row, _NAME)))
         menu.addAction("Colour ...", lambda: self._ask_color(object_id, self._rows[row]["color"]))
-        for other in (row_ for row_ in self._rows if row_["id"] != object_id):
+        for other in (known for known in self._rows if known["id"] != object_id):
             text = f"Merge into {other['name']}"
             menu.addAction(text, lambda first=other["id"]: self.ask("object_merge", first, object_id))
         menu.addAction("Remove", lambda: self.ask("object_remove", object_id))

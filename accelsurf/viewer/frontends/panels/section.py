@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from PySide6.QtCore import QEvent, QObject, QSignalBlocker, QSize, Qt, QTimer, Signal
 from PySide6.QtGui import QPainter, QPaintEvent
@@ -13,6 +13,7 @@ from PySide6.QtWidgets import (
     QDoubleSpinBox,
     QHBoxLayout,
     QLabel,
+    QLayout,
     QPushButton,
     QSizePolicy,
     QSlider,
@@ -24,6 +25,8 @@ from PySide6.QtWidgets import (
 
 from accelsurf.viewer.workplace.settings_rows import TICKS
 from accelsurf.viewer.workplace.workplace import Actions
+
+L = TypeVar("L", bound=QLayout)
 
 
 class WheelGuard(QObject):
@@ -88,15 +91,49 @@ class Section(QWidget):
         """Make a request."""
         self.user_actions.request(name, *values)
 
+    def button(self, text: str, tip: str, request: str, *values: Any) -> QPushButton:
+        """Return a button that makes a request."""
+        made = button(text, tip)
+        made.clicked.connect(lambda: self.ask(request, *values))
+        return made
+
+    def switch(self, text: str, request: str, tip: str = "") -> QCheckBox:
+        """Return a box to check that makes a request."""
+        made = switch(text, tip)
+        made.toggled.connect(lambda is_on: self.ask(request, is_on))
+        return made
+
+    def choice(self, label: str, request: str) -> QComboBox:
+        """Return a list to choose from that makes a request."""
+        made = choice(label)
+        made.activated.connect(lambda _: self.ask(request, made.currentText()))
+        return made
+
     def _fold(self, is_open: bool) -> None:
         self.title.setArrowType(Qt.ArrowType.DownArrow if is_open else Qt.ArrowType.RightArrow)
         self.body.setVisible(is_open)
 
 
-def choice(names: Sequence[str] = (), label: str = "") -> QComboBox:
+def framed(layout: L, spacing: int = 4) -> L:
+    """Return the layout of a panel's body, with its margins."""
+    layout.setSpacing(spacing)
+    layout.setContentsMargins(8, 2, 8, 6)
+    return layout
+
+
+def in_row(*widgets: QWidget, spacing: int | None = None) -> QHBoxLayout:
+    """Return a layout of widgets beside each other."""
+    row = QHBoxLayout()
+    if spacing is not None:
+        row.setSpacing(spacing)
+    for widget in widgets:
+        row.addWidget(widget)
+    return row
+
+
+def choice(label: str) -> QComboBox:
     """Return a list to choose from; it takes the keyboard only when it is clicked or reached by Tab."""
     made = QComboBox()
-    made.addItems(list(names))
     made.setAccessibleName(label)
     made.setFocusPolicy(Qt.FocusPolicy.TabFocus)
     made.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
@@ -125,10 +162,10 @@ def switch(text: str, tip: str = "") -> QCheckBox:
     return made
 
 
-def show_switch(made: QCheckBox, on: bool) -> None:
+def show_switch(made: QCheckBox, is_on: bool) -> None:
     """Show whether it is on, without emitting it."""
     with QSignalBlocker(made):
-        made.setChecked(on)
+        made.setChecked(is_on)
 
 
 def button(text: str, tip: str = "") -> QPushButton:
@@ -194,7 +231,7 @@ class Amount(QWidget):
 
     @property
     def value(self) -> float | str:
-        """The number, or the word that stands for it."""
+        """Number, or the word that stands for it."""
         if self.word is not None and self.word.currentText() != "value":
             return self.word.currentText()
         return float(self.box.value())

@@ -13,7 +13,6 @@ from PySide6.QtWidgets import (
     QComboBox,
     QFileDialog,
     QGridLayout,
-    QHBoxLayout,
     QLabel,
     QLineEdit,
     QPushButton,
@@ -21,7 +20,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from accelsurf.viewer.frontends.panels.section import Amount, Section, button, choice, switch
+from accelsurf.viewer.frontends.panels.section import Amount, Section, button, choice, framed, in_row, switch
 from accelsurf.viewer.workplace.settings import SettingsFeature
 from accelsurf.viewer.workplace.settings_rows import Row
 from accelsurf.viewer.workplace.workplace import Actions
@@ -81,7 +80,7 @@ class ListRow(SettingRow):
 
     def __init__(self, row: Row) -> None:
         super().__init__(row)
-        self.choice: QComboBox = choice(label=row["label"])
+        self.choice: QComboBox = choice(row["label"])
         self.choice.activated.connect(lambda _: self.changed.emit(self.choice.currentData()))
         self._grid.addWidget(self.choice, 0, 1)
 
@@ -204,14 +203,6 @@ def show_names(made: QComboBox, names: Sequence[dict[str, str]], value: Any) -> 
         made.setCurrentIndex(made.findData(value))
 
 
-def column(parent: QWidget) -> QVBoxLayout:
-    """Return the layout of a panel's body with rows below each other."""
-    made = QVBoxLayout(parent)
-    made.setSpacing(5)
-    made.setContentsMargins(8, 2, 8, 6)
-    return made
-
-
 class SettingsPanel(Section):
     """A widget for each row of the state.
 
@@ -225,17 +216,13 @@ class SettingsPanel(Section):
 
     def __init__(self, actions: Actions) -> None:
         super().__init__("Settings", actions)
-        whole = column(self.body)
+        whole = framed(QVBoxLayout(self.body), 5)
         self._first = QVBoxLayout()
         whole.addLayout(self._first)
-        boxes = QHBoxLayout()
-        self.around = button("Box around object", "The run is made in a box around what there is now")
-        self.around.clicked.connect(lambda: self.ask("box_around"))
-        self.no_box = button("No box", "The run is made in the whole image")
-        self.no_box.clicked.connect(lambda: self.ask("box_none"))
-        for made in (self.around, self.no_box):
-            boxes.addWidget(made)
-        whole.addLayout(boxes)
+        tip = "The run is made in a box around what there is now"
+        self.around = self.button("Box around object", tip, "box_around")
+        self.no_box = self.button("No box", "The run is made in the whole image", "box_none")
+        whole.addLayout(in_row(self.around, self.no_box))
         self.rows: dict[str, SettingRow] = {}
         self.groups: dict[str, Section] = {}
         self._whole = whole
@@ -277,7 +264,7 @@ class SettingsPanel(Section):
         if group not in self.groups:
             title = f"More: {group[:1].lower()}{group[1:]}"
             self.groups[group] = folded = Section(title, self.user_actions, folded=True)
-            column(folded.body)
+            framed(QVBoxLayout(folded.body), 5)
             self._whole.addWidget(folded)
         layout = self.groups[group].body.layout()
         assert isinstance(layout, QVBoxLayout)

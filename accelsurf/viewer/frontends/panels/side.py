@@ -12,7 +12,7 @@ from accelsurf.viewer.frontends.panels.histogram import HistogramPanel
 from accelsurf.viewer.frontends.panels.history import ChangesBar, HistoryPanel
 from accelsurf.viewer.frontends.panels.measure import MeasurePanel
 from accelsurf.viewer.frontends.panels.objects import ObjectsPanel
-from accelsurf.viewer.frontends.panels.section import Amount, Section, button
+from accelsurf.viewer.frontends.panels.section import Amount, Section, framed
 from accelsurf.viewer.frontends.panels.settings import SettingsPanel
 from accelsurf.viewer.frontends.panels.slices import PicturePanel, SlicesPanel
 from accelsurf.viewer.workplace.workplace import Actions
@@ -26,15 +26,12 @@ class ToolsPanel(Section):
 
     def __init__(self, actions: Actions) -> None:
         super().__init__("Mouse", actions)
-        grid = QGridLayout(self.body)
-        grid.setSpacing(4)
-        grid.setContentsMargins(8, 2, 8, 6)
+        grid = framed(QGridLayout(self.body))
         self._group = QButtonGroup(self)
         self.tools: dict[str, QPushButton] = {}
         for place, (name, tool) in enumerate(actions.tools.items()):
-            made = self.tools[name] = button(tool.text, f"{tool.tip} ({tool.key})")
+            made = self.tools[name] = self.button(tool.text, f"{tool.tip} ({tool.key})", "tool", name)
             made.setCheckable(True)
-            made.clicked.connect(lambda _, name=name: self.ask("tool", name))
             self._group.addButton(made)
             grid.addWidget(made, place // IN_ROW, place % IN_ROW)
         row = -(-len(self.tools) // IN_ROW)

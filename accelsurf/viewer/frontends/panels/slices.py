@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 from PySide6.QtCore import QSignalBlocker, Qt
-from PySide6.QtWidgets import QDoubleSpinBox, QFormLayout, QGridLayout, QHBoxLayout, QLabel
+from PySide6.QtWidgets import QDoubleSpinBox, QFormLayout, QGridLayout, QLabel
 
 from accelsurf.viewer.frontends.panels.section import (
     Section,
     WheelGuard,
-    button,
     choice,
+    framed,
+    in_row,
     show_choice,
     show_switch,
-    switch,
 )
 from accelsurf.viewer.scene.colors import THEMES
 from accelsurf.viewer.workplace.slices import MAX_GREY
@@ -30,25 +30,20 @@ class SlicesPanel(Section):
 
     def __init__(self, actions: Actions) -> None:
         super().__init__("Slices", actions)
-        grid = QGridLayout(self.body)
-        grid.setSpacing(4)
-        grid.setContentsMargins(8, 2, 8, 6)
-        self.window_word = choice(label="grey values")
+        grid = framed(QGridLayout(self.body))
+        self.window_word = choice("grey values")
         self.window_word.setToolTip("Values that are drawn black and white; in a slice: drag with the right button")
         self.window_word.activated.connect(self._named)
         self.level, self.width_ = _number(-MAX_GREY), _number(0.0)
         for box in (self.level, self.width_):
             box.valueChanged.connect(lambda _: self.ask("window", self.level.value(), self.width_.value()))
-        self.layout_ = choice(label="layout")
-        self.layout_.activated.connect(lambda _: self.ask("layout", self.layout_.currentText()))
-        self.chart = switch("Chart", "The energies at each step")
-        self.chart.toggled.connect(lambda on: self.ask("chart", on))
-        self.interpolate = switch("Smooth", "Slices smooth between voxels, or each voxel as a rectangle")
-        self.interpolate.toggled.connect(lambda on: self.ask("interpolate", on))
-        self.straight = switch("Straight", "Slices straight by anatomy, or along the voxels of an oblique scan (2)")
-        self.straight.toggled.connect(lambda on: self.ask("straight", on))
-        self.whole = button("Whole", "The whole image in each tile (R)")
-        self.whole.clicked.connect(lambda: self.ask("whole"))
+        self.layout_ = self.choice("layout", "layout")
+        self.chart = self.switch("Chart", "chart", "The energies at each step")
+        tip = "Slices smooth between voxels, or each voxel as a rectangle"
+        self.interpolate = self.switch("Smooth", "interpolate", tip)
+        tip = "Slices straight by anatomy, or along the voxels of an oblique scan (2)"
+        self.straight = self.switch("Straight", "straight", tip)
+        self.whole = self.button("Whole", "The whole image in each tile (R)", "whole")
         grid.addWidget(QLabel("Grey values"), 0, 0)
         grid.addWidget(self.window_word, 0, 1, 1, 3)
         for column, (text, box) in enumerate({"Level": self.level, "Width": self.width_}.items()):
@@ -65,16 +60,15 @@ class SlicesPanel(Section):
         """Show the grey values and the layout."""
         word = state["window_word"]
         show_choice(self.window_word, [*state["windows"], *([] if word else [BY_HAND])], word or BY_HAND)
-        for box, key in ((self.level, "level"), (self.width_, "width")):
-            if not box.hasFocus():
-                with QSignalBlocker(box):
-                    box.setDecimals(0 if state["width"] >= 50 else 4)
-                    box.setSingleStep(max(state["width"] / 20, 1e-4))
-                    box.setValue(state[key])
+        for number, key in ((self.level, "level"), (self.width_, "width")):
+            if not number.hasFocus():
+                with QSignalBlocker(number):
+                    number.setDecimals(0 if state["width"] >= 50 else 4)
+                    number.setSingleStep(max(state["width"] / 20, 1e-4))
+                    number.setValue(state[key])
         show_choice(self.layout_, state["layouts"], state["layout"])
-        show_switch(self.chart, state["chart"])
-        show_switch(self.interpolate, state["interpolate"])
-        show_switch(self.straight, state["straight"])
+        for box, key in ((self.chart, "chart"), (self.interpolate, "interpolate"), (self.straight, "straight")):
+            show_switch(box, state[key])
         self.straight.setEnabled(state["is_oblique"])
 
     def _named(self) -> None:
@@ -96,20 +90,11 @@ class PicturePanel(Section):
 
     def __init__(self, actions: Actions) -> None:
         super().__init__("Picture", actions)
-        form = QFormLayout(self.body)
-        form.setSpacing(5)
-        form.setContentsMargins(8, 2, 8, 6)
-        self.color, self.theme = choice(label="colour"), choice(label="theme")
-        self.color.activated.connect(lambda _: self.ask("color", self.color.currentText()))
-        self.theme.activated.connect(lambda _: self.ask("theme", self.theme.currentText()))
-        self.volume, self.planes = switch("Image in 3D"), switch("Slices in 3D")
-        self.volume.toggled.connect(lambda on: self.ask("volume", on))
-        self.planes.toggled.connect(lambda on: self.ask("planes", on))
+        form = framed(QFormLayout(self.body), 5)
+        self.color, self.theme = self.choice("colour", "color"), self.choice("theme", "theme")
+        self.volume, self.planes = self.switch("Image in 3D", "volume"), self.switch("Slices in 3D", "planes")
         form.addRow("Colour by", self.color)
-        boxes = QHBoxLayout()
-        boxes.addWidget(self.volume)
-        boxes.addWidget(self.planes)
-        form.addRow(boxes)
+        form.addRow(in_row(self.volume, self.planes))
         form.addRow("Theme", self.theme)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
