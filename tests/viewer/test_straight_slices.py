@@ -322,9 +322,9 @@ def test_sliders_wheel_and_switch(workplace):
     workplace, center = workplace
     scene, said = workplace.scene, workplace.state()
     assert said["straight"] and said["is_oblique"]
-    assert said["slices"] == {name: [tile.index + 1, tile.count] for name, tile in scene.slice_tiles.items()}
+    assert said["slices"] == {name: [tile.index + 1, tile.stack.count] for name, tile in scene.slice_tiles.items()}
     for name, tile in scene.slice_tiles.items():
-        for number in (1, tile.count, tile.count // 2):
+        for number in (1, tile.stack.count, tile.stack.count // 2):
             workplace.request("slice", name, number)
             assert workplace.state()["slices"][name][0] == number and not workplace.message
         x, y = pixel_of(scene, name, scene.cursor)
@@ -335,7 +335,7 @@ def test_sliders_wheel_and_switch(workplace):
         assert moved[across] > 0 and np.abs(np.delete(moved, across)).max() < 1e-6
     workplace.request("key", "2")
     assert not workplace.state()["straight"] and not workplace.message
-    assert all(tile.count == SHAPE[tile.axis] for tile in scene.slice_tiles.values())
+    assert all(tile.stack.count == SHAPE[tile.axis] for tile in scene.slice_tiles.values())
     workplace.request("straight", True)
     assert workplace.state()["straight"]
 

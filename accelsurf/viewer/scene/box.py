@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.viewer.scene.colors import MARK
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.scene.shapes import box_edges
+from accelsurf.viewer.scene.shapes import add_actor, box_edges
 from accelsurf.viewer.scene.slices import SliceTile
 
 #: Over contours and the cursor's lines, in the order of drawing.
@@ -105,12 +104,7 @@ class BoxOverlay:
 
     def _draw(self, name: str, renderer: pv.Renderer, mesh: pv.PolyData) -> None:
         if name not in self._actors:
-            mapper = vtkPolyDataMapper()
-            mapper.ScalarVisibilityOff()
-            actor = pv.Actor(mapper=mapper)
-            actor.prop.color, actor.prop.lighting = MARK, False
-            renderer.add_actor(actor, reset_camera=False, render=False)
-            self._actors[name] = actor
+            self._actors[name] = add_actor(renderer, mesh, MARK)
         self._actors[name].mapper.SetInputData(mesh)
         self._actors[name].SetVisibility(mesh.n_points > 0)
         self._scene.tiles.redraw.mark(renderer)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from accelsurf.viewer.scene.colors import SHADES, color_range
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.scene.shapes import ColorTexture
+from accelsurf.viewer.scene.shapes import Texture
 from accelsurf.viewer.scene.slices import SliceTile
 
 #: Opacity of the largest force; and how far towards the ends of the colour map it goes, which are almost black.
@@ -33,7 +33,7 @@ class _Layer(NamedTuple):
     """Layer over a tile: an actor and its picture."""
 
     actor: pv.Actor
-    texture: ColorTexture
+    texture: Texture
 
 
 class ForceOverlay:
@@ -87,7 +87,7 @@ class ForceOverlay:
             layer.actor.SetVisibility(name in shown)
 
     def _make(self, name: str, tile: SliceTile) -> _Layer:
-        texture = ColorTexture()
+        texture = Texture(is_smooth=False)
         actor = tile.add_picture(texture, DEPTH)
         actor.ForceTranslucentOn()
         self._layers[name] = _Layer(actor, texture)

@@ -27,7 +27,7 @@ from accelsurf.report.movies import write_png
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.chart import EnergyChart
-from accelsurf.viewer.scene.colors import ObjectStyle, ObjectStyles, Theme, theme_named
+from accelsurf.viewer.scene.colors import ObjectStyle, ObjectStyles, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
 from accelsurf.viewer.scene.legend import Legend, caption, legend_lines, volume_line
 from accelsurf.viewer.scene.measure_marks import MeasureLayer
@@ -68,6 +68,12 @@ class Scene:
     plotter : pyvista.Plotter
     frame : Frame or None
         What is drawn now.
+    theme, theme_name : Theme, str
+        Colours in use.
+    color : str
+        Quantity that colours the surfaces, where they have it.
+    is_interpolated : bool
+        Whether slices are drawn smoothly between voxels, not each voxel as a rectangle.
     tiles : Tiles
         How the tiles lie, and what part of the image each shows.
     is_straight : bool
@@ -99,13 +105,13 @@ class Scene:
         title: str | None = None,
         window: GreyWindow | None = None,
     ) -> None:
-        self._theme, self.theme_name = theme_named(theme), theme
+        self.theme, self.theme_name = theme_named(theme), theme
         self._reference = None if reference is None else Reference(reference, volume.geometry)
         self.volume, self.geometry = volume, volume.geometry
         self.frame: Frame | None = None
-        self._color = "plain"
+        self.color = "plain"
         self._window = window_of(volume.array) if window is None else window
-        self._is_interpolated = True
+        self.is_interpolated = True
         self.title = (volume.source.name if volume.source else "") if title is None else title
         self._cursor = 0.5 * (np.array(self.geometry.shape) - 1.0)
         self._cursor_is_set = False
@@ -135,7 +141,7 @@ class Scene:
     def _build(self) -> None:
         plotter, upright, image = self.plotter, DisplayOrientation.of(self.geometry), self.volume.array
         flat = self.geometry.slice_axis
-        context = TileContext(self._redraw, self.styles, self._theme, self.anatomical, self.unit)
+        context = TileContext(self._redraw, self.styles, self.theme, self.anatomical, self.unit)
         places = {0: (0, 2), 1: (0, 3), 2: (1, 2)} if flat is None else {upright.order.index(flat): (0, 0)}
         self.space: SpaceTile | None = None
         if flat is None:
@@ -149,10 +155,10 @@ class Scene:
         plotter.subplot(*((1, 3) if flat is None else (0, 2)))
         self._chart_renderer = plotter.renderer
         self._chart_renderer.SetInteractive(False)
-        self._chart = EnergyChart(plotter, self._theme)
+        self._chart = EnergyChart(plotter, self.theme)
         plotter.subplot(0, 0)
         largest = self.space.renderer if self.space is not None else next(iter(self.slice_tiles.values())).renderer
-        self._legend = Legend(largest, self._theme.ink)
+        self._legend = Legend(largest, self.theme.ink)
         for tile in self.slice_tiles.values():
             tile.show(self._cursor)
         if self._reference is not None:
@@ -177,7 +183,7 @@ class Scene:
         if frame is None:
             return
         if self.space is not None:
-            self.space.show(frame, self._color, coarse)
+            self.space.show(frame, self.color, coarse)
         self._show_flat(frame)
         lines = [line for line in (self.title, *caption(frame, self.geometry, self.unit)) if line]
         if self.space is not None:
@@ -199,11 +205,6 @@ class Scene:
             self._show_flat(self.frame)
             self._redraw.mark_all()
 
-    @property
-    def theme(self) -> Theme:
-        """Colours in use."""
-        return self._theme
-
     def compare(self, labels: Volume) -> None:
         """Compare with labels from now on; InputError when they are on another grid."""
         self._reference = Reference(labels, self.geometry)
@@ -224,14 +225,9 @@ class Scene:
     def color_by(self, name: str) -> None:
         """Colour the surfaces by a quantity of `COLORS`, plain where they lack it; another is a UsageError."""
         check_known("color", name, COLORS)
-        self._color = name
+        self.color = name
         self._show_frame()
         self._redraw.mark_all()
-
-    @property
-    def color(self) -> str:
-        """Quantity that colours the surfaces, where they have it."""
-        return self._color
 
     def show_volume(self, on: bool) -> None:
         """Draw the image itself in 3D, translucent, or not; an image of one slice has no such picture."""
@@ -268,14 +264,9 @@ class Scene:
             if self.shows_planes:
                 self.show_planes(True)
 
-    @property
-    def is_interpolated(self) -> bool:
-        """Test if slices are drawn smoothly between voxels, not each voxel as a rectangle."""
-        return self._is_interpolated
-
     def interpolate(self, on: bool) -> None:
         """Draw slices smoothly between voxels, or each voxel as a rectangle."""
-        self._is_interpolated = on
+        self.is_interpolated = on
         for tile in self.slice_tiles.values():
             tile.interpolate(on)
 
@@ -352,13 +343,13 @@ class Scene:
 
     def paint(self, theme: str) -> None:
         """Use a theme; an unknown one is a UsageError."""
-        self._theme, self.theme_name = theme_named(theme), theme
+        self.theme, self.theme_name = theme_named(theme), theme
         self._redraw.mark_all()
         for renderer in self.plotter.renderers:
-            renderer.background_color = self._theme.background
+            renderer.background_color = self.theme.background
         for part in (self.space, *self.slice_tiles.values(), self._chart, self._legend):
             if part is not None:
-                part.paint(self._theme)
+                part.paint(self.theme)
 
     def show_image(self, volume: Volume) -> None:
         """Show another image on the same grid; cursor, camera and grey values stay."""

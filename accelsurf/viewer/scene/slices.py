@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES
@@ -22,7 +21,7 @@ from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFEREN
 from accelsurf.viewer.scene.legend import measure
 from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar
 from accelsurf.viewer.scene.redraw import TileContext
-from accelsurf.viewer.scene.shapes import ColorTexture, GreyTexture, contour, dashed, polygon, slice_of
+from accelsurf.viewer.scene.shapes import Texture, add_actor, contour, dashed, polygon, slice_of
 
 Floats = NDArray[np.float64]
 NONE = np.zeros((0, 2, 2))
@@ -165,13 +164,13 @@ class SliceTile:
         self._lines: dict[str, tuple[pv.Actor, float]] = {}
         self._ratio = 1.0
         self._drawn_objects, self._drag = 0, DragLines()
-        self._texture, self._grey = GreyTexture(), np.zeros((2, 2), np.uint8)
+        self._texture, self._grey = Texture(is_smooth=True), np.zeros((2, 2), np.uint8)
         self._values: NDArray[Any] = self._grey
         #: Pictures of the whole slice, and their depth.
         self._pictures: list[tuple[pv.Actor, float]] = []
         self._middle, self._zoom = self._center, 1.0
         middle = (*self._middle, 0.0)
-        self._picture = self._add(pv.PolyData(), "white")
+        self._picture = add_actor(renderer, pv.PolyData(), "white")
         self._picture.SetTexture(self._texture.texture)
         camera = renderer.camera
         camera.parallel_projection = True
@@ -189,11 +188,6 @@ class SliceTile:
     def axis(self) -> int:
         """Array axis of the image that is nearest to across."""
         return self.stack.axis
-
-    @property
-    def count(self) -> int:
-        """Number of slices."""
-        return self.stack.count
 
     @property
     def across(self) -> float:
@@ -297,7 +291,7 @@ class SliceTile:
 
     def interpolate(self, on: bool) -> None:
         """Draw smoothly between voxels, or each voxel as a rectangle."""
-        self._texture.interpolate(on)
+        self._texture.texture.SetInterpolate(on)
         self._is_smooth = on
         self.mark()
         if self.stack.is_straight:
@@ -344,9 +338,9 @@ class SliceTile:
         lines = [place + size * sides for place in here for size in (1.4, 2.4)]
         self._draw_lines("places", np.concatenate(lines) if lines else NONE, CURSOR, 2.5)
 
-    def add_picture(self, texture: GreyTexture | ColorTexture, depth: float) -> pv.Actor:
+    def add_picture(self, texture: Texture, depth: float) -> pv.Actor:
         """Draw a picture of the whole slice; what has a larger ``depth`` lies over what has a smaller one."""
-        actor = self._add(polygon(self._corners, self.extent, depth), "white")
+        actor = add_actor(self.renderer, polygon(self._corners, self.extent, depth), "white")
         actor.SetTexture(texture.texture)
         self._pictures.append((actor, depth))
         return actor
@@ -371,12 +365,9 @@ class SliceTile:
         """Draw segments (n, 2, 2) in the tile's plane, in place of those drawn before under this name."""
         depth = {"cursor": 1.0, "reference": 2.0}.get(name, 3.0)
         points = np.column_stack([lines.reshape(-1, 2), np.full(2 * len(lines), depth)])
-        mesh = pv.PolyData()
-        if len(lines):
-            cells = np.column_stack([np.full(len(lines), 2), np.arange(2 * len(lines)).reshape(-1, 2)])
-            mesh = pv.PolyData(points, lines=cells.ravel())
+        mesh = pv.line_segments_from_points(points) if len(lines) else pv.PolyData()
         if name not in self._lines:
-            self._lines[name] = self._add(mesh, color, opacity=opacity), width
+            self._lines[name] = add_actor(self.renderer, mesh, color, opacity), width
             self._lines[name][0].prop.line_width = width * self._ratio
         actor = self._lines[name][0]
         actor.prop.color, actor.prop.opacity = color, opacity
@@ -452,15 +443,6 @@ class SliceTile:
         """Use another theme."""
         for part in (self.title, self._bar):
             part.paint(theme.ink)
-
-    def _add(self, mesh: pv.PolyData, color: str, opacity: float = 1.0) -> pv.Actor:
-        mapper = vtkPolyDataMapper()
-        mapper.SetInputData(mesh)
-        mapper.ScalarVisibilityOff()
-        actor = pv.Actor(mapper=mapper)
-        actor.prop.color, actor.prop.lighting, actor.prop.opacity = color, False, opacity
-        self.renderer.add_actor(actor, reset_camera=False, render=False)
-        return actor
 
     def _write_letters(self) -> list[Label]:
         """The patient's directions at the left, right, upper and lower edge of the image."""

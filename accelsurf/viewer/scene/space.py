@@ -13,7 +13,6 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 from vtkmodules.vtkCommonDataModel import vtkPlane
-from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
@@ -22,7 +21,7 @@ from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, SURFA
 from accelsurf.viewer.scene.legend import color_scale
 from accelsurf.viewer.scene.overlay import EDGE, Label, Pixels, ScaleBar, orientation_cube
 from accelsurf.viewer.scene.redraw import TileContext
-from accelsurf.viewer.scene.shapes import TRANSLUCENT, GreyTexture, box_edges, isosurface, path_lines
+from accelsurf.viewer.scene.shapes import TRANSLUCENT, Texture, add_actor, box_edges, isosurface, path_lines
 
 
 class Picked(NamedTuple):
@@ -226,7 +225,8 @@ class SpaceTile:
     ) -> None:
         self.renderer, self._context, theme = plotter.renderer, context, context.theme
         self._geometry, self._window = geometry, window
-        self._meshes: list[pv.PolyData] = []
+        #: The surfaces drawn now, of each object, world mm.
+        self.meshes: list[pv.PolyData] = []
         self._frame: Frame | None = None
         self.is_coarse = False  # whether fewer triangles are drawn than the frame has
         self._wanted = self._color = "plain"
@@ -235,14 +235,13 @@ class SpaceTile:
         self.box = box_edges(geometry)
         self.reference: pv.PolyData | None = None
         self._reference_actor: Any = None
-        self._box = self._add(self.box, theme.lines)
-        self._box.prop.lighting = False
+        self._box = add_actor(self.renderer, self.box, theme.lines)
         self._ball: pv.Actor | None = None
         self._places: pv.Actor | None = None
         #: What draws the predictions and the ways of tracked objects.
         self._tracks: tuple[pv.Actor, pv.Actor] | None = None
         self._volume = VolumePicture(plotter, self.renderer, geometry, image)
-        self._planes: list[tuple[pv.Actor, GreyTexture]] = []
+        self._planes: list[tuple[pv.Actor, Texture]] = []
         #: Whether the three slices are drawn.
         self.shows_planes = False
         self._table = pv.LookupTable()
@@ -263,12 +262,12 @@ class SpaceTile:
         self._frame, self._wanted = frame, color
         drawn = tuple(surface.coarser(COARSE_VOXELS) for surface in frame.surfaces) if coarse else frame.surfaces
         self.is_coarse = any(shown is not fine for shown, fine in zip(drawn, frame.surfaces, strict=True))
-        self._meshes = [isosurface(surface, self._geometry, color) for surface in drawn]
-        while len(self._surfaces) < len(self._meshes):
+        self.meshes = [isosurface(surface, self._geometry, color) for surface in drawn]
+        while len(self._surfaces) < len(self.meshes):
             self._surfaces.append(self._add_surface())
-        for actor in self._surfaces[len(self._meshes) :]:
+        for actor in self._surfaces[len(self.meshes) :]:
             actor.SetVisibility(False)
-        for actor, mesh in zip(self._surfaces, self._meshes, strict=False):
+        for actor, mesh in zip(self._surfaces, self.meshes, strict=False):
             actor.mapper.SetInputData(mesh)
             actor.mapper.SetScalarVisibility(color in mesh.point_data)
         self.restyle()
@@ -280,8 +279,10 @@ class SpaceTile:
         if self._tracks is None:
             if not frame.predicted and not frame.paths:
                 return
-            self._tracks = self._add(pv.PolyData(), REFERENCE, TRANSLUCENT), self._add(pv.PolyData(), CURSOR)
-            self._tracks[1].prop.lighting = False
+            self._tracks = (
+                add_actor(self.renderer, pv.PolyData(), REFERENCE, TRANSLUCENT, is_lit=True),
+                add_actor(self.renderer, pv.PolyData(), CURSOR),
+            )
         meshes = [isosurface(surface, self._geometry) for surface in frame.predicted]
         meshes = [mesh for mesh in meshes if mesh.n_points]
         for actor, mesh in zip(
@@ -292,7 +293,7 @@ class SpaceTile:
 
     def restyle(self) -> None:
         """Draw each surface in its style."""
-        for actor, mesh, style in zip(self._surfaces, self._meshes, self._context.styles.of(self._frame), strict=False):
+        for actor, mesh, style in zip(self._surfaces, self.meshes, self._context.styles.of(self._frame), strict=False):
             actor.prop.color, actor.prop.opacity = style.color, style.opacity
             actor.SetVisibility(mesh.n_points > 0 and style.visible)
         self.mark()
@@ -310,7 +311,7 @@ class SpaceTile:
 
     def _show_scale(self, color: str) -> None:
         """Colour the surfaces that have this quantity on a common scale, and draw the scale."""
-        values = [np.asarray(mesh.point_data[color]) for mesh in self._meshes if color in mesh.point_data]
+        values = [np.asarray(mesh.point_data[color]) for mesh in self.meshes if color in mesh.point_data]
         self._scale.SetVisibility(bool(values))
         self._quantity.text = SHADES[color].title if values else ""
         if not values:
@@ -334,18 +335,13 @@ class SpaceTile:
     @property
     def color(self) -> str:
         """The quantity that colours the surfaces drawn now, or ``plain``."""
-        return self._color if any(self._color in mesh.point_data for mesh in self._meshes) else "plain"
-
-    @property
-    def meshes(self) -> tuple[pv.PolyData, ...]:
-        """The surfaces drawn now, one for each object, world mm."""
-        return tuple(self._meshes)
+        return self._color if any(self._color in mesh.point_data for mesh in self.meshes) else "plain"
 
     def show_reference(self, mesh: pv.PolyData) -> None:
         """Draw a second surface, translucent."""
         if self._reference_actor is not None:
             self.renderer.RemoveActor(self._reference_actor)
-        self.reference, self._reference_actor = mesh, self._add(mesh, REFERENCE, opacity=0.35)
+        self.reference, self._reference_actor = mesh, add_actor(self.renderer, mesh, REFERENCE, 0.35, is_lit=True)
 
     def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> None:
         """Draw a translucent ball (world mm); nothing for None."""
@@ -353,7 +349,8 @@ class SpaceTile:
             return
         self.mark()
         if self._ball is None:
-            self._ball = self._add(pv.Sphere(radius=1.0, theta_resolution=48, phi_resolution=32), MARK, opacity=0.55)
+            sphere = pv.Sphere(radius=1.0, theta_resolution=48, phi_resolution=32)
+            self._ball = add_actor(self.renderer, sphere, MARK, 0.55, is_lit=True)
         self._ball.SetVisibility(center is not None)
         if center is not None:
             self._ball.position = tuple(center)
@@ -367,8 +364,7 @@ class SpaceTile:
     def mark_places(self, places: NDArray[np.float64]) -> None:
         """Draw a diamond at each of these points (x, y, z), world mm, (n, 3)."""
         if self._places is None:
-            self._places = self._add(pv.PolyData(), CURSOR)
-            self._places.prop.lighting = False
+            self._places = add_actor(self.renderer, pv.PolyData(), CURSOR)
         diamonds = [pv.Octahedron(radius=2.5 * self.smallest, center=place) for place in places]
         self._places.mapper.SetInputData(pv.merge(diamonds) if diamonds else pv.PolyData())
         self._places.SetVisibility(bool(diamonds))
@@ -403,10 +399,9 @@ class SpaceTile:
         self.shows_planes = slices is not None
         for number, (mesh, grey) in enumerate(slices or ()):
             if number == len(self._planes):
-                texture = GreyTexture()
-                actor = self._add(mesh, "white")
+                texture = Texture(is_smooth=True)
+                actor = add_actor(self.renderer, mesh, "white")
                 actor.SetTexture(texture.texture)
-                actor.prop.lighting = False
                 self._planes.append((actor, texture))
             self._planes[number][0].mapper.SetInputData(mesh)
             self._planes[number][1].show(grey)
@@ -514,7 +509,7 @@ class SpaceTile:
         """Make text readable, and the bar as long as the camera's scale asks for."""
         self.title.fit(pixels)
         self._bar.fit(pixels)
-        self._volume.cut_away(self._meshes)
+        self._volume.cut_away(self.meshes)
         self._box.prop.line_width = BOX * pixels.ratio
         self._cube.GetTextEdgesProperty().SetLineWidth(EDGE * pixels.ratio)
         if self._tracks is not None:
@@ -530,16 +525,7 @@ class SpaceTile:
         self._box.prop.color = theme.lines
 
     def _add_surface(self) -> pv.Actor:
-        actor = self._add(pv.PolyData(), SURFACE)
+        actor = add_actor(self.renderer, pv.PolyData(), SURFACE, is_lit=True)
         style = actor.prop
         style.interpolation, style.ambient, style.specular, style.specular_power = "Gouraud", 0.15, 0.2, 20.0
-        return actor
-
-    def _add(self, mesh: pv.PolyData, color: str, opacity: float = 1.0) -> pv.Actor:
-        mapper = vtkPolyDataMapper()
-        mapper.SetInputData(mesh)
-        mapper.ScalarVisibilityOff()
-        actor = pv.Actor(mapper=mapper)
-        actor.prop.color, actor.prop.opacity = color, opacity
-        self.renderer.add_actor(actor, reset_camera=False, render=False)
         return actor

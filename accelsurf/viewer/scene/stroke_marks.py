@@ -18,7 +18,7 @@ from accelsurf.grid.slice_stack import SliceStack
 from accelsurf.initialization.click_paths import segment_voxels
 from accelsurf.viewer.scene.colors import INSIDE, OUTSIDE
 from accelsurf.viewer.scene.redraw import Redraw
-from accelsurf.viewer.scene.shapes import ColorTexture
+from accelsurf.viewer.scene.shapes import Texture
 from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import SpaceTile
 
@@ -128,7 +128,7 @@ class _Layer:
     """Named voxels over a slice."""
 
     def __init__(self, tile: SliceTile) -> None:
-        self.tile, self._texture = tile, ColorTexture()
+        self.tile, self._texture = tile, Texture(is_smooth=False)
         #: Which side the voxel at each pixel of the slice is on, its first row lowest.
         self._sides, self._is_empty = np.zeros((0, 0), np.uint8), True
         self._actor = tile.add_picture(self._texture, DEPTH)

@@ -89,7 +89,7 @@ class SlicesFeature(Feature):
             "layout": tiles.layout, "layouts": list(LAYOUTS), "large": tiles.large, "chart": tiles.shows_chart,
             "interpolate": scene.is_interpolated, "straight": scene.is_straight, "is_oblique": scene.is_oblique,
             # Number of the slice that each tile shows, from 1, and how many there are.
-            "slices": {name: [tile.index + 1, tile.count] for name, tile in scene.slice_tiles.items()},
+            "slices": {name: [tile.index + 1, tile.stack.count] for name, tile in scene.slice_tiles.items()},
             "cursor": self._text(scene.cursor),
             **self.read_out(),
         }
@@ -207,7 +207,7 @@ class SlicesFeature(Feature):
     def _slice(self, tile: Any, number_from_1: Any) -> None:
         scene = self.actions.scene
         shown = scene.slice_tiles[word(tile, tuple(scene.slice_tiles))]
-        scene.go_to_slice(tile, whole(number_from_1, 1, shown.count) - 1)
+        scene.go_to_slice(tile, whole(number_from_1, 1, shown.stack.count) - 1)
 
     def _through(self, count: Any) -> None:
         """Go through the slices of the tile under the mouse, or else of the first."""
