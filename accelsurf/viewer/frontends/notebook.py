@@ -84,7 +84,18 @@ def show(
         scene.update(Frame.of_result(what), [segmented.history for segmented in what.objects])
     scene.show_volume(volume)
     scene.show_planes(planes)
-    return _show_in_pyvista(scene, backend) if plotter is not None else _output(scene, to, suffix)
+    if plotter is not None:
+        return _show_in_pyvista(scene, backend)
+    try:
+        if to is None:
+            return SceneOutput(scene)
+        if suffix == ".png":
+            scene.screenshot(to)
+        else:
+            write_html(scene, to)
+        return None
+    finally:
+        scene.close()
 
 
 def _plotter(geometry: Geometry, size: tuple[int, int], backend: str | None, title: str) -> pv.Plotter | None:
@@ -98,25 +109,6 @@ def _plotter(geometry: Geometry, size: tuple[int, int], backend: str | None, tit
         require_graphics()
     layout = Scene.layout(geometry)
     return pv.Plotter(off_screen=notebook, notebook=notebook, window_size=list(size), title=title, **layout)
-
-
-def _output(scene: Scene, to: str | Path | None, suffix: str) -> SceneOutput | None:
-    """The output of a cell; with a path write a file instead. The scene is closed."""
-    try:
-        if to is None:
-            return SceneOutput(scene)
-        _write(scene, to, suffix)
-        return None
-    finally:
-        scene.close()
-
-
-def _write(scene: Scene, path: str | Path, suffix: str) -> None:
-    """Write a scene to a file, by suffix."""
-    if suffix == ".png":
-        scene.screenshot(path)
-    else:
-        write_html(scene, path)
 
 
 def _check(what: Result | Volume, to: str | Path | None, backend: str | None) -> str:

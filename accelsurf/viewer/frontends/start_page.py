@@ -19,6 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from accelsurf.viewer.frontends.panels.section import in_row
 from accelsurf.viewer.workplace.opening import Opening
 
 #: Width of a list, pixels.
@@ -59,10 +60,7 @@ class StartPage(QWidget):
         self.show_state(opening.state())
 
     def _lay_out(self, title: QLabel) -> None:
-        buttons = QHBoxLayout()
-        for button in (self.open_file, self.open_folder):
-            buttons.addWidget(button)
-        buttons.addWidget(self.hint)
+        buttons = in_row(self.open_file, self.open_folder, self.hint)
         buttons.addStretch(1)
         lists = QHBoxLayout()
         lists.setSpacing(24)

@@ -14,6 +14,7 @@ from accelsurf.report.canvas import GREEN, PURPLE, VERMILION, YELLOW, object_col
 from accelsurf.report.label_names import given_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame
+from accelsurf.viewer.scene.overlay import round_up
 
 
 class Theme(NamedTuple):
@@ -89,8 +90,7 @@ def color_range(values: NDArray[np.float32], signed: bool) -> tuple[float, float
     largest = float(np.percentile(np.abs(finite), 98)) if finite.size else 0.0
     if not largest > 0:
         return (-1.0, 1.0) if signed else (0.0, 1.0)
-    decade = 10.0 ** np.floor(np.log10(largest))
-    high = float(min(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= largest * (1 - 1e-9)))
+    high = round_up(largest)
     return (-high, high) if signed else (0.0, high)
 
 

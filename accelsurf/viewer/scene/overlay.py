@@ -200,6 +200,18 @@ def round_length(largest: float) -> float:
     return float(f"{max(step * decade for step in (1, 2, 5) if step * decade <= largest * (1 + 1e-9)):g}")
 
 
+def round_up(least: float) -> float:
+    """Return the smallest of 1, 2, 5, 10, ... (and tenths, ...) that is at least ``least``; 1 for 0.
+
+    Examples
+    --------
+    >>> round_up(3.1), round_up(0.2), round_up(0.0)
+    (5.0, 0.2, 1.0)
+    """
+    below = round_length(least) if least > 0 else 1.0
+    return below if below >= least * (1 - 1e-9) else round_length(2.5 * below)
+
+
 def orientation_cube(anatomical: bool) -> vtkAnnotatedCubeActor:
     """Return a cube whose faces name the world's directions: L R A P S I of a patient, else +x -x +y ...."""
     names = LETTERS if anatomical else (("-x", "+x"), ("-y", "+y"), ("-z", "+z"))

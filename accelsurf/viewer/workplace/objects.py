@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from accelsurf.errors import UsageError
 from accelsurf.settings.labels import MAX_NAME
@@ -19,13 +19,6 @@ NEAREST = "nearest"
 #: The state of an object that was added and has no voxel yet.
 NOT_BEGUN = "not begun"
 _COLOR = re.compile(r"#[0-9a-fA-F]{6}")
-
-
-class _Drawn(NamedTuple):
-    """Size of an object in the last frame."""
-
-    mm3: float
-    voxels: int
 
 
 class Split(Tool):
@@ -58,7 +51,8 @@ class ObjectsFeature(Feature):
         self._hidden: set[int] = set()
         self._opacity: dict[int, float] = {}
         self._palette: dict[int, str] = {}
-        self._drawn: dict[int, _Drawn] = {}
+        #: Sizes of the objects in the last frame.
+        self._sizes: dict[int, dict[str, Any]] = {}
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
         return {
@@ -88,7 +82,10 @@ class ObjectsFeature(Feature):
         }
 
     def update(self, view: View) -> None:
-        self._drawn = {surface.id: _Drawn(surface.record.volume_mm3, surface.voxels) for surface in view.frame.surfaces}
+        self._sizes = {
+            surface.id: {"ml": f"{surface.record.volume_mm3 / 1000.0:.4g}", "voxels": surface.voxels}
+            for surface in view.frame.surfaces
+        }
         self._show(view.status)
 
     # -- what is shown -------------------------------------------------------------------------------------
@@ -112,14 +109,9 @@ class ObjectsFeature(Feature):
         return styles
 
     def _described(self, object_id: int, style: ObjectStyle, status: Status) -> dict[str, Any]:
-        drawn = self._drawn.get(object_id)
-        is_there = drawn is not None and object_id in (status.objects or (1,))
-        return {
-            "id": object_id, **style._asdict(),
-            "ml": f"{drawn.mm3 / 1000.0:.4g}" if is_there and drawn is not None else "",
-            "voxels": drawn.voxels if is_there and drawn is not None else 0,
-            "word": status.object_words.get(object_id, NOT_BEGUN),
-        }
+        size = self._sizes.get(object_id) if object_id in (status.objects or (1,)) else None
+        word = status.object_words.get(object_id, NOT_BEGUN)
+        return {"id": object_id, **style._asdict(), **(size or {"ml": "", "voxels": 0}), "word": word}
 
     def _show(self, status: Status) -> None:
         """Draw each object in its style, where that has changed."""

@@ -118,6 +118,11 @@ def from_read(value: Any, per: float) -> Any:
 
 
 Row = dict[str, Any]
+#: What a row has unless it says something else.
+DEFAULTS: Row = {
+    "unit": "", "group": "", "enabled": True, "restarts": False, "names": [], "term": [], "now": "", "low": 0.0,
+    "high": 0.0, "power": 1.0, "digits": 0, "limit": 0.0, "words": [], "tick": 0,
+}
 
 
 def settings_rows(
@@ -171,13 +176,11 @@ def _setting_row(key: str, settings: RunConfig, finest: float, is_first: bool, o
     said, value, (unit, per) = entry(key), getattr(settings, key), unit_read(key, of_file)
     kind: str = {"energy": "energy", "mask": "file"}.get(key, kind_of(key))
     restarts = said.fixed and said.group is not SettingGroup.FILES
-    row: Row = {
+    row: Row = DEFAULTS | {
         "key": key, "label": label_of(key), "unit": unit, "kind": kind,
         "help": help_of(key) + ("" if per == 1.0 else f" Here in {unit}."),
         "group": "" if is_first else str(said.group), "value": shown_value(key, value, per),
-        "enabled": settings.matters(key), "restarts": restarts, "names": _names(key, settings), "term": [],
-        "now": "", "low": 0.0, "high": 0.0, "power": 1.0, "digits": 0, "limit": 0.0, "words": [],
-        "tick": 0,
+        "enabled": settings.matters(key), "restarts": restarts, "names": _names(key, settings),
     }
     if said.slider is not None:
         scale, slider = finest**said.slider.voxel_power, said.slider
@@ -222,19 +225,11 @@ def _term_rows(energy: str, terms: Sequence[Mapping[str, Any]]) -> list[Row]:
             if key == "channel" and "channels" not in known:
                 continue  # there is but one
             names = _listed({"": "", **dict.fromkeys(kind.words, "")}) if isinstance(kind, Word) else []
-            rows.append({
-                "key": f"{term.name}-{place}-{key}", "label": f"{term.name} {key}", "unit": "", "help": _help_of(kind),
-                "kind": "list" if names else "text", "group": "", "value": as_typed(term.settings.get(key)),
-                "enabled": True, "restarts": False, "names": names, "term": [place, key],
-                "now": _resolved(known.get(key)), "low": 0.0, "high": 0.0, "power": 1.0, "digits": 0, "limit": 0.0,
-                "words": [], "tick": 0,
+            now = known.get(key)
+            rows.append(DEFAULTS | {
+                "key": f"{term.name}-{place}-{key}", "label": f"{term.name} {key}", "names": names,
+                "help": f"{kind.help[:1].upper()}{kind.help[1:]}: {kind.expected}.",
+                "kind": "list" if names else "text", "value": as_typed(term.settings.get(key)), "term": [place, key],
+                "now": f"{now:.4g}" if isinstance(now, float) else as_typed(now),
             })  # fmt: skip
     return rows
-
-
-def _help_of(kind: Any) -> str:
-    return f"{kind.help[:1].upper()}{kind.help[1:]}: {kind.expected}."
-
-
-def _resolved(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else as_typed(value)

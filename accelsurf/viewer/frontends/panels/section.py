@@ -143,15 +143,18 @@ def choice(label: str) -> QComboBox:
     return made
 
 
-def show_choice(made: QComboBox, names: Sequence[str], now: str) -> None:
-    """Show what can be chosen and what is, without emitting it; not while the list is open."""
+def show_choice(made: QComboBox, names: Sequence[str] | Mapping[str, str], now: Any) -> None:
+    """Show the choices, in a mapping each with its help, and the one in force; not while the list is open."""
     if made.view().isVisible():
         return
+    helps = names if isinstance(names, Mapping) else dict.fromkeys(names, "")
     with QSignalBlocker(made):
-        if [made.itemText(place) for place in range(made.count())] != list(names):
+        if [made.itemData(place) for place in range(made.count())] != list(helps):
             made.clear()
-            made.addItems(list(names))
-        made.setCurrentIndex(made.findText(now))
+            for place, (name, tip) in enumerate(helps.items()):
+                made.addItem(name or NOTHING, name)
+                made.setItemData(place, tip, Qt.ItemDataRole.ToolTipRole)
+        made.setCurrentIndex(made.findData(now))
 
 
 def switch(text: str, tip: str = "") -> QCheckBox:
@@ -176,6 +179,8 @@ def button(text: str, tip: str = "") -> QPushButton:
     return made
 
 
+#: Text of the empty word in a list.
+NOTHING = "none"
 #: How long after the last change the value of a slider is emitted, milliseconds.
 DELAY_MS = 250
 #: Largest number that a box can have; its width with three digits after the point and that of one more, pixels.

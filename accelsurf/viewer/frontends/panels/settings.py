@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,22 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from accelsurf.viewer.frontends.panels.section import Amount, Section, button, choice, framed, in_row, switch
+from accelsurf.viewer.frontends.panels.section import (
+    Amount,
+    Section,
+    button,
+    choice,
+    framed,
+    in_row,
+    show_choice,
+    switch,
+)
 from accelsurf.viewer.workplace.settings import SettingsFeature
 from accelsurf.viewer.workplace.settings_rows import Row
 from accelsurf.viewer.workplace.workplace import Actions
 
-#: What a list shows for the empty word; and behind the name of a setting whose change begins another run.
-NOTHING, RESTARTS = "none", "\N{ANTICLOCKWISE OPEN CIRCLE ARROW}"
+#: Mark behind the name of a setting whose change begins another run.
+RESTARTS = "\N{ANTICLOCKWISE OPEN CIRCLE ARROW}"
 STICKS = "\N{NO-BREAK SPACE}"
 
 
@@ -86,7 +95,7 @@ class ListRow(SettingRow):
 
     def show_row(self, row: Row) -> None:
         super().show_row(row)
-        show_names(self.choice, row["names"], row["value"])
+        show_choice(self.choice, {choice["name"]: choice["help"] for choice in row["names"]}, row["value"])
 
 
 class TextRow(SettingRow):
@@ -188,19 +197,6 @@ def titled(row: Row) -> str:
     unit = f" ({row['unit']})" if row["unit"] else ""
     # The mark never stands alone in a second line.
     return f"{row['label']}{unit}{f'{STICKS}{RESTARTS}' if row['restarts'] else ''}"
-
-
-def show_names(made: QComboBox, names: Sequence[dict[str, str]], value: Any) -> None:
-    """Show what can be chosen, with its help, and what is; not while the list is open."""
-    if made.view().isVisible():
-        return
-    with QSignalBlocker(made):
-        if [made.itemData(place) for place in range(made.count())] != [entry["name"] for entry in names]:
-            made.clear()
-            for entry in names:
-                made.addItem(entry["name"] or NOTHING, entry["name"])
-                made.setItemData(made.count() - 1, entry["help"], Qt.ItemDataRole.ToolTipRole)
-        made.setCurrentIndex(made.findData(value))
 
 
 class SettingsPanel(Section):
