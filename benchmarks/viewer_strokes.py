@@ -199,7 +199,7 @@ class Hand:
         left, bottom, right, top = self.window.scene.tiles.renderer(tile).GetViewport()
         pixel = 1.0 / self.window.scene.plotter.render_window.GetSize()[0]
         for radii in np.linspace(first, last, MOTIONS):
-            across = radii * self.radius / self.window.scene.tiles.mm_per_pixel(tile) * pixel
+            across = radii * self.radius / self.window.scene.tiles.tile(tile).mm_per_pixel() * pixel
             yield 0.5 * (left + right) + across, 1.0 - (bottom + 0.5 * (top - bottom))
 
     def _over_the_ball(self) -> Iterator[tuple[float, float]]:
@@ -233,7 +233,7 @@ class Hand:
     def _take(self, tool: str) -> None:
         """Take a tool, with balls of the size that fits the object."""
         self._in_window(lambda: self.window._ask("tool", tool))
-        self._in_window(lambda: self.window.workplace.request("radius", 0.12 * self.radius))
+        self._in_window(lambda: self.window.user_actions.request("radius", 0.12 * self.radius))
 
     def _event(self, kind: str, place: tuple[float, float] | None, right: bool = False) -> tuple[float, float]:
         """Send an event of a button; milliseconds until the picture after it, and of the window's thread until then."""
@@ -326,7 +326,7 @@ class Hand:
         self._take(side)
         time.sleep(1.2)
         self._event("press", (x, y))
-        length = 0.3 * self.radius / window.scene.tiles.mm_per_pixel("axial") / window.canvas.width()
+        length = 0.3 * self.radius / window.scene.tiles.tile("axial").mm_per_pixel() / window.canvas.width()
         for part in (0.3, 0.6, 0.9):
             self._event("move", (x + part * length, y))
         count, began = len(session.status.refinements), time.perf_counter()

@@ -396,7 +396,7 @@ def _serve(
     """Serve the page until Ctrl-C."""
     import webbrowser
 
-    from accelsurf.viewer.frontends.browser import serve
+    from accelsurf.viewer.frontends.page import serve
     from accelsurf.viewer.frontends.page_guard import LOCAL
 
     def show_address(address: str) -> None:

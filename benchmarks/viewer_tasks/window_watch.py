@@ -65,7 +65,7 @@ class WindowWatch:
             self._verdict = {**self._judge(frame), "number": self._verdict.get("number", 0) + 1}
             self._wanted.unlink()
         return {
-            "state": window.workplace.state(), "tiles": self._tiles(),
+            "state": window.user_actions.state(), "tiles": self._tiles(),
             "step": status.step, "playing": status.playing, "message": window.message.text(),
             "stop": status.stop and status.stop.reason,
             "drawn": None if frame is None else [frame.step, frame.volume_mm3],

@@ -347,8 +347,7 @@ def _panel():
     from PySide6.QtWidgets import QApplication
 
     from accelsurf.viewer.core.status import Status
-    from accelsurf.viewer.frontends.panels.setting_row import ListRow
-    from accelsurf.viewer.frontends.panels.settings import SettingsPanel
+    from accelsurf.viewer.frontends.panels.settings import ListRow, SettingsPanel
     from accelsurf.viewer.workplace.settings import SettingsFeature
 
     application = QApplication([])

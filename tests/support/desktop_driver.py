@@ -27,7 +27,7 @@ from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.desktop import Window, application
-from accelsurf.viewer.frontends.panels.setting_row import EnergyRow, SettingRow, SliderRow, SwitchRow, TextRow
+from accelsurf.viewer.frontends.panels.settings import EnergyRow, SettingRow, SliderRow, SwitchRow, TextRow
 
 
 def main() -> None:
@@ -127,7 +127,7 @@ def line_of(row: SettingRow) -> QWidget:
 
 def shown(session: Session, window: Window) -> dict[str, Any]:
     """What the session and the window say."""
-    status, frame, state = session.status, window.scene.frame, window.workplace.state()
+    status, frame, state = session.status, window.scene.frame, window.user_actions.state()
     return {
         "step": status.step, "playing": status.playing, "checkpoints": status.checkpoints,
         "message": window.message.text(), "edits": [edit.model_dump() for edit in status.edits],

@@ -62,7 +62,7 @@ def said(window: MainWindow) -> dict[str, Any]:
             "name": inner.session.name, "shape": inner.scene.geometry.shape, "step": status.step, "ready": status.ready,
             "drawn": frame is not None and frame.has_surface, "dice": inner.scene.dice, "message": inner.message.text(),
             "settings": status.settings.model_dump(mode="json"), "alive": inner.session.is_alive,
-            "folder": str(inner.workplace.folder),
+            "folder": str(inner.user_actions.folder),
         }
     now["dialog"] = dialog.text() if isinstance(dialog, QMessageBox) else type(dialog).__name__ if dialog else ""
     return now

@@ -13,7 +13,7 @@ from accelsurf.viewer.scene.force_overlay import OPACITY, force_colors
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.box import BoxFeature
 from accelsurf.viewer.workplace.force import ForceFeature
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 from tests.support.viewing import settle
 
@@ -37,7 +37,7 @@ def workplace(placed):
     start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
     with Session(volume, RunConfig(start=start, threads=1, max_steps=60), name="ball") as session:
         session.ready.result(60)
-        made = Workplace(session, scene)
+        made = Actions(session, scene)
         settle(made)
         scene.screenshot()
         yield made
@@ -166,7 +166,7 @@ def test_an_image_of_one_slice_has_a_box_too():
     scene = Scene(Volume.from_array(disc), size=(600, 400))
     with Session(scene.volume, RunConfig(start="ball:25,20,0,6vox", threads=1), name="disc") as session:
         session.ready.result(60)
-        workplace = Workplace(session, scene)
+        workplace = Actions(session, scene)
         settle(workplace)
         scene.screenshot()
         workplace.request("tool", "box")

@@ -21,9 +21,8 @@ import pytest
 from PIL import Image
 
 from accelsurf import cli, io
-from accelsurf.viewer.frontends import page_connections
-from accelsurf.viewer.frontends.page_connections import MAX_CONNECTIONS, MAX_IDLE, ConnectionLimit
-from accelsurf.viewer.frontends.page_guard import LOCAL, PageGuard
+from accelsurf.viewer.frontends import page_guard
+from accelsurf.viewer.frontends.page_guard import LOCAL, MAX_CONNECTIONS, MAX_IDLE, ConnectionLimit, PageGuard
 from tests.support import viewing
 
 aiohttp = pytest.importorskip("aiohttp", reason='trame is missing: pip install "accelsurf[viewer]"')
@@ -345,7 +344,7 @@ def test_a_connection_without_the_token_may_not_stay(monkeypatch):
             self.open = False
 
     now = 100.0
-    monkeypatch.setattr(page_connections.time, "monotonic", lambda: now)
+    monkeypatch.setattr(page_guard.time, "monotonic", lambda: now)
     server = SimpleNamespace(connection_made=lambda *_: None, connection_lost=lambda *_: None)
     limit = ConnectionLimit()
     limit.watch(server)

@@ -17,7 +17,7 @@ from accelsurf.segmentation.refiner import Refiner
 from accelsurf.settings.refinements import refinements_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.scene.captions import caption
+from accelsurf.viewer.scene.legend import caption
 from tests.support.steering import at, views
 
 SHAPE, SPACING = (12, 16, 34), (1.5, 1.0, 1.0)

@@ -575,7 +575,7 @@ def test_without_the_packages_of_the_window_the_page_is_served(scan, hide, capsy
     viewing.needs_graphics()
     served = []
     monkeypatch.setattr(
-        "accelsurf.viewer.frontends.browser.serve", lambda opening, first, *given: served.append(first[0].name)
+        "accelsurf.viewer.frontends.page.serve", lambda opening, first, *given: served.append(first[0].name)
     )
     hide("PySide6", "pyvistaqt")
     assert command(["view", str(scan), "--start", "ball:24,24,20,6"]) == 0

@@ -13,9 +13,9 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.sequence_view import MAX_FRAMES, SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.scene.track_marks import dashed
+from accelsurf.viewer.scene.shapes import dashed
 from accelsurf.viewer.workplace.frames import FramesFeature
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 from tests.support.trackings import dividing_cells, flat_cells
 
@@ -45,7 +45,7 @@ def workplace(request, made, tracks):
     scene = Scene(made.sequence.frame(0), size=(640, 360))
     with Session(made.sequence.frame(0), RunConfig(threads=1, max_steps=2), name="cells") as session:
         session.ready.result(60)
-        yield Workplace(session, scene, frames=view)
+        yield Actions(session, scene, frames=view)
     scene.close()
 
 
@@ -210,7 +210,7 @@ def test_an_image_without_time_has_no_frames():
     scene = Scene(volume, size=(320, 180))
     with Session(volume, RunConfig(threads=1, max_steps=1)) as session:
         session.ready.result(60)
-        made = Workplace(session, scene)
+        made = Actions(session, scene)
         assert made.state()["frames"] == 0 and "," not in made.keys and made.feature(FramesFeature).shows_run
         made.request("frame", 1)
         assert made.message == "frame: the image has no time"

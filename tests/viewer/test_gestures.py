@@ -7,10 +7,9 @@ import pytest
 
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.page_document import document
-from accelsurf.viewer.workplace.history import HistoryFeature
-from accelsurf.viewer.workplace.mouse import MouseFeature
-from accelsurf.viewer.workplace.wheel import ZOOM
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.mouse import ZOOM, MouseFeature
+from accelsurf.viewer.workplace.run import HistoryFeature
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.viewer.test_corrections import CONFIGS, ended, scan
 from tests.viewer.test_strokes import drag, place_of, shown
 
@@ -28,7 +27,7 @@ def session():
 
 @pytest.fixture
 def workplace(session, scene_of):
-    made = Workplace(session, scene_of(session.volume, size=(960, 544)))
+    made = Actions(session, scene_of(session.volume, size=(960, 544)))
     shown(made)
     made.request("cursor", 9.0, 8.0, 9.0)
     made.request("radius", 1.6)
@@ -77,10 +76,10 @@ def test_a_second_button_changes_nothing_until_the_first_is_up(workplace, tool):
     workplace.request("press", *axial(workplace, FIRST), 2)
     workplace.request("move", *axial(workplace, (15.0, 8.0, 9.0)))
     workplace.request("release", 2)
-    assert workplace.scene.marks.strokes.count == 1 and workplace.scene.window == window
+    assert workplace.scene.marks.count == 1 and workplace.scene.window == window
     workplace.request("move", *axial(workplace, (16.0, 8.0, 9.0)))
     workplace.request("release", 0)
-    assert len(made(workplace)) == 1 and workplace.scene.marks.strokes.count == 0
+    assert len(made(workplace)) == 1 and workplace.scene.marks.count == 0
     assert not workplace.message
 
 
@@ -88,11 +87,11 @@ def test_the_same_button_again_begins_anew_where_its_release_was_lost(workplace)
     workplace.request("tool", "inside")
     drag(workplace, "axial", FIRST, (13.0, 8.0, 9.0))
     drag(workplace, "axial", SECOND)
-    assert workplace.scene.marks.strokes.count == 1
+    assert workplace.scene.marks.count == 1
     workplace.request("release")
     (refinement,) = settled(workplace).refinements
     assert len(refinement.inside) == 1 and refinement.inside[0].startswith("ball:25,")
-    assert workplace.scene.marks.strokes.count == 0
+    assert workplace.scene.marks.count == 0
 
 
 def test_a_key_for_another_tool_ends_a_drag(workplace):
@@ -103,7 +102,7 @@ def test_a_key_for_another_tool_ends_a_drag(workplace):
     workplace.request("move", *axial(workplace, SECOND))  # the button is still down
     assert np.array_equal(workplace.scene.cursor, cursor)
     workplace.request("release")
-    assert made(workplace) == [] and workplace.scene.marks.strokes.count == 0
+    assert made(workplace) == [] and workplace.scene.marks.count == 0
 
 
 # ------------------------------------------------------------------------------------------------------------ fingers
@@ -115,16 +114,16 @@ def test_two_fingers_paint_nothing_and_leave_no_mark(workplace, tool):
     first, second = axial(workplace, FIRST), axial(workplace, SECOND)
     workplace.request("finger_down", *first, 7, True)
     workplace.request("finger_move", first[0] + 0.004, first[1], 7)
-    assert workplace.scene.marks.strokes.count == 1
+    assert workplace.scene.marks.count == 1
     workplace.request("finger_down", *second, 8, False)
-    assert workplace.scene.marks.strokes.count == 0
+    assert workplace.scene.marks.count == 0
     for step in range(4):
         workplace.request("finger_move", first[0] + 0.004 * step, first[1], 7)
         workplace.request("finger_move", second[0] - 0.004 * step, second[1], 8)
     workplace.request("finger_up", 7)
     workplace.request("finger_move", first[0], first[1], 8)  # the last of two is no stroke
     workplace.request("finger_up", 8)
-    assert made(workplace) == [] and workplace.scene.marks.strokes.count == 0
+    assert made(workplace) == [] and workplace.scene.marks.count == 0
     assert not workplace.message and not workplace.feature(MouseFeature).is_dragging
 
 
@@ -167,11 +166,11 @@ def test_two_fingers_in_3d_zoom_about_their_middle(workplace):
     x, y = place_of(workplace, "space", (14.0, 8.0, 9.0))
     workplace.request("finger_down", x - 0.05, y, 7, True)
     workplace.request("finger_down", x + 0.05, y, 8)
-    scale = workplace.scene.tiles.mm_per_pixel("space")
+    scale = workplace.scene.tiles.tile("space").mm_per_pixel()
     for step in (0.06, 0.07, 0.08):
         workplace.request("finger_move", x - step, y, 7)
         workplace.request("finger_move", x + step, y, 8)
-    assert scale / workplace.scene.tiles.mm_per_pixel("space") == pytest.approx(1.6, rel=1e-6)
+    assert scale / workplace.scene.tiles.tile("space").mm_per_pixel() == pytest.approx(1.6, rel=1e-6)
     assert place_of(workplace, "space", (14.0, 8.0, 9.0)) == pytest.approx((x, y), abs=2e-3)
 
 
@@ -197,7 +196,7 @@ def test_fingers_that_were_lost_and_hands_beside_a_pen(workplace):
     workplace.request("finger_down", *axial(workplace, SECOND), 1, True)  # its end is never heard of
     workplace.request("finger_down", *axial(workplace, FIRST), 2, True)
     workplace.request("finger_cancel", 2)
-    assert made(workplace) == [] and workplace.scene.marks.strokes.count == 0
+    assert made(workplace) == [] and workplace.scene.marks.count == 0
     workplace.request("finger_down", *axial(workplace, SECOND), 3, True)
     drag(workplace, "axial", FIRST)  # a pen, after the hand that holds it
     workplace.request("finger_move", *axial(workplace, (27.0, 8.0, 9.0)), 3)
@@ -207,10 +206,10 @@ def test_fingers_that_were_lost_and_hands_beside_a_pen(workplace):
     workplace.request("finger_down", *axial(workplace, SECOND), 5, True)
     workplace.request("finger_move", *axial(workplace, (27.0, 8.0, 9.0)), 5)
     workplace.request("finger_up", 5)
-    assert workplace.scene.marks.strokes.count == 1
+    assert workplace.scene.marks.count == 1
     workplace.request("release")
     (refinement,) = settled(workplace).refinements
-    assert refinement.inside[0].startswith("ball:11,") and workplace.scene.marks.strokes.count == 0
+    assert refinement.inside[0].startswith("ball:11,") and workplace.scene.marks.count == 0
 
 
 @pytest.mark.parametrize("bad", [None, True, "x", float("nan"), float("inf"), 1e308, [], {}, -0.1, 1.1, 2**40])
@@ -303,7 +302,7 @@ def test_the_slices_go_to_points_too(scene_of):
     image = scan()
     with Session(image, CONFIGS["seeded"]) as session:
         session.ready.result(60)
-        workplace = shown(Workplace(session, scene_of(image, size=(960, 544))))
+        workplace = shown(Actions(session, scene_of(image, size=(960, 544))))
         workplace.request("cursor", 9.0, 8.0, 9.0)
         workplace.request("tool", "points")
         for world in (FIRST, SECOND):

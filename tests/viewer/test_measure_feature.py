@@ -15,7 +15,7 @@ from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.files import FilesFeature
 from accelsurf.viewer.workplace.measure import MeasureFeature, table_of
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 
 
@@ -51,7 +51,7 @@ def scene_and_session():
 @pytest.fixture
 def workplace(scene_and_session, tmp_path):
     scene, session = scene_and_session
-    made = Workplace(session, scene, tmp_path)
+    made = Actions(session, scene, tmp_path)
     scene.measures.show(())
     scene.cursor = scene.geometry.center_world()
     scene.render()
@@ -212,7 +212,7 @@ def test_a_file_of_others_is_not_replaced(workplace, tmp_path):
     ask(workplace, "measure_diameters")
     ask(workplace, "measure_save")
     assert "exists already" in workplace.message and (tmp_path / "egg_measurements.csv").read_text() == "mine"
-    other = Workplace(workplace.session, workplace.scene, tmp_path, overwrite=True)
+    other = Actions(workplace.session, workplace.scene, tmp_path, overwrite=True)
     ask(other, "measure_diameters")
     ask(other, "measure_save")
     assert (tmp_path / "egg_measurements.csv").read_text().startswith("number,kind")
@@ -258,7 +258,7 @@ def test_a_flat_image_is_measured_with_the_mouse(scene_of, tmp_path, axis):
     with Session(image, RunConfig(start=f"ball:{center},6", threads=1), name="disc") as session:
         session.play().result(60)
         session.wait(60)
-        workplace = Workplace(session, scene, tmp_path)
+        workplace = Actions(session, scene, tmp_path)
         scene.screenshot()
         (tile,) = scene.slice_tiles
         workplace.request("tool", "distance")
@@ -284,7 +284,7 @@ def test_each_object_has_its_column(scene_of, tmp_path):
     with Session(image, config, name="two") as session:
         session.play().result(60)
         session.wait(60)
-        workplace = Workplace(session, scene_of(image, size=(640, 360)), tmp_path / "out")
+        workplace = Actions(session, scene_of(image, size=(640, 360)), tmp_path / "out")
         state = ask(workplace, "measure_table")
         assert state["figures"][0] == ["", "object 3", "small"] and state["figures_ids"] == [3, 7]
         first, second = (float(text.split()[0]) for text in state["figures"][1][1:])

@@ -12,7 +12,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.objects import NOT_BEGUN
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.segmentation.test_object_changes import BALLS, SPACING, dice, press, scan, truth
 from tests.support import viewing
 
@@ -147,7 +147,7 @@ def test_names_and_colours_go_into_the_files(session, tmp_path):
 def workplace(session, tmp_path):
     viewing.needs_graphics()
     scene = Scene(session.volume, size=(640, 360))
-    made = Workplace(session, scene, tmp_path)
+    made = Actions(session, scene, tmp_path)
     yield made
     scene.close()
 

@@ -16,7 +16,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import two_balls, viewing
 from tests.support.steering import at, labels_of, views
 
@@ -209,7 +209,7 @@ def test_a_page_changes_the_object_that_was_asked_for(session, tmp_path):
     viewing.needs_graphics()
     scene = Scene(session.volume, size=(640, 360))
     try:
-        handler = Workplace(session, scene, tmp_path)
+        handler = Actions(session, scene, tmp_path)
         handler.request("tool", "grow")
         for asked, own in (("8", 8), (3, 3), ("nearest", None)):
             handler.request("object", asked)

@@ -215,7 +215,7 @@ class Shown:
     """What the opening needs of a workplace: whether something is unsaved, and where to say something."""
 
     def __init__(self, unsaved=False, geometry=None):
-        self.notes, self.message, self.changed, self.compared = [], "", False, []
+        self.notes, self.message, self.compared = [], "", []
         self.is_unsaved = unsaved
         self.scene = self
         self.geometry = geometry
@@ -276,7 +276,7 @@ def test_errors_are_one_line_and_nothing_is_returned(opening, tmp_path):
 
 def test_what_is_not_saved_is_asked_for(opening, tmp_path):
     io.write(image(), tmp_path / "a.nii")
-    opening.workplace = Shown(unsaved=True)
+    opening.actions = Shown(unsaved=True)
     opening.request("open", str(tmp_path / "a.nii"))
     state = opening.state()
     assert state["question"] == "Open a.nii; what was done here and is not saved will be lost?" and not opening.is_busy
@@ -288,7 +288,7 @@ def test_what_is_not_saved_is_asked_for(opening, tmp_path):
     opening.request("open", str(tmp_path / "a.nii"))
     opening.request("answer", "open")
     assert finish(opening).name == "a"
-    opening.workplace.is_unsaved = False
+    opening.actions.is_unsaved = False
     opening.request("open", str(tmp_path / "a.nii"))
     assert finish(opening).name == "a"
 
@@ -297,15 +297,15 @@ def test_what_is_dropped_may_be_a_reference(opening, tmp_path):
     labels = image().with_array((image().array > 100).astype(np.uint8))
     io.write(labels, tmp_path / "labels.nii")
     io.write(Volume.from_array(np.ones((3, 3, 3), np.uint8)), tmp_path / "other.nii")
-    opening.workplace = Shown(geometry=labels.geometry)
+    opening.actions = Shown(geometry=labels.geometry)
     opening.request("drop", str(tmp_path / "labels.nii"))
     assert [name for name, _ in opening.state()["answers"]] == ["open", "reference", "cancel"]
     opening.request("answer", "reference")
     assert finish(opening) is None and not opening.failed
-    assert np.array_equal(opening.workplace.compared[0].array, labels.array) and opening.workplace.changed
+    assert np.array_equal(opening.actions.compared[0].array, labels.array)
     opening.request("open_reference", str(tmp_path / "other.nii"))
     assert finish(opening) is None
-    assert opening.failed and "not on the image's grid" in opening.message and len(opening.workplace.compared) == 1
+    assert opening.failed and "not on the image's grid" in opening.message and len(opening.actions.compared) == 1
 
 
 def test_one_of_several_is_asked_for(opening, study):

@@ -12,7 +12,7 @@ from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.files import FilesFeature
 from accelsurf.viewer.workplace.picture import MAX_SIZE, MIN_SIZE
 from accelsurf.viewer.workplace.settings import SETTINGS
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 
 
@@ -35,7 +35,7 @@ def scene_and_session():
 @pytest.fixture
 def handler(scene_and_session, tmp_path):
     scene, session = scene_and_session
-    made = Workplace(session, scene, tmp_path / "out")
+    made = Actions(session, scene, tmp_path / "out")
     scene.tiles.lay_out("one", "space", True)
     made.request("layout", "one")  # chosen: it does not follow from the size of the picture
     scene.tiles.show_whole()

@@ -16,7 +16,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.settings_rows import settings_rows
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 
 COMMON = ["preset", "energy", "smoothness", "presmooth", "size", "max_volume", "levels", "roi", "mask"]
@@ -45,7 +45,7 @@ def workplace(scene, tmp_path):
     config = RunConfig(start=start, threads=1, max_steps=60)
     with Session(volume, config, name="ball", source=image) as session:
         session.ready.result(60)
-        yield Workplace(session, scene, tmp_path / "out")
+        yield Actions(session, scene, tmp_path / "out")
 
 
 def ask(workplace, *request):

@@ -21,7 +21,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, ObjectState
 from accelsurf.viewer.frontends.export import write_html
 from accelsurf.viewer.scene import colors
-from accelsurf.viewer.scene.object_styles import ObjectStyle, given_styles
+from accelsurf.viewer.scene.colors import ObjectStyle, given_styles
 from tests.support import two_balls, viewing
 
 

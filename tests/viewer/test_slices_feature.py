@@ -10,7 +10,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.layouts import LAYOUTS, viewports
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 
 TILES = ("axial", "coronal", "sagittal", "space")
@@ -59,7 +59,7 @@ def workplace():
     scene = Scene(volume, size=(640, 360))
     with Session(volume, RunConfig(start=start, threads=1, max_steps=60), name="ball") as session:
         session.ready.result(60)
-        made = Workplace(session, scene)
+        made = Actions(session, scene)
         view = None
         while view is None:
             view = session.next_view()
@@ -154,7 +154,7 @@ def test_slices_are_as_large_as_the_window_allows_until_a_layout_is_chosen(fresh
         width = tiles.renderer("axial").GetViewport()[2] - tiles.renderer("axial").GetViewport()[0]
         return tiles.layout, tiles.shows_chart, width
 
-    new = Workplace(fresh.session, fresh.scene)
+    new = Actions(fresh.session, fresh.scene)
     new.request("size", 960, 640)
     assert shown() == ("four", False, 0.5)
     new.request("size", 1600, 1200)
@@ -251,7 +251,7 @@ def test_an_image_of_one_slice_has_the_same():
     scene = Scene(volume, size=(640, 360))
     with Session(volume, RunConfig(start="ball:15,10,0,4", threads=1), name="flat") as session:
         session.ready.result(60)
-        made = Workplace(session, scene)
+        made = Actions(session, scene)
         for layout in LAYOUTS:
             made.request("layout", layout)
         made.request("wheel", 0.3, 0.5, 1, True)

@@ -16,11 +16,11 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.measurements import Measurement
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.size_drag import SizeDrag
-from accelsurf.viewer.scene.cuts import DragLines, function_lines, surface_lines
 from accelsurf.viewer.scene.scene import Scene
+from accelsurf.viewer.scene.slices import DragLines, function_lines, surface_lines
 from accelsurf.viewer.workplace.box import BoxFeature
 from accelsurf.viewer.workplace.force import ForceFeature
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 from tests.support.viewing import settle
 
@@ -240,7 +240,7 @@ def workplace():
     start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
     with Session(rough, RunConfig(start=start, threads=1, max_steps=60), name="ball") as session:
         session.ready.result(60)
-        made = Workplace(session, scene)
+        made = Actions(session, scene)
         made.request("layout", "slices")
         made.request("chart", False)
         made.request("cursor", *center)
@@ -271,7 +271,7 @@ def test_a_stroke_marks_the_voxels_under_the_brush(workplace, name):
     workplace.request("radius", 2.5)
     workplace.request("tool", "inside")
     drag(workplace, name, start, 0.5 * (start + end), end)
-    strokes = scene.marks.strokes
+    strokes = scene.marks
     drawn = {key: layer._sides > 0 for key, layer in zip(scene.slice_tiles, strokes._layers, strict=True)}
     workplace.request("release")
     settle(workplace)
@@ -322,9 +322,9 @@ def test_sliders_wheel_and_switch(workplace):
     workplace, center = workplace
     scene, said = workplace.scene, workplace.state()
     assert said["straight"] and said["is_oblique"]
-    assert said["slices"] == {name: [tile.index + 1, tile.count] for name, tile in scene.slice_tiles.items()}
+    assert said["slices"] == {name: [tile.index + 1, tile.stack.count] for name, tile in scene.slice_tiles.items()}
     for name, tile in scene.slice_tiles.items():
-        for number in (1, tile.count, tile.count // 2):
+        for number in (1, tile.stack.count, tile.stack.count // 2):
             workplace.request("slice", name, number)
             assert workplace.state()["slices"][name][0] == number and not workplace.message
         x, y = pixel_of(scene, name, scene.cursor)
@@ -335,7 +335,7 @@ def test_sliders_wheel_and_switch(workplace):
         assert moved[across] > 0 and np.abs(np.delete(moved, across)).max() < 1e-6
     workplace.request("key", "2")
     assert not workplace.state()["straight"] and not workplace.message
-    assert all(tile.count == SHAPE[tile.axis] for tile in scene.slice_tiles.values())
+    assert all(tile.stack.count == SHAPE[tile.axis] for tile in scene.slice_tiles.values())
     workplace.request("straight", True)
     assert workplace.state()["straight"]
 
@@ -346,7 +346,7 @@ def test_the_switch_is_refused_where_it_does_nothing(scene_of):
     start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
     with Session(volume, RunConfig(start=start, threads=1), name="ball") as session:
         session.ready.result(60)
-        made = Workplace(session, scene)
+        made = Actions(session, scene)
         made.request("straight", True)
         assert made.message.startswith("straight: ") and not made.state()["straight"]
         assert not made.state()["is_oblique"]

@@ -10,7 +10,7 @@ from accelsurf.segmentation.api import segment
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.colors import INSIDE, OUTSIDE
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.support.steering import views
 from tests.viewer.test_corrections import CONFIGS, SHAPE, SPACING, ended, scan, until
 
@@ -25,7 +25,7 @@ def workplace(image, scene_of):
     scene = scene_of(image, size=(960, 544))
     with Session(image, CONFIGS["seeded"]) as session:
         ended(session)
-        made = Workplace(session, scene)
+        made = Actions(session, scene)
         shown(made)
         yield made
 
@@ -95,10 +95,10 @@ def test_a_stroke_is_drawn_as_it_is_painted_and_until_the_surface_obeys(workplac
     drawn = pixels(workplace, color)
     assert drawn > first + 50 and workplace.session.status.changes == ()
     workplace.request("release")
-    assert pixels(workplace, color) == drawn and workplace.scene.marks.strokes.count == 1
+    assert pixels(workplace, color) == drawn and workplace.scene.marks.count == 1
     assert workplace.session.wait(60)
     shown(workplace)
-    assert workplace.scene.marks.strokes.count == 0 and pixels(workplace, color) < drawn
+    assert workplace.scene.marks.count == 0 and pixels(workplace, color) < drawn
     assert workplace.session.status.undoable == 1
 
 
@@ -108,7 +108,7 @@ def test_what_is_painted_is_what_is_clicked(workplace):
     workplace.request("radius", 2.0)
     workplace.request("tool", "inside")
     drag(workplace, "axial", (9.0, 8.0, 9.0), (12.0, 9.0, 9.0), (16.0, 11.0, 9.0))
-    strokes = workplace.scene.marks.strokes
+    strokes = workplace.scene.marks
     drawn = {}
     for z in range(SHAPE[0]):
         workplace.scene.cursor = (9.0, 8.0, z * SPACING[0])
@@ -190,7 +190,7 @@ def test_a_stroke_that_is_refused_is_drawn_no_longer(workplace):
     workplace.request("release")
     assert workplace.session.wait(60)
     shown(workplace)
-    assert "nothing would be left" in workplace.message and workplace.scene.marks.strokes.count == 0
+    assert "nothing would be left" in workplace.message and workplace.scene.marks.count == 0
     assert workplace.session.status.changes == ()
 
 
@@ -225,9 +225,9 @@ def test_escape_drops_a_stroke_that_is_being_painted(workplace):
     workplace.request("cursor", 9.0, 8.0, 9.0)
     workplace.request("key", "I")
     drag(workplace, "axial", (12.0, 8.0, 9.0), (16.0, 8.0, 9.0))
-    assert workplace.scene.marks.strokes.count == 1
+    assert workplace.scene.marks.count == 1
     workplace.request("key", "Escape")
-    assert workplace.scene.marks.strokes.count == 0 and workplace.state()["tool"] == "look"
+    assert workplace.scene.marks.count == 0 and workplace.state()["tool"] == "look"
     workplace.request("release")
     assert workplace.session.wait(60) and workplace.session.status.changes == ()
 
@@ -240,7 +240,7 @@ def test_in_one_slice_too(scene_of):
     scene = scene_of(volume, size=(640, 360))
     with Session(volume, RunConfig(inside="ball:14,20,0,3", threads=1)) as session:
         ended(session)
-        workplace = shown(Workplace(session, scene))
+        workplace = shown(Actions(session, scene))
         workplace.request("radius", 2.0)
         workplace.request("tool", "inside")
         drag(workplace, "axial", (34.0, 20.0, 0.0), (38.0, 20.0, 0.0))
@@ -294,7 +294,7 @@ def test_n_goes_to_the_doubtful_places_one_after_another(scene_of):
     image = image.with_array((image.array + 90.0 * bridge).clip(None, 100).astype(np.float32))
     scene = scene_of(image, size=(960, 544))
     with Session(image, CONFIGS["seeded"]) as session:
-        workplace = Workplace(session, scene)
+        workplace = Actions(session, scene)
         session.ready.result(60)
         workplace.request("key", "N")
         assert "when the run has ended" in workplace.message

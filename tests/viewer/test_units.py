@@ -14,7 +14,7 @@ from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.page_document import page_text
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.settings_rows import settings_rows
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 
 #: Voxels of half a micrometre, mm.
@@ -65,7 +65,7 @@ def workplace():
     scene = Scene(volume, size=(480, 272))
     with Session(volume, RunConfig(start=start, threads=1, max_steps=30, levels=1), name="cell") as session:
         session.ready.result(60)
-        yield Workplace(session, scene)
+        yield Actions(session, scene)
     scene.close()
 
 
@@ -115,8 +115,8 @@ def test_the_page_reads_unit_and_digits_from_the_rows():
 WINDOW = """
 from PySide6.QtWidgets import QApplication
 app = QApplication([])
-from accelsurf.viewer.frontends.panels.amount import Amount
-from accelsurf.viewer.workplace.amounts import amount
+from accelsurf.viewer.frontends.panels.section import Amount
+from accelsurf.viewer.workplace.settings_rows import amount
 made, emitted = Amount(amount(0.00025, 0.024, 0.001, 2.0, 1.0)), []
 made.changed.connect(emitted.append)
 made.show_value(0.001)

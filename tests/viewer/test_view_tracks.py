@@ -14,7 +14,7 @@ from accelsurf.viewer.core.opening import OpenedImage
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.headless import GraphicsError
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 
 FRAMES = 3
@@ -40,7 +40,7 @@ def seen(monkeypatch) -> list[dict]:
         session.start_preparing()  # as the window does, with its first picture
         session.ready.result(60)
         scene = Scene(first.volume, size=(320, 180))
-        workplace = Workplace(session, scene, frames=first.frames)
+        workplace = Actions(session, scene, frames=first.frames)
         begun = workplace.state()["frame"]
         for number in range(workplace.state()["frames"]):
             workplace.request("frame", number)

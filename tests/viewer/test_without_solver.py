@@ -37,12 +37,12 @@ from accelsurf.settings.track_config import TrackConfig
 wait = FirstImage(Path(sys.argv[1]), RunConfig(threads=1), None, None, TrackConfig()).start_reading()
 _load()
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 opened = wait()
 session = opened.session(begin=False)
 scene = Scene(opened.volume, size=(300, 200))
-workplace = Workplace(session, scene)
+workplace = Actions(session, scene)
 workplace.state()
 assert scene.screenshot().std() > 0
 note("picture")

@@ -1,1 +1,1 @@
-"""Where the scene is shown: desktop window, page in a browser, notebook, movie, one HTML file."""
+"""Front ends of the scene: desktop window, page in a browser, notebook, movie, one HTML file."""

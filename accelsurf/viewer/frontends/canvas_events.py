@@ -1,4 +1,4 @@
-"""Mouse events of the window's scene, as requests of the workplace."""
+"""Mouse events of the window's scene, as requests."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from PySide6.QtCore import QEvent, QObject, QPointF, Qt
 from PySide6.QtGui import QEventPoint, QInputDevice, QMouseEvent, QNativeGestureEvent, QTouchEvent, QWheelEvent
 from pyvistaqt import QtInteractor
 
-from accelsurf.viewer.workplace.mouse import LEFT, MIDDLE, RIGHT, MouseFeature
+from accelsurf.viewer.workplace.mouse import LEFT, MIDDLE, RIGHT, ZOOM, MouseFeature
 from accelsurf.viewer.workplace.slices import SlicesFeature
-from accelsurf.viewer.workplace.wheel import ZOOM
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 _BUTTONS = {Qt.MouseButton.LeftButton: LEFT, Qt.MouseButton.MiddleButton: MIDDLE, Qt.MouseButton.RightButton: RIGHT}
 _PRESSES = (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick)
@@ -21,19 +20,19 @@ _KEYS = (QEvent.Type.KeyPress, QEvent.Type.KeyRelease)
 
 
 class CanvasEvents(QObject):
-    """Passes the events of the canvas on to the workplace; VTK gets none of the mouse's.
+    """Passes the events of the canvas on as requests; VTK gets none of the mouse's.
 
     Parameters
     ----------
-    workplace : Workplace
+    actions : Actions
     canvas : pyvistaqt.QtInteractor
     refresh : callable
         Draws what has changed, at once.
     """
 
-    def __init__(self, workplace: Workplace, canvas: QtInteractor, refresh: Callable[[], None]) -> None:
+    def __init__(self, actions: Actions, canvas: QtInteractor, refresh: Callable[[], None]) -> None:
         super().__init__(canvas)
-        self._workplace, self._canvas, self._refresh = workplace, canvas, refresh
+        self._actions, self._canvas, self._refresh = actions, canvas, refresh
         canvas.setMouseTracking(True)
         canvas.setAttribute(Qt.WidgetAttribute.WA_AcceptTouchEvents)
         canvas.installEventFilter(self)
@@ -46,8 +45,8 @@ class CanvasEvents(QObject):
             # VTK has keys of its own, which close windows and change how things are drawn.
             return True
         if event.type() in _FITS:
-            self._workplace.scene.tiles.pixel_ratio = self._canvas.devicePixelRatioF()
-            self._workplace.feature(SlicesFeature).fit_layout(self._canvas.width(), self._canvas.height())
+            self._actions.scene.tiles.pixel_ratio = self._canvas.devicePixelRatioF()
+            self._actions.feature(SlicesFeature).fit_layout(self._canvas.width(), self._canvas.height())
         if isinstance(event, QWheelEvent):
             zoom = bool(event.modifiers() & Qt.KeyboardModifier.ControlModifier)
             turned = event.angleDelta().y()
@@ -75,24 +74,24 @@ class CanvasEvents(QObject):
             shift = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
             self._ask("press", place, _BUTTONS[event.button()], shift)
         elif kind == QEvent.Type.MouseMove:
-            is_dragging = self._workplace.feature(MouseFeature).is_dragging
+            is_dragging = self._actions.feature(MouseFeature).is_dragging
             self._ask("move" if is_dragging else "hover", place)
         elif kind == QEvent.Type.MouseButtonRelease:
             if event.button() in _BUTTONS:
-                self._workplace.request("release", _BUTTONS[event.button()])
+                self._actions.request("release", _BUTTONS[event.button()])
             self._refresh()
 
     def _touch(self, event: QTouchEvent) -> None:
         """Fingers on a screen."""
         if event.type() == QEvent.Type.TouchCancel:
-            self._workplace.request("finger_cancel")
+            self._actions.request("finger_cancel")
         for point in event.points():
             if point.state() == QEventPoint.State.Pressed:
                 self._request("finger_down", point.position(), point.id(), event.type() == QEvent.Type.TouchBegin)
             elif point.state() == QEventPoint.State.Updated:
                 self._request("finger_move", point.position(), point.id())
             elif point.state() == QEventPoint.State.Released:
-                self._workplace.request("finger_up", point.id())
+                self._actions.request("finger_up", point.id())
         self._refresh()
 
     def _ask(self, name: str, place: QPointF, *more: object) -> None:
@@ -104,4 +103,4 @@ class CanvasEvents(QObject):
         """A request with a place as parts of the canvas; a drag may leave it."""
         across = place.x() / max(self._canvas.width() - 1, 1)
         down = place.y() / max(self._canvas.height() - 1, 1)
-        self._workplace.request(name, min(max(across, 0.0), 1.0), min(max(down, 0.0), 1.0), *more)
+        self._actions.request(name, min(max(across, 0.0), 1.0), min(max(down, 0.0), 1.0), *more)

@@ -28,15 +28,12 @@ from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.appearance import page_of_help, palette, sheet
 from accelsurf.viewer.frontends.canvas_events import CanvasEvents
-from accelsurf.viewer.frontends.frame_bar import FrameBar
-from accelsurf.viewer.frontends.one_line import OneLine
+from accelsurf.viewer.frontends.panels.section import OneLine
 from accelsurf.viewer.frontends.panels.side import SidePanels
-from accelsurf.viewer.frontends.playback_bar import PlaybackBar
+from accelsurf.viewer.frontends.playback_bar import FrameBar, PlaybackBar
 from accelsurf.viewer.scene.scene import SIZE, Scene
-from accelsurf.viewer.workplace.mouse import MouseFeature
-from accelsurf.viewer.workplace.quiet import Quiet
 from accelsurf.viewer.workplace.slices import READ_OUT
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions, IdleDrawing
 
 #: How often the window looks for something new, milliseconds.
 POLL_MS = 15
@@ -97,11 +94,11 @@ class Window(QMainWindow):
             window=parse_window(session.status.settings.window),
         )
         self.scene.tiles.redraw.is_painted = True
-        self.workplace = Workplace(session, self.scene, folder, overwrite, frames)
-        self.side = SidePanels(self.workplace)
-        self.bar, self.frame_bar = PlaybackBar(self.workplace), FrameBar(self.workplace)
-        self.events = CanvasEvents(self.workplace, self.canvas, self.refresh)
-        self.quiet = Quiet(self.workplace)
+        self.user_actions = Actions(session, self.scene, folder, overwrite, frames)
+        self.side = SidePanels(self.user_actions)
+        self.bar, self.frame_bar = PlaybackBar(self.user_actions), FrameBar(self.user_actions)
+        self.events = CanvasEvents(self.user_actions, self.canvas, self.refresh)
+        self.idle = IdleDrawing(self.user_actions)
         self.drawing_seconds = 0.0
         self._shown: dict[str, Any] = {}
         self._lay_out()
@@ -135,7 +132,7 @@ class Window(QMainWindow):
         last.addWidget(self.read_out)
         rows.addLayout(last)
         self.setCentralWidget(whole)
-        self.help = QLabel(page_of_help(self.workplace.keys), whole)
+        self.help = QLabel(page_of_help(self.user_actions.keys), whole)
         self.help.setObjectName("help")
         self.help.setWordWrap(True)
         self.help.hide()
@@ -143,32 +140,32 @@ class Window(QMainWindow):
     def _connect(self) -> None:
         self.bar.help_wanted.connect(self.toggle_help)
         self.side.changes.save_wanted.connect(self.save)
-        own: dict[str, Callable[[], Any]] = {
+        of_window: dict[str, Callable[[], Any]] = {
             "Ctrl+S": self.save, "F1": self.toggle_help, "H": self.toggle_help, "Escape": self._escape,
             "Ctrl+Q": lambda: self.window().close(),
         }
-        for key in dict.fromkeys((*self.workplace.keys, *own)):
+        for key in dict.fromkeys((*self.user_actions.keys, *of_window)):
             action = QAction(self)
             action.setShortcut(QKeySequence(key))
-            work = own.get(key) or functools.partial(self._ask, "key", key)
+            work = of_window.get(key) or functools.partial(self._ask, "key", key)
             action.triggered.connect(lambda _=False, work=work: work())
             self.addAction(action)
 
-    # -- actions of the user ------------------------------------------------------------------------------
+    # -- requests --------------------------------------------------------------------------------------
 
     def _ask(self, name: str, *values: Any) -> None:
-        """Ask the workplace, and draw what that has changed."""
-        self.workplace.request(name, *values)
+        """Make a request, and draw what it has changed."""
+        self.user_actions.request(name, *values)
         self.refresh()
 
     def save(self) -> None:
         """Save into the folder, which the user is asked for if it is not known."""
-        if self.workplace.folder is None:
+        if self.user_actions.folder is None:
             folder = QFileDialog.getExistingDirectory(self, "Save labels, mesh, picture and run.toml in")
             if not folder:
                 return
-            self.workplace.folder = Path(folder)
-        self.workplace.request("save")
+            self.user_actions.folder = Path(folder)
+        self.user_actions.request("save")
 
     def toggle_help(self) -> None:
         """Show the keys, or hide them."""
@@ -185,32 +182,26 @@ class Window(QMainWindow):
 
     def refresh(self) -> None:
         """Draw what has changed, and show the state: at once, not when the session has something new."""
-        if self.workplace.changed:
-            self.workplace.changed = False
-            self.quiet.touch()
+        if self.user_actions.changed:
+            self.idle.interrupt()
             self.scene.render()
         self._show_state()
 
     def _poll(self) -> None:
-        self.workplace.collect_results()
-        # While a button is down the hand comes first.
-        is_moving = self.workplace.feature(MouseFeature).is_moving
-        view = None if is_moving else self.session.next_view(self.drawing_seconds)
+        began, spent = time.perf_counter(), time.thread_time()
+        view = self.user_actions.poll(self.drawing_seconds)
         if view is not None:
-            began, spent = time.perf_counter(), time.thread_time()
-            self.workplace.update(view)
-            self.workplace.changed = False
-            self.quiet.touch()
+            self.idle.interrupt()
             self.scene.render()
             if view.status.playing:
                 # The work of a graphics card takes nothing from the solver, nor do the finer pictures of a paused run.
-                wall, own = time.perf_counter() - began, time.thread_time() - spent
-                self.drawing_seconds = wall if self.quiet.is_software else own
+                wall, computed = time.perf_counter() - began, time.thread_time() - spent
+                self.drawing_seconds = wall if self.idle.is_software else computed
         self.refresh()
-        self.quiet.draw_in_full()
+        self.idle.draw_in_full()
 
     def _show_state(self) -> None:
-        state, before = self.workplace.state(), self._shown
+        state, before = self.user_actions.state(), self._shown
         if state == before:
             return
         self._shown = state
@@ -267,7 +258,7 @@ class Window(QMainWindow):
     def closeEvent(self, event: QCloseEvent) -> None:
         """End the session; files that are being saved are finished first."""
         self._timer.stop()
-        is_saving = self.workplace.state()["saving"]
+        is_saving = self.user_actions.state()["saving"]
         if is_saving:
             self.message.setText("saving ...")
             QApplication.processEvents()
@@ -277,5 +268,5 @@ class Window(QMainWindow):
 
 
 def _without_place(state: dict[str, Any]) -> dict[str, Any]:
-    """What panels show, but for what is under the mouse, which changes with each of its motions."""
+    """Return the state without the read-out, which changes with each motion of the mouse."""
     return {key: value for key, value in state.items() if key not in READ_OUT}

@@ -1,4 +1,4 @@
-"""What a window or a page needs of this machine; checked first, because Qt would end the process."""
+"""Checks that this machine can show a window or a page: Qt would end the process where it cannot."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def lacks_window_packages() -> str:
 
 
 def has_page_packages() -> bool:
-    """Whether the packages of the page are installed."""
+    """Test if the packages of the page are installed."""
     return not _missing(PAGE_PACKAGES)
 
 

@@ -37,7 +37,7 @@ Histories = Sequence[Sequence[StepRecord]]
 
 @dataclass(frozen=True)
 class SceneRecipe:
-    """How a scene is made, as `accelsurf.viewer.scene.scene.Scene` and its methods take it.
+    """Recipe of a scene, as `accelsurf.viewer.scene.scene.Scene` and its methods take it.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class SceneRecipe:
 
         from accelsurf import io
         from accelsurf.grid.grey_window import parse_window
-        from accelsurf.viewer.scene.object_styles import given_styles
+        from accelsurf.viewer.scene.colors import given_styles
         from accelsurf.viewer.scene.scene import Scene
 
         styles, window = given_styles(self.settings), parse_window(self.settings.window)

@@ -18,9 +18,7 @@ from accelsurf.viewer.frontends.appearance import palette, sheet
 from accelsurf.viewer.frontends.desktop import Window, application
 from accelsurf.viewer.frontends.start_page import ChoiceDialog, StartPage, question_box
 from accelsurf.viewer.scene.scene import SIZE
-from accelsurf.viewer.workplace.folders import ResultFolders
-from accelsurf.viewer.workplace.former_sessions import FormerSessions
-from accelsurf.viewer.workplace.opening import Opening
+from accelsurf.viewer.workplace.opening import FormerSessions, Opening, ResultFolders
 
 #: How often it looks for what has been opened, milliseconds.
 POLL_MS = 30
@@ -160,11 +158,11 @@ class MainWindow(QMainWindow):
             if state[key] == before.get(key):
                 continue
             menu.clear()
-            for number, one in enumerate(state[key]):
-                value = number if key == "recent" else one["name"]
-                action = menu.addAction(one["name"])
-                action.setToolTip(one.get("folder") or one.get("text"))
-                action.setEnabled(one.get("exists", True))
+            for number, entry in enumerate(state[key]):
+                value = number if key == "recent" else entry["name"]
+                action = menu.addAction(entry["name"])
+                action.setToolTip(entry.get("folder") or entry.get("text"))
+                action.setEnabled(entry.get("exists", True))
                 action.triggered.connect(functools.partial(self._ask, request, value))
             menu.setEnabled(bool(state[key]))
 
@@ -216,13 +214,13 @@ class MainWindow(QMainWindow):
         self.inner.setWindowFlags(Qt.WindowType.Widget)
         self.inner.windowTitleChanged.connect(self.setWindowTitle)
         if former is not None:
-            self._former.add(former.workplace)
+            self._former.add(former.user_actions)
             former.leave()
         self.start_page = None
         self.setCentralWidget(self.inner)  # deletes the former
         self.setWindowTitle(self.inner.windowTitle())
         self.inner.show()
-        self.opening.show(self.inner.workplace, opened)
+        self.opening.show(self.inner.user_actions, opened)
         self._awaited = session if close_if_it_fails else None
 
     def closeEvent(self, event: QCloseEvent) -> None:

@@ -26,7 +26,7 @@ OnStep = Callable[[StepRecord, int | None], bool | None]
 
 @dataclass(frozen=True)
 class MovieSettings:
-    """How a run is shown as a movie.
+    """Settings of the movie of a run.
 
     Parameters
     ----------
@@ -174,5 +174,5 @@ def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
 
 
 def _is_failure_beside(path: Path) -> bool:
-    """Whether a report is that of a failed run beside a result."""
+    """Test if a report is that of a failed run beside a result."""
     return path.name.endswith(result_sets.report_name(result_sets.FAILED)) and result_sets.is_failure_report(path)

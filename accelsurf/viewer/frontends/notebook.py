@@ -18,8 +18,8 @@ from accelsurf.report.movies import png_bytes
 from accelsurf.segmentation.api import Result
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.frontends.export import html_page, write_html
+from accelsurf.viewer.scene.colors import given_styles
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
-from accelsurf.viewer.scene.object_styles import given_styles
 from accelsurf.viewer.scene.scene import SIZE, Scene
 
 #: PyVista's backends for notebooks.
@@ -81,10 +81,21 @@ def show(
     scene = Scene(image, theme=theme, reference=reference, plotter=plotter, size=size, title=title)
     if isinstance(what, Result):
         scene.restyle(given_styles(what.config))
-        scene.update(Frame.of_result(what), [one.history for one in what.objects])
+        scene.update(Frame.of_result(what), [segmented.history for segmented in what.objects])
     scene.show_volume(volume)
     scene.show_planes(planes)
-    return _show_in_pyvista(scene, backend) if plotter is not None else _output(scene, to, suffix)
+    if plotter is not None:
+        return _show_in_pyvista(scene, backend)
+    try:
+        if to is None:
+            return SceneOutput(scene)
+        if suffix == ".png":
+            scene.screenshot(to)
+        else:
+            write_html(scene, to)
+        return None
+    finally:
+        scene.close()
 
 
 def _plotter(geometry: Geometry, size: tuple[int, int], backend: str | None, title: str) -> pv.Plotter | None:
@@ -98,25 +109,6 @@ def _plotter(geometry: Geometry, size: tuple[int, int], backend: str | None, tit
         require_graphics()
     layout = Scene.layout(geometry)
     return pv.Plotter(off_screen=notebook, notebook=notebook, window_size=list(size), title=title, **layout)
-
-
-def _output(scene: Scene, to: str | Path | None, suffix: str) -> SceneOutput | None:
-    """The output of a cell; with a path write a file instead. The scene is closed."""
-    try:
-        if to is None:
-            return SceneOutput(scene)
-        _write(scene, to, suffix)
-        return None
-    finally:
-        scene.close()
-
-
-def _write(scene: Scene, path: str | Path, suffix: str) -> None:
-    """Write a scene to a file, by suffix."""
-    if suffix == ".png":
-        scene.screenshot(path)
-    else:
-        write_html(scene, path)
 
 
 def _check(what: Result | Volume, to: str | Path | None, backend: str | None) -> str:
@@ -163,14 +155,14 @@ class SceneOutput:
 
 
 def _has_screen() -> bool:
-    """Whether there may be a screen; VTK would end the process where there is none."""
+    """Test if there may be a screen; VTK would end the process where there is none."""
     return not sys.platform.startswith("linux") or bool(
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     )
 
 
 def in_notebook() -> bool:
-    """Whether a Jupyter kernel runs this."""
+    """Test if a Jupyter kernel runs this."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     return shell is not None and hasattr(shell, "kernel")

@@ -13,10 +13,11 @@ import io
 import secrets
 import socket
 import sys
+import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,14 +37,10 @@ from accelsurf.viewer.frontends.page_guard import LOCAL, PageGuard
 from accelsurf.viewer.frontends.page_uploads import PageUploads
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.files import FilesFeature
-from accelsurf.viewer.workplace.folders import ResultFolders
-from accelsurf.viewer.workplace.former_sessions import FormerSessions
-from accelsurf.viewer.workplace.help import help_rows
-from accelsurf.viewer.workplace.mouse import MouseFeature
-from accelsurf.viewer.workplace.opening import Opening
+from accelsurf.viewer.workplace.opening import FormerSessions, Opening, ResultFolders
 from accelsurf.viewer.workplace.picture import PictureFeature
-from accelsurf.viewer.workplace.quiet import Quiet
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.tool import help_rows
+from accelsurf.viewer.workplace.workplace import Actions, IdleDrawing
 
 #: Seconds between looks at the session; `Session.next_view` bounds the pictures per second.
 POLL_SECONDS = 0.02
@@ -74,7 +71,7 @@ class Page:
 
     Attributes
     ----------
-    workplace : Workplace or None
+    actions : Actions or None
         Of the image that is open; drawn in the thread that serves.
     token : str
         Whoever has it can change the run.
@@ -99,7 +96,7 @@ class Page:
         checkpoint_mb: float = CHECKPOINT_MB,
     ) -> None:
         self.opening, self._theme, self._overwrite, self._checkpoint_mb = opening, theme, overwrite, checkpoint_mb
-        self.workplace: Workplace | None = None
+        self.actions: Actions | None = None
         self._folders = ResultFolders(folder)
         self._former = FormerSessions()
         #: The room that the page has said the picture has, and its pixels; nothing before.
@@ -110,7 +107,7 @@ class Page:
         self._host, self._port = host, port
         #: Seconds of the last pictures; the shortest counts: the first of a size takes long.
         self._drawing: deque[float] = deque([0.0], maxlen=3)
-        self.quiet: Quiet | None = None
+        self.idle: IdleDrawing | None = None
         self._sent_at, self._is_shown = 0.0, True
         self._server = self._make_server()
         #: What draws takes seconds to load: while the person chooses.
@@ -133,37 +130,37 @@ class Page:
         return server
 
     def _lay_out(self) -> None:
-        """The page has other parts when an image is open."""
+        """Lay out the page, which has other parts when an image is open."""
         with self._layout as page:
             page.root.clear()
             page.root.add_child(self._style(style_sheet()))
-            page.root.add_child(document(() if self.workplace is None else PANELS))
+            page.root.add_child(document(() if self.actions is None else PANELS))
 
     def _state(self) -> dict[str, Any]:
-        """What the page shows beside the picture."""
+        """Return the state that the page shows beside the picture."""
         state = self.opening.state()
-        if self.workplace is None:
+        if self.actions is None:
             return state
         link = f"files/{{}}?secret={self.token}"
-        state |= self.workplace.state()
+        state |= self.actions.state()
         return state | {"files": [{"name": name, "link": link.format(name)} for name in state["saved"]]}
 
     def _saved_files(self) -> Mapping[str, Path]:
-        return {} if self.workplace is None else self.workplace.feature(FilesFeature).files
+        return {} if self.actions is None else self.actions.feature(FilesFeature).files
 
     def _ask(self, *request: Any, **_: Any) -> None:
         name = request[0] if request else None
-        if self.workplace is None or (isinstance(name, str) and name in self.opening.names):
+        if self.actions is None or (isinstance(name, str) and name in self.opening.names):
             self.opening.request(*(request[:8] or (None,)))
         else:
-            self.workplace.request(*request[:8])
+            self.actions.request(*request[:8])
 
     def _was_shown(self, *size: Any, **_: Any) -> None:
-        """The page shows the last picture, in a window of this size and this many pixels of the device for one."""
+        """Note that the page shows the last picture, and its room: width, height, pixels of the device for one."""
         self._is_shown = True
-        if self.workplace is not None:
+        if self.actions is not None:
             self._room = size[:3]
-            self.workplace.request("size", *self._room)
+            self.actions.request("size", *self._room)
 
     # -- images -------------------------------------------------------------------------------------------
 
@@ -182,7 +179,7 @@ class Page:
             When it cannot be drawn; what was shown stays.
         """
         self._loading.join()
-        former = self.workplace
+        former = self.actions
         scene = Scene(
             opened.volume, theme=self._theme if former is None else former.scene.theme_name, reference=opened.reference,
             title=None if opened.source is not None else opened.name, window=parse_window(opened.config.window),
@@ -191,28 +188,28 @@ class Page:
             self._former.add(former)
             former.scene.close()
         session = opened.session(self._checkpoint_mb) if session is None else session
-        self.workplace = Workplace(session, scene, self._folders.of_next(opened.name), self._overwrite, opened.frames)
-        self.quiet = Quiet(self.workplace)
+        self.actions = Actions(session, scene, self._folders.of_next(opened.name), self._overwrite, opened.frames)
+        self.idle = IdleDrawing(self.actions)
         if self._room:
-            self.workplace.request("size", *self._room)
+            self.actions.request("size", *self._room)
         self._drawing.extend((0.0,) * 3)
         self._is_shown = True
-        self.opening.show(self.workplace, opened)
+        self.opening.show(self.actions, opened)
         self._uploads.discard(opened.source)
-        tools, keys = self.workplace.tools.values(), self.workplace.keys
+        tools, keys = self.actions.tools.values(), self.actions.keys
         with self._server.state as state:
             state.update(self._state() | {
                 "picture": "", "title": scene.title or "accelsurf", "keys": list(keys),
-                "tools": [{"name": one.name, "key": one.key, "text": one.text, "tip": one.tip} for one in tools],
+                "tools": [{"name": tool.name, "key": tool.key, "text": tool.text, "tip": tool.tip} for tool in tools],
                 "help": [list(row) for row in help_rows(keys)],
             })
             self._lay_out()
 
     def close(self) -> None:
         """Close the image; sessions finish what was asked of them."""
-        if self.workplace is not None:
-            self._former.add(self.workplace)
-            self.workplace.scene.close()
+        if self.actions is not None:
+            self._former.add(self.actions)
+            self.actions.scene.close()
         self._former.close()
 
     # -- serving ------------------------------------------------------------------------------------------
@@ -258,39 +255,32 @@ class Page:
                 self.open(opened)
             except AccelsurfError as error:
                 self.opening.refuse(error_line(error))
-        if self.workplace is not None and self.quiet is not None:
-            self._update_picture(self.workplace, self.quiet)
+        if self.actions is not None and self.idle is not None:
+            self._update_picture(self.actions, self.idle)
         with self._server.state as state:
             state.update(self._state())
 
-    def _update_picture(self, workplace: Workplace, quiet: Quiet) -> None:
+    def _update_picture(self, actions: Actions, idle: IdleDrawing) -> None:
         """Draw what has changed, and send it."""
         now = time.perf_counter()
-        workplace.collect_results()
-        # While a button is down the hand comes first.
-        is_moving = workplace.feature(MouseFeature).is_moving
-        view = None if is_moving else workplace.session.next_view(min(self._drawing))
-        if view is not None:
-            workplace.update(view)
-        if view is not None or workplace.changed:
-            quiet.touch()
-            workplace.feature(PictureFeature).draw_fine(False)
-            may_send = self._may_send(now)
-            if may_send:
-                self._drawing.append(self._draw(workplace))
-            workplace.changed = not may_send
-        elif self._may_send(now) and quiet.draw_in_full():
-            workplace.feature(PictureFeature).draw_fine(True)
-            self._draw(workplace)
+        view = actions.poll(min(self._drawing))
+        if view is not None or actions.changed:
+            idle.interrupt()
+            actions.feature(PictureFeature).draw_fine(False)
+            if self._may_send(now):
+                self._drawing.append(self._draw(actions))
+        elif self._may_send(now) and idle.draw_in_full():
+            actions.feature(PictureFeature).draw_fine(True)
+            self._draw(actions)
 
     def _may_send(self, now: float) -> bool:
-        """Whether the page has shown the last picture; a slow page does not get more than it can show."""
+        """Test if the page has shown the last picture; a slow page does not get more than it can show."""
         return self._is_shown or now - self._sent_at > PATIENCE
 
-    def _draw(self, workplace: Workplace) -> float:
+    def _draw(self, actions: Actions) -> float:
         """Draw and send a picture; returns the seconds that it took."""
         began = time.perf_counter()
-        data = _jpeg(workplace.scene.screenshot())
+        data = _jpeg(actions.scene.screenshot())
         self._server.state.picture = "data:image/jpeg;base64," + base64.b64encode(data).decode()
         self._sent_at, self._is_shown = time.perf_counter(), False
         return self._sent_at - began
@@ -321,7 +311,7 @@ def _command_line_for_trame(token: str) -> Iterator[None]:
 
 
 def _import_trame() -> tuple[Any, Any, Any]:
-    """What is used of trame: servers, a page that is a div, styles."""
+    """Return the parts of trame in use: servers, a page that is a div, styles."""
     try:
         from trame.app import get_server
         from trame.ui.html import DivLayout
@@ -329,3 +319,64 @@ def _import_trame() -> tuple[Any, Any, Any]:
     except ImportError:
         raise UsageError("browser: trame is not installed", INSTALL) from None
     return get_server, DivLayout, Style
+
+
+def serve(
+    opening: Opening,
+    first: tuple[OpenedImage, Session] | None,
+    folder: Path | None,
+    theme: str,
+    overwrite: bool = False,
+    checkpoint_mb: float = CHECKPOINT_MB,
+    host: str = LOCAL,
+    port: int = 0,
+    on_ready: Callable[[str], None] | None = None,
+) -> None:
+    """Serve the page until Ctrl-C.
+
+    Parameters
+    ----------
+    opening : Opening
+    first : (OpenedImage, Session) or None
+        The image that is open at first; None for the start page.
+    folder : Path or None
+        Where files are saved; None: a folder that is deleted at the end, from which they can be downloaded.
+    theme : str
+        "dark" or "light".
+    overwrite : bool, optional
+        Replace files there that a session has not written.
+    checkpoint_mb : float, optional
+        Memory for stored steps, MB.
+    host, port : str, int, optional
+        As of `Page`.
+    on_ready : callable, optional
+        Called with the address, once the page is served.
+
+    Raises
+    ------
+    UsageError
+        When trame is not installed.
+    OutputError
+        When the server cannot listen on the address.
+    GraphicsError
+        When nothing can be drawn here.
+    """
+    with contextlib.ExitStack() as stack:
+        temporary = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="accelsurf-")))
+        uploads = temporary / "uploads"
+        uploads.mkdir()
+        page = Page(opening, folder or temporary, uploads, host, port, overwrite, theme, checkpoint_mb)
+        stack.callback(page.close)
+        if first is not None:
+            page.open(*first)
+        with contextlib.suppress(KeyboardInterrupt):
+            asyncio.run(_serve(page, on_ready))
+
+
+async def _serve(page: Page, on_ready: Callable[[str], None] | None) -> None:
+    serving = asyncio.ensure_future(page.serve())
+    while not page.address and not serving.done():
+        await asyncio.sleep(POLL_SECONDS)
+    if page.address and on_ready is not None:
+        on_ready(page.address)
+    await serving

@@ -1,4 +1,4 @@
-"""What the page is made of: its panels, its picture, its keys, and what happens to a file that is dropped on it."""
+"""Document of the page: its panels, its picture, its keys, and what happens to a file that is dropped on it."""
 
 from __future__ import annotations
 
@@ -80,10 +80,10 @@ def style_sheet() -> str:
     dark = {**shared, "edge": EDGE["dark"], "alarm": ALARM["dark"]}
     light = {"edge": EDGE["light"], "alarm": ALARM["light"]}
     sheets = ((".page", dark), (".page.light", light))
-    own = "\n".join(
+    colors_of_page = "\n".join(
         f"{where} {{ {' '.join(f'--{name}: {color};' for name, color in colors.items())} }}" for where, colors in sheets
     )
-    return f"{own}\n{page_text('page.css')}"
+    return f"{colors_of_page}\n{page_text('page.css')}"
 
 
 def _inline(script: str) -> str:

@@ -1,15 +1,94 @@
-"""Who may talk to a page's server: every request and every message is checked before trame gets it."""
+"""Guard of a page's server: every request and message is checked before trame gets it; connections are limited."""
 
 from __future__ import annotations
 
 import contextlib
 import hmac
 import struct
+import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from accelsurf.viewer.frontends.page_connections import ConnectionLimit
+#: Connections at the same time; a browser opens up to six for each page, and one that stays.
+MAX_CONNECTIONS = 64
+#: Seconds that a connection without the token may stay idle, or take for a request.
+MAX_IDLE = 30.0
+
+
+@dataclass
+class _Connection:
+    """An open connection: its transport, the time of its last request, and whether it gave the token."""
+
+    transport: Any
+    since: float
+    trusted: bool = False
+
+
+class ConnectionLimit:
+    """Closes connections that are too many, and those that stay without the token.
+
+    Connections are known by the address and port of the other end, which no two have at the same time.
+
+    Attributes
+    ----------
+    connections : dict
+        The open ones, the oldest first.
+    """
+
+    def __init__(self) -> None:
+        self.connections: dict[Any, _Connection] = {}
+
+    def watch(self, http_server: Any) -> None:
+        """Watch an aiohttp server that listens: it says when a connection is made and lost."""
+        made, lost = http_server.connection_made, http_server.connection_lost
+
+        def connection_made(protocol: Any, transport: Any) -> None:
+            made(protocol, transport)
+            self._opened(transport)
+
+        def connection_lost(protocol: Any, error: BaseException | None = None) -> None:
+            transport = getattr(protocol, "transport", None)
+            lost(protocol, error)
+            if transport is not None:
+                self.connections.pop(_peer(transport), None)
+
+        http_server.connection_made, http_server.connection_lost = connection_made, connection_lost
+
+    def _opened(self, transport: Any) -> None:
+        """Take a new connection; where there are too many, the oldest without the token is closed, or else this one."""
+        self.connections[_peer(transport)] = _Connection(transport, time.monotonic())
+        if len(self.connections) > MAX_CONNECTIONS:
+            self._close(next((peer for peer, known in self.connections.items() if not known.trusted), _peer(transport)))
+
+    def requested(self, transport: Any) -> None:
+        """Note that a request came over a connection."""
+        connection = self.connections.get(_peer(transport))
+        if connection is not None:
+            connection.since = time.monotonic()
+
+    def trust(self, transport: Any) -> None:
+        """Note that a connection gave the token."""
+        connection = self.connections.get(_peer(transport))
+        if connection is not None:
+            connection.trusted = True
+
+    def close_idle(self) -> None:
+        """Close the connections that were idle for too long."""
+        latest = time.monotonic() - MAX_IDLE
+        for peer, connection in list(self.connections.items()):
+            if not connection.trusted and connection.since < latest:
+                self._close(peer)
+
+    def _close(self, peer: Any) -> None:
+        self.connections.pop(peer).transport.abort()
+
+
+def _peer(transport: Any) -> Any:
+    """Address and port of the other end."""
+    return transport.get_extra_info("peername")
+
 
 #: Address of this machine alone.
 LOCAL = "127.0.0.1"
@@ -79,7 +158,7 @@ class PageGuard:
         self.connections.watch(self._server.runner.server)
 
     def _is_addressed(self, request: Any) -> bool:
-        """Whether a request came to the address that was opened, and from its page: no other site may ask."""
+        """Test if a request came to the address that was opened, and from its page: no other site may ask."""
         host = request.headers.get("Host", "")
         if self._host == LOCAL and host.rpartition(":")[0] not in (LOCAL, "localhost"):
             return False
@@ -87,7 +166,7 @@ class PageGuard:
         return origin is None or origin.partition("://")[2] == host
 
     def has_token(self, request: Any) -> bool:
-        """Whether a request has the token; its connection is trusted then."""
+        """Test if a request has the token; its connection is trusted then."""
         if not hmac.compare_digest(request.query.get("secret", "").encode(), self._token.encode()):
             return False
         self.connections.trust(request.transport)
@@ -146,7 +225,7 @@ def _may_leave(connections_of: Callable[..., list[Any]]) -> Callable[..., list[_
     """
 
     def connections(*args: Any, **options: Any) -> list[_PageThatMayLeave]:
-        return [_PageThatMayLeave(one) for one in connections_of(*args, **options) if one is not None]
+        return [_PageThatMayLeave(page) for page in connections_of(*args, **options) if page is not None]
 
     return connections
 

@@ -9,8 +9,8 @@ from typing import Any
 from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.settings.budgets import UPLOAD
 from accelsurf.viewer.frontends.page_guard import PageGuard
-from accelsurf.viewer.workplace.checks import short
 from accelsurf.viewer.workplace.opening import Opening
+from accelsurf.viewer.workplace.tool import short
 
 #: Bytes of the longest name; bytes that are received at once.
 MAX_NAME, BLOCK = 200, 1 << 18

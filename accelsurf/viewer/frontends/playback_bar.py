@@ -1,16 +1,18 @@
-"""The bar below the scene: restart, back, play, forward, and the slider over checkpoints."""
+"""The bars below the scene: over the steps of a run, and over the frames of a sequence."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSlider, QStyle, QWidget
+from PySide6.QtWidgets import QLabel, QPushButton, QSlider, QStyle, QWidget
 
+from accelsurf.viewer.frontends.panels.section import button, in_row
 from accelsurf.viewer.scene.colors import CURSOR
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 #: Half the width in which a tick is hit, and its height, pixels.
 HIT, HEIGHT = 5, 5
@@ -69,7 +71,33 @@ class RestSlider(QSlider):
         super().mousePressEvent(event)
 
 
-class PlaybackBar(QWidget):
+class _Bar(QWidget):
+    """Buttons, a slider, a text."""
+
+    def __init__(self, actions: Actions, slider: QSlider, name: str) -> None:
+        super().__init__()
+        self._actions = actions
+        slider.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        slider.setAccessibleName(name)
+        self.where = QLabel("")
+
+    def _button(self, text: str, tip: str, request: str = "", *values: int, width: int = 40) -> QPushButton:
+        made = button(text, tip)
+        made.setFixedWidth(width)
+        if request:
+            made.clicked.connect(lambda: self._actions.request(request, *values))
+        return made
+
+    def _lay_out(self, buttons: Sequence[QWidget], slider: QSlider, others: Sequence[QWidget], below: int) -> None:
+        row = in_row(*buttons, spacing=6)
+        row.setContentsMargins(8, 5, 8, below)
+        row.addWidget(slider, 1)
+        for widget in others:
+            row.addWidget(widget)
+        self.setLayout(row)
+
+
+class PlaybackBar(_Bar):
     """Buttons and a slider to move over the steps of a run.
 
     Attributes
@@ -80,47 +108,34 @@ class PlaybackBar(QWidget):
 
     help_wanted = Signal()
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__()
-        self._steps: list[int] = []
-        self._workplace = workplace
-        self.restart = _button("|<", "Restart: from the start, with the settings in force (Home)")
-        self.back = _button("<", "Back one step (Left)")
-        self.play = _button("Run", "Run or pause (Space)")
-        self.forward = _button(">", "One step (Right)")
-        self.play.setFixedWidth(84)
-        self.play.setObjectName("play")
+    def __init__(self, actions: Actions) -> None:
         self.timeline = RestSlider()
-        self.timeline.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        super().__init__(actions, self.timeline, "stored steps")
+        self._steps: list[int] = []
+        self.restart = self._button("|<", "Restart: from the start, with the settings in force (Home)", "restart")
+        self.back = self._button("<", "Back one step (Left)", "back")
+        self.play = self._button("Run", "Run or pause (Space)", "toggle", width=84)
+        self.forward = self._button(">", "One step (Right)", "step")
+        self.play.setObjectName("play")
         self.timeline.setToolTip("Stored steps: drag to go back and forward")
-        self.timeline.setAccessibleName("stored steps")
-        self.where = QLabel("")
         self.where.setMinimumWidth(170)
-        self.help = _button("?", "Keys and mouse (F1)")
-        line = QHBoxLayout(self)
-        line.setContentsMargins(8, 5, 8, 5)
-        line.setSpacing(6)
-        for part in (self.restart, self.back, self.play, self.forward):
-            line.addWidget(part)
-        line.addWidget(self.timeline, 1)
-        line.addWidget(self.where)
-        line.addWidget(self.help)
-        for button, name in (
-            (self.restart, "restart"), (self.back, "back"), (self.play, "toggle"), (self.forward, "step"),
-        ):
-            button.clicked.connect(lambda _=False, name=name: workplace.request(name))
+        self.help = self._button("?", "Keys and mouse (F1)")
+        buttons = self.restart, self.back, self.play, self.forward
+        self._lay_out(buttons, self.timeline, (self.where, self.help), 5)
         self.help.clicked.connect(self.help_wanted)
         self.timeline.valueChanged.connect(self._slid)
-        self.timeline.tick_clicked.connect(lambda step: workplace.request("go_to", step))
+        self.timeline.tick_clicked.connect(lambda step: actions.request("go_to", step))
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show the state of the workplace."""
+        """Show the state."""
         self._steps = list(state["checkpoints"])
         self.play.setText("Pause" if state["playing"] else "Run")
         for part in (self.play, self.forward, self.restart):
             part.setEnabled(state["ready"])
         self.back.setEnabled(state["step"] > 0)
-        self.timeline.show_ticks([self._place_of(step) for step in state["rests"]], state["rests"])
+        # The slider counts the stored steps; a step between two of them is between their places.
+        places = np.interp(state["rests"], self._steps or [0], range(len(self._steps) or 1))
+        self.timeline.show_ticks(list(map(float, places)), state["rests"])
         with QSignalBlocker(self.timeline):
             self.timeline.setRange(0, max(len(self._steps) - 1, 0))
             if not self.timeline.isSliderDown() and state["step"] in self._steps:
@@ -128,22 +143,32 @@ class PlaybackBar(QWidget):
         edits = f", {state['edits']} edit{'' if state['edits'] == 1 else 's'}" if state["edits"] else ""
         self.where.setText(f"step {state['step']}{edits}")
 
-    def _place_of(self, step: int) -> float:
-        """Where a step is among the stored ones, which the slider counts."""
-        after = sum(stored <= step for stored in self._steps)
-        if not 0 < after < len(self._steps):
-            return float(max(min(after, len(self._steps)) - 1, 0))
-        before, following = self._steps[after - 1], self._steps[after]
-        return after - 1 + (step - before) / (following - before)
-
     def _slid(self, place: int) -> None:
-        if place < len(self._steps) and self._steps[place] != self._workplace.session.status.step:
-            self._workplace.request("go_to", self._steps[place])
+        if place < len(self._steps) and self._steps[place] != self._actions.session.status.step:
+            self._actions.request("go_to", self._steps[place])
 
 
-def _button(text: str, tip: str) -> QPushButton:
-    button = QPushButton(text)
-    button.setToolTip(tip)
-    button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-    button.setFixedWidth(40)
-    return button
+class FrameBar(_Bar):
+    """Buttons and a slider to move over frames."""
+
+    def __init__(self, actions: Actions) -> None:
+        self.slider = QSlider(Qt.Orientation.Horizontal)
+        super().__init__(actions, self.slider, "frame")
+        self.before = self._button("<", "Frame before this one (,)", "step_frame", -1)
+        self.play = self._button("Play", "Play the frames, or stop (X)", "play_frames", width=64)
+        self.next = self._button(">", "Next frame (.)", "step_frame", 1)
+        self.slider.valueChanged.connect(lambda number: actions.request("frame", number))
+        self.where.setMinimumWidth(210)
+        self._lay_out((self.before, self.play, self.next), self.slider, (self.where,), 0)
+        self.hide()
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show the state."""
+        self.setVisible(state["frames"] > 1)
+        self.play.setText("Stop" if state["frames_play"] else "Play")
+        with QSignalBlocker(self.slider):
+            self.slider.setRange(0, max(state["frames"] - 1, 0))
+            if not self.slider.isSliderDown():
+                self.slider.setValue(state["frame"])
+        self.where.setText(state["frame_words"])
+        self.where.setToolTip(state["frame_lines"])

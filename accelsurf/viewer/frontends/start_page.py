@@ -19,6 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from accelsurf.viewer.frontends.panels.section import in_row
 from accelsurf.viewer.workplace.opening import Opening
 
 #: Width of a list, pixels.
@@ -26,7 +27,7 @@ _WIDTH = 380
 
 
 class StartPage(QWidget):
-    """What is shown while no image is open.
+    """Page that is shown while no image is open.
 
     Attributes
     ----------
@@ -59,10 +60,7 @@ class StartPage(QWidget):
         self.show_state(opening.state())
 
     def _lay_out(self, title: QLabel) -> None:
-        buttons = QHBoxLayout()
-        for button in (self.open_file, self.open_folder):
-            buttons.addWidget(button)
-        buttons.addWidget(self.hint)
+        buttons = in_row(self.open_file, self.open_folder, self.hint)
         buttons.addStretch(1)
         lists = QHBoxLayout()
         lists.setSpacing(24)
@@ -90,10 +88,11 @@ class StartPage(QWidget):
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show what can be opened, and what is being done."""
         if state["recent"] != self._shown.get("recent"):
-            rows = [(f"{one['name']}\n{one['folder']}", one["name"], one["exists"]) for one in state["recent"]]
+            rows = [(f"{file['name']}\n{file['folder']}", file["name"], file["exists"]) for file in state["recent"]]
             _fill(self.recent, rows or [("none yet", "", False)])
         if state["phantoms"] != self._shown.get("phantoms"):
-            _fill(self.phantoms, [(f"{one['name']}\n{one['text']}", one["name"], True) for one in state["phantoms"]])
+            phantoms = [(f"{entry['name']}\n{entry['text']}", entry["name"], True) for entry in state["phantoms"]]
+            _fill(self.phantoms, phantoms)
         for part in (self.recent, self.phantoms, self.open_file, self.open_folder):
             part.setEnabled(not state["opening"])
         line = state["opening_message"]

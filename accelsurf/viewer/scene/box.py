@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.viewer.scene.colors import MARK
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.scene.shapes import box_edges
+from accelsurf.viewer.scene.shapes import add_actor, box_edges
 from accelsurf.viewer.scene.slices import SliceTile
 
 #: Over contours and the cursor's lines, in the order of drawing.
@@ -29,18 +28,18 @@ class VoxelBox(NamedTuple):
     high: tuple[int, int, int]
 
     @classmethod
-    def between(cls, one: NDArray[np.float64], other: NDArray[np.float64], shape: tuple[int, int, int]) -> VoxelBox:
-        """The box between two indices, within an image, of at least two voxels along axes that have them."""
+    def between(cls, corner: NDArray[Any], opposite: NDArray[Any], shape: tuple[int, int, int]) -> VoxelBox:
+        """Return the box between two indices, within an image, of at least two voxels along axes that have them."""
         last = np.array(shape) - 1
-        low = np.clip(np.rint(np.minimum(one, other)), 0, np.maximum(last - 1, 0)).astype(int)
-        high = np.clip(np.rint(np.maximum(one, other)), np.minimum(low + 1, last), last).astype(int)
+        low = np.clip(np.rint(np.minimum(corner, opposite)), 0, np.maximum(last - 1, 0)).astype(int)
+        high = np.clip(np.rint(np.maximum(corner, opposite)), np.minimum(low + 1, last), last).astype(int)
         z, y, x = (int(v) for v in low)
         far_z, far_y, far_x = (int(v) for v in high)
         return cls((z, y, x), (far_z, far_y, far_x))
 
     @property
     def text(self) -> str:
-        """As ``--roi`` takes it, its first corner below the second.
+        """Text of the box as ``--roi`` takes it, its first corner below the second.
 
         Examples
         --------
@@ -105,12 +104,7 @@ class BoxOverlay:
 
     def _draw(self, name: str, renderer: pv.Renderer, mesh: pv.PolyData) -> None:
         if name not in self._actors:
-            mapper = vtkPolyDataMapper()
-            mapper.ScalarVisibilityOff()
-            actor = pv.Actor(mapper=mapper)
-            actor.prop.color, actor.prop.lighting = MARK, False
-            renderer.add_actor(actor, reset_camera=False, render=False)
-            self._actors[name] = actor
+            self._actors[name] = add_actor(renderer, mesh, MARK)
         self._actors[name].mapper.SetInputData(mesh)
         self._actors[name].SetVisibility(mesh.n_points > 0)
         self._scene.tiles.redraw.mark(renderer)
@@ -128,7 +122,7 @@ class BoxOverlay:
 
 
 def _rectangle(tile: SliceTile, box: VoxelBox) -> pv.PolyData:
-    """What the slice cuts of a box; where it cuts none, what a slice through the middle of the box does."""
+    """Return the cut of a slice through a box; where it cuts none, that of a slice through the box's middle."""
     middle = tile.stack.to_place(0.5 * (np.array(box.low) + np.array(box.high)))[2]
     across = tile.across if tile.stack.cuts(tile.index, *box) else float(middle)
     corners = tile.stack.outline(across, *box)

@@ -13,7 +13,7 @@ from vtkmodules.vtkCommonCore import vtkDoubleArray, vtkStringArray
 
 from accelsurf.evolution.records import StepRecord
 from accelsurf.viewer.scene.colors import OBJECT_COLORS, Theme
-from accelsurf.viewer.scene.overlay import Label, Pixels, round_length
+from accelsurf.viewer.scene.overlay import Label, Pixels, round_up
 
 #: Width of a curve, pixels of a usual screen.
 LINE = 2.0
@@ -169,26 +169,20 @@ class EnergyChart:
 
 
 def _most(room: float) -> int:
-    """How many gaps between ticks there may be, from 1 to 5."""
+    """Return the largest number of gaps between ticks, from 1 to 5."""
     return min(max(int(room), 1), 5)
 
 
 def _set_ticks(axis: pv.plotting.charts.Axis, ends: tuple[float, float], most: int, whole: bool) -> None:
     """Put ticks at round numbers, with at most so many gaps in the range; those of VTK have many digits."""
     low, high = ends
-    gap = max(_gap((high - low) / most), 1.0) if whole else _gap((high - low) / most)
+    gap = max(round_up((high - low) / most), 1.0) if whole else round_up((high - low) / most)
     positions, labels = vtkDoubleArray(), vtkStringArray()
     for number in range(math.ceil(low / gap - 1e-9), math.floor(high / gap + 1e-9) + 1):
         positions.InsertNextValue(number * gap)
         # VTK draws the last column of a text once more before the first, over a minus sign: blanks stand at both ends.
         labels.InsertNextValue(f" {tick_text(number * gap)} ")
     axis.SetCustomTickPositions(positions, labels)
-
-
-def _gap(least: float) -> float:
-    """The smallest of 1, 2, 5, 10, ... (and tenths, ...) that is at least so much."""
-    below = round_length(least) if least > 0 else 1.0
-    return below if below >= least * (1 - 1e-9) else round_length(2.5 * below)
 
 
 def tick_text(value: float) -> str:

@@ -1,7 +1,8 @@
-"""Colours of the scene, dark and light, and of quantities on the surface; told apart with any colour vision."""
+"""Colours of the scene, of objects and of quantities on the surface; told apart with any colour vision."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,11 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
 from accelsurf.report import canvas
-from accelsurf.report.canvas import GREEN, PURPLE, VERMILION, YELLOW
+from accelsurf.report.canvas import GREEN, PURPLE, VERMILION, YELLOW, object_color
+from accelsurf.report.label_files import given_labels
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.frame import Frame
+from accelsurf.viewer.scene.overlay import round_up
 
 
 class Theme(NamedTuple):
@@ -43,7 +48,7 @@ INSIDE, OUTSIDE = GREEN, VERMILION
 
 
 class Shade(NamedTuple):
-    """How a quantity is shown: title of its scale, colour map of matplotlib, whether 0 is the middle of the map."""
+    """Display of a quantity: title of its scale, colour map of matplotlib, whether 0 is the middle of the map."""
 
     title: str
     cmap: str
@@ -85,6 +90,75 @@ def color_range(values: NDArray[np.float32], signed: bool) -> tuple[float, float
     largest = float(np.percentile(np.abs(finite), 98)) if finite.size else 0.0
     if not largest > 0:
         return (-1.0, 1.0) if signed else (0.0, 1.0)
-    decade = 10.0 ** np.floor(np.log10(largest))
-    high = float(min(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= largest * (1 - 1e-9)))
+    high = round_up(largest)
     return (-high, high) if signed else (0.0, high)
+
+
+class ObjectStyle(NamedTuple):
+    """Style of an object.
+
+    Attributes
+    ----------
+    name : str
+    color : str
+        ``#rrggbb``.
+    visible : bool
+    opacity : float
+        From 0 to 1.
+    """
+
+    name: str
+    color: str
+    visible: bool = True
+    opacity: float = 1.0
+
+
+def unnamed(object_id: int) -> str:
+    """Return the name of an object that nobody has named.
+
+    Examples
+    --------
+    >>> unnamed(3)
+    'object 3'
+    """
+    return f"object {object_id}"
+
+
+def given_styles(config: RunConfig) -> dict[int, ObjectStyle]:
+    """Return the styles of the objects that settings name or colour, by id.
+
+    Raises
+    ------
+    InputError
+        When a table that they name cannot be read.
+
+    Examples
+    --------
+    >>> given_styles(RunConfig(name=["liver"], color=["#c83c3c"]))
+    {1: ObjectStyle(name='liver', color='#c83c3c', visible=True, opacity=1.0)}
+    """
+    return {object_id: ObjectStyle(said.name, said.hex) for object_id, said in given_labels(config).entries.items()}
+
+
+class ObjectStyles:
+    """The styles of objects by id; one that has none has a colour by its place among the ids.
+
+    Attributes
+    ----------
+    given : mapping of int to ObjectStyle
+    tracked : mapping of int to ObjectStyle
+        Of the tracked objects of a sequence: the same colour in every frame.
+    """
+
+    def __init__(self) -> None:
+        self.given: Mapping[int, ObjectStyle] = {}
+        self.tracked: Mapping[int, ObjectStyle] = {}
+
+    def of(self, frame: Frame | None) -> list[ObjectStyle]:
+        """The style of each surface of a frame."""
+        surfaces = () if frame is None else frame.surfaces
+        given = self.tracked if frame is not None and frame.said else self.given
+        return [
+            given.get(surface.id) or ObjectStyle(unnamed(surface.id), object_color(position))
+            for position, surface in enumerate(surfaces)
+        ]

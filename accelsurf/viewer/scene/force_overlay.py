@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from accelsurf.viewer.scene.colors import SHADES, color_range
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.scene.shapes import ColorTexture
+from accelsurf.viewer.scene.shapes import Texture
 from accelsurf.viewer.scene.slices import SliceTile
 
 #: Opacity of the largest force; and how far towards the ends of the colour map it goes, which are almost black.
@@ -30,10 +30,10 @@ class ForceSlice(NamedTuple):
 
 
 class _Layer(NamedTuple):
-    """What is over a tile: an actor and its picture."""
+    """Layer over a tile: an actor and its picture."""
 
     actor: pv.Actor
-    texture: ColorTexture
+    texture: Texture
 
 
 class ForceOverlay:
@@ -59,25 +59,26 @@ class ForceOverlay:
     def show(self, forces: Mapping[str, ForceSlice]) -> None:
         """Show forces by name of the tile in place of all before, on a common scale; none hides all."""
         self._slices = {}
-        values = [one.values.ravel()[::SCALE_STEP] for one in forces.values()]
+        values = [force.values.ravel()[::SCALE_STEP] for force in forces.values()]
         self.scale = color_range(np.concatenate(values), True)[1] if values else 0.0
         self.add(forces)
-        self._scene.tiles.redraw.mark(*(tile.renderer for tile in self._scene.slice_tiles.values()))
+        for tile in self._scene.slice_tiles.values():
+            tile.mark()
 
     def add(self, forces: Mapping[str, ForceSlice]) -> None:
         """Show forces in some tiles, on the scale that there is; the other tiles stay."""
         self._slices |= forces
-        for name, one in forces.items():
+        for name, force in forces.items():
             tile = self._scene.slice_tiles[name]
             layer = self._layers.get(name) or self._make(name, tile)
-            layer.texture.show(force_colors(one.values, self.scale, self._table))
-            self._scene.tiles.redraw.mark(tile.renderer)
+            layer.texture.show(force_colors(force.values, self.scale, self._table))
+            tile.mark()
 
     @property
     def shown(self) -> tuple[str, ...]:
         """The tiles over whose present slice there is a force."""
         tiles = self._scene.slice_tiles
-        return tuple(name for name, one in self._slices.items() if one.sight == tiles[name].sight)
+        return tuple(name for name, force in self._slices.items() if force.sight == tiles[name].sight)
 
     def _follow_slices(self) -> None:
         """Before each picture: hide what belongs to another slice."""
@@ -86,7 +87,7 @@ class ForceOverlay:
             layer.actor.SetVisibility(name in shown)
 
     def _make(self, name: str, tile: SliceTile) -> _Layer:
-        texture = ColorTexture()
+        texture = Texture(is_smooth=False)
         actor = tile.add_picture(texture, DEPTH)
         actor.ForceTranslucentOn()
         self._layers[name] = _Layer(actor, texture)

@@ -1,4 +1,4 @@
-"""Where the tiles lie in the picture: four up, one large and the others beside it, slices alone, one alone.
+"""Places of the tiles in the picture: four up, one large and the others beside it, slices alone, one alone.
 
     four           one               slices            single
     +----+----+    +-------+---+    +---+---+---+    +-----------+

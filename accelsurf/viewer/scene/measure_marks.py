@@ -144,27 +144,27 @@ class MeasureLayer:
         """The slices have moved: draw what is in them now."""
         for name, marks in self.marks.items():
             if name in self._slices:
-                marks.show([self._in_slice(one, self._slices[name]) for one in self._measurements])
+                marks.show([self._in_slice(measurement, self._slices[name]) for measurement in self._measurements])
             else:
-                marks.show([self._in_space(one) for one in self._measurements])
+                marks.show([self._in_space(measurement) for measurement in self._measurements])
 
     def fit(self, pixels: Pixels) -> None:
         """Draw lines, ends and text as large as the picture asks for."""
         for marks in self.marks.values():
             marks.fit(pixels)
 
-    def _in_space(self, one: Measurement) -> Mark:
-        points = np.asarray(one.points, float)
-        return _mark(points, one.text(self._unit))
+    def _in_space(self, measurement: Measurement) -> Mark:
+        points = np.asarray(measurement.points, float)
+        return _mark(points, measurement.text(self._unit))
 
-    def _in_slice(self, one: Measurement, tile: SliceTile) -> Mark:
+    def _in_slice(self, measurement: Measurement, tile: SliceTile) -> Mark:
         """All of one that lies in a slice; else its ends that do, within half a voxel."""
-        index = self._geometry.world_to_index(np.asarray(one.points, float))
+        index = self._geometry.world_to_index(np.asarray(measurement.points, float))
         near = tile.is_near(index)
         places = tile.to_tile(index)
         points = np.column_stack([places, np.full(len(places), 4.0)])
         if near.all():
-            return _mark(points, one.text(self._unit))
+            return _mark(points, measurement.text(self._unit))
         return Mark((), points[near], "", points[0])
 
 

@@ -1,4 +1,4 @@
-"""What lies over a picture: lines of text, a scale bar in mm, the marker that tells directions."""
+"""Overlays of a picture: lines of text, a scale bar in mm, the marker that tells directions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DPI = 72
 
 
 class Pixels(NamedTuple):
-    """How large text and lines are drawn.
+    """Size of text and lines.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Label:
 
     @property
     def text(self) -> str:
-        """What is written; several lines are allowed."""
+        """Text that is written; several lines are allowed."""
         return str(self._actor.GetInput() or "")
 
     @text.setter
@@ -198,6 +198,18 @@ def round_length(largest: float) -> float:
     """
     decade = 10.0 ** math.floor(math.log10(largest))
     return float(f"{max(step * decade for step in (1, 2, 5) if step * decade <= largest * (1 + 1e-9)):g}")
+
+
+def round_up(least: float) -> float:
+    """Return the smallest of 1, 2, 5, 10, ... (and tenths, ...) that is at least ``least``; 1 for 0.
+
+    Examples
+    --------
+    >>> round_up(3.1), round_up(0.2), round_up(0.0)
+    (5.0, 0.2, 1.0)
+    """
+    below = round_length(least) if least > 0 else 1.0
+    return below if below >= least * (1 - 1e-9) else round_length(2.5 * below)
 
 
 def orientation_cube(anatomical: bool) -> vtkAnnotatedCubeActor:

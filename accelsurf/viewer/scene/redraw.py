@@ -5,17 +5,19 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import pyvista as pv
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow
+
+from accelsurf.viewer.scene.colors import ObjectStyles, Theme
 
 #: A picture with the tile in 3D that takes more seconds is slow.
 SLOW = 0.025
 
 
 class Redraw:
-    """Which tiles of a window are drawn anew; VTK keeps what the others show.
+    """Choice of the tiles of a window that are drawn anew; VTK keeps what the others show.
 
     Parameters
     ----------
@@ -25,21 +27,19 @@ class Redraw:
 
     Attributes
     ----------
-    hurries : bool
-        While this is set, tiles with something over them (the one in 3D) wait if their last picture was slow.
     is_painted : bool
         Whether the window system asks for each picture once more, to paint it, as Qt does: what has been drawn is in
         VTK's memory then, and is not drawn again, unless a camera was moved or the size changed in between.
     """
 
     def __init__(self, window: vtkRenderWindow, renderers: Iterable[pv.Renderer]) -> None:
-        self._window, self._renderers = window, tuple(renderers)
+        self.window, self._renderers = window, tuple(renderers)
         self._shown: set[vtkRenderer] = set(self._renderers)
         self._waiting: set[vtkRenderer] = set(self._renderers)
         #: What is drawn over a tile, after it -> the tile.
         self._overlays: dict[vtkRenderer, pv.Renderer] = {}
         self._seconds = 0.0
-        self.hurries, self.is_painted, self._is_empty = False, False, True
+        self._hurries, self.is_painted, self._is_empty = False, False, True
         #: Where each tile was seen from when it was drawn last; and the size of our last picture, until it is painted.
         self._sights: dict[vtkRenderer, tuple[Any, ...]] = {}
         self._unpainted: tuple[int, int] | None = None
@@ -49,22 +49,18 @@ class Redraw:
     def overlay(self, tile: pv.Renderer, over: vtkRenderer) -> None:
         """Draw a renderer over a tile: with it, and alone when it alone has changed."""
         self._overlays[over] = tile
-        self._window.AddRenderer(over)
+        self.window.AddRenderer(over)
 
-    def mark(self, *renderers: pv.Renderer) -> None:
-        """These have changed."""
+    def mark(self, *renderers: vtkRenderer) -> None:
+        """Draw these anew, tiles or what is drawn over them."""
         self._waiting.update(renderers)
 
-    def mark_overlay(self, over: vtkRenderer) -> None:
-        """Something was added to what is drawn over a tile."""
-        self._waiting.add(over)
-
     def mark_all(self) -> None:
-        """All have changed."""
+        """Draw all anew."""
         self._waiting.update(self._renderers)
 
     def begin_anew(self) -> None:
-        """The next picture begins empty: nothing may wait."""
+        """Begin the next picture empty: nothing may wait."""
         self._is_empty = True
         self.mark_all()
 
@@ -73,16 +69,20 @@ class Redraw:
         self._shown = set(renderers)
         self.begin_anew()
 
+    def hurry(self, on: bool) -> None:
+        """Have tiles with something over them (the one in 3D) wait if their last picture was slow, or no longer."""
+        self._hurries = on
+
+    @property
+    def is_due(self) -> bool:
+        """Test if `draw` has something to draw."""
+        return bool(self._due())
+
     def draw(self) -> None:
         """Draw what has changed."""
         due = self._due()
         if not due:
             return
-        tiles = set(self._overlays.values())
-        if self.hurries and self._seconds > SLOW and not self._is_empty:
-            due -= tiles
-            if not due:
-                return
         self._choose(due)
         self._is_ours, began = True, time.perf_counter()
         # What Python would collect meanwhile may be the window of a closed scene: freed within a picture it leaves
@@ -90,27 +90,28 @@ class Redraw:
         collects = gc.isenabled()
         gc.disable()
         try:
-            self._window.Render()
+            self.window.Render()
         finally:
             self._is_ours = False
             if collects:
                 gc.enable()
-        if due & tiles:
+        if due & set(self._overlays.values()):
             self._seconds = time.perf_counter() - began
         self._is_empty = False
         self._waiting -= due
         self._note(due)
         self._choose(self._whole())
-        self._unpainted = self._window.GetSize() if self.is_painted else None
+        self._unpainted = self.window.GetSize() if self.is_painted else None
 
     def _due(self) -> set[vtkRenderer]:
-        """What has changed and is shown, with what is drawn over it."""
+        """Return the renderers that have changed, are shown and need not wait, with what is drawn over them."""
         due = self._waiting & self._shown
         over = {
             over for over, tile in self._overlays.items()
             if tile in self._shown and (tile in due or over in self._waiting)
         }
-        return due | over
+        waits = self._hurries and self._seconds > SLOW and not self._is_empty
+        return (due | over) - set(self._overlays.values() if waits else ())
 
     def _whole(self) -> set[vtkRenderer]:
         return self._shown | {over for over, tile in self._overlays.items() if tile in self._shown}
@@ -120,7 +121,7 @@ class Redraw:
         if self._is_ours:
             return
         size, self._unpainted = self._unpainted, None
-        if size is None or size != self._window.GetSize() or self._is_empty:
+        if size is None or size != self.window.GetSize() or self._is_empty:
             self._note(self._whole())
             self._choose(self._whole())
             return
@@ -130,7 +131,7 @@ class Redraw:
         self._choose(moved | {over for over, tile in self._overlays.items() if tile in moved})
 
     def _note(self, renderers: Iterable[vtkRenderer]) -> None:
-        """These are drawn with the cameras that they have."""
+        """Note the cameras with which renderers are drawn."""
         self._sights.update((renderer, _sight(renderer)) for renderer in renderers)
 
     def _choose(self, renderers: set[vtkRenderer]) -> None:
@@ -142,6 +143,29 @@ class Redraw:
 
 
 def _sight(renderer: vtkRenderer) -> tuple[Any, ...]:
-    """Where a renderer's camera stands and looks."""
-    one = renderer.GetActiveCamera()
-    return one.GetPosition(), one.GetFocalPoint(), one.GetViewUp(), one.GetParallelScale()
+    """Return place and direction of a renderer's camera."""
+    camera = renderer.GetActiveCamera()
+    return camera.GetPosition(), camera.GetFocalPoint(), camera.GetViewUp(), camera.GetParallelScale()
+
+
+class TileContext(NamedTuple):
+    """All that the tiles of a scene have in common.
+
+    Attributes
+    ----------
+    redraw : Redraw
+        Is told what has changed.
+    styles : ObjectStyles
+    theme : Theme
+        At first.
+    anatomical : bool
+        Whether directions may be named by letters.
+    unit : str
+        Of lengths in the file, in which they are written.
+    """
+
+    redraw: Redraw
+    styles: ObjectStyles
+    theme: Theme
+    anatomical: bool
+    unit: str

@@ -5,15 +5,16 @@ A scene draws `Frame`s and knows no solver. Nothing is rendered before `render` 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
+from vtkmodules.vtkRenderingCore import vtkRenderWindow, vtkWindowToImageFilter
 
-from accelsurf.errors import UsageError, check_known
+from accelsurf.errors import InputError, UsageError, check_known
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow, window_of
@@ -25,19 +26,16 @@ from accelsurf.io.metadata import UNIT_KEY
 from accelsurf.report.movies import write_png
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
-from accelsurf.viewer.scene.captions import caption, legend_lines, volume_line
 from accelsurf.viewer.scene.chart import EnergyChart
-from accelsurf.viewer.scene.colors import Theme, theme_named
+from accelsurf.viewer.scene.colors import ObjectStyle, ObjectStyles, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
-from accelsurf.viewer.scene.legend import Legend
-from accelsurf.viewer.scene.marks import Marks
+from accelsurf.viewer.scene.legend import Legend, caption, legend_lines, volume_line
 from accelsurf.viewer.scene.measure_marks import MeasureLayer
-from accelsurf.viewer.scene.object_styles import ObjectStyle, ObjectStyles
-from accelsurf.viewer.scene.picking import Picked, place_in_renderer
-from accelsurf.viewer.scene.pictures import grab
-from accelsurf.viewer.scene.reference import Reference
+from accelsurf.viewer.scene.redraw import Redraw, TileContext
+from accelsurf.viewer.scene.shapes import label_surface
 from accelsurf.viewer.scene.slices import SliceTile
-from accelsurf.viewer.scene.space import SpaceTile
+from accelsurf.viewer.scene.space import Picked, SpaceTile, place_in_renderer
+from accelsurf.viewer.scene.stroke_marks import Marks
 from accelsurf.viewer.scene.tiles import Tiles
 
 #: Size of a window or picture unless another is asked for, pixels.
@@ -70,6 +68,12 @@ class Scene:
     plotter : pyvista.Plotter
     frame : Frame or None
         What is drawn now.
+    theme, theme_name : Theme, str
+        Colours in use.
+    color : str
+        Quantity that colours the surfaces, where they have it.
+    is_interpolated : bool
+        Whether slices are drawn smoothly between voxels, not each voxel as a rectangle.
     tiles : Tiles
         How the tiles lie, and what part of the image each shows.
     is_straight : bool
@@ -101,13 +105,13 @@ class Scene:
         title: str | None = None,
         window: GreyWindow | None = None,
     ) -> None:
-        self._theme, self.theme_name = theme_named(theme), theme
+        self.theme, self.theme_name = theme_named(theme), theme
         self._reference = None if reference is None else Reference(reference, volume.geometry)
         self.volume, self.geometry = volume, volume.geometry
         self.frame: Frame | None = None
-        self._color = "plain"
+        self.color = "plain"
         self._window = window_of(volume.array) if window is None else window
-        self._is_interpolated = True
+        self.is_interpolated = True
         self.title = (volume.source.name if volume.source else "") if title is None else title
         self._cursor = 0.5 * (np.array(self.geometry.shape) - 1.0)
         self._cursor_is_set = False
@@ -118,11 +122,11 @@ class Scene:
             plotter = pv.Plotter(off_screen=True, window_size=list(size), **self.layout(self.geometry))
         self.plotter = plotter
         self.styles = ObjectStyles()
+        self._redraw = Redraw(plotter.render_window, plotter.renderers)
         self._build()
-        self.tiles = Tiles(plotter, self.space, self.slice_tiles, self._chart_renderer)
-        self._redraw = self.tiles.redraw
+        self.tiles = Tiles(self._redraw, self.space, self.slice_tiles, self._chart_renderer)
         self.measures = MeasureLayer(self.geometry, self.slice_tiles, self.space, self.unit, self._redraw)
-        self.marks = Marks(self.geometry, self.slice_tiles, self.space, self._redraw)
+        self.marks = Marks(self.geometry, self.slice_tiles.values(), self.space, self._redraw)
         self.paint(theme)
         others = self._legend, self._chart, self.measures
         plotter.render_window.AddObserver("StartEvent", lambda *_: self.tiles.fit(*others))
@@ -136,27 +140,26 @@ class Scene:
 
     def _build(self) -> None:
         plotter, upright, image = self.plotter, DisplayOrientation.of(self.geometry), self.volume.array
-        flat, style = self.geometry.slice_axis, (self.anatomical, self._theme, self.unit)
+        flat = self.geometry.slice_axis
+        context = TileContext(self._redraw, self.styles, self.theme, self.anatomical, self.unit)
         places = {0: (0, 2), 1: (0, 3), 2: (1, 2)} if flat is None else {upright.order.index(flat): (0, 0)}
         self.space: SpaceTile | None = None
         if flat is None:
             plotter.subplot(0, 0)
-            self.space = SpaceTile(plotter, self.geometry, image, self._window, *style)
-            self.space.styles = self.styles
+            self.space = SpaceTile(plotter, self.geometry, image, self._window, context)
         self.slice_tiles: dict[str, SliceTile] = {}
         for plane, place in places.items():
             plotter.subplot(*place)
-            tile = SliceTile(plotter.renderer, image, self._window, self._stack_of(plane), plane, *style)
+            tile = SliceTile(plotter.renderer, image, self._window, self._stack_of(plane), plane, context)
             self.slice_tiles[TILES[plane]] = tile
         plotter.subplot(*((1, 3) if flat is None else (0, 2)))
         self._chart_renderer = plotter.renderer
         self._chart_renderer.SetInteractive(False)
-        self._chart = EnergyChart(plotter, self._theme)
+        self._chart = EnergyChart(plotter, self.theme)
         plotter.subplot(0, 0)
         largest = self.space.renderer if self.space is not None else next(iter(self.slice_tiles.values())).renderer
-        self._legend = Legend(largest, self._theme.ink)
+        self._legend = Legend(largest, self.theme.ink)
         for tile in self.slice_tiles.values():
-            tile.styles = self.styles
             tile.show(self._cursor)
         if self._reference is not None:
             self._reference.draw(self.space, self.slice_tiles.values())
@@ -180,7 +183,7 @@ class Scene:
         if frame is None:
             return
         if self.space is not None:
-            self.space.show(frame, self._color, coarse)
+            self.space.show(frame, self.color, coarse)
         self._show_flat(frame)
         lines = [line for line in (self.title, *caption(frame, self.geometry, self.unit)) if line]
         if self.space is not None:
@@ -202,11 +205,6 @@ class Scene:
             self._show_flat(self.frame)
             self._redraw.mark_all()
 
-    @property
-    def theme(self) -> Theme:
-        """The colours in use."""
-        return self._theme
-
     def compare(self, labels: Volume) -> None:
         """Compare with labels from now on; InputError when they are on another grid."""
         self._reference = Reference(labels, self.geometry)
@@ -216,7 +214,7 @@ class Scene:
 
     @property
     def legend(self) -> tuple[str, ...]:
-        """What each colour is, and Dice; empty for one object without a reference."""
+        """Lines of the legend, with Dice; empty for one object without a reference."""
         return self._legend.lines
 
     @property
@@ -227,40 +225,33 @@ class Scene:
     def color_by(self, name: str) -> None:
         """Colour the surfaces by a quantity of `COLORS`, plain where they lack it; another is a UsageError."""
         check_known("color", name, COLORS)
-        self._color = name
+        self.color = name
         self._show_frame()
         self._redraw.mark_all()
-
-    @property
-    def color(self) -> str:
-        """What the surfaces are coloured by, where they have it."""
-        return self._color
 
     def show_volume(self, on: bool) -> None:
         """Draw the image itself in 3D, translucent, or not; an image of one slice has no such picture."""
         if self.space is not None:
             self.space.show_volume(on)
-            self._redraw.mark(self.space.renderer)
 
     @property
     def shows_volume(self) -> bool:
-        """Whether the image is drawn in 3D."""
+        """Test if the image is drawn in 3D."""
         return self.space is not None and self.space.shows_volume
 
     def show_planes(self, on: bool) -> None:
         """Draw the three slices in 3D, or not."""
         if self.space is not None:
             self.space.show_planes([tile.in_space() for tile in self.slice_tiles.values()] if on else None)
-            self._redraw.mark(self.space.renderer)
 
     @property
     def shows_planes(self) -> bool:
-        """Whether the three slices are drawn in 3D."""
+        """Test if the three slices are drawn in 3D."""
         return self.space is not None and self.space.shows_planes
 
     @property
     def window(self) -> GreyWindow:
-        """Which values of the image are black and white."""
+        """Range of the values of the image from black to white."""
         return self._window
 
     @window.setter
@@ -268,27 +259,20 @@ class Scene:
         self._window = window
         for tile in self.slice_tiles.values():
             tile.use_window(window)
-            self._redraw.mark(tile.renderer)
         if self.space is not None:
             self.space.use_window(window)
-            if self.shows_planes or self.shows_volume:
-                self.show_planes(self.shows_planes)
-
-    @property
-    def is_interpolated(self) -> bool:
-        """Whether slices are drawn smoothly between voxels, not each voxel as a rectangle."""
-        return self._is_interpolated
+            if self.shows_planes:
+                self.show_planes(True)
 
     def interpolate(self, on: bool) -> None:
         """Draw slices smoothly between voxels, or each voxel as a rectangle."""
-        self._is_interpolated = on
+        self.is_interpolated = on
         for tile in self.slice_tiles.values():
             tile.interpolate(on)
-            self._redraw.mark(tile.renderer)
 
     @property
     def is_oblique(self) -> bool:
-        """Whether slices along the voxels and straight ones differ."""
+        """Test if slices along the voxels and straight ones differ."""
         return self.geometry.slice_axis is None and not DisplayOrientation.of(self.geometry).is_parallel
 
     def straighten(self, on: bool) -> None:
@@ -338,7 +322,6 @@ class Scene:
                     tile.draw_reference(self._reference.contour_function)
                 if self.frame is not None:
                     tile.draw_objects(self.frame)
-            self._redraw.mark(tile.renderer)
         self.measures.move()
         self.marks.show_slices()
         if self.shows_planes:
@@ -347,33 +330,41 @@ class Scene:
     def mark_ball(self, center: ArrayLike | None, radius: float = 0.0) -> None:
         """Draw a ball that is being placed (world mm), in 3D and where it cuts the slices; None removes it."""
         middle = None if center is None else np.asarray(center, float)
-        if self.space is not None and self.space.mark_ball(middle, radius):
-            self._redraw.mark(self.space.renderer)
+        if self.space is not None:
+            self.space.mark_ball(middle, radius)
         for tile in self.slice_tiles.values():
-            if tile.mark_ball(None if middle is None else self.geometry.world_to_index(middle), radius):
-                self._redraw.mark(tile.renderer)
+            tile.mark_ball(None if middle is None else self.geometry.world_to_index(middle), radius)
 
     def mark_size(self, drag: SizeDrag | None, drag_mm: float = 0.0) -> None:
         """Draw in the slices what belongs to an object of the size that a drag stands for; None removes it."""
         volume = None if drag is None else drag.volume_of(drag_mm)
         for tile in self.slice_tiles.values():
             tile.mark_size(drag, volume, "" if volume is None else f"size {volume_line(volume, self.unit)}")
-            self._redraw.mark(tile.renderer)
 
     def paint(self, theme: str) -> None:
         """Use a theme; an unknown one is a UsageError."""
-        self._theme, self.theme_name = theme_named(theme), theme
+        self.theme, self.theme_name = theme_named(theme), theme
         self._redraw.mark_all()
         for renderer in self.plotter.renderers:
-            renderer.background_color = self._theme.background
+            renderer.background_color = self.theme.background
         for part in (self.space, *self.slice_tiles.values(), self._chart, self._legend):
             if part is not None:
-                part.paint(self._theme)
+                part.paint(self.theme)
+
+    def show_image(self, volume: Volume) -> None:
+        """Show another image on the same grid; cursor, camera and grey values stay."""
+        self.volume = volume
+        for tile in self.slice_tiles.values():
+            tile.use_image(volume.array)
+        if self.space is not None:
+            self.space.use_image(volume.array)
+            self.show_planes(self.shows_planes)
+        self._redraw.mark_all()
 
     # -- pictures -----------------------------------------------------------------------------------------
 
     def pick(self, x: float, y: float) -> Picked:
-        """What lies under a pixel, counted from the lower left corner of the window."""
+        """Return the tile and the point under a pixel, counted from the lower left corner of the window."""
         for name, tile in self.slice_tiles.items():
             inside = place_in_renderer(tile.renderer, x, y)
             if inside is not None:
@@ -398,3 +389,60 @@ class Scene:
     def close(self) -> None:
         """Free the plotter and its memory."""
         self.plotter.close()
+
+
+def grab(window: vtkRenderWindow) -> NDArray[np.uint8]:
+    """Return what a rendered window shows, (height, width, 3)."""
+    filter_ = vtkWindowToImageFilter()
+    filter_.SetInput(window)
+    filter_.ReadFrontBufferOff()
+    filter_.ShouldRerenderOff()
+    filter_.Update()
+    image = pv.wrap(filter_.GetOutput())
+    width, height, _ = image.dimensions
+    return np.asarray(image.point_data.active_scalars).reshape(height, width, -1)[::-1, :, :3].copy()
+
+
+class Reference:
+    """The true object or objects, as one.
+
+    Parameters
+    ----------
+    labels : Volume
+        Above 0 is the object.
+    geometry : Geometry
+        Of the image.
+
+    Attributes
+    ----------
+    inside : ndarray (nz, ny, nx), bool
+    contour_function : ndarray (nz, ny, nx), float32
+        Negative inside; 0 halfway between voxels inside and outside.
+
+    Raises
+    ------
+    InputError
+        When the labels are on another grid than the image.
+    """
+
+    def __init__(self, labels: Volume, geometry: Geometry) -> None:
+        if not geometry.matches(labels.geometry):
+            raise InputError(
+                f"the reference is not on the image's grid: {geometry.difference(labels.geometry)}",
+                "resample it to the image's grid",
+            )
+        self._geometry = geometry
+        self.inside: NDArray[np.bool_] = np.asarray(labels.array > 0)
+        self.contour_function: NDArray[np.float32] = np.asarray(np.float32(0.5) - self.inside)
+        self._voxels = int(self.inside.sum())
+
+    def draw(self, space: SpaceTile | None, tiles: Iterable[SliceTile]) -> None:
+        """Draw the surface in 3D, and the contours in the slices."""
+        if space is not None:
+            space.show_reference(label_surface(self.inside, self._geometry))
+        for tile in tiles:
+            tile.draw_reference(self.contour_function)
+
+    def dice(self, frame: Frame) -> float:
+        """Dice of the reference and all objects of a frame; coarse frames count their voxels."""
+        return frame.dice(self.inside, self._voxels)

@@ -1,12 +1,14 @@
-"""From psi to what VTK draws: the surface in world mm, the contour in a slice; no plotter here."""
+"""Meshes and textures for VTK: surfaces and paths in world mm, contours in a slice; no plotter here."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import pyvista as pv
 from numpy.typing import ArrayLike, NDArray
 from vtkmodules.vtkFiltersCore import vtkFlyingEdges2D, vtkFlyingEdges3D
-from vtkmodules.vtkRenderingCore import vtkTexture
+from vtkmodules.vtkRenderingCore import vtkPolyDataMapper, vtkTexture
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.viewer.core.frame import SurfaceFrame
@@ -154,43 +156,40 @@ def polygon(
     return mesh
 
 
-class GreyTexture:
-    """A picture in grey for a quad; ``texture`` is VTK's."""
+class Texture:
+    """A picture for a polygon; ``texture`` is VTK's.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    is_smooth : bool
+        Drawn smoothly between voxels; otherwise each voxel is a rectangle.
+    """
+
+    def __init__(self, is_smooth: bool) -> None:
         self.texture = vtkTexture()
-        self.texture.InterpolateOn()
-        self.texture.SetColorModeToDirectScalars()
-        self.show(np.zeros((2, 2), np.uint8))
-
-    def interpolate(self, on: bool) -> None:
-        """Draw smoothly between voxels, or each voxel as a rectangle."""
-        self.texture.SetInterpolate(on)
-
-    def show(self, rows: NDArray[np.uint8]) -> None:
-        """Show a picture (rows, columns), its first row at the lower edge of the quad."""
-        self.texture.SetInputData(_picture(np.repeat(rows[..., None], 3, axis=2)))
-
-
-class ColorTexture:
-    """A picture in colours with opacity for a quad; each voxel is a rectangle."""
-
-    def __init__(self) -> None:
-        self.texture = vtkTexture()
-        self.texture.InterpolateOff()
+        self.texture.SetInterpolate(is_smooth)
         self.texture.SetColorModeToDirectScalars()
         self.show(np.zeros((2, 2, 4), np.uint8))
 
     def show(self, rows: NDArray[np.uint8]) -> None:
-        """Show a picture (rows, columns, 4), its first row at the lower edge of the quad."""
-        self.texture.SetInputData(_picture(rows))
+        """Show grey values (rows, columns), or colours with opacities (rows, columns, 4), the first row lowest."""
+        rows = np.repeat(rows[..., None], 3, axis=2) if rows.ndim == 2 else rows
+        image = pv.ImageData(dimensions=(rows.shape[1], rows.shape[0], 1))
+        image.point_data["colors"] = rows.reshape(-1, rows.shape[2])
+        self.texture.SetInputData(image)
 
 
-def _picture(rows: NDArray[np.uint8]) -> pv.ImageData:
-    """Colours (rows, columns, 3), or with opacities (rows, columns, 4), as VTK has them."""
-    image = pv.ImageData(dimensions=(rows.shape[1], rows.shape[0], 1))
-    image.point_data["colors"] = rows.reshape(-1, rows.shape[2])
-    return image
+def add_actor(
+    renderer: pv.Renderer, mesh: pv.PolyData, color: str, opacity: float = 1.0, is_lit: bool = False
+) -> pv.Actor:
+    """Draw a mesh in a renderer; the camera stays as it is."""
+    mapper = vtkPolyDataMapper()
+    mapper.SetInputData(mesh)
+    mapper.ScalarVisibilityOff()
+    actor = pv.Actor(mapper=mapper)
+    actor.prop.color, actor.prop.opacity, actor.prop.lighting = color, opacity, is_lit
+    renderer.add_actor(actor, reset_camera=False, render=False)
+    return actor
 
 
 def _to_world(
@@ -210,3 +209,22 @@ def _to_world(
         turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30)
         mesh.point_data["Normals"] = turned.astype(np.float32)
         mesh.point_data.active_normals_name = "Normals"
+
+
+#: Dashes around a closed line, and how opaque a predicted surface is.
+DASHES, TRANSLUCENT = 24, 0.25
+
+
+def dashed(lines: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Every second part of the segments (n, 2, 2) of a closed line, by their direction from its middle."""
+    if not len(lines):
+        return lines
+    away = lines.mean(axis=1) - lines.mean(axis=(0, 1))
+    part = np.floor((np.arctan2(away[:, 1], away[:, 0]) / (2.0 * np.pi) + 0.5) * 2 * DASHES)
+    return lines[part.astype(int) % 2 == 0]
+
+
+def path_lines(paths: Sequence[NDArray[np.float64]]) -> pv.PolyData:
+    """Return paths (n, 3), world mm, as lines; empty without one of two places."""
+    ends = [np.stack([path[:-1], path[1:]], axis=1).reshape(-1, 3) for path in paths if len(path) > 1]
+    return pv.line_segments_from_points(np.concatenate(ends)) if ends else pv.PolyData()

@@ -1,4 +1,7 @@
-"""One slice of the image as radiologists hang it, with contours, the cursor's lines, letters and a scale bar."""
+"""One slice of the image as radiologists hang it, with contours, the cursor's lines, letters and a scale bar.
+
+Contours are cuts of surfaces, functions of the image and drags: segments (n, 2, 2) in the slice's plane, mm.
+"""
 
 from __future__ import annotations
 
@@ -7,21 +10,103 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES
-from accelsurf.grid.slice_stack import SliceStack
+from accelsurf.grid.slice_stack import Patch, SliceStack, linear
 from accelsurf.settings.wording import in_unit
-from accelsurf.viewer.core.frame import Frame
+from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 from accelsurf.viewer.core.size_drag import SizeDrag
-from accelsurf.viewer.scene.captions import measure
 from accelsurf.viewer.scene.colors import CURSOR, INSIDE, MARK, OUTSIDE, REFERENCE, Theme
-from accelsurf.viewer.scene.cuts import NONE, DragLines, ball_lines, function_lines, surface_lines
-from accelsurf.viewer.scene.object_styles import ObjectStyles
+from accelsurf.viewer.scene.legend import measure
 from accelsurf.viewer.scene.overlay import Label, Pixels, ScaleBar
-from accelsurf.viewer.scene.shapes import ColorTexture, GreyTexture, polygon
-from accelsurf.viewer.scene.track_marks import dashed
+from accelsurf.viewer.scene.redraw import TileContext
+from accelsurf.viewer.scene.shapes import Texture, add_actor, contour, dashed, polygon, slice_of
+
+Floats = NDArray[np.float64]
+NONE = np.zeros((0, 2, 2))
+
+
+def surface_lines(surface: SurfaceFrame, stack: SliceStack, number: int) -> Floats:
+    """The contour of an object in a slice."""
+    if not surface.has_surface:
+        return NONE
+    if not stack.is_straight:
+        part = slice_of(surface, stack.axis, number)
+        return NONE if part is None else stack.to_place(surface.to_image(_ends(contour(part), stack.axis)))[..., :2]
+    last = np.array(surface.psi.shape) - 1.0
+    patch = stack.patch(number, surface.to_image((0.0, 0.0, 0.0)), surface.to_image(last))
+    index = surface.from_image(np.stack(np.broadcast_arrays(*patch.places), axis=-1))
+    lines = contour(linear(surface.psi, (index[..., 0], index[..., 1], index[..., 2])))
+    return _in_plane(lines, patch, stack, number, surface.to_image((-0.5,) * 3), surface.to_image(last + 0.5))
+
+
+def function_lines(function: NDArray[np.float32], stack: SliceStack, number: int) -> Floats:
+    """Return the lines in a slice on which a function (nz, ny, nx) of the whole image, negative inside, is 0."""
+    if not stack.is_straight:
+        return stack.to_place(_ends(contour(np.asarray(function.take(number, axis=stack.axis))), stack.axis))[..., :2]
+    patch = stack.patch(number)
+    lines = contour(linear(function, patch.places))
+    return _in_plane(lines, patch, stack, number, (-0.5,) * 3, np.array(function.shape) - 0.5)
+
+
+class DragLines:
+    """The outline of what belongs to an object of a size, in a tile; in a straight slice its times are read once."""
+
+    def __init__(self) -> None:
+        self._read_for: tuple[SizeDrag, SliceStack, int] | None = None
+        self._times = np.zeros((0, 0), np.float32)
+
+    def lines(self, drag: SizeDrag, volume_mm3: float, stack: SliceStack, number: int) -> Floats:
+        """The outline in a slice, of a volume."""
+        first = np.asarray(drag.first, float)
+        if not stack.is_straight:
+            plane = drag.plane(stack.axis, number, volume_mm3)
+            return NONE if plane is None else stack.to_place(_ends(contour(plane), stack.axis) + first)[..., :2]
+        last = first + drag.times.shape - 1.0
+        patch = stack.patch(number, first, last)
+        if self._read_for != (drag, stack, number):  # drags and stacks are themselves alone
+            z, y, x = (place - corner for place, corner in zip(patch.places, first, strict=True))
+            self._read_for, self._times = (drag, stack, number), drag.times_at((z, y, x))
+        lines = contour(drag.signed(self._times, volume_mm3))
+        return _in_plane(lines, patch, stack, number, first - 0.5, last + 0.5)
+
+
+def ball_lines(center: Floats, radius: float, stack: SliceStack, number: int) -> Floats:
+    """The circle in which a ball around an index (z, y, x) of the image, radius in mm, cuts a slice."""
+    place = stack.to_place(center)
+    off = place[2] - stack.across(number)
+    if abs(off) >= radius:
+        return NONE
+    turn = np.linspace(0.0, 2.0 * np.pi, 65)
+    ring = place[:2] + np.sqrt(radius**2 - off**2) * np.stack([np.cos(turn), np.sin(turn)], -1)
+    return np.stack([ring[:-1], ring[1:]], axis=1)
+
+
+def _ends(lines: Floats, axis: int) -> Floats:
+    """Ends (n, 2, 3) as indices (z, y, x), 0 along an axis, of segments (n, 2, 2) of rows and columns."""
+    places = np.zeros((len(lines), 2, 3))
+    rows, columns = (other for other in range(3) if other != axis)
+    places[..., rows], places[..., columns] = lines[..., 0], lines[..., 1]
+    return places
+
+
+def _in_plane(
+    lines: Floats, patch: Patch, stack: SliceStack, number: int, low: object, high: object
+) -> Floats:
+    """Segments (n, 2, 2) of rows and columns of a patch, in mm; without those beyond a box, where nothing is known."""
+    if not len(lines):
+        return NONE
+    left, _, bottom, _ = stack.extent
+    right, up = stack.pitch
+    places = np.empty_like(lines)
+    places[..., 0] = left + right * (patch.columns.start + lines[..., 1] + 0.5)
+    places[..., 1] = bottom + up * (patch.rows.start + lines[..., 0] + 0.5)
+    middles = places.mean(axis=1)
+    index = stack.to_index(np.column_stack([middles, np.full(len(middles), stack.across(number))]))
+    is_inside = (index >= np.asarray(low, float)) & (index <= np.asarray(high, float))
+    return np.asarray(places[is_inside.all(axis=1)])
+
 
 #: Part of a tile's width and height that the image may take; the rest is for text.
 FILL = 0.82
@@ -53,11 +138,7 @@ class SliceTile:
         The slices.
     plane : int
         0 is axial, 1 coronal, 2 sagittal.
-    anatomical : bool
-        Whether letters may be written.
-    theme : Theme
-    unit : str, optional
-        Of lengths in the file, in which they are written.
+    context : TileContext
 
     Attributes
     ----------
@@ -73,26 +154,23 @@ class SliceTile:
         window: GreyWindow,
         stack: SliceStack,
         plane: int,
-        anatomical: bool,
-        theme: Theme,
-        unit: str = "mm",
+        context: TileContext,
     ) -> None:
-        self.renderer, self.plane, self._unit = renderer, plane, unit
-        self.stack, self._anatomical, self._theme = stack, anatomical, theme
+        self.renderer, self.plane, self.stack, self._context = renderer, plane, stack, context
         self._image, self._window, self._is_smooth = image, window, True
         self._vertical, self._horizontal = IN_PLANE[plane]
         self.index = -1
         #: What draws each line, and its width in pixels of a usual screen.
         self._lines: dict[str, tuple[pv.Actor, float]] = {}
         self._ratio = 1.0
-        self._drawn_objects, self.styles, self._drag = 0, ObjectStyles(), DragLines()
-        self._texture, self._grey = GreyTexture(), np.zeros((2, 2), np.uint8)
+        self._drawn_objects, self._drag = 0, DragLines()
+        self._texture, self._grey = Texture(is_smooth=True), np.zeros((2, 2), np.uint8)
         self._values: NDArray[Any] = self._grey
         #: Pictures of the whole slice, and their depth.
         self._pictures: list[tuple[pv.Actor, float]] = []
         self._middle, self._zoom = self._center, 1.0
         middle = (*self._middle, 0.0)
-        self._picture = self._add(pv.PolyData(), "white")
+        self._picture = add_actor(renderer, pv.PolyData(), "white")
         self._picture.SetTexture(self._texture.texture)
         camera = renderer.camera
         camera.parallel_projection = True
@@ -100,9 +178,9 @@ class SliceTile:
         camera.clipping_range = (1.0, 200.0)
         renderer.camera_set = True
         renderer.SetInteractive(False)
-        self.title = Label(renderer, theme.ink, (0.03, 0.975), top=True)
-        self._bar = ScaleBar(renderer, theme.ink, unit)
-        self._letters = self._write_letters() if anatomical else []
+        self.title = Label(renderer, context.theme.ink, (0.03, 0.975), top=True)
+        self._bar = ScaleBar(renderer, context.theme.ink, context.unit)
+        self._letters = self._write_letters() if context.anatomical else []
 
     # -- places -------------------------------------------------------------------------------------------
 
@@ -112,18 +190,13 @@ class SliceTile:
         return self.stack.axis
 
     @property
-    def count(self) -> int:
-        """How many slices there are."""
-        return self.stack.count
-
-    @property
     def across(self) -> float:
         """Coordinate of the slice that is shown, across it, mm."""
         return self.stack.across(self.index)
 
     @property
     def sight(self) -> tuple[bool, int]:
-        """What tells this slice from others of the tile: whether it is straight, and its number."""
+        """Key of the slice that is shown, among all of the tile: whether it is straight, and its number."""
         return self.stack.is_straight, self.index
 
     @property
@@ -146,7 +219,7 @@ class SliceTile:
         return np.clip(index, 0.0, np.array(self._image.shape) - 1.0) if self.stack.contains(index) else None
 
     def is_near(self, indices: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which of the indices (z, y, x), (n, 3), lie in this slice, within half of its thickness."""
+        """Test which of the indices (z, y, x), (n, 3), lie in this slice, within half of its thickness."""
         return np.asarray(np.abs(self.stack.place_number(indices) - self.index) <= 0.5 + 1e-6)
 
     def to_plane(self, right: float, up: float) -> tuple[float, float]:
@@ -168,9 +241,8 @@ class SliceTile:
         x, y = self.to_tile(np.asarray(cursor, float))
         cross = np.array([[[left, y], [right, y]], [[x, bottom], [x, top]]])
         self._draw_lines("cursor", cross, CURSOR, 1.0, 0.45)
-        name = PLANES[self.plane] if self._anatomical else "Slice"
-        where = in_unit(self.across, self._unit)
-        self.title.text = f"{name}  {self.stack.name} = {measure(where)} {self._unit}"
+        name, unit = PLANES[self.plane] if self._context.anatomical else "Slice", self._context.unit
+        self.title.text = f"{name}  {self.stack.name} = {measure(in_unit(self.across, unit))} {unit}"
 
     def use_stack(self, stack: SliceStack, cursor: NDArray[np.float64]) -> None:
         """Show other slices of the image, the one nearest to an index (z, y, x), as a whole."""
@@ -191,6 +263,7 @@ class SliceTile:
     def _show_grey(self) -> None:
         self._grey = self._window.grey(self._values)
         self._texture.show(self._grey)
+        self.mark()
 
     @property
     def _corners(self) -> NDArray[np.float64]:
@@ -198,7 +271,7 @@ class SliceTile:
         return np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
 
     def in_space(self) -> tuple[pv.PolyData, NDArray[np.uint8]]:
-        """The slice in world mm, and its picture, as a texture has it."""
+        """Return the slice in world mm, and its picture, as a texture has it."""
         mesh = self._picture.mapper.GetInput().copy()
         places = np.asarray(mesh.points, float)
         places[:, 2] = self.across
@@ -218,41 +291,35 @@ class SliceTile:
 
     def interpolate(self, on: bool) -> None:
         """Draw smoothly between voxels, or each voxel as a rectangle."""
-        self._texture.interpolate(on)
+        self._texture.texture.SetInterpolate(on)
         self._is_smooth = on
+        self.mark()
         if self.stack.is_straight:
             self._show_values()
 
     def draw_objects(self, frame: Frame) -> None:
         """Draw the contour of each object of a frame in this slice."""
-        for position, (surface, style) in enumerate(zip(frame.surfaces, self.styles.of(frame), strict=True)):
+        for position, (surface, style) in enumerate(zip(frame.surfaces, self._context.styles.of(frame), strict=True)):
             lines = surface_lines(surface, self.stack, self.index) if style.visible else NONE
             self._draw_lines(f"object {position}", lines, style.color, 2.2, style.opacity)
         for position in range(len(frame.surfaces), self._drawn_objects):
             self._lines[f"object {position}"][0].SetVisibility(False)
         self._drawn_objects = len(frame.surfaces)
-        self._draw_predicted(frame)
+        expected = (dashed(surface_lines(surface, self.stack, self.index)) for surface in frame.predicted)
+        self._draw_lines("predicted", np.concatenate([NONE, *expected]), REFERENCE, 1.6)
         self._draw_clicks(frame)
 
-    def _draw_predicted(self, frame: Frame) -> None:
-        """Draw where tracked objects were expected in this slice, dashed."""
-        lines = (dashed(surface_lines(one, self.stack, self.index)) for one in frame.predicted)
-        self._draw_lines("predicted", np.concatenate([NONE, *lines]), REFERENCE, 1.6)
-
     def draw_reference(self, function: NDArray[np.float32]) -> None:
-        """Draw where a function of the whole image, negative inside, is 0 in this slice."""
+        """Draw the lines in this slice on which a function of the whole image, negative inside, is 0."""
         self._draw_lines("reference", function_lines(function, self.stack, self.index), REFERENCE, 1.8)
 
-    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> bool:
+    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> None:
         """Draw the circle in which this slice cuts a ball around an index (z, y, x) of the image, radius in mm; nothing
-        for None or beside it. Returns whether the picture has changed.
+        for None or beside it.
         """
         lines = NONE if center is None else ball_lines(center, radius, self.stack, self.index)
-        was_there = "ball" in self._lines and bool(self._lines["ball"][0].GetVisibility())
-        if not was_there and not len(lines):
-            return False
-        self._draw_lines("ball", lines, MARK, 2.2)
-        return True
+        if len(lines) or ("ball" in self._lines and self._lines["ball"][0].GetVisibility()):
+            self._draw_lines("ball", lines, MARK, 2.2)
 
     def mark_size(self, drag: SizeDrag | None, volume_mm3: float | None, text: str = "") -> None:
         """Draw the outline that a drag shows in this slice, and write a text below the title; nothing for None."""
@@ -263,7 +330,7 @@ class SliceTile:
         self._draw_lines("size", lines, MARK, 2.2)
 
     def mark_places(self, places: NDArray[np.float64]) -> None:
-        """Draw a diamond in another one at each of these indices (z, y, x), (n, 3), that lies in this slice."""
+        """Draw a diamond in a larger one at each of these indices (z, y, x), (n, 3), that lies in this slice."""
         left, right, bottom, top = self.extent
         here = self.to_tile(places[np.rint(self.stack.place_number(places)) == self.index].reshape(-1, 3))
         corners = ARM * max(right - left, top - bottom) * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
@@ -271,9 +338,9 @@ class SliceTile:
         lines = [place + size * sides for place in here for size in (1.4, 2.4)]
         self._draw_lines("places", np.concatenate(lines) if lines else NONE, CURSOR, 2.5)
 
-    def add_picture(self, texture: GreyTexture | ColorTexture, depth: float) -> pv.Actor:
+    def add_picture(self, texture: Texture, depth: float) -> pv.Actor:
         """Draw a picture of the whole slice; what has a larger ``depth`` lies over what has a smaller one."""
-        actor = self._add(polygon(self._corners, self.extent, depth), "white")
+        actor = add_actor(self.renderer, polygon(self._corners, self.extent, depth), "white")
         actor.SetTexture(texture.texture)
         self._pictures.append((actor, depth))
         return actor
@@ -298,25 +365,27 @@ class SliceTile:
         """Draw segments (n, 2, 2) in the tile's plane, in place of those drawn before under this name."""
         depth = {"cursor": 1.0, "reference": 2.0}.get(name, 3.0)
         points = np.column_stack([lines.reshape(-1, 2), np.full(2 * len(lines), depth)])
-        mesh = pv.PolyData()
-        if len(lines):
-            cells = np.column_stack([np.full(len(lines), 2), np.arange(2 * len(lines)).reshape(-1, 2)])
-            mesh = pv.PolyData(points, lines=cells.ravel())
+        mesh = pv.line_segments_from_points(points) if len(lines) else pv.PolyData()
         if name not in self._lines:
-            self._lines[name] = self._add(mesh, color, opacity=opacity), width
+            self._lines[name] = add_actor(self.renderer, mesh, color, opacity), width
             self._lines[name][0].prop.line_width = width * self._ratio
         actor = self._lines[name][0]
         actor.prop.color, actor.prop.opacity = color, opacity
         actor.mapper.SetInputData(mesh)
         actor.SetVisibility(len(lines) > 0)
+        self.mark()
+
+    def mark(self) -> None:
+        """Have the tile drawn anew."""
+        self._context.redraw.mark(self.renderer)
 
     def fit(self, pixels: Pixels) -> None:
         """Make the slice as large as its tile allows, the bar as long as that makes it, and text readable."""
         for label in (self.title, *self._letters):
             label.fit(pixels)
         self._ratio = pixels.ratio
-        for actor, own_width in self._lines.values():
-            actor.prop.line_width = own_width * pixels.ratio
+        for actor, line_width in self._lines.values():
+            actor.prop.line_width = line_width * pixels.ratio
         width, height = self.renderer.GetSize()
         if not width or not height:
             return
@@ -347,14 +416,19 @@ class SliceTile:
         before = np.array(self.to_plane(right, up))
         self._zoom = float(np.clip(self._zoom * factor, MIN_ZOOM, MAX_ZOOM))
         self._aim()
-        self.shift(*(before - self.to_plane(right, up)))
+        self._move(*(before - self.to_plane(right, up)))
 
-    def shift(self, right_mm: float, up_mm: float) -> None:
+    def shift(self, right: float, up: float) -> None:
+        """Shift the slice by pixels of the picture."""
+        mm = self.mm_per_pixel()
+        self._move(-right * mm, -up * mm)
+
+    def _move(self, right_mm: float, up_mm: float) -> None:
         """Move the camera by mm in the tile's plane; never so far that the slice is out of sight."""
         left, right, bottom, top = self.extent
-        moved = self._middle + np.array([right_mm, up_mm])
-        self._middle = np.clip(moved, [left, bottom], [right, top])
+        self._middle = np.clip(self._middle + np.array([right_mm, up_mm]), [left, bottom], [right, top])
         self._aim()
+        self.mark()
 
     def show_whole(self) -> None:
         """Show the whole slice, as at first."""
@@ -362,24 +436,13 @@ class SliceTile:
         self._aim()
 
     def mm_per_pixel(self) -> float:
-        """How many mm a pixel of the picture is."""
+        """Return the mm that a pixel of the picture is wide."""
         return 2.0 * self.renderer.camera.parallel_scale / max(self.renderer.GetSize()[1], 1)
 
     def paint(self, theme: Theme) -> None:
         """Use another theme."""
-        self._theme = theme
-        self.renderer.background_color = theme.background
         for part in (self.title, self._bar):
             part.paint(theme.ink)
-
-    def _add(self, mesh: pv.PolyData, color: str, opacity: float = 1.0) -> pv.Actor:
-        mapper = vtkPolyDataMapper()
-        mapper.SetInputData(mesh)
-        mapper.ScalarVisibilityOff()
-        actor = pv.Actor(mapper=mapper)
-        actor.prop.color, actor.prop.lighting, actor.prop.opacity = color, False, opacity
-        self.renderer.add_actor(actor, reset_camera=False, render=False)
-        return actor
 
     def _write_letters(self) -> list[Label]:
         """The patient's directions at the left, right, upper and lower edge of the image."""

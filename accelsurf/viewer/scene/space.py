@@ -1,27 +1,186 @@
-"""The tile in 3D: the surfaces in world mm, the image around it on request, the scale, the directions."""
+"""The tile in 3D: the surfaces in world mm, the image around them on request, the scale, the directions; picking.
+
+A pick reads psi along the line of sight: a cell picker looks at each triangle, 35 ms on half a million with each motion
+of the mouse.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
+from vtkmodules.vtkCommonDataModel import vtkPlane
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
-from accelsurf.viewer.core.frame import Frame
+from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, SURFACE, Theme, color_range
 from accelsurf.viewer.scene.legend import color_scale
-from accelsurf.viewer.scene.object_styles import ObjectStyles, paint
 from accelsurf.viewer.scene.overlay import EDGE, Label, Pixels, ScaleBar, orientation_cube
-from accelsurf.viewer.scene.picking import place_in_renderer
-from accelsurf.viewer.scene.ray import first_met
-from accelsurf.viewer.scene.shapes import GreyTexture, box_edges, isosurface
-from accelsurf.viewer.scene.track_marks import TRANSLUCENT, path_lines
-from accelsurf.viewer.scene.volume_picture import VolumePicture
+from accelsurf.viewer.scene.redraw import TileContext
+from accelsurf.viewer.scene.shapes import TRANSLUCENT, Texture, add_actor, box_edges, isosurface, path_lines
+
+
+class Picked(NamedTuple):
+    """Result of a pick at a pixel: the ``tile`` (space, axial, coronal, sagittal, energies), and the ``world`` point
+    (x, y, z), mm, in a slice or on a surface; None beside them.
+    """
+
+    tile: str
+    world: NDArray[np.float64] | None
+
+
+def place_in_renderer(renderer: pv.Renderer, x: float, y: float) -> tuple[float, float] | None:
+    """Place of a pixel of the window in a renderer, each coordinate from 0 to 1; None outside it."""
+    width, height = renderer.GetRenderWindow().GetSize()
+    left, bottom, right, top = renderer.GetViewport()
+    if right <= left or top <= bottom:
+        return None
+    place = ((x / width - left) / (right - left), (y / height - bottom) / (top - bottom))
+    return place if all(0 <= part < 1 for part in place) else None
+
+
+#: Most voxels along an axis that are drawn; more take too long.
+MAX_ALONG = 160
+
+
+class VolumePicture:
+    """The image in 3D, made when it is shown first.
+
+    Parameters
+    ----------
+    plotter : pyvista.Plotter
+    renderer : pyvista.Renderer
+        The plotter's first, in which it is drawn.
+    geometry : Geometry
+    image : ndarray (nz, ny, nx)
+    """
+
+    def __init__(self, plotter: pv.Plotter, renderer: pv.Renderer, geometry: Geometry, image: NDArray[Any]) -> None:
+        self._plotter, self._renderer = plotter, renderer
+        self._geometry, self._image = geometry, image
+        self._volume: pv.Volume | None = None
+        self._cut = vtkPlane()
+
+    @property
+    def is_shown(self) -> bool:
+        """Test if it is drawn."""
+        return self._volume is not None and bool(self._volume.GetVisibility())
+
+    def show(self, on: bool, window: GreyWindow) -> None:
+        """Draw it, or not."""
+        if on and self._volume is None:
+            self._volume = self._make(window)
+        if self._volume is not None:
+            self._volume.SetVisibility(on)
+
+    def use_image(self, image: NDArray[Any], window: GreyWindow) -> None:
+        """Draw another image (nz, ny, nx) on the same grid."""
+        self._image = image
+        self.use_window(window)
+
+    def use_window(self, window: GreyWindow) -> None:
+        """Draw other values black and white."""
+        if self._volume is not None:
+            shown = self.is_shown
+            self._renderer.remove_actor(self._volume, reset_camera=False, render=False)
+            self._volume = self._make(window) if shown else None
+
+    def cut_away(self, meshes: Sequence[pv.PolyData]) -> None:
+        """Leave out what is nearer than the middle of the surfaces, so that it does not hide them."""
+        if not self.is_shown:
+            return
+        bounds = np.array([mesh.bounds for mesh in meshes if mesh.n_points])
+        camera = self._renderer.camera
+        if len(bounds):
+            middle = 0.5 * (bounds[:, ::2].min(axis=0) + bounds[:, 1::2].max(axis=0))
+        else:  # no surface: all of it
+            middle = np.array(camera.position)
+        self._cut.SetOrigin(*middle)
+        self._cut.SetNormal(*camera.direction)
+
+    def _make(self, window: GreyWindow) -> pv.Volume:
+        stride = [max(1, -(-n // MAX_ALONG)) for n in self._image.shape]
+        grey = window.grey(self._image[tuple(slice(None, None, s) for s in stride)])
+        steps = [h * s for h, s in zip(self._geometry.spacing, stride, strict=True)]
+        image = pv.ImageData(dimensions=grey.shape[::-1], spacing=steps[::-1])
+        image.point_data["grey"] = grey.ravel()
+        self._plotter.subplot(0, 0)
+        # Nothing below a fifth of the range: noise in the air would hide everything.
+        opacity = np.concatenate([np.zeros(51), np.linspace(0.0, 110.0, 205)]).astype(np.uint8)
+        volume = self._plotter.add_volume(
+            image, scalars="grey", cmap="gray", clim=(0, 255), opacity=opacity, shade=False,
+            opacity_unit_distance=4.0 * max(steps), show_scalar_bar=False, reset_camera=False, render=False,
+        )
+        turn = np.eye(4)
+        turn[:3, :3], turn[:3, 3] = self._geometry.direction, self._geometry.origin
+        volume.user_matrix = turn
+        volume.mapper.AddClippingPlane(self._cut)
+        return volume
+
+
+#: Places along the line for each voxel of psi.
+FINE = 2.0
+
+Floats = NDArray[np.float64]
+
+
+def first_met(surfaces: Iterable[SurfaceFrame], geometry: Geometry, start: Floats, end: Floats) -> Floats | None:
+    """Return the point (x, y, z), world mm, where the line from start to end enters the first surface; None beside all.
+
+    Parameters
+    ----------
+    surfaces : iterable of SurfaceFrame
+    geometry : Geometry
+        Of the image.
+    start, end : ndarray (3,)
+        World mm.
+    """
+    ends = geometry.world_to_index(np.stack([start, end]))
+    shares = [share for surface in surfaces if (share := _share(surface, ends)) is not None]
+    return None if not shares else np.asarray(start + min(shares) * (end - start))
+
+
+def _share(surface: SurfaceFrame, ends: Floats) -> float | None:
+    """Return the part of the line, 0 to 1, after which it enters an object."""
+    if not surface.has_surface:
+        return None
+    # Not with the module: the first picture has no surface yet, and what makes one has loaded this.
+    from scipy import ndimage
+
+    first, last = surface.from_image(ends)
+    span = _clipped(first, last, surface.psi.shape)
+    if span is None:
+        return None
+    count = int(FINE * np.abs(last - first).max() * (span[1] - span[0])) + 2
+    shares = np.linspace(*span, count)
+    places = first + shares[:, None] * (last - first)
+    psi = ndimage.map_coordinates(surface.psi, places.T, order=1, mode="nearest")
+    inside = np.flatnonzero(psi < 0)
+    if not inside.size:
+        return None
+    at = int(inside[0])
+    if at == 0:
+        return float(shares[0])
+    part = psi[at - 1] / (psi[at - 1] - psi[at])
+    return float(shares[at - 1] + part * (shares[at] - shares[at - 1]))
+
+
+def _clipped(first: Floats, last: Floats, shape: tuple[int, ...]) -> tuple[float, float] | None:
+    """The part of a line, from 0 to 1, within a box of voxels and half a voxel around it."""
+    low, high = 0.0, 1.0
+    for a, b, n in zip(first, last, shape, strict=True):
+        if a == b:
+            if not -0.5 <= a <= n - 0.5:
+                return None
+            continue
+        enters, leaves = sorted(((-0.5 - a) / (b - a), (n - 0.5 - a) / (b - a)))
+        low, high = max(low, enters), min(high, leaves)
+    return (low, high) if low < high else None
+
 
 #: Width of the edges of the volume, of the ways of tracked objects, pixels of a usual screen.
 BOX, WAY = 1.0, 2.0
@@ -53,11 +212,7 @@ class SpaceTile:
     image : ndarray (nz, ny, nx)
     window : GreyWindow
         Which of its values are black and white.
-    anatomical : bool
-        Whether directions may be named by letters.
-    theme : Theme
-    unit : str, optional
-        Of lengths in the file, in which they are written.
+    context : TileContext
     """
 
     def __init__(
@@ -66,30 +221,27 @@ class SpaceTile:
         geometry: Geometry,
         image: NDArray[Any],
         window: GreyWindow,
-        anatomical: bool,
-        theme: Theme,
-        unit: str = "mm",
+        context: TileContext,
     ) -> None:
-        self.renderer = plotter.renderer
+        self.renderer, self._context, theme = plotter.renderer, context, context.theme
         self._geometry, self._window = geometry, window
-        self._meshes: list[pv.PolyData] = []
+        #: The surfaces drawn now, of each object, world mm.
+        self.meshes: list[pv.PolyData] = []
         self._frame: Frame | None = None
         self.is_coarse = False  # whether fewer triangles are drawn than the frame has
         self._wanted = self._color = "plain"
-        self.styles = ObjectStyles()
         self._surfaces = [self._add_surface()]
         #: Edges of the volume; the reference's surface, None without one; both world mm.
         self.box = box_edges(geometry)
         self.reference: pv.PolyData | None = None
         self._reference_actor: Any = None
-        self._box = self._add(self.box, theme.lines)
-        self._box.prop.lighting = False
+        self._box = add_actor(self.renderer, self.box, theme.lines)
         self._ball: pv.Actor | None = None
         self._places: pv.Actor | None = None
         #: What draws the predictions and the ways of tracked objects.
         self._tracks: tuple[pv.Actor, pv.Actor] | None = None
         self._volume = VolumePicture(plotter, self.renderer, geometry, image)
-        self._planes: list[tuple[pv.Actor, GreyTexture]] = []
+        self._planes: list[tuple[pv.Actor, Texture]] = []
         #: Whether the three slices are drawn.
         self.shows_planes = False
         self._table = pv.LookupTable()
@@ -98,8 +250,8 @@ class SpaceTile:
         # VTK's own labels come to lie on the colours in a picture that is drawn once.
         self._ends = [Label(self.renderer, theme.ink, (right, 0.095), top=True) for right in (0.2, 0.5, 0.8)]
         self.title = Label(self.renderer, theme.ink, (0.015, 0.985), top=True)
-        self._bar = ScaleBar(self.renderer, theme.ink, unit)
-        self._cube = orientation_cube(anatomical)
+        self._bar = ScaleBar(self.renderer, theme.ink, context.unit)
+        self._cube = orientation_cube(context.anatomical)
         plotter.add_orientation_widget(self._cube, interactive=False, viewport=(0, 0, 0.17, 0.17))
         self.look_from()
 
@@ -108,14 +260,14 @@ class SpaceTile:
     def show(self, frame: Frame, color: str, coarse: bool = False) -> None:
         """Draw a frame coloured by a quantity, plain where it lacks that; ``coarse``: fewer triangles, much sooner."""
         self._frame, self._wanted = frame, color
-        drawn = tuple(one.coarser(COARSE_VOXELS) for one in frame.surfaces) if coarse else frame.surfaces
-        self.is_coarse = any(one is not fine for one, fine in zip(drawn, frame.surfaces, strict=True))
-        self._meshes = [isosurface(surface, self._geometry, color) for surface in drawn]
-        while len(self._surfaces) < len(self._meshes):
+        drawn = tuple(surface.coarser(COARSE_VOXELS) for surface in frame.surfaces) if coarse else frame.surfaces
+        self.is_coarse = any(shown is not fine for shown, fine in zip(drawn, frame.surfaces, strict=True))
+        self.meshes = [isosurface(surface, self._geometry, color) for surface in drawn]
+        while len(self._surfaces) < len(self.meshes):
             self._surfaces.append(self._add_surface())
-        for actor in self._surfaces[len(self._meshes) :]:
+        for actor in self._surfaces[len(self.meshes) :]:
             actor.SetVisibility(False)
-        for actor, mesh in zip(self._surfaces, self._meshes, strict=False):
+        for actor, mesh in zip(self._surfaces, self.meshes, strict=False):
             actor.mapper.SetInputData(mesh)
             actor.mapper.SetScalarVisibility(color in mesh.point_data)
         self.restyle()
@@ -123,12 +275,14 @@ class SpaceTile:
         self._show_tracks(frame)
 
     def _show_tracks(self, frame: Frame) -> None:
-        """Draw where tracked objects were expected, translucent, and the ways that they have come."""
+        """Draw tracked objects as they were predicted, translucent, and their paths."""
         if self._tracks is None:
             if not frame.predicted and not frame.paths:
                 return
-            self._tracks = self._add(pv.PolyData(), REFERENCE, TRANSLUCENT), self._add(pv.PolyData(), CURSOR)
-            self._tracks[1].prop.lighting = False
+            self._tracks = (
+                add_actor(self.renderer, pv.PolyData(), REFERENCE, TRANSLUCENT, is_lit=True),
+                add_actor(self.renderer, pv.PolyData(), CURSOR),
+            )
         meshes = [isosurface(surface, self._geometry) for surface in frame.predicted]
         meshes = [mesh for mesh in meshes if mesh.n_points]
         for actor, mesh in zip(
@@ -139,7 +293,14 @@ class SpaceTile:
 
     def restyle(self) -> None:
         """Draw each surface in its style."""
-        paint(self._surfaces, self._meshes, self.styles.of(self._frame))
+        for actor, mesh, style in zip(self._surfaces, self.meshes, self._context.styles.of(self._frame), strict=False):
+            actor.prop.color, actor.prop.opacity = style.color, style.opacity
+            actor.SetVisibility(mesh.n_points > 0 and style.visible)
+        self.mark()
+
+    def mark(self) -> None:
+        """Have the tile drawn anew."""
+        self._context.redraw.mark(self.renderer)
 
     def coarsen(self, on: bool) -> bool:
         """Draw the same coarsely, or in full; returns whether that is a change."""
@@ -150,7 +311,7 @@ class SpaceTile:
 
     def _show_scale(self, color: str) -> None:
         """Colour the surfaces that have this quantity on a common scale, and draw the scale."""
-        values = [np.asarray(mesh.point_data[color]) for mesh in self._meshes if color in mesh.point_data]
+        values = [np.asarray(mesh.point_data[color]) for mesh in self.meshes if color in mesh.point_data]
         self._scale.SetVisibility(bool(values))
         self._quantity.text = SHADES[color].title if values else ""
         if not values:
@@ -174,30 +335,26 @@ class SpaceTile:
     @property
     def color(self) -> str:
         """The quantity that colours the surfaces drawn now, or ``plain``."""
-        return self._color if any(self._color in mesh.point_data for mesh in self._meshes) else "plain"
-
-    @property
-    def meshes(self) -> tuple[pv.PolyData, ...]:
-        """The surfaces drawn now, one for each object, world mm."""
-        return tuple(self._meshes)
+        return self._color if any(self._color in mesh.point_data for mesh in self.meshes) else "plain"
 
     def show_reference(self, mesh: pv.PolyData) -> None:
         """Draw a second surface, translucent."""
         if self._reference_actor is not None:
             self.renderer.RemoveActor(self._reference_actor)
-        self.reference, self._reference_actor = mesh, self._add(mesh, REFERENCE, opacity=0.35)
+        self.reference, self._reference_actor = mesh, add_actor(self.renderer, mesh, REFERENCE, 0.35, is_lit=True)
 
-    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> bool:
-        """Draw a translucent ball (world mm); nothing for None. Returns whether the picture has changed."""
+    def mark_ball(self, center: NDArray[np.float64] | None, radius: float) -> None:
+        """Draw a translucent ball (world mm); nothing for None."""
         if center is None and (self._ball is None or not self._ball.GetVisibility()):
-            return False
+            return
+        self.mark()
         if self._ball is None:
-            self._ball = self._add(pv.Sphere(radius=1.0, theta_resolution=48, phi_resolution=32), MARK, opacity=0.55)
+            sphere = pv.Sphere(radius=1.0, theta_resolution=48, phi_resolution=32)
+            self._ball = add_actor(self.renderer, sphere, MARK, 0.55, is_lit=True)
         self._ball.SetVisibility(center is not None)
         if center is not None:
             self._ball.position = tuple(center)
             self._ball.scale = (radius, radius, radius)
-        return True
 
     @property
     def smallest(self) -> float:
@@ -207,30 +364,34 @@ class SpaceTile:
     def mark_places(self, places: NDArray[np.float64]) -> None:
         """Draw a diamond at each of these points (x, y, z), world mm, (n, 3)."""
         if self._places is None:
-            self._places = self._add(pv.PolyData(), CURSOR)
-            self._places.prop.lighting = False
+            self._places = add_actor(self.renderer, pv.PolyData(), CURSOR)
         diamonds = [pv.Octahedron(radius=2.5 * self.smallest, center=place) for place in places]
         self._places.mapper.SetInputData(pv.merge(diamonds) if diamonds else pv.PolyData())
         self._places.SetVisibility(bool(diamonds))
+        self.mark()
 
     # -- the image ----------------------------------------------------------------------------------------
 
     def show_volume(self, on: bool) -> None:
         """Draw the image translucent, bright parts denser, cut away in front of the surfaces; or not."""
         self._volume.show(on, self._window)
+        self.mark()
 
     def use_image(self, image: NDArray[Any]) -> None:
         """Show another image (nz, ny, nx) on the same grid."""
         self._volume.use_image(image, self._window)
+        self.mark()
 
     def use_window(self, window: GreyWindow) -> None:
         """Draw other values black and white."""
         self._window = window
         self._volume.use_window(window)
+        if self.shows_volume:
+            self.mark()
 
     @property
     def shows_volume(self) -> bool:
-        """Whether the image is drawn."""
+        """Test if the image is drawn."""
         return self._volume.is_shown
 
     def show_planes(self, slices: Iterable[PlanePicture] | None) -> None:
@@ -238,15 +399,15 @@ class SpaceTile:
         self.shows_planes = slices is not None
         for number, (mesh, grey) in enumerate(slices or ()):
             if number == len(self._planes):
-                texture = GreyTexture()
-                actor = self._add(mesh, "white")
+                texture = Texture(is_smooth=True)
+                actor = add_actor(self.renderer, mesh, "white")
                 actor.SetTexture(texture.texture)
-                actor.prop.lighting = False
                 self._planes.append((actor, texture))
             self._planes[number][0].mapper.SetInputData(mesh)
             self._planes[number][1].show(grey)
         for actor, _ in self._planes:
             actor.SetVisibility(self.shows_planes)
+        self.mark()
 
     # -- camera -------------------------------------------------------------------------------------------
 
@@ -262,12 +423,17 @@ class SpaceTile:
         camera.up = upright
         camera.parallel_scale = self.fitted_scale()
         self.renderer.camera_set = True
+        self._show_moved()
+
+    def _show_moved(self) -> None:
+        """Draw what the camera sees after it was moved."""
         self.renderer.ResetCameraClippingRange()
+        self.mark()
 
     def orbit(self, degrees: float) -> None:
         """Turn the camera around the vertical axis."""
         self.renderer.camera.Azimuth(degrees)
-        self.renderer.ResetCameraClippingRange()
+        self._show_moved()
 
     def fitted_scale(self) -> float:
         """Half the mm that the tile must be high for the whole image to be seen from where the camera is."""
@@ -288,18 +454,23 @@ class SpaceTile:
         camera.Azimuth(degrees)
         camera.Elevation(up)
         camera.OrthogonalizeViewUp()
-        self.renderer.ResetCameraClippingRange()
+        self._show_moved()
 
-    def zoom(self, factor: float) -> None:
-        """Enlarge by a factor, within limits."""
+    def mm_per_pixel(self) -> float:
+        """Return the mm that a pixel of the picture is wide."""
+        return 2.0 * float(self.renderer.camera.parallel_scale) / max(self.renderer.GetSize()[1], 1)
+
+    def zoom(self, factor: float, right: float = 0.5, up: float = 0.5) -> None:
+        """Enlarge by a factor, within limits; what is at this place of the tile, each from 0 to 1, stays there."""
+        before, (width, height) = self.mm_per_pixel(), self.renderer.GetSize()
         camera, diagonal = self.renderer.camera, float(np.linalg.norm(self._geometry.extent_mm))
         camera.parallel_scale = float(np.clip(camera.parallel_scale / factor, 1e-3 * diagonal, 10.0 * diagonal))
+        grown = 1.0 - before / self.mm_per_pixel()
+        self.shift((right - 0.5) * width * grown, (up - 0.5) * height * grown)
 
     def shift(self, right: float, up: float) -> None:
         """Shift the picture by pixels."""
-        camera = self.renderer.camera
-        height = self.renderer.GetSize()[1]
-        mm = 2.0 * camera.parallel_scale / max(height, 1)
+        camera, mm = self.renderer.camera, self.mm_per_pixel()
         position, focus, upward = (np.array(v) for v in (camera.position, camera.focal_point, camera.up))
         side = np.cross(focus - position, upward)
         side /= max(float(np.linalg.norm(side)), 1e-30)
@@ -310,7 +481,7 @@ class SpaceTile:
         distance = np.linalg.norm(focus + shift - self._geometry.center_world())
         if distance < 3.0 * np.linalg.norm(self._geometry.extent_mm):
             camera.focal_point, camera.position = tuple(focus + shift), tuple(position + shift)
-            self.renderer.ResetCameraClippingRange()
+        self._show_moved()
 
     def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
         """Point (x, y, z) of a surface under a pixel of the window; None beside them."""
@@ -338,7 +509,7 @@ class SpaceTile:
         """Make text readable, and the bar as long as the camera's scale asks for."""
         self.title.fit(pixels)
         self._bar.fit(pixels)
-        self._volume.cut_away(self._meshes)
+        self._volume.cut_away(self.meshes)
         self._box.prop.line_width = BOX * pixels.ratio
         self._cube.GetTextEdgesProperty().SetLineWidth(EDGE * pixels.ratio)
         if self._tracks is not None:
@@ -348,23 +519,13 @@ class SpaceTile:
 
     def paint(self, theme: Theme) -> None:
         """Use a theme."""
-        self.renderer.background_color = theme.background
         for label in (self.title, self._quantity, *self._ends):
             label.paint(theme.ink)
         self._bar.paint(theme.ink)
         self._box.prop.color = theme.lines
 
     def _add_surface(self) -> pv.Actor:
-        actor = self._add(pv.PolyData(), SURFACE)
+        actor = add_actor(self.renderer, pv.PolyData(), SURFACE, is_lit=True)
         style = actor.prop
         style.interpolation, style.ambient, style.specular, style.specular_power = "Gouraud", 0.15, 0.2, 20.0
-        return actor
-
-    def _add(self, mesh: pv.PolyData, color: str, opacity: float = 1.0) -> pv.Actor:
-        mapper = vtkPolyDataMapper()
-        mapper.SetInputData(mesh)
-        mapper.ScalarVisibilityOff()
-        actor = pv.Actor(mapper=mapper)
-        actor.prop.color, actor.prop.opacity = color, opacity
-        self.renderer.add_actor(actor, reset_camera=False, render=False)
         return actor

@@ -1,4 +1,4 @@
-"""Strokes as they are painted: the voxels that they name, in the slices at once; beads along them in 3D.
+"""Marks: strokes as they are painted, voxels in the slices at once and beads in 3D; and uncertain locations.
 
 In 3D the beads are drawn over what is there, so that the surface, which takes longer, is not drawn anew for each.
 """
@@ -18,7 +18,7 @@ from accelsurf.grid.slice_stack import SliceStack
 from accelsurf.initialization.click_paths import segment_voxels
 from accelsurf.viewer.scene.colors import INSIDE, OUTSIDE
 from accelsurf.viewer.scene.redraw import Redraw
-from accelsurf.viewer.scene.shapes import ColorTexture
+from accelsurf.viewer.scene.shapes import Texture
 from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import SpaceTile
 
@@ -33,8 +33,8 @@ _TABLE = np.array(
 _PACKED = _TABLE.view(np.uint32).ravel()
 
 
-class StrokeMarks:
-    """The strokes that are being painted, or that the surface has not obeyed yet.
+class Marks:
+    """Strokes that are being painted, or that the surface has not obeyed yet; and places to look at.
 
     Parameters
     ----------
@@ -43,16 +43,22 @@ class StrokeMarks:
     tiles : iterable of SliceTile
     space : SpaceTile or None
     redraw : Redraw
+
+    Attributes
+    ----------
+    places : tuple of (float, float, float)
+        Uncertain locations (x, y, z), world mm.
     """
 
     def __init__(
         self, geometry: Geometry, tiles: Iterable[SliceTile], space: SpaceTile | None, redraw: Redraw
     ) -> None:
-        self._geometry, self._redraw, self._space = geometry, redraw, space
+        self._geometry, self._space = geometry, space
         self._layers = [_Layer(tile) for tile in tiles]
         self._beads = None if space is None else _Beads(space, redraw)
         self._strokes: dict[int, list[Click]] = {}
         self._last = 0
+        self.places: tuple[tuple[float, float, float], ...] = ()
 
     def new_stroke(self) -> int:
         """Begin a stroke; returns its number."""
@@ -69,8 +75,7 @@ class StrokeMarks:
         piece = Click(side, *found)
         self._strokes[stroke].append(piece)
         for layer in self._layers:
-            if layer.add(piece):
-                self._redraw.mark(layer.tile.renderer)
+            layer.add(piece)
         if self._beads is not None:
             self._beads.add(side, places[-1], radius)
 
@@ -83,15 +88,23 @@ class StrokeMarks:
 
     @property
     def count(self) -> int:
-        """How many strokes are drawn."""
+        """Number of strokes that are drawn."""
         return sum(bool(pieces) for pieces in self._strokes.values())
 
+    def show_places(self, places: Sequence[tuple[float, float, float]]) -> None:
+        """Draw uncertain locations in place of those drawn before."""
+        self.places = tuple(places)
+        if self._space is not None:
+            self._space.mark_places(np.array(self.places).reshape(-1, 3))
+        self.show_slices()
+
     def show_slices(self) -> None:
-        """Draw them in the slices that are shown now."""
+        """Draw strokes and places in the slices that are shown now."""
         pieces = [piece for stroke in self._strokes.values() for piece in stroke]
+        index = np.array([self._geometry.world_to_index(place) for place in self.places]).reshape(-1, 3)
         for layer in self._layers:
-            if layer.show(pieces):
-                self._redraw.mark(layer.tile.renderer)
+            layer.show(pieces)
+            layer.tile.mark_places(index)
 
 
 def voxels_of(piece: Click, stack: SliceStack, number: int) -> tuple[slice, slice, NDArray[np.bool_]] | None:
@@ -105,9 +118,9 @@ def voxels_of(piece: Click, stack: SliceStack, number: int) -> tuple[slice, slic
     inside = np.ones((patch.rows.stop - patch.rows.start, patch.columns.stop - patch.columns.start), np.bool_)
     at = []
     for place, first, n in zip(patch.places, low, piece.mask.shape, strict=True):
-        own = np.rint(place).astype(np.intp) - first
-        inside &= (own >= 0) & (own < n)
-        at.append(np.clip(own, 0, n - 1))
+        offset = np.rint(place).astype(np.intp) - first
+        inside &= (offset >= 0) & (offset < n)
+        at.append(np.clip(offset, 0, n - 1))
     return patch.rows, patch.columns, inside & piece.mask[at[0], at[1], at[2]]
 
 
@@ -115,31 +128,27 @@ class _Layer:
     """Named voxels over a slice."""
 
     def __init__(self, tile: SliceTile) -> None:
-        self.tile, self._texture = tile, ColorTexture()
+        self.tile, self._texture = tile, Texture(is_smooth=False)
         #: Which side the voxel at each pixel of the slice is on, its first row lowest.
         self._sides, self._is_empty = np.zeros((0, 0), np.uint8), True
         self._actor = tile.add_picture(self._texture, DEPTH)
         self._actor.SetVisibility(False)
 
-    def show(self, pieces: Sequence[Click]) -> bool:
-        """Draw pieces alone; returns whether the picture has changed."""
+    def show(self, pieces: Sequence[Click]) -> None:
+        """Draw pieces alone."""
         was_empty, size = self._is_empty, self.tile.stack.size(self.tile.stack.fine)
         if self._sides.shape != size:
             self._sides = np.zeros(size, np.uint8)
         self._sides[:], self._is_empty = 0, True
         for piece in pieces:
             self._put(piece)
-        if self._is_empty and was_empty:
-            return False
-        self._draw()
-        return True
+        if not (self._is_empty and was_empty):
+            self._draw()
 
-    def add(self, piece: Click) -> bool:
-        """Draw one more; returns whether this slice cuts it."""
-        if not self._put(piece):
-            return False
-        self._draw()
-        return True
+    def add(self, piece: Click) -> None:
+        """Draw a further piece, if this slice cuts it."""
+        if self._put(piece):
+            self._draw()
 
     def _put(self, piece: Click) -> bool:
         named = voxels_of(piece, self.tile.stack, self.tile.index)
@@ -151,6 +160,7 @@ class _Layer:
         return True
 
     def _draw(self) -> None:
+        self.tile.mark()
         self._actor.SetVisibility(not self._is_empty)
         if not self._is_empty:
             self._texture.show(_PACKED.take(self._sides).view(np.uint8).reshape(*self._sides.shape, 4))
@@ -170,7 +180,7 @@ class _Beads:
         self._actors: list[vtkActor] = []
 
     def add(self, side: Side, place: NDArray[np.float64], radius: float) -> None:
-        """Draw one more."""
+        """Draw a further ball."""
         mapper = vtkPolyDataMapper()
         mapper.SetInputData(self._ball)
         actor = vtkActor()
@@ -181,11 +191,11 @@ class _Beads:
         actor.SetScale(size, size, size)
         self.renderer.AddActor(actor)
         self._actors.append(actor)
-        self._redraw.mark_overlay(self.renderer)
+        self._redraw.mark(self.renderer)
 
     def clear(self) -> None:
         """Draw none."""
         for actor in self._actors:
             self.renderer.RemoveActor(actor)
         self._actors = []
-        self._redraw.mark(self._space.renderer)
+        self._space.mark()

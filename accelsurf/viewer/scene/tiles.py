@@ -19,7 +19,7 @@ SAMPLES = 8
 
 
 class Fitted(Protocol):
-    """What is drawn as large as window and screen ask for."""
+    """A part of the scene that is drawn as large as window and screen ask for."""
 
     def fit(self, pixels: Pixels) -> None:
         """Before a picture of this size."""
@@ -30,7 +30,7 @@ class Tiles:
 
     Parameters
     ----------
-    plotter : pyvista.Plotter
+    redraw : Redraw
     space : SpaceTile or None
         The picture in 3D.
     slices : mapping of str to SliceTile
@@ -51,11 +51,10 @@ class Tiles:
     """
 
     def __init__(
-        self, plotter: pv.Plotter, space: SpaceTile | None, slices: Mapping[str, SliceTile], chart: pv.Renderer
+        self, redraw: Redraw, space: SpaceTile | None, slices: Mapping[str, SliceTile], chart: pv.Renderer
     ) -> None:
         self._space, self._slices, self._chart = space, slices, chart
-        self._window, self.pixel_ratio = plotter.render_window, 1.0
-        self.redraw = Redraw(plotter.render_window, plotter.renderers)
+        self.redraw, self._window, self.pixel_ratio = redraw, redraw.window, 1.0
         self.layout, self.shows_chart = "one", True
         #: Half the mm that the tile in 3D had to be high for the whole image, when it was shown last.
         self._fitted = 0.0
@@ -113,76 +112,33 @@ class Tiles:
         return True
 
     def renderer(self, name: str) -> pv.Renderer:
-        """The renderer of a tile."""
-        return self._space.renderer if self._space is not None and name == "space" else self._slices[name].renderer
+        """Return the renderer of a tile."""
+        return self.tile(name).renderer
 
-    def mm_per_pixel(self, name: str) -> float:
-        """How many mm a pixel of a tile is."""
-        if name in self._slices:
-            return self._slices[name].mm_per_pixel()
-        camera, height = self.renderer(name).camera, self.renderer(name).GetSize()[1]
-        return 2.0 * float(camera.parallel_scale) / max(height, 1)
+    def tile(self, name: str) -> SpaceTile | SliceTile:
+        """Return a tile by its name."""
+        return self._space if self._space is not None and name == "space" else self._slices[name]
 
     # -- what each shows ----------------------------------------------------------------------------------
-
-    def zoom_slice(self, name: str, factor: float, right: float = 0.5, up: float = 0.5) -> None:
-        """Enlarge a slice; what is at this place of its tile, each coordinate from 0 to 1, stays there."""
-        self._slices[name].zoom(factor, right, up)
-        self.redraw.mark(self._slices[name].renderer)
-
-    def shift_slice(self, name: str, right: float, up: float) -> None:
-        """Move a slice by pixels of the picture."""
-        tile = self._slices[name]
-        tile.shift(-right * tile.mm_per_pixel(), -up * tile.mm_per_pixel())
-        self.redraw.mark(tile.renderer)
 
     def show_whole(self) -> None:
         """Show the whole image in all tiles, as at first."""
         for tile in self._slices.values():
             tile.show_whole()
-        self.look_from("corner")
+        if self._space is not None:
+            self._space.look_from()
         self.redraw.mark_all()
 
     def look_from(self, view: str) -> None:
-        """Look at the whole image in 3D from one of `space.VIEWS`.
-
-        Raises
-        ------
-        UsageError
-            For another view.
-        """
+        """Look at the whole image in 3D from one of `space.VIEWS`; another is a UsageError."""
         check_known("view", view, VIEWS)
         if self._space is not None:
             self._space.look_from(view)
-            self.redraw.mark(self._space.renderer)
 
     def orbit(self, degrees: float) -> None:
-        """Turn the camera around the vertical axis."""
+        """Turn the camera in 3D around the vertical axis."""
         if self._space is not None:
             self._space.orbit(degrees)
-            self.redraw.mark(self._space.renderer)
-
-    def turn(self, degrees: float, up: float) -> None:
-        """Turn the camera around the middle, sideways and up."""
-        if self._space is not None:
-            self._space.turn(degrees, up)
-            self.redraw.mark(self._space.renderer)
-
-    def shift(self, right: float, up: float) -> None:
-        """Shift the picture in 3D by pixels."""
-        if self._space is not None:
-            self._space.shift(right, up)
-            self.redraw.mark(self._space.renderer)
-
-    def zoom(self, factor: float, right: float = 0.5, up: float = 0.5) -> None:
-        """Enlarge the picture in 3D; what is at this place of its tile, each coordinate from 0 to 1, stays there."""
-        if self._space is not None:
-            before = self.mm_per_pixel("space")
-            self._space.zoom(factor)
-            width, height = self._space.renderer.GetSize()
-            grown = 1.0 - before / self.mm_per_pixel("space")
-            self._space.shift((right - 0.5) * width * grown, (up - 0.5) * height * grown)
-            self.redraw.mark(self._space.renderer)
 
     def smooth_edges(self, on: bool) -> bool:
         """Draw edges smoothly (the default), or not: faster without a graphics card. Returns whether that changes."""
@@ -203,7 +159,4 @@ class Tiles:
 
     def coarsen(self, on: bool) -> bool:
         """Draw large surfaces in 3D with fewer triangles, or in full; returns whether that changes the picture."""
-        if self._space is None or not self._space.coarsen(on):
-            return False
-        self.redraw.mark(self._space.renderer)
-        return True
+        return self._space is not None and self._space.coarsen(on)

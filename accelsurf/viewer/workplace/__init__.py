@@ -1,1 +1,1 @@
-"""What window and page share: what a person can ask for, by mouse, key or button, and what panels show of it."""
+"""Actions that window and page share: requests of mouse, keys and buttons, and the state that panels show."""

@@ -12,9 +12,8 @@ from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.segmentation.region_of_interest import region_of_interest
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.box import BoxOverlay, VoxelBox
-from accelsurf.viewer.scene.picking import Picked
-from accelsurf.viewer.workplace.feature import Feature
-from accelsurf.viewer.workplace.tool import Tool
+from accelsurf.viewer.scene.space import Picked
+from accelsurf.viewer.workplace.tool import Feature, Tool
 
 #: How much a box is larger than the object it is laid around, to each side: of the object's extent, and voxels.
 AROUND, AROUND_VOXELS = 0.25, 6
@@ -28,10 +27,10 @@ class BoxFeature(Feature):
     overlay : BoxOverlay
     """
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
-        self.overlay = BoxOverlay(workplace.scene)
-        self._tool = BoxTool(workplace, self)
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
+        self.overlay = BoxOverlay(actions.scene)
+        self._tool = BoxTool(actions, self)
         self._shown: str | None = None
         self._is_stale = False
 
@@ -45,7 +44,6 @@ class BoxFeature(Feature):
         if (self._is_stale or status.settings.roi != self._shown) and not self._tool.is_drawing:
             self._shown, self._is_stale = status.settings.roi, False
             self.overlay.show(self.in_force())
-            self.workplace.changed = True
         return {"has_box": status.settings.roi is not None}
 
     def forget(self) -> None:
@@ -54,11 +52,11 @@ class BoxFeature(Feature):
 
     def in_force(self) -> VoxelBox | None:
         """The region of interest of the run; None where it is the whole image."""
-        roi = self.workplace.session.status.settings.roi
+        roi = self.actions.session.status.settings.roi
         if roi is None:
             return None
         try:
-            z, y, x = region_of_interest(roi, self.workplace.scene.geometry)
+            z, y, x = region_of_interest(roi, self.actions.scene.geometry)
         except AccelsurfError:  # the run says what is wrong with it
             return None
         return VoxelBox((z.start, y.start, x.start), (z.stop - 1, y.stop - 1, x.stop - 1))
@@ -66,15 +64,15 @@ class BoxFeature(Feature):
     def use(self, box: VoxelBox | None) -> None:
         """Begin another run in a box, or in the whole image."""
         roi = None if box is None else box.text
-        if roi == self.workplace.session.status.settings.roi:
+        if roi == self.actions.session.status.settings.roi:
             return self.forget()
-        future = self.workplace.session.restart_with(roi=roi)
+        future = self.actions.session.restart_with(roi=roi)
         future.add_done_callback(lambda _: self.forget())  # also where it is refused
-        self.workplace.ask(future)
+        self.actions.ask(future)
 
     def _around(self) -> None:
         """Lay the box around all objects, with some of what lies around them."""
-        frame, shape = self.workplace.scene.frame, np.array(self.workplace.scene.geometry.shape)
+        frame, shape = self.actions.scene.frame, np.array(self.actions.scene.geometry.shape)
         ends = []
         for surface in () if frame is None else frame.surfaces:
             inside = np.argwhere(surface.psi < 0) if surface.has_surface else np.zeros((0, 3))
@@ -84,7 +82,7 @@ class BoxFeature(Feature):
             raise UsageError("box: there is no object to lay it around", "draw it in a slice")
         low, high = np.min(ends, axis=0), np.max(ends, axis=0)
         margin = np.where(shape > 1, np.maximum(AROUND * (high - low), AROUND_VOXELS), 0.0)
-        self.use(VoxelBox.between(low - margin, high + margin, self.workplace.scene.geometry.shape))
+        self.use(VoxelBox.between(low - margin, high + margin, self.actions.scene.geometry.shape))
 
 
 class BoxTool(Tool):
@@ -99,14 +97,14 @@ class BoxTool(Tool):
     name, key, text = "box", "Z", "Box"
     tip = "Drag in a slice: the box in which the run is made; drag its sides and corners to change it"
 
-    def __init__(self, workplace: Any, feature: BoxFeature) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Any, feature: BoxFeature) -> None:
+        super().__init__(actions)
         self._feature, self.is_drawing = feature, False
         self._fixed = self._moving = np.zeros(3)
         self._axes: list[int] = []
 
     def press(self, at: Picked) -> None:
-        scene, overlay = self.workplace.scene, self._feature.overlay
+        scene, overlay = self.actions.scene, self._feature.overlay
         if at.world is None or at.tile not in scene.slice_tiles:
             return
         tile, index = scene.slice_tiles[at.tile], scene.geometry.world_to_index(at.world)
@@ -128,7 +126,7 @@ class BoxTool(Tool):
     def move(self, at: Picked) -> None:
         if not self.is_drawing or at.world is None:
             return
-        index = self.workplace.scene.geometry.world_to_index(at.world)
+        index = self.actions.scene.geometry.world_to_index(at.world)
         self._moving[self._axes] = index[self._axes]
         self._feature.overlay.show(self._box(), in_space=False)
 
@@ -144,9 +142,9 @@ class BoxTool(Tool):
             self._feature.forget()
 
     def _box(self) -> VoxelBox:
-        return VoxelBox.between(self._fixed, self._moving, self.workplace.scene.geometry.shape)
+        return VoxelBox.between(self._fixed, self._moving, self.actions.scene.geometry.shape)
 
     def _has_extent(self) -> bool:
-        """Whether the mouse has moved by more than a voxel: a click alone draws no box."""
+        """Test if the mouse has moved by more than a voxel: a click alone draws no box."""
         apart: NDArray[np.float64] = np.abs(self._moving - self._fixed)[self._axes]
         return bool((apart >= 1.0).all())

@@ -9,12 +9,11 @@ from typing import Any
 from accelsurf.errors import UsageError
 from accelsurf.viewer.core.saved_kinds import KINDS
 from accelsurf.viewer.core.status import Status
-from accelsurf.viewer.workplace.checks import word
-from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.workplace.tool import Feature, Key, word
 
 
 class FilesFeature(Feature):
-    """Saves into the folder of the workplace.
+    """Saves into the folder of results.
 
     Attributes
     ----------
@@ -24,8 +23,8 @@ class FilesFeature(Feature):
         Whether files are being written.
     """
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
         self.files: dict[str, Path] = {}
         self.is_saving = False
         #: What of the run the files have that were saved last.
@@ -33,8 +32,8 @@ class FilesFeature(Feature):
 
     @property
     def is_unsaved(self) -> bool:
-        """Whether something was done that is not in the files that were saved last."""
-        status = self.workplace.session.status
+        """Test if something was done that is not in the files that were saved last."""
+        status = self.actions.session.status
         return bool(status.step or status.undoable) and _content(status) != self._stored
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
@@ -51,17 +50,17 @@ class FilesFeature(Feature):
         self.files |= {path.name: path for path in paths}
 
     def _save(self, *what: Any) -> None:
-        workplace = self.workplace
+        actions = self.actions
         kinds = [word(kind, KINDS) for kind in what] or list(KINDS)
-        if workplace.folder is None:
+        if actions.folder is None:
             raise UsageError("save: there is no folder to save in", "name one")
-        future = workplace.session.save(workplace.folder, kinds, workplace.overwrite)
-        content = _content(workplace.session.status)
+        future = actions.session.save(actions.folder, kinds, actions.overwrite)
+        content = _content(actions.session.status)
         self.is_saving = True
         future.add_done_callback(lambda _: setattr(self, "is_saving", False))
-        workplace.note("saving ...", 600)
-        folder, is_all = workplace.folder, not what
-        workplace.ask(future, lambda paths: self._saved(folder, paths, is_all, content if "labels" in kinds else None))
+        actions.note("saving ...", 600)
+        folder, is_all = actions.folder, not what
+        actions.ask(future, lambda paths: self._saved(folder, paths, is_all, content if "labels" in kinds else None))
 
     def _saved(self, folder: Path, paths: list[Path], is_all: bool, content: Any) -> None:
         """List what was saved; with all there is, save the scene as it is drawn now."""
@@ -69,13 +68,14 @@ class FilesFeature(Feature):
         home = folder.resolve()
         # The session chooses the names; a file elsewhere would not be served all the same.
         self.files |= {path.name: path for path in paths if path.resolve().parent == home}
-        self.workplace.note(f"saved in {folder.absolute()}: {', '.join(path.name for path in paths)}", 20)
+        self.actions.note(f"saved in {folder.absolute()}: {', '.join(path.name for path in paths)}", 20)
         if is_all:
-            picture = folder / f"{self.workplace.session.name}_view.png"
-            self.workplace.scene.screenshot(picture)
-            self.add(picture, *(path for feature in self.workplace.features for path in feature.save_beside(folder)))
+            picture = folder / f"{self.actions.session.name}_view.png"
+            self.actions.scene.screenshot(picture)
+            self.actions.scene.tiles.redraw.mark_all()  # a page has not got this picture
+            self.add(picture, *(path for feature in self.actions.features for path in feature.save_beside(folder)))
 
 
 def _content(status: Status) -> tuple[Any, ...]:
-    """What files hold of a run."""
+    """Return the part of a run that files hold."""
     return status.step, status.settings, status.edits, status.refinements

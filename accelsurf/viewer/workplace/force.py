@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from accelsurf.grid.slice_stack import SliceStack
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.force_overlay import ForceOverlay, ForceSlice
-from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.workplace.tool import Feature, Key
 
 if TYPE_CHECKING:
     from accelsurf.segmentation.run import Run
@@ -31,9 +31,9 @@ class ForceFeature(Feature):
     is_on : bool
     """
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
-        self.overlay, self.is_on = ForceOverlay(workplace.scene), False
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
+        self.overlay, self.is_on = ForceOverlay(actions.scene), False
         self._waiting: Future[Any] | None = None
         #: Of what run and in which slices the forces are that are known.
         self._run: tuple[Any, ...] = ()
@@ -56,17 +56,16 @@ class ForceFeature(Feature):
         self.is_on, self._run, self._note = on, (), ""
         if not on:
             self.overlay.show({})
-        self.workplace.changed = True
 
     def _ask(self, status: Status) -> None:
         """Ask for the forces of the present slices, unless they are known or have been asked for."""
         is_early = status.playing and time.monotonic() - self._asked_at < PAUSE_SECONDS
         if not status.ready or self._waiting is not None or is_early:
             return
-        whose = self.workplace.object_id
+        whose = self.actions.object_id
         run = (whose, status.step, status.settings, status.undoable, status.redoable, status.playing)
         is_same = run == self._run
-        tiles = self.workplace.scene.slice_tiles
+        tiles = self.actions.scene.slice_tiles
         planes = {name: tile.sight for name, tile in tiles.items()}
         wanted = {name: at for name, at in planes.items() if not is_same or self._planes.get(name) != at}
         if not wanted:
@@ -74,9 +73,9 @@ class ForceFeature(Feature):
         self._run, self._planes, self._asked_at = run, planes, time.monotonic()
         measured = is_same and not status.playing
         cuts = [(tiles[name].stack, number) for name, (_, number) in wanted.items()]
-        future = self.workplace.session.look(lambda run: _forces(run, cuts, whose, measured))
+        future = self.actions.session.look(lambda run: _forces(run, cuts, whose, measured))
         self._waiting = future
-        self.workplace.ask(future, lambda forces: self._show(wanted, forces, is_same), quiet=True)
+        self.actions.ask(future, lambda forces: self._show(wanted, forces, is_same), keeps_message=True)
         future.add_done_callback(lambda _: setattr(self, "_waiting", None))
 
     def _show(
@@ -89,7 +88,6 @@ class ForceFeature(Feature):
         (self.overlay.add if is_same else self.overlay.show)(shown)
         scale = f"full colour at {self.overlay.scale:.3g}"
         self._note = f"purple grows, orange shrinks, {scale}" if slices else "this energy does not tell its force"
-        self.workplace.changed = True
 
 
 def _forces(

@@ -10,12 +10,10 @@ from accelsurf.errors import UsageError
 from accelsurf.report.canvas import object_color
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.status import Status, View
-from accelsurf.viewer.scene.object_styles import ObjectStyle, unnamed
-from accelsurf.viewer.scene.track_marks import show_image
-from accelsurf.viewer.workplace.checks import whole
-from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.scene.colors import ObjectStyle, unnamed
 from accelsurf.viewer.workplace.force import ForceFeature
 from accelsurf.viewer.workplace.slices import SlicesFeature
+from accelsurf.viewer.workplace.tool import Feature, Key, whole
 
 #: Frames a second while they play; fewer where one takes longer to read and draw.
 RATE = 8.0
@@ -39,9 +37,9 @@ class FramesFeature(Feature):
         Whether the frames follow each other by themselves.
     """
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
-        self._frames: SequenceView | None = workplace.frames
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
+        self._frames: SequenceView | None = actions.frames
         self.number, self.is_playing = 0, False
         self._due = 0.0
         #: The last view of the run, for when its frame is shown again.
@@ -50,8 +48,8 @@ class FramesFeature(Feature):
             self.number = self._frames.home
             tracks = self._frames.tracks
             ids = () if tracks is None else tracks.ids
-            workplace.scene.styles.tracked = {
-                own: ObjectStyle(unnamed(own), object_color(place)) for place, own in enumerate(ids)
+            actions.scene.styles.tracked = {
+                object_id: ObjectStyle(unnamed(object_id), object_color(place)) for place, object_id in enumerate(ids)
             }
             if tracks is not None:
                 self._draw()
@@ -81,7 +79,7 @@ class FramesFeature(Feature):
         }
 
     def _lines(self) -> str:
-        """What the lines of the tracked objects are."""
+        """Return the legend of the lines of tracked objects."""
         if self._frames is None or self._frames.tracks is None:
             return ""
         if self._frames.tracks.has_predictions:
@@ -92,11 +90,11 @@ class FramesFeature(Feature):
 
     @property
     def shows_run(self) -> bool:
-        """Whether what is seen is the run: in its own frame, where no tracked objects are shown."""
+        """Test if the run is shown: in its frame, where no tracked objects are."""
         return self._frames is None or (self._frames.tracks is None and self.number == self._frames.home)
 
     def note_view(self, view: View) -> None:
-        """The run has a new view; it is drawn when its frame is shown."""
+        """Take a new view of the run; it is drawn when its frame is shown."""
         self._view = view
 
     def refuse_elsewhere(self, name: Any) -> None:
@@ -152,8 +150,8 @@ class FramesFeature(Feature):
 
     def _show(self, number: int) -> None:
         """Show a frame; what was shown stays where it cannot be read."""
-        if number != self.number and self.workplace.feature(ForceFeature).is_on:
-            self.workplace.request("force", False)  # it is that of the frame that is left
+        if number != self.number and self.actions.feature(ForceFeature).is_on:
+            self.actions.request("force", False)  # it is that of the frame that is left
         before, self.number = self.number, number
         try:
             self._draw()
@@ -162,21 +160,20 @@ class FramesFeature(Feature):
             raise
 
     def _draw(self) -> None:
-        frames, scene = self._checked(), self.workplace.scene
+        frames, scene = self._checked(), self.actions.scene
         volume, frame = frames.volume(self.number), frames.frame(self.number)
-        show_image(scene, volume)
+        scene.show_image(volume)
         if self.shows_run and self._view is not None:
             scene.update(self._view.frame, self._view.histories)
         else:
             scene.update(frame)
-        self.workplace.changed = True
 
     def _copy_correction(self) -> None:
         """Copy the words with which ``accelsurf track`` corrects this frame at the place under the mouse."""
         self._checked()
-        self.workplace.copy(self._correction())
+        self.actions.copy(self._correction())
 
     def _correction(self) -> str:
         if self._frames is None:
             return ""
-        return f'--correct "frame={self.number} inside={self.workplace.feature(SlicesFeature).point_text()}"'
+        return f'--correct "frame={self.number} inside={self.actions.feature(SlicesFeature).read_out()["as_point"]}"'

@@ -14,8 +14,7 @@ from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_expression import with_setting
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 from accelsurf.viewer.core.status import Status, View
-from accelsurf.viewer.workplace.checks import number, whole, word
-from accelsurf.viewer.workplace.feature import Feature
+from accelsurf.viewer.workplace.tool import Feature, number, whole, word
 
 #: Bars; percentiles of the image at their ends; voxels that are counted at most, spread evenly.
 BARS, ENDS, SAMPLE = 96, (0.05, 99.95), 300_000
@@ -30,9 +29,9 @@ MAX_BOUND = 1e30
 class HistogramFeature(Feature):
     """Counts the values of the image once, those in the object when it has changed; moves the bounds of the energy."""
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
-        image = sample(workplace.session.volume.array)
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
+        image = sample(actions.session.volume.array)
         low, high = (float(v) for v in np.percentile(image, ENDS))
         if not low < high:
             low, high = float(np.min(image)), float(np.max(image))
@@ -54,7 +53,7 @@ class HistogramFeature(Feature):
         now = time.monotonic()
         if not view.status.playing or now - self._counted_at > PAUSE_SECONDS:
             self._counted_at = now
-            values = values_inside(view.frame, self.workplace.session.volume.array)
+            values = values_inside(view.frame, self.actions.session.volume.array)
             self._object = self._heights(values) if values.size else []
 
     def _heights(self, values: NDArray[Any]) -> list[float]:
@@ -65,12 +64,12 @@ class HistogramFeature(Feature):
     def _bound(self, place: Any, key: Any, value: Any) -> None:
         """Move a bound to a value of the image; the other one stays."""
         place, key = whole(place, 0, energy_expression.MAX_TERMS), word(key, BOUNDS)
-        energy = self.workplace.session.status.settings.energy
+        energy = self.actions.session.status.settings.energy
         terms = energy_expression.parse(energy)
         if place >= len(terms) or terms[place].name != BOUNDED:
             raise UsageError(f"bound: term {place + 1} of {energy} has no bounds")
         changed = with_setting(energy, place, key, f"{number(value, -MAX_BOUND, MAX_BOUND):.6g}")
-        self.workplace.ask(self.workplace.session.change(energy=changed))
+        self.actions.ask(self.actions.session.change(energy=changed))
 
 
 def bounds(status: Status) -> list[dict[str, Any]]:

@@ -1,8 +1,9 @@
-"""Measures: distances and angles that a person draws, and the figures of the objects."""
+"""Measures: distances and angles that a person draws, and mesh statistics of the objects."""
 
 from __future__ import annotations
 
 import csv
+import functools
 import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -19,15 +20,103 @@ from accelsurf.settings.refinements import MAX_ID
 from accelsurf.settings.wording import in_unit, size_text
 from accelsurf.viewer.core.measurements import COLUMNS, Measurement, Measurements
 from accelsurf.viewer.core.status import Status, View
-from accelsurf.viewer.scene.captions import measure
-from accelsurf.viewer.workplace.checks import whole
-from accelsurf.viewer.workplace.feature import Feature
+from accelsurf.viewer.scene.legend import measure
+from accelsurf.viewer.scene.space import Picked
 from accelsurf.viewer.workplace.files import FilesFeature
-from accelsurf.viewer.workplace.measure_tools import Angle, Distance
-from accelsurf.viewer.workplace.tool import Tool
+from accelsurf.viewer.workplace.tool import Feature, Tool, whole
 
 if TYPE_CHECKING:
     from accelsurf.viewer.core.figures import Figures
+    from accelsurf.viewer.workplace.workplace import Actions
+
+
+#: An end is grabbed from so many pixels away, of a usual screen.
+GRAB = 9.0
+#: A press that has moved by no more is a click.
+CLICK = 2.0
+
+
+class Distance(Tool):
+    """Draws a line from a press to a release, or from click to click; its ends can be dragged."""
+
+    name, key, text = "distance", "D", "Length"
+    tip = "Drag from one end to the other, or click both; drag an end to move it"
+
+    def __init__(self, actions: Actions, measurements: Measurements) -> None:
+        super().__init__(actions)
+        self._measurements = measurements
+        #: Number of the measurement, and its end, that moves with the mouse.
+        self._held: tuple[int, int] | None = None
+        self._unfinished: int | None = None
+        #: Takes back what the last press has done, until the button is up.
+        self._restore: Callable[[], None] | None = None
+        self._pixel_mm = 0.0
+
+    def press(self, at: Picked) -> None:
+        if at.world is None:
+            return
+        known = self._measurements
+        tiles = self.actions.scene.tiles
+        self._pixel_mm = tiles.pixel_ratio * tiles.tile(at.tile).mm_per_pixel()
+        near = known.nearest(at.world, GRAB * self._pixel_mm)
+        if self._unfinished is not None and near != (self._unfinished, len(known[self._unfinished].points) - 1):
+            known.add_point(self._unfinished, at.world)
+            self._restore = functools.partial(known.shorten, self._unfinished)
+            self._held = self._unfinished, len(known[self._unfinished].points) - 1
+        elif near is not None:
+            self._held = near
+            self._restore = functools.partial(known.move, *near, known[near[0]].points[near[1]])
+        else:
+            drawn = known.add(self.name, [at.world, at.world])
+            self._held, self._unfinished, self._restore = (drawn.number, 1), drawn.number, self.forget
+        self._show()
+
+    def move(self, at: Picked) -> None:
+        if self._held is not None and at.world is not None:
+            self._measurements.move(*self._held, at.world)
+            self._show(at.tile)
+
+    def release(self) -> None:
+        held, self._held, self._restore = self._held, None, None
+        if held is not None and held[0] == self._unfinished:
+            self._finish(held[0])
+        self._show()
+
+    def _finish(self, number: int) -> None:
+        """End a press: a click alone waits for its second point; a measurement with all its points is finished."""
+        drawn = self._measurements[number]
+        if len(drawn.points) == 2 and np.linalg.norm(np.subtract(*drawn.points)) <= CLICK * self._pixel_mm:
+            self._measurements.shorten(drawn.number)  # a click: the next one is the second point
+        elif drawn.is_complete:
+            self._unfinished = None
+
+    def cancel(self) -> None:
+        """Take back this press; points that were clicked before stay."""
+        restore, self._restore, self._held = self._restore, None, None
+        if restore is not None:
+            restore()
+        self._show()
+
+    def leave(self) -> None:
+        """Another tool is used: what has not all its points is forgotten."""
+        self.forget()
+        self._show()
+
+    def forget(self) -> None:
+        """Let go of what is held, and delete what is unfinished."""
+        if self._unfinished is not None and self._unfinished in self._measurements:
+            self._measurements.delete(self._unfinished)
+        self._held = self._unfinished = self._restore = None
+
+    def _show(self, dragged_in: str | None = None) -> None:
+        self.actions.scene.measures.show(self._measurements, dragged_in)
+
+
+class Angle(Distance):
+    """Draws two arms: a drag along the first to the corner, then a press or a drag at the end of the second."""
+
+    name, key, text = "angle", "J", "Angle"
+    tip = "Drag (or click twice) from an end to the corner, then press at the other end"
 
 
 class MeasureFeature(Feature):
@@ -40,11 +129,11 @@ class MeasureFeature(Feature):
         Of the state for which they were asked last.
     """
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
         self.measurements = Measurements()
         self.figures: Figures | None = None
-        self._tools = Distance(workplace, self.measurements), Angle(workplace, self.measurements)
+        self._tools = Distance(actions, self.measurements), Angle(actions, self.measurements)
         self._is_measuring, self._is_current = False, False
         self._lines: list[list[str]] = []
         #: The tables as they are copied, and what they are of.
@@ -66,10 +155,10 @@ class MeasureFeature(Feature):
         return self._tools
 
     def state(self, status: Status) -> dict[str, Any]:
-        unit = self.workplace.scene.unit
+        unit = self.actions.scene.unit
         figures = self.figures
         return {
-            "measurements": [[one.number, one.kind, one.text(unit)] for one in self.measurements],
+            "measurements": [[drawn.number, drawn.kind, drawn.text(unit)] for drawn in self.measurements],
             "figures": self._lines,
             "figures_ids": [] if figures is None else [row["id"] for row in figures.rows],
             "figures_step": -1 if figures is None else figures.step,
@@ -85,32 +174,32 @@ class MeasureFeature(Feature):
     def _measure(self) -> None:
         if self._is_measuring:
             return
-        future = self.workplace.session.figures()
+        future = self.actions.session.figures()
         self._is_measuring = True
         future.add_done_callback(lambda _: setattr(self, "_is_measuring", False))
-        self.workplace.ask(future, self._show_figures)
+        self.actions.ask(future, self._show_figures)
 
     def _show_figures(self, figures: Figures) -> None:
         self.figures, self._is_current = figures, True
-        self._lines = table_of(figures, self.workplace.scene.unit, self._thickness())
+        self._lines = table_of(figures, self.actions.scene.unit, self._thickness())
         if not figures.rows:
-            self.workplace.note("there is no object to measure")
+            self.actions.note("there is no object to measure")
 
     def _thickness(self) -> float | None:
-        geometry = self.workplace.scene.geometry
+        geometry = self.actions.scene.geometry
         return None if geometry.slice_axis is None else float(geometry.spacing[geometry.slice_axis])
 
     def _draw_diameters(self, object_id: Any = None) -> None:
-        known = self.workplace.session.status.objects or (1,)
-        wanted = whole(object_id, 0, MAX_ID) if object_id is not None else self.workplace.object_id or known[0]
+        known = self.actions.session.status.objects or (1,)
+        wanted = whole(object_id, 0, MAX_ID) if object_id is not None else self.actions.object_id or known[0]
         if wanted not in known:
             raise UsageError(f"object {wanted} was named, expected {', '.join(map(str, known))}")
-        self.workplace.ask(self.workplace.session.diameters(wanted), self._show_diameters)
+        self.actions.ask(self.actions.session.diameters(wanted), self._show_diameters)
 
     def _show_diameters(self, lines: Diameters) -> None:
         for ends in lines:
             self.measurements.add("distance", list(ends))
-        self.workplace.scene.cursor = lines.axial.mean(axis=0)  # to the slice in which two of them lie
+        self.actions.scene.cursor = lines.axial.mean(axis=0)  # to the slice in which two of them lie
         self._show()
 
     # -- what is drawn ------------------------------------------------------------------------------------
@@ -126,8 +215,7 @@ class MeasureFeature(Feature):
     def _show(self) -> None:
         for tool in self._tools:
             tool.forget()
-        self.workplace.scene.measures.show(self.measurements)
-        self.workplace.changed = True
+        self.actions.scene.measures.show(self.measurements)
 
     # -- out of the program -------------------------------------------------------------------------------
 
@@ -147,27 +235,27 @@ class MeasureFeature(Feature):
     def _copy(self) -> None:
         if not self._tabbed():
             raise UsageError("nothing has been measured", "press Measure, or draw a length")
-        self.workplace.copy(self._tabbed())
-        self.workplace.note("copied the tables, with tabs between the columns")
+        self.actions.copy(self._tabbed())
+        self.actions.note("copied the tables, with tabs between the columns")
 
     def _save(self) -> None:
-        workplace = self.workplace
-        if workplace.folder is None:
+        actions = self.actions
+        if actions.folder is None:
             raise UsageError("save: there is no folder to save in", "name one, or save the run first")
         if not self._texts():
             raise UsageError("nothing has been measured", "press Measure, or draw a length")
-        written = self._write(workplace.folder, self._texts())
-        workplace.feature(FilesFeature).add(*written)
-        workplace.note(f"saved in {workplace.folder.absolute()}: {', '.join(path.name for path in written)}", 20)
+        written = self._write(actions.folder, self._texts())
+        actions.feature(FilesFeature).add(*written)
+        actions.note(f"saved in {actions.folder.absolute()}: {', '.join(path.name for path in written)}", 20)
 
     def save_beside(self, folder: Path) -> list[Path]:
         # The figures of the objects are among the files of the run already.
         return self._write(folder, {name: text for name, text in self._texts().items() if name != "figures.csv"})
 
     def _write(self, folder: Path, texts: Mapping[str, str]) -> list[Path]:
-        paths = {folder / f"{self.workplace.session.name}_{name}": text for name, text in texts.items()}
+        paths = {folder / f"{self.actions.session.name}_{name}": text for name, text in texts.items()}
         others = {path.name: path for path in paths if path not in self._written}
-        output_folder.refuse_existing(others, self.workplace.overwrite)
+        output_folder.refuse_existing(others, self.actions.overwrite)
         output_folder.refuse_existing({path.name: path for path in paths}, overwrite=True)
         for path, text in paths.items():
             write_bytes(path, text.encode())

@@ -1,4 +1,4 @@
-"""What a person opens: by name, from the list of recent files, from a folder; read in a thread, with questions first.
+"""Opening of images: by name, from the list of recent files, from a folder; read in a thread, with questions first.
 
 It exists before any image is open, and outlives each. Window and page pass on what is asked for, show `state()`, and
 take what was read from `fetch()`: then they begin another session.
@@ -29,10 +29,61 @@ from accelsurf.viewer.core.opening import (
 )
 from accelsurf.viewer.core.recent_files import RecentFiles
 from accelsurf.viewer.core.served_folder import ServedFolder
+from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import error_line
-from accelsurf.viewer.workplace.checks import carry_out, text, whole, word
 from accelsurf.viewer.workplace.files import FilesFeature
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.tool import carry_out, text, whole, word
+from accelsurf.viewer.workplace.workplace import Actions
+
+#: Seconds that a session has at the end of the program to end its step, and to finish a save.
+STEP_SECONDS, SAVING_SECONDS = 10.0, 600.0
+
+
+class FormerSessions:
+    """Ends sessions without waiting for them; at the end of the program they finish what was asked of them."""
+
+    def __init__(self) -> None:
+        self._sessions: list[tuple[Session, float]] = []
+
+    def add(self, actions: Actions) -> None:
+        """End the session of an image that is left."""
+        is_saving = actions.feature(FilesFeature).is_saving
+        actions.session.close(0.0)
+        self._sessions = [former for former in self._sessions if former[0].is_alive]
+        self._sessions.append((actions.session, SAVING_SECONDS if is_saving else STEP_SECONDS))
+
+    def close(self) -> None:
+        """Wait until they have ended."""
+        for session, seconds in self._sessions:
+            session.close(seconds)
+
+
+class ResultFolders:
+    """Folders for results: the first image is saved in the folder itself, each further one in a folder of its own.
+
+    Parameters
+    ----------
+    folder : Path or None
+        None where the user is asked for one.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder, self._count = folder, 0
+
+    def of_next(self, name: str) -> Path | None:
+        """Return the folder for the image that is opened next, by its name; it is made when something is saved.
+
+        Examples
+        --------
+        >>> folders = ResultFolders(Path("out"))
+        >>> [folders.of_next("scan").as_posix() for _ in range(3)]
+        ['out', 'out/scan-2', 'out/scan-3']
+        """
+        self._count += 1
+        if self._folder is None or self._count == 1:
+            return self._folder
+        return self._folder / f"{name}-{self._count}"
+
 
 #: Letters of a path that a page sends, and of a message.
 MAX_PATH, MAX_MESSAGE = 1024, 300
@@ -54,7 +105,7 @@ class Opening:
 
     Attributes
     ----------
-    workplace : Workplace or None
+    actions : Actions or None
         The one that is open now; set by whoever shows it.
     message : str
         One line: what is being done, or what went wrong last.
@@ -63,7 +114,7 @@ class Opening:
     """
 
     def __init__(self, config: RunConfig, recent: RecentFiles, served: ServedFolder | None = None) -> None:
-        self.workplace: Workplace | None = None
+        self.actions: Actions | None = None
         self.message, self.failed = "", False
         self._config, self._recent, self._served = config, recent, served
         self._work: Future[Any] | None = None
@@ -83,7 +134,7 @@ class Opening:
     # -- to ask -------------------------------------------------------------------------------------------
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
-        """What can be asked for, by name; values come from a page and are not trusted."""
+        """Return the requests by name; values come from a page and are not trusted."""
         return {
             "open": lambda path: self.open_path(self._named(path)),
             "open_recent": self._open_recent,
@@ -126,7 +177,7 @@ class Opening:
         """
         self._check_free()
         then: dict[str, Callable[[], None]] = {"open": partial(self._look_into, path, not temporary)}
-        if dropped and self.workplace is not None:
+        if dropped and self.actions is not None:
             then["reference"] = partial(self.open_reference, path)
         self._ask_first(path.name or str(path), then)
 
@@ -139,9 +190,9 @@ class Opening:
             When no image is open, or something is being opened already.
         """
         self._check_free()
-        if self.workplace is None:
+        if self.actions is None:
             raise UsageError("reference: no image is open", "open the image first")
-        geometry = self.workplace.scene.geometry
+        geometry = self.actions.scene.geometry
         self._start(f"reading the reference {path.name}", lambda: read_reference(path, geometry))
 
     def _named(self, value: Any) -> Path:
@@ -211,8 +262,8 @@ class Opening:
     def _ask_first(self, name: str, then: dict[str, Callable[[], None]]) -> None:
         """Do it at once, or when the question is answered: what was not saved would be lost."""
         self._choices = []
-        workplace = self.workplace
-        is_unsaved = workplace is not None and workplace.feature(FilesFeature).is_unsaved
+        actions = self.actions
+        is_unsaved = actions is not None and actions.feature(FilesFeature).is_unsaved
         if not is_unsaved and len(then) == 1:
             then["open"]()
             return
@@ -261,35 +312,34 @@ class Opening:
         return None
 
     def _compare(self, labels: Volume) -> None:
-        if self.workplace is None:
+        if self.actions is None:
             return
         try:
-            self.workplace.scene.compare(labels)
+            self.actions.scene.compare(labels)
         except AccelsurfError as error:
             self._fail(error)
-        self.workplace.changed = True
 
-    def show(self, workplace: Workplace, opened: OpenedImage) -> None:
-        """An image that was read is shown in a workplace now."""
-        self.workplace, self._path = workplace, None
+    def show(self, actions: Actions, opened: OpenedImage) -> None:
+        """Note that an image that was read is shown."""
+        self.actions, self._path = actions, None
         self._config = for_another_image(self._config)
         if opened.source is not None and self._is_listed:
             self._recent.add(opened.source)
         self._renew_lists()
         if opened.note:
-            workplace.note(opened.note, 30.0)
+            actions.note(opened.note, 30.0)
 
     # -- to show ------------------------------------------------------------------------------------------
 
     @property
     def is_busy(self) -> bool:
-        """Whether something is being opened."""
+        """Test if something is being opened."""
         return self._work is not None
 
     def state(self) -> dict[str, Any]:
-        """What is shown, in types of JSON."""
+        """Return the state to be shown, in types of JSON."""
         return {
-            "is_open": self.workplace is not None, "opening": self.is_busy, "opening_message": self.message,
+            "is_open": self.actions is not None, "opening": self.is_busy, "opening_message": self.message,
             "opening_failed": self.failed, "question": self._question,
             "answers": [[name, ANSWERS[name]] for name in (*self._asked, "cancel")] if self._question else [],
             "choices": [choice.text for choice in self._choices], **self._lists,
@@ -297,8 +347,8 @@ class Opening:
 
     def _renew_lists(self) -> None:
         """Look anew at what is listed."""
-        recent = [{"name": one.path.name, "folder": str(one.path.parent), "exists": one.exists}
-                  for one in self._recent.entries()]
+        recent = [{"name": entry.path.name, "folder": str(entry.path.parent), "exists": entry.exists}
+                  for entry in self._recent.entries()]
         phantoms = [{"name": name, "text": said} for name, said in self._phantoms.items()]
         self._lists = {"recent": recent, "phantoms": phantoms, "folder": "", "folders": [], "images": [], "above": None}
         self._lists |= {"unlisted": 0, "this_image": ""}
@@ -310,19 +360,19 @@ class Opening:
         self._lists |= {
             "folder": shown or self._served.root.name,
             "above": self._served.shown(self._folder.parent) if shown else None,
-            "folders": [[one.name, inner + one.name] for one in entries if one.is_folder],
-            "images": [[one.name, inner + one.name] for one in entries if one.is_image],
+            "folders": [[entry.name, inner + entry.name] for entry in entries if entry.is_folder],
+            "images": [[entry.name, inner + entry.name] for entry in entries if entry.is_image],
             "unlisted": more,
             "this_image": (shown or ".") if self._served.is_image(self._folder) else "",
         }
 
     def say(self, line: str, failed: bool = False) -> None:
-        """Show a line: on the start page, or in the open workplace."""
+        """Show a line: on the start page, or beside the open image."""
         self.message, self.failed = line[:MAX_MESSAGE], failed
-        if self.workplace is not None:
-            self.workplace.note("" if failed else line, 600.0)
+        if self.actions is not None:
+            self.actions.note("" if failed else line, 600.0)
             if failed or line == "":
-                self.workplace.message = self.message
+                self.actions.message = self.message
 
     def _fail(self, error: Exception) -> None:
         self.say(error.message if isinstance(error, UsageError) and not error.hint else error_line(error), failed=True)

@@ -1,4 +1,4 @@
-"""How the scene is drawn: colours, theme, what is shown in 3D, the size of the picture."""
+"""Look of the scene: colours, theme, volume and slices in 3D, size of the picture."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from accelsurf.viewer.core.frame import COLORS
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.colors import THEMES
 from accelsurf.viewer.scene.space import VIEWS
-from accelsurf.viewer.workplace.checks import number, word
-from accelsurf.viewer.workplace.feature import Feature, Key
 from accelsurf.viewer.workplace.slices import SlicesFeature
+from accelsurf.viewer.workplace.tool import Feature, Key, number, word
 
 #: Smallest and largest size of a picture, pixels.
 MIN_SIZE, MAX_SIZE = (320, 200), (3840, 2400)
@@ -22,23 +21,24 @@ MAX_RATIO = 4.0
 class PictureFeature(Feature):
     """Changes how the scene is drawn."""
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
         #: Size of the picture in pixels of a usual screen, and how many of the device each is.
-        self._sides: tuple[int, int] = self.workplace.scene.plotter.render_window.GetSize()
+        self._sides: tuple[int, int] = self.actions.scene.plotter.render_window.GetSize()
         self._ratio = 1.0
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
+        scene = self.actions.scene
         return {
-            "color": self._color,
-            "next_color": lambda: self._color(COLORS[(COLORS.index(self.workplace.scene.color) + 1) % len(COLORS)]),
-            "theme": self._theme,
-            "next_theme": lambda: self._theme("light" if self.workplace.scene.theme_name == "dark" else "dark"),
-            "volume": self._volume,
-            "planes": self._planes,
-            "next_volume": lambda: self._volume(not self.workplace.scene.shows_volume),
-            "next_planes": lambda: self._planes(not self.workplace.scene.shows_planes),
-            "view": self._view,
+            "color": lambda name: scene.color_by(word(name, COLORS)),
+            "next_color": lambda: scene.color_by(COLORS[(COLORS.index(scene.color) + 1) % len(COLORS)]),
+            "theme": lambda name: scene.paint(word(name, tuple(THEMES))),
+            "next_theme": lambda: scene.paint("light" if scene.theme_name == "dark" else "dark"),
+            "volume": lambda on: scene.show_volume(bool(on)),
+            "planes": lambda on: scene.show_planes(bool(on)),
+            "next_volume": lambda: scene.show_volume(not scene.shows_volume),
+            "next_planes": lambda: scene.show_planes(not scene.shows_planes),
+            "view": lambda name: scene.tiles.look_from(word(name, tuple(VIEWS))),
             "size": self._size,
         }
 
@@ -51,31 +51,11 @@ class PictureFeature(Feature):
         }
 
     def state(self, status: Status) -> dict[str, Any]:
-        scene = self.workplace.scene
+        scene = self.actions.scene
         return {
             "color": scene.color, "colors": list(COLORS), "theme": scene.theme_name, "volume": scene.shows_volume,
             "planes": scene.shows_planes, "is_flat": scene.space is None,
         }
-
-    def _color(self, name: Any) -> None:
-        self.workplace.scene.color_by(word(name, COLORS))
-        self.workplace.changed = True
-
-    def _theme(self, name: Any) -> None:
-        self.workplace.scene.paint(word(name, tuple(THEMES)))
-        self.workplace.changed = True
-
-    def _volume(self, on: Any) -> None:
-        self.workplace.scene.show_volume(bool(on))
-        self.workplace.changed = True
-
-    def _planes(self, on: Any) -> None:
-        self.workplace.scene.show_planes(bool(on))
-        self.workplace.changed = True
-
-    def _view(self, name: Any) -> None:
-        self.workplace.scene.tiles.look_from(word(name, tuple(VIEWS)))
-        self.workplace.changed = True
 
     def _size(self, width: Any, height: Any, ratio: Any = 1.0) -> None:
         # In steps of 8, so that resizing a window does not redraw the scene for every pixel.
@@ -89,12 +69,11 @@ class PictureFeature(Feature):
             return
         self._sides, self._ratio = (wide, high), ratio
         self.draw_fine(True)
-        self.workplace.feature(SlicesFeature).fit_layout(wide, high)
-        self.workplace.changed = True
+        self.actions.feature(SlicesFeature).fit_layout(wide, high)
 
     def draw_fine(self, on: bool) -> None:
         """Draw in the pixels of the device, or, while something moves, in those of a usual screen, which is faster."""
-        scene, ratio = self.workplace.scene, self._ratio if on else 1.0
+        scene, ratio = self.actions.scene, self._ratio if on else 1.0
         sides = round(self._sides[0] * ratio), round(self._sides[1] * ratio)
         scene.tiles.pixel_ratio = ratio
         if tuple(scene.plotter.render_window.GetSize()) != sides:

@@ -15,11 +15,8 @@ from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import did_you_mean
 from accelsurf.viewer.core.status import Status
-from accelsurf.viewer.workplace.amounts import from_read
-from accelsurf.viewer.workplace.checks import short, text, whole
-from accelsurf.viewer.workplace.feature import Feature
-from accelsurf.viewer.workplace.settings_rows import Row, settings_rows, unit_read
-from accelsurf.viewer.workplace.tool import finest
+from accelsurf.viewer.workplace.settings_rows import Row, from_read, settings_rows, unit_read
+from accelsurf.viewer.workplace.tool import Feature, finest, short, text, whole
 
 #: Settings that can be changed.
 SETTINGS = (*viewer_settings("first"), *viewer_settings("more"))
@@ -34,9 +31,9 @@ LOOK_SECONDS, MAX_FILES = 5.0, 200
 class SettingsFeature(Feature):
     """Changes settings of the run; those that are fixed while it runs begin another, those of files touch no run."""
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
-        self._finest, self._unit = finest(workplace.scene.geometry), workplace.scene.unit
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
+        self._finest, self._unit = finest(actions.scene.geometry), actions.scene.unit
         self._shown: tuple[RunConfig, Sequence[Mapping[str, Any]], tuple[str, ...]] | None = None
         self._rows: list[Row] = []
         self._energy_error = ""
@@ -78,7 +75,7 @@ class SettingsFeature(Feature):
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             value = str(value)
         typed = text(value, MAX_VALUE)
-        if any(one in typed for one in FILE_WORDS):
+        if any(start in typed for start in FILE_WORDS):
             raise UsageError(f"{key}: {short(value)} was given, expected no file", "the command line takes files")
         if not typed:
             return default_of(key)
@@ -89,22 +86,22 @@ class SettingsFeature(Feature):
 
         Which files are written may change at any time.
         """
-        session = self.workplace.session
+        session = self.actions.session
         if entry(key).group is SettingGroup.FILES:
-            self.workplace.ask(session.change_files(**{key: value}))
+            self.actions.ask(session.change_files(**{key: value}))
             return
         if entry(key).fixed:
             if key == "preset" or as_typed(value) != as_typed(getattr(session.status.settings, key)):
-                self.workplace.ask(session.restart_with(**{key: value}))
+                self.actions.ask(session.restart_with(**{key: value}))
             return
         if key == "energy":
             self._energy_error = ""
-        self.workplace.ask(session.change(**{key: value}))
+        self.actions.ask(session.change(**{key: value}))
 
     def _set_term(self, place: Any, key: Any, value: Any) -> None:
         place, key = whole(place, 0, energy_expression.MAX_TERMS), text(key, 40)
         value = str(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else text(value, 40)
-        energy = self.workplace.session.status.settings.energy
+        energy = self.actions.session.status.settings.energy
         self._change("energy", energy_expression.with_setting(energy, place, key, value))
 
     def _type_energy(self, typed: Any) -> None:
@@ -133,8 +130,8 @@ class SettingsFeature(Feature):
         """Names of the files beside the image and among those that were saved that may be masks."""
         if time.monotonic() - self._looked_at >= LOOK_SECONDS:
             self._looked_at = time.monotonic()
-            image = self.workplace.session.source
-            folders = [one for one in (image and image.parent, self.workplace.folder) if one is not None]
+            image = self.actions.session.source
+            folders = [folder for folder in (image and image.parent, self.actions.folder) if folder is not None]
             self._masks = {path.name: path for folder in folders for path in _images(folder) if path != image}
         given = () if status.settings.mask is None else (Path(status.settings.mask).name,)
         return tuple(dict.fromkeys(("", *self._masks, *given)))
@@ -142,7 +139,7 @@ class SettingsFeature(Feature):
 
 def _images(folder: Path) -> list[Path]:
     """The image files of a folder, in order of their names; none where it cannot be read."""
-    endings = tuple(ending for one in IMAGE_FORMATS.values() for ending in one.suffixes)
+    endings = tuple(ending for kind in IMAGE_FORMATS.values() for ending in kind.suffixes)
     try:
         found = sorted(path for path in folder.iterdir() if path.name.lower().endswith(endings) and path.is_file())
     except OSError:

@@ -1,7 +1,11 @@
-"""The settings as window and page show them: rows made from the catalogue, and from the terms of the energy."""
+"""The settings as window and page show them, and numbers on sliders: in the unit of the file, with as many digits as
+they can resolve. The session, its files and what is copied from it are in mm.
+"""
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,9 +15,114 @@ from accelsurf.settings.energy_terms import TERMS, Word, examples
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.workplace.amounts import amount, read_in, rounded
+from accelsurf.settings.wording import in_unit
+
+#: Positions of a slider.
+TICKS = 1000
+#: A unit of a setting that is a length, an area or a volume, whatever it is per.
+_LENGTH = re.compile(r"mm([23])?(?= |$)")
+
+
+def amount(
+    low: float, high: float, value: float | str, power: float, limit: float, words: Sequence[str] = (),
+    per: float = 1.0,
+) -> dict[str, Any]:
+    """Return how a number is shown.
+
+    Parameters
+    ----------
+    low, high : float
+        Ends of the slider.
+    value : float or str
+        In force; a word may stand for it.
+    power : float
+        Above 1 the slider is finer at its lower end.
+    limit : float
+        Largest number that can be typed.
+    words : sequence of str
+        Words that may stand for a number.
+    per : float
+        How many of the unit that is shown are one of that of the numbers given here.
+
+    Returns
+    -------
+    dict
+        ``low``, ``high``, ``value``, ``limit`` in the unit that is shown, ``power``, ``words``; ``digits`` after the
+        point; ``tick``, the position from 0 to `TICKS`.
+
+    Examples
+    --------
+    >>> row = amount(0.0, 0.0025, 0.0001, power=2.0, limit=1.0, per=1000.0)
+    >>> row["high"], row["value"], row["digits"], row["tick"]
+    (2.5, 0.1, 3, 200)
+    """
+    share = 0.0 if isinstance(value, str) else min(max((value - low) / (high - low), 0.0), 1.0)
+    return {
+        "low": low * per, "high": high * per, "power": power, "digits": digits_of(low * per, high * per),
+        "value": value if isinstance(value, str) else rounded(value * per), "limit": limit * per,
+        "words": list(words), "tick": round(TICKS * share ** (1.0 / power)),
+    }  # fmt: skip
+
+
+def digits_of(low: float, high: float) -> int:
+    """Return a slider's digits after the point: thousandths of its upper end, and two digits of its lower end.
+
+    Examples
+    --------
+    >>> digits_of(0.0, 5.0), digits_of(0.0, 0.0025), digits_of(0.25, 24.0), digits_of(250.0, 24000.0)
+    (3, 6, 2, 0)
+    """
+    needed = [3 - math.floor(math.log10(high))] + ([1 - math.floor(math.log10(low))] if low > 0 else [])
+    return max(0, *needed)
+
+
+def rounded(value: float) -> float:
+    """A number without what changing its unit adds to its last digits.
+
+    Examples
+    --------
+    >>> rounded(0.0003 * 1000.0), rounded(float("inf"))
+    (0.3, inf)
+    """
+    return float(f"{value:.12g}")
+
+
+def read_in(unit: str, of_file: str) -> tuple[str, float]:
+    """Return the unit in which a number is read, and how many of it are one of its own: those of the file for lengths.
+
+    Examples
+    --------
+    >>> read_in("mm2 per unit of flow time", "um"), read_in("voxels", "um"), read_in("1/mm", "nm")
+    (('um2 per unit of flow time', 1000000.0), ('voxels', 1.0), ('1/mm', 1.0))
+    """
+    found = _LENGTH.match(unit)
+    if found is None:
+        return unit, 1.0
+    return f"{of_file}{unit[2:]}", in_unit(1.0, of_file, int(found.group(1) or 1))
+
+
+def from_read(value: Any, per: float) -> Any:
+    """Return what was typed or set in the unit that is read, in its own; what is no number stays as it is.
+
+    Examples
+    --------
+    >>> from_read("0.6", 1000.0), from_read("2vox", 1000.0), from_read(0.1, 1.0)
+    (0.0006, '2vox', 0.1)
+    """
+    if per == 1.0 or isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        return value
+    try:
+        return rounded(float(value) / per)
+    except (ValueError, OverflowError):
+        return value
+
 
 Row = dict[str, Any]
+#: What a row has unless it says something else.
+DEFAULTS: Row = {
+    "unit": "", "group": "", "enabled": True, "restarts": False, "names": [], "term": [], "now": "", "low": 0.0,
+    "high": 0.0, "power": 1.0, "digits": 0, "limit": 0.0, "words": [], "tick": 0,
+}
 
 
 def settings_rows(
@@ -67,17 +176,15 @@ def _setting_row(key: str, settings: RunConfig, finest: float, is_first: bool, o
     said, value, (unit, per) = entry(key), getattr(settings, key), unit_read(key, of_file)
     kind: str = {"energy": "energy", "mask": "file"}.get(key, kind_of(key))
     restarts = said.fixed and said.group is not SettingGroup.FILES
-    row: Row = {
+    row: Row = DEFAULTS | {
         "key": key, "label": label_of(key), "unit": unit, "kind": kind,
         "help": help_of(key) + ("" if per == 1.0 else f" Here in {unit}."),
         "group": "" if is_first else str(said.group), "value": shown_value(key, value, per),
-        "enabled": settings.matters(key), "restarts": restarts, "names": _names(key, settings), "term": [],
-        "now": "", "low": 0.0, "high": 0.0, "power": 1.0, "digits": 0, "limit": 0.0, "words": [],
-        "tick": 0,
+        "enabled": settings.matters(key), "restarts": restarts, "names": _names(key, settings),
     }
     if said.slider is not None:
-        scale, one = finest**said.slider.voxel_power, said.slider
-        row |= amount(one.low * scale, one.high * scale, value, one.power, one.limit, one.words, per)
+        scale, slider = finest**said.slider.voxel_power, said.slider
+        row |= amount(slider.low * scale, slider.high * scale, value, slider.power, slider.limit, slider.words, per)
     return row
 
 
@@ -91,9 +198,9 @@ def shown_value(key: str, value: Any, per: float) -> Any:
 
 
 def _names(key: str, settings: RunConfig) -> list[dict[str, str]]:
-    """What can be chosen, each with what it means."""
+    """Return the choices, each with its meaning."""
     if key == "preset":
-        presets = {name: f"{one.summary} Sets {_said(one.settings)}." for name, one in PRESETS.items()}
+        presets = {name: f"{preset.summary} Sets {_said(preset.settings)}." for name, preset in PRESETS.items()}
         return _listed({"": "No preset: its values are the defaults again.", **presets})
     if key == "energy":
         # The run's energy may be an expression that is not in the list.
@@ -118,19 +225,11 @@ def _term_rows(energy: str, terms: Sequence[Mapping[str, Any]]) -> list[Row]:
             if key == "channel" and "channels" not in known:
                 continue  # there is but one
             names = _listed({"": "", **dict.fromkeys(kind.words, "")}) if isinstance(kind, Word) else []
-            rows.append({
-                "key": f"{term.name}-{place}-{key}", "label": f"{term.name} {key}", "unit": "", "help": _help_of(kind),
-                "kind": "list" if names else "text", "group": "", "value": as_typed(term.settings.get(key)),
-                "enabled": True, "restarts": False, "names": names, "term": [place, key],
-                "now": _resolved(known.get(key)), "low": 0.0, "high": 0.0, "power": 1.0, "digits": 0, "limit": 0.0,
-                "words": [], "tick": 0,
+            now = known.get(key)
+            rows.append(DEFAULTS | {
+                "key": f"{term.name}-{place}-{key}", "label": f"{term.name} {key}", "names": names,
+                "help": f"{kind.help[:1].upper()}{kind.help[1:]}: {kind.expected}.",
+                "kind": "list" if names else "text", "value": as_typed(term.settings.get(key)), "term": [place, key],
+                "now": f"{now:.4g}" if isinstance(now, float) else as_typed(now),
             })  # fmt: skip
     return rows
-
-
-def _help_of(kind: Any) -> str:
-    return f"{kind.help[:1].upper()}{kind.help[1:]}: {kind.expected}."
-
-
-def _resolved(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else as_typed(value)

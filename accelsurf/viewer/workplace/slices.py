@@ -1,4 +1,4 @@
-"""Slices that one can read: grey values, layout, the cursor, and what is under the mouse."""
+"""Slices to be read: grey values, layout, the cursor, and the read-out under the mouse."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import SurfaceFrame
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.layouts import LAYOUTS, fitting
-from accelsurf.viewer.scene.picking import Picked
-from accelsurf.viewer.workplace.checks import number, text, whole, word
-from accelsurf.viewer.workplace.feature import Feature, Key
+from accelsurf.viewer.scene.space import Picked
+from accelsurf.viewer.workplace.tool import Feature, Key, number, text, whole, word
 
 #: The window of the whole image; `AUTO` is that of the object and what is around it.
 IMAGE = "image"
@@ -34,10 +33,10 @@ AROUND = 0.5
 
 
 class SlicesFeature(Feature):
-    """How slices are drawn, and what is under the mouse."""
+    """Draws slices, and reads the image under the mouse."""
 
-    def __init__(self, workplace: Any) -> None:
-        super().__init__(workplace)
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
         self._picked: Picked | None = None
         self._before = "one"
         #: Whether the person has said how the tiles lie; until then it follows from the room that there is.
@@ -45,25 +44,26 @@ class SlicesFeature(Feature):
         self._word = IMAGE
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
+        scene = self.actions.scene
         return {
             "window": self._window,
             "window_named": self._window_named,
             "layout": self._layout,
             "next_layout": self._next_layout,
-            "large": lambda tile: self.enlarge(word(tile, self.workplace.scene.tiles.names)),
+            "large": lambda tile: self.enlarge(word(tile, scene.tiles.names)),
             "next_large": self._next_large,
             "chart": self._chart,
-            "next_chart": lambda: self._chart(not self.workplace.scene.tiles.shows_chart),
-            "interpolate": self._interpolate,
-            "next_interpolate": lambda: self._interpolate(not self.workplace.scene.is_interpolated),
+            "next_chart": lambda: self._chart(not scene.tiles.shows_chart),
+            "interpolate": lambda on: scene.interpolate(bool(on)),
+            "next_interpolate": lambda: scene.interpolate(not scene.is_interpolated),
             "straight": self._straighten,
-            "next_straight": lambda: self._straighten(not self.workplace.scene.is_straight),
-            "whole": self._whole,
+            "next_straight": lambda: self._straighten(not scene.is_straight),
+            "whole": scene.tiles.show_whole,
             "slice": self._slice,
             "through": self._through,
             "cursor": self._cursor,
-            "copy_point": lambda: self.workplace.copy(self._read_out()["as_point"]),
-            "copy_ball": lambda: self.workplace.copy(self._read_out()["as_ball"]),
+            "copy_point": lambda: self.actions.copy(self.read_out()["as_point"]),
+            "copy_ball": lambda: self.actions.copy(self.read_out()["as_ball"]),
         }
 
     def keys(self) -> Mapping[str, Key]:
@@ -82,14 +82,16 @@ class SlicesFeature(Feature):
         }
 
     def state(self, status: Status) -> dict[str, Any]:
-        scene, tiles = self.workplace.scene, self.workplace.scene.tiles
+        scene, tiles = self.actions.scene, self.actions.scene.tiles
         window = scene.window
         return {
             "level": window.level, "width": window.width, "window_word": self._word, "windows": list(WINDOWS),
             "layout": tiles.layout, "layouts": list(LAYOUTS), "large": tiles.large, "chart": tiles.shows_chart,
             "interpolate": scene.is_interpolated, "straight": scene.is_straight, "is_oblique": scene.is_oblique,
-            "slices": self._slices(), "cursor": self._text(scene.cursor),
-            **self._read_out(),
+            # Number of the slice that each tile shows, from 1, and how many there are.
+            "slices": {name: [tile.index + 1, tile.stack.count] for name, tile in scene.slice_tiles.items()},
+            "cursor": self._text(scene.cursor),
+            **self.read_out(),
         }
 
     # -- grey values --------------------------------------------------------------------------------------
@@ -102,29 +104,25 @@ class SlicesFeature(Feature):
 
     def _window_named(self, name: Any) -> None:
         if text(name, 40) == IMAGE:
-            return self._show_window(self._image_window(), IMAGE)
+            return self._show_window(window_of(self.actions.scene.volume.array), IMAGE)
         window = parse_window(name)
         known = window is None or name in CT_WINDOWS
         return self._show_window(window or self._object_window(), name if known else "")
 
     def _show_window(self, window: GreyWindow, name: str) -> None:
         self._word = name
-        self.workplace.scene.window = window
-        self.workplace.note(f"level {window.level:.4g}, width {window.width:.4g}", 3.0)
-        self.workplace.changed = True
-
-    def _image_window(self) -> GreyWindow:
-        return window_of(self.workplace.scene.volume.array)
+        self.actions.scene.window = window
+        self.actions.note(f"level {window.level:.4g}, width {window.width:.4g}", 3.0)
 
     def _object_window(self) -> GreyWindow:
-        """From the values in the objects and around them.
+        """Return the window of the values in the objects and around them.
 
         Raises
         ------
         UsageError
             When there is no surface.
         """
-        frame, array = self.workplace.scene.frame, self.workplace.scene.volume.array
+        frame, array = self.actions.scene.frame, self.actions.scene.volume.array
         surfaces = () if frame is None else frame.surfaces
         corners = [
             surface.to_image(end)
@@ -144,7 +142,7 @@ class SlicesFeature(Feature):
 
     @staticmethod
     def _inside(surfaces: Sequence[SurfaceFrame], box: Box) -> NDArray[np.bool_]:
-        """Which voxels of a box of the image are in an object, as far as it is drawn."""
+        """Test which voxels of a box of the image are in an object, as far as it is drawn."""
         inside = np.zeros([side.stop - side.start for side in box], bool)
         for surface in surfaces:
             axes = [
@@ -152,13 +150,13 @@ class SlicesFeature(Feature):
                 for axis, side in enumerate(box)
             ]
             valid = [(at >= 0) & (at < n) for at, n in zip(axes, surface.psi.shape, strict=True)]
-            where = np.ix_(*(np.flatnonzero(one) for one in valid))
-            inside[where] |= surface.psi[np.ix_(*(at[one] for at, one in zip(axes, valid, strict=True)))] < 0
+            where = np.ix_(*(np.flatnonzero(part) for part in valid))
+            inside[where] |= surface.psi[np.ix_(*(at[part] for at, part in zip(axes, valid, strict=True)))] < 0
         return inside
 
     def drag_window(self, right: float, up: float) -> None:
         """A drag with the right button, by parts of the picture: sideways the width, up darkens as a higher level."""
-        level, width = self.workplace.scene.window.level, self.workplace.scene.window.width
+        level, width = self.actions.scene.window.level, self.actions.scene.window.width
         # In widths, so that it is as fine in an image from 0 to 1 as in one of 16 bits.
         self._show_window(GreyWindow.of(level + DRAG * up * width, width * float(np.exp(DRAG * right))), "")
 
@@ -166,109 +164,84 @@ class SlicesFeature(Feature):
 
     def fit_layout(self, width: float, height: float) -> None:
         """Choose a layout in which slices can be read in so many pixels of a usual screen, if nobody has chosen one."""
-        tiles = self.workplace.scene.tiles
+        tiles = self.actions.scene.tiles
         layout, chart = fitting(width, height)
         if self._layout_is_set or len(tiles.names) == 1 or (layout, chart) == (tiles.layout, tiles.shows_chart):
             return
         tiles.lay_out(layout, chart=chart)
         self._before = layout
-        self.workplace.changed = True
 
     def _layout(self, name: Any) -> None:
         self._layout_is_set = True
-        self.workplace.scene.tiles.lay_out(word(name, LAYOUTS))
-        self.workplace.changed = True
+        self.actions.scene.tiles.lay_out(word(name, LAYOUTS))
 
     def _next_layout(self) -> None:
-        self._layout(LAYOUTS[(LAYOUTS.index(self.workplace.scene.tiles.layout) + 1) % len(LAYOUTS)])
+        self._layout(LAYOUTS[(LAYOUTS.index(self.actions.scene.tiles.layout) + 1) % len(LAYOUTS)])
 
     def enlarge(self, tile: str) -> None:
         """Show a tile alone; asked for again, all as before."""
-        tiles, self._layout_is_set = self.workplace.scene.tiles, True
+        tiles, self._layout_is_set = self.actions.scene.tiles, True
         if tiles.layout == "single" and tiles.large == tile:
             tiles.lay_out(self._before)
         else:
             self._before = self._before if tiles.layout == "single" else tiles.layout
             tiles.lay_out("single", tile)
-        self.workplace.changed = True
 
     def _next_large(self) -> None:
         """Show the tile under the mouse alone, or else the large one; asked for again, all as before."""
-        tiles, picked = self.workplace.scene.tiles, self._picked
+        tiles, picked = self.actions.scene.tiles, self._picked
         under = tiles.large if picked is None or tiles.layout == "single" else picked.tile
         self.enlarge(under if under in tiles.names else tiles.large)
 
     def _chart(self, on: Any) -> None:
         self._layout_is_set = True
-        self.workplace.scene.tiles.lay_out(chart=bool(on))
-        self.workplace.changed = True
-
-    def _interpolate(self, on: Any) -> None:
-        self.workplace.scene.interpolate(bool(on))
-        self.workplace.changed = True
+        self.actions.scene.tiles.lay_out(chart=bool(on))
 
     def _straighten(self, on: Any) -> None:
-        if not self.workplace.scene.is_oblique:
+        if not self.actions.scene.is_oblique:
             raise UsageError("straight: the voxels of this image lie along the world's axes, or in one slice")
-        self.workplace.scene.straighten(bool(on))
-        self.workplace.changed = True
-
-    def _whole(self) -> None:
-        self.workplace.scene.tiles.show_whole()
-        self.workplace.changed = True
+        self.actions.scene.straighten(bool(on))
 
     # -- places -------------------------------------------------------------------------------------------
 
-    def _slices(self) -> dict[str, list[int]]:
-        """Number of the slice that each tile shows, from 1, and how many there are."""
-        tiles = self.workplace.scene.slice_tiles
-        return {name: [tile.index + 1, tile.count] for name, tile in tiles.items()}
-
     def _slice(self, tile: Any, number_from_1: Any) -> None:
-        scene = self.workplace.scene
+        scene = self.actions.scene
         shown = scene.slice_tiles[word(tile, tuple(scene.slice_tiles))]
-        scene.go_to_slice(tile, whole(number_from_1, 1, shown.count) - 1)
-        self.workplace.changed = True
+        scene.go_to_slice(tile, whole(number_from_1, 1, shown.stack.count) - 1)
 
     def _through(self, count: Any) -> None:
         """Go through the slices of the tile under the mouse, or else of the first."""
-        scene, picked = self.workplace.scene, self._picked
+        scene, picked = self.actions.scene, self._picked
         tile = picked.tile if picked is not None and picked.tile in scene.slice_tiles else next(iter(scene.slice_tiles))
         scene.step_slice(tile, whole(count, -100, 100))
-        self.workplace.changed = True
 
     def _cursor(self, x: Any, y: Any, z: Any) -> None:
-        self.workplace.scene.cursor = [number(part, -1e9, 1e9) for part in (x, y, z)]
-        self.workplace.changed = True
+        self.actions.scene.cursor = [number(part, -1e9, 1e9) for part in (x, y, z)]
 
     def read(self, at: Picked | None) -> None:
-        """The mouse is at this place."""
+        """Read values at this place from now on: the mouse is there."""
         self._picked = at
 
-    def point_text(self) -> str:
-        """The place under the mouse, ``point:X,Y,Z``."""
-        return str(self._read_out()["as_point"])
-
-    def _read_out(self) -> dict[str, Any]:
+    def read_out(self) -> dict[str, Any]:
         """Place, voxel, value and label under the mouse, or at the cursor where the mouse is beside the image."""
-        scene, picked = self.workplace.scene, self._picked
+        scene, picked = self.actions.scene, self._picked
         world = scene.cursor if picked is None or picked.world is None else np.asarray(picked.world)
         index = scene.geometry.world_to_index(world)
         voxel = tuple(int(np.clip(round(float(i)), 0, n - 1)) for i, n in zip(index, scene.geometry.shape, strict=True))
         surfaces = () if scene.frame is None else scene.frame.surfaces
-        ids = [str(one.id) for one in surfaces if one.contains(voxel)]
+        ids = [str(surface.id) for surface in surfaces if surface.contains(voxel)]
         value = scene.volume.array[voxel]
         where = self._text(world)
         return {
             "place": where, "where": self._shown(world), "voxel": ", ".join(str(i) for i in voxel[::-1]),
             "value": f"{value:.6g}" if np.isfinite(value) else str(value), "label": ", ".join(ids) or "0",
-            "as_ball": f"ball:{where.replace(' ', '')},{self.workplace.radius:.4g}",
+            "as_ball": f"ball:{where.replace(' ', '')},{self.actions.radius:.4g}",
             "as_point": f"point:{where.replace(' ', '')}",
         }
 
     def _shown(self, world: Any) -> str:
         """A place in the unit of the file."""
-        unit = self.workplace.scene.unit
+        unit = self.actions.scene.unit
         if unit == "mm":
             return f"{self._text(world)} mm"
         return ", ".join(f"{in_unit(float(part), unit) + 0.0:.5g}" for part in world) + f" {unit}"
@@ -276,5 +249,5 @@ class SlicesFeature(Feature):
     def _text(self, world: Any) -> str:
         """A place in world mm, as settings have it."""
         # A tenth of the smallest voxel is as fine as a mouse.
-        digits = max(0, 1 - int(np.floor(np.log10(min(self.workplace.scene.geometry.spacing)))))
+        digits = max(0, 1 - int(np.floor(np.log10(min(self.actions.scene.geometry.spacing)))))
         return ", ".join(f"{round(float(part), digits) + 0.0:g}" for part in world)

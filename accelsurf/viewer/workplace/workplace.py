@@ -1,11 +1,12 @@
-"""The workplace: a session and a scene, and the features that act on them; window and page only pass on what is asked.
+"""Actions of a person on a session and its scene, in groups; window and page pass on requests and show the state.
 
-mouse, keys, buttons --request--> Workplace -> Feature -> Session (a command: a Future) or Scene (drawn at once)
-window, page <----state()---- Workplace <- each Feature.state(status)
+mouse, keys, buttons --request--> Actions -> Feature -> Session (a command: a Future) or Scene (drawn at once)
+window, page <----state()---- Actions <- each Feature.state(status)
 """
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -15,35 +16,30 @@ from typing import Any, TypeVar
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.core.status import Status, View, error_line
+from accelsurf.viewer.core.status import View, error_line
+from accelsurf.viewer.scene.headless import draws_in_software
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.workplace.box import BoxFeature
-from accelsurf.viewer.workplace.checks import carry_out
-from accelsurf.viewer.workplace.feature import Feature, Key
 from accelsurf.viewer.workplace.files import FilesFeature
-from accelsurf.viewer.workplace.fingers import FingersFeature
 from accelsurf.viewer.workplace.force import ForceFeature
 from accelsurf.viewer.workplace.frames import FramesFeature
 from accelsurf.viewer.workplace.histogram import HistogramFeature
-from accelsurf.viewer.workplace.history import HistoryFeature
 from accelsurf.viewer.workplace.measure import MeasureFeature
-from accelsurf.viewer.workplace.mouse import MouseFeature
+from accelsurf.viewer.workplace.mouse import MouseFeature, TouchFeature
 from accelsurf.viewer.workplace.objects import ObjectsFeature
 from accelsurf.viewer.workplace.picture import PictureFeature
-from accelsurf.viewer.workplace.radius import RadiusFeature
-from accelsurf.viewer.workplace.run import RunFeature
+from accelsurf.viewer.workplace.run import HistoryFeature, RunFeature
 from accelsurf.viewer.workplace.settings import SettingsFeature
 from accelsurf.viewer.workplace.slices import SlicesFeature
-from accelsurf.viewer.workplace.strokes import StrokesFeature
-from accelsurf.viewer.workplace.tool import Tool, first_radius
+from accelsurf.viewer.workplace.tool import Feature, Key, Tool, carry_out, first_radius
+from accelsurf.viewer.workplace.tools import StrokesFeature
 
 #: The features, in the order in which window and page show them.
 FEATURES: tuple[type[Feature], ...] = (
     FramesFeature,
     RunFeature,
     MouseFeature,
-    RadiusFeature,
-    FingersFeature,
+    TouchFeature,
     ObjectsFeature,
     StrokesFeature,
     HistoryFeature,
@@ -57,15 +53,17 @@ FEATURES: tuple[type[Feature], ...] = (
     FilesFeature,
 )
 #: Requests after which an earlier error stays in sight: the mouse moves all the time.
-QUIET = ("hover", "move", "release", "cancel", "finger_move", "finger_up", "finger_cancel", "size")
+KEEPING = ("hover", "move", "release", "cancel", "finger_move", "finger_up", "finger_cancel", "size")
+#: Seconds without a change after which the picture is drawn in full.
+DELAY = 0.4
 #: Letters of a message at most.
 MAX_MESSAGE = 300
 
 P = TypeVar("P", bound=Feature)
 
 
-class Workplace:
-    """What window and page share.
+class Actions:
+    """All requests of window and page, and the state that they show.
 
     Parameters
     ----------
@@ -81,8 +79,6 @@ class Workplace:
 
     Attributes
     ----------
-    changed : bool
-        Whether the scene has changed since it was drawn last; whoever draws it resets this.
     message : str
         What went wrong last, in one line; empty when nothing did.
     object_id : int or None
@@ -102,7 +98,7 @@ class Workplace:
     ) -> None:
         self.session, self.scene, self.folder, self.overwrite = session, scene, folder, overwrite
         self.frames = frames
-        self.changed, self.message = True, ""
+        self.message = ""
         self.object_id: int | None = None
         self.radius = first_radius(scene.geometry)
         self._note, self._note_until = "", 0.0
@@ -117,8 +113,13 @@ class Workplace:
         self.keys |= {key: does for feature in self.features for key, does in feature.keys().items()}
 
     def feature(self, kind: type[P]) -> P:
-        """The feature of a kind."""
-        return next(one for one in self.features if isinstance(one, kind))
+        """Return the feature of a kind."""
+        return next(feature for feature in self.features if isinstance(feature, kind))
+
+    @property
+    def changed(self) -> bool:
+        """Test if the scene has changed since it was drawn last."""
+        return self.scene.tiles.redraw.is_due
 
     # -- to ask -------------------------------------------------------------------------------------------
 
@@ -129,7 +130,7 @@ class Workplace:
 
     def request(self, name: Any, *values: Any) -> None:
         """Carry out a request; what is wrong with it becomes `message`. Raises nothing."""
-        if isinstance(name, str) and name not in QUIET:
+        if isinstance(name, str) and name not in KEEPING:
             self.message = ""
         try:
             self.feature(FramesFeature).refuse_elsewhere(name)
@@ -143,11 +144,11 @@ class Workplace:
         if does is not None:
             self.request(does.request, *does.values)
 
-    def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None, quiet: bool = False) -> None:
+    def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None, keeps_message: bool = False) -> None:
         """Wait for a command of the session, without blocking: `collect_results` reports its error, or passes its
-        result to ``then``. With ``quiet`` the message stays that is shown now.
+        result to ``then``. With ``keeps_message`` the message stays that is shown now.
         """
-        if not quiet:
+        if not keeps_message:
             self.message = ""
         self._waiting.append((future, then))
 
@@ -161,8 +162,22 @@ class Workplace:
         self.note(f"copied {words}")
 
     def _copy_failed(self) -> None:
-        """The front end could not put the last text on the clipboard, though `copy` has said that it does."""
+        """Refuse: the front end could not put the last text on the clipboard, though `copy` has said that it does."""
         raise UsageError("copy: the browser gives this page no clipboard", "open it on https, or on this machine")
+
+    def poll(self, drawing_seconds: float) -> View | None:
+        """Read results, and draw the next view of the session if there is one; not while a button is down.
+
+        Parameters
+        ----------
+        drawing_seconds : float
+            As of `Session.next_view`.
+        """
+        self.collect_results()
+        view = None if self.feature(MouseFeature).is_moving else self.session.next_view(drawing_seconds)
+        if view is not None:
+            self.update(view)
+        return view
 
     def collect_results(self) -> None:
         """Read the results and errors of the commands that have been carried out."""
@@ -193,25 +208,61 @@ class Workplace:
         frames = self.feature(FramesFeature)
         frames.note_view(view)
         if frames.shows_run:
-            self.scene.update(view.frame, view.histories, coarse=True)  # in full when it is quiet
+            self.scene.update(view.frame, view.histories, coarse=True)  # in full when it is idle
         if not self.feature(MouseFeature).is_dragging:
             self.scene.mark_ball(None)  # the surface is drawn that it has led to
         for feature in self.features:
             feature.update(view)
 
     def state(self) -> dict[str, Any]:
-        """What panels show, in types of JSON."""
+        """Return the state that panels show, in types of JSON."""
         status = self.session.status
-        said: dict[str, Any] = {"message": self._line(status), "failed": self._has_failed(status)}
-        said["copied"] = self._copied
+        if self._note and time.monotonic() > self._note_until:
+            self._note = ""
+        said: dict[str, Any] = {
+            "message": self._note or self.message or status.message or ("running" if status.playing else "ready"),
+            "failed": not self._note and (bool(self.message) or status.failed), "copied": self._copied,
+        }
         for feature in self.features:
             said |= feature.state(status)
         return said
 
-    def _line(self, status: Status) -> str:
-        if self._note and time.monotonic() > self._note_until:
-            self._note = ""
-        return self._note or self.message or status.message or ("running" if status.playing else "ready")
 
-    def _has_failed(self, status: Status) -> bool:
-        return not self._note and (bool(self.message) or status.failed)
+class IdleDrawing:
+    """Draws in full, all triangles and smooth edges, when nothing has happened for some time.
+
+    Until then it is drawn so that mouse and keys are answered at once. A processor that draws needs three times as long
+    for smooth edges, and as long again to begin without them: with a tool in hand they are left out there.
+
+    Parameters
+    ----------
+    actions : Actions
+    """
+
+    def __init__(self, actions: Actions) -> None:
+        self._actions, self._since, self._is_full = actions, time.perf_counter(), True
+
+    @functools.cached_property
+    def is_software(self) -> bool:
+        """Test if the processor draws, not a graphics card."""
+        return draws_in_software(self._actions.scene.plotter.render_window)
+
+    def interrupt(self) -> None:
+        """Draw as fast as possible for now: something has changed."""
+        self._since, self._is_full = time.perf_counter(), False
+        if self.is_software:
+            self._actions.scene.tiles.smooth_edges(False)
+
+    def draw_in_full(self) -> bool:
+        """Draw all triangles and smooth edges, once nothing has happened for some time; returns whether it is time."""
+        mouse = self._actions.feature(MouseFeature)
+        is_busy = self._actions.session.status.playing or mouse.is_dragging
+        if self._is_full or time.perf_counter() - self._since < DELAY or is_busy:
+            return False
+        scene, self._is_full = self._actions.scene, True
+        changed = scene.tiles.coarsen(False)
+        if not self.is_software or mouse.tool.name == "look":
+            changed |= scene.tiles.smooth_edges(True)
+        if changed:
+            scene.render()
+        return True

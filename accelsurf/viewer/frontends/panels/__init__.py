@@ -1,1 +1,1 @@
-"""The panels of the window: each shows a part of the workplace's state, and passes on what is asked for."""
+"""The panels of the window: each shows a part of the state, and passes requests on."""

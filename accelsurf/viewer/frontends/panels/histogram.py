@@ -7,12 +7,11 @@ from typing import Any
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QLabel, QWidget
+from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from accelsurf.viewer.frontends.panels.section import Section, show_switch, switch
-from accelsurf.viewer.frontends.panels.setting_row import column
+from accelsurf.viewer.frontends.panels.section import Section, framed, show_switch
 from accelsurf.viewer.scene.colors import MARK, SURFACE
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 HEIGHT = 86
 #: Pixels from a bound within which it is taken.
@@ -34,7 +33,7 @@ class HistogramView(QWidget):
         self._taken: dict[str, Any] | None = None
 
     def sizeHint(self) -> QSize:
-        """As wide as the panel."""
+        """Return a size as wide as the panel."""
         return QSize(260, HEIGHT)
 
     def show_state(self, histogram: Mapping[str, Any], bounds: list[dict[str, Any]]) -> None:
@@ -83,7 +82,7 @@ class HistogramView(QWidget):
         """Take the bound that is nearest."""
         x = event.position().x()
         near = [bound for bound in self._bounds if abs(self.place_of(bound["value"]) - x) <= REACH]
-        self._taken = dict(min(near, key=lambda one: abs(self.place_of(one["value"]) - x))) if near else None
+        self._taken = dict(min(near, key=lambda bound: abs(self.place_of(bound["value"]) - x))) if near else None
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
         """Draw the bound where it is dragged; show which can be."""
@@ -109,13 +108,13 @@ class HistogramView(QWidget):
 class HistogramPanel(Section):
     """The histogram, and a switch for the force over the slices."""
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__("Histogram", workplace)
-        whole = column(self.body)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Histogram", actions)
+        whole = framed(QVBoxLayout(self.body), 5)
         self.view = HistogramView()
         self.view.moved.connect(lambda *moved: self.ask("bound", *moved))
-        self.force = switch("Show force", "Over the slices: where the energy makes a surface grow, and shrink (F)")
-        self.force.toggled.connect(lambda on: self.ask("force", on))
+        tip = "Over the slices: where the energy makes a surface grow, and shrink (F)"
+        self.force = self.switch("Show force", "force", tip)
         self.note = QLabel("")
         self.note.setWordWrap(True)
         for part in (self.view, self.force, self.note):

@@ -9,7 +9,6 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QAction, QKeySequence
 from PySide6.QtWidgets import (
     QAbstractItemView,
-    QHBoxLayout,
     QHeaderView,
     QLabel,
     QTableWidget,
@@ -17,8 +16,8 @@ from PySide6.QtWidgets import (
     QVBoxLayout,
 )
 
-from accelsurf.viewer.frontends.panels.section import Section, button
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.frontends.panels.section import Section, framed, in_row
+from accelsurf.viewer.workplace.workplace import Actions
 
 #: Lines of a table that are seen without scrolling.
 LINES = 10
@@ -27,32 +26,28 @@ LINES = 10
 class MeasurePanel(Section):
     """Tables of the objects and of lengths and angles, and buttons to copy and save them."""
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__("Measures", workplace, folded=True)
-        self.measure = button("Measure", "Volume, surface, intensity and diameters of each object as it is now")
-        self.diameters = button("Diameters", "Draw the largest diameter, the one across, and both in the axial slice")
-        self.copy = button("Copy", "Copy the tables, with tabs between the columns")
-        self.save = button("CSV", "Save the tables in the folder of the run")
-        self.clear = button("Clear", "Delete all lengths and angles (one: choose its line, press Delete)")
-        for made, request in (
-            (self.measure, "measure_table"), (self.diameters, "measure_diameters"), (self.copy, "measure_copy"),
-            (self.save, "measure_save"), (self.clear, "measure_clear"),
-        ):  # fmt: skip
-            made.clicked.connect(lambda _, request=request: self.ask(request))
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Measures", actions, folded=True)
+        tip = "Volume, surface, intensity and diameters of each object as it is now"
+        self.measure = self.button("Measure", tip, "measure_table")
+        tip = "Draw the largest diameter, the one across, and both in the axial slice"
+        self.diameters = self.button("Diameters", tip, "measure_diameters")
+        self.copy = self.button("Copy", "Copy the tables, with tabs between the columns", "measure_copy")
+        self.save = self.button("CSV", "Save the tables in the folder of the run", "measure_save")
+        tip = "Delete all lengths and angles (one: choose its line, press Delete)"
+        self.clear = self.button("Clear", tip, "measure_clear")
         self.step = QLabel("")
         self.objects, self.drawn = _table("figures of the objects"), _table("lengths and angles")
         delete = QAction(self.drawn, shortcut=QKeySequence("Delete"))
         delete.setShortcutContext(Qt.ShortcutContext.WidgetShortcut)
         delete.triggered.connect(self._delete)
         self.drawn.addAction(delete)
-        column = QVBoxLayout(self.body)
-        column.setSpacing(4)
-        column.setContentsMargins(8, 2, 8, 6)
-        column.addLayout(_buttons(self.measure, self.diameters))
+        column = framed(QVBoxLayout(self.body))
+        column.addLayout(in_row(self.measure, self.diameters, spacing=4))
         column.addWidget(self.step)
         column.addWidget(self.objects)
         column.addWidget(self.drawn)
-        column.addLayout(_buttons(self.copy, self.save, self.clear))
+        column.addLayout(in_row(self.copy, self.save, self.clear, spacing=4))
         self._shown: dict[str, Any] = {}
 
     def show_state(self, state: Mapping[str, Any]) -> None:
@@ -69,7 +64,8 @@ class MeasurePanel(Section):
             _fill(self.drawn, [["", "kind", "value"], *([str(number), kind, text] for number, kind, text in drawn)])
             self.drawn.setVisible(bool(drawn))
         self._shown = shown
-        self.step.setText(_about(state))
+        other = "" if state["figures_current"] else ", not the one shown"
+        self.step.setText(f"of step {state['figures_step']}{other}")
         self.step.setVisible(bool(lines))
         for made in (self.copy, self.save):
             made.setEnabled(bool(lines or drawn))
@@ -78,11 +74,6 @@ class MeasurePanel(Section):
     def _delete(self) -> None:
         for place in {index.row() for index in self.drawn.selectedIndexes()}:
             self.ask("measure_delete", self._shown["measurements"][place][0])
-
-
-def _about(state: Mapping[str, Any]) -> str:
-    """Of which state the table is."""
-    return f"of step {state['figures_step']}" + ("" if state["figures_current"] else ", not the one shown")
 
 
 def _table(name: str) -> QTableWidget:
@@ -114,11 +105,3 @@ def _fill(made: QTableWidget, lines: Sequence[Sequence[str]]) -> None:
     )
     made.setFixedHeight(height + 18)
     made.setVisible(bool(lines))
-
-
-def _buttons(*parts: Any) -> QHBoxLayout:
-    line = QHBoxLayout()
-    line.setSpacing(4)
-    for part in parts:
-        line.addWidget(part)
-    return line

@@ -22,10 +22,9 @@ from PySide6.QtWidgets import (
     QTableWidgetItem,
 )
 
-from accelsurf.viewer.frontends.panels.section import Section, button
-from accelsurf.viewer.frontends.panels.wheel import WheelGuard
+from accelsurf.viewer.frontends.panels.section import Section, WheelGuard, button, framed
 from accelsurf.viewer.workplace.objects import NEAREST
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 Index = QModelIndex | QPersistentModelIndex
 COLUMNS = ("", "", "Name", "ml", "State")
@@ -46,8 +45,8 @@ class _ColorCell(QStyledItemDelegate):
 class ObjectsPanel(Section):
     """All objects. A double click renames one, one on its colour changes that."""
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__("Objects", workplace)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Objects", actions)
         table = self.table = QTableWidget(0, len(COLUMNS))
         table.setAccessibleName("objects")
         table.setToolTip("The chosen object takes strokes and sizes; double click: rename, or another colour")
@@ -68,22 +67,19 @@ class ObjectsPanel(Section):
         table.cellDoubleClicked.connect(self._double_clicked)
         table.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
         table.customContextMenuRequested.connect(self._menu)
-        self.add = button("Add", "A further object: the next press or click inside begins it (U)")
-        self.add.clicked.connect(lambda: self.ask("object_add"))
+        self.add = self.button("Add", "A further object: the next press or click inside begins it (U)", "object_add")
         self.merge = button("Merge", "Make the chosen objects the first of them (choose several with Ctrl)")
         self.merge.clicked.connect(lambda: self.ask("object_merge", *self._selected()))
         self.remove = button("Remove", "Take the chosen object away")
         self.remove.clicked.connect(self._remove)
-        self.nearest = button("Nearest", "Strokes are for the object that is nearest to where they begin")
-        self.nearest.clicked.connect(lambda: self.ask("object_active", NEAREST))
+        tip = "Strokes are for the object that is nearest to where they begin"
+        self.nearest = self.button("Nearest", tip, "object_active", NEAREST)
         self.opacity = QSlider(Qt.Orientation.Horizontal)
         self.opacity.setAccessibleName("opacity")
         self.opacity.setRange(0, 100)
         WheelGuard(self.opacity)
         self.opacity.valueChanged.connect(self._set_opacity)
-        grid = QGridLayout(self.body)
-        grid.setContentsMargins(8, 2, 8, 6)
-        grid.setSpacing(4)
+        grid = framed(QGridLayout(self.body))
         grid.addWidget(table, 0, 0, 1, 4)
         for column, made in enumerate((self.add, self.merge, self.remove, self.nearest)):
             grid.addWidget(made, 1, column)
@@ -166,29 +162,29 @@ class ObjectsPanel(Section):
         if column == _COLOR:
             self._ask_color(self._id(row), self._rows[row]["color"])
 
-    def _ask_color(self, own: int, now: str) -> None:
+    def _ask_color(self, object_id: int, now: str) -> None:
         color = QColorDialog.getColor(QColor(now), self, "Colour of the object")
         if color.isValid():
-            self.ask("object_color", own, color.name())
+            self.ask("object_color", object_id, color.name())
 
     def _set_opacity(self, percent: int) -> None:
         if self._rows:
             self.ask("object_opacity", self._active or self._id(0), percent / 100)
 
     def _remove(self) -> None:
-        for own in self._selected():
-            self.ask("object_remove", own)
+        for object_id in self._selected():
+            self.ask("object_remove", object_id)
 
     def _menu(self, at: QPoint) -> None:
-        """What can be done with the object under the mouse."""
+        """Show a menu for the object under the mouse."""
         row = self.table.rowAt(at.y())
         if not 0 <= row < len(self._rows):
             return
-        own, menu = self._id(row), QMenu(self)
+        object_id, menu = self._id(row), QMenu(self)
         menu.addAction("Rename", lambda: self.table.editItem(self.table.item(row, _NAME)))
-        menu.addAction("Colour ...", lambda: self._ask_color(own, self._rows[row]["color"]))
-        for other in (one for one in self._rows if one["id"] != own):
+        menu.addAction("Colour ...", lambda: self._ask_color(object_id, self._rows[row]["color"]))
+        for other in (known for known in self._rows if known["id"] != object_id):
             text = f"Merge into {other['name']}"
-            menu.addAction(text, lambda first=other["id"]: self.ask("object_merge", first, own))
-        menu.addAction("Remove", lambda: self.ask("object_remove", own))
+            menu.addAction(text, lambda first=other["id"]: self.ask("object_merge", first, object_id))
+        menu.addAction("Remove", lambda: self.ask("object_remove", object_id))
         menu.popup(self.table.viewport().mapToGlobal(at))

@@ -1,4 +1,4 @@
-"""The panel of slices: grey values, layout, place."""
+"""The panels of slices and of the picture: grey values, layout, colours, theme."""
 
 from __future__ import annotations
 
@@ -6,12 +6,20 @@ from collections.abc import Mapping
 from typing import Any
 
 from PySide6.QtCore import QSignalBlocker, Qt
-from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QLabel
+from PySide6.QtWidgets import QDoubleSpinBox, QFormLayout, QGridLayout, QLabel
 
-from accelsurf.viewer.frontends.panels.section import Section, button, choice, show_choice, show_switch, switch
-from accelsurf.viewer.frontends.panels.wheel import WheelGuard
+from accelsurf.viewer.frontends.panels.section import (
+    Section,
+    WheelGuard,
+    choice,
+    framed,
+    in_row,
+    show_choice,
+    show_switch,
+)
+from accelsurf.viewer.scene.colors import THEMES
 from accelsurf.viewer.workplace.slices import MAX_GREY
-from accelsurf.viewer.workplace.workplace import Workplace
+from accelsurf.viewer.workplace.workplace import Actions
 
 #: What the list of windows shows where level and width were set by hand.
 BY_HAND = "by hand"
@@ -20,27 +28,22 @@ BY_HAND = "by hand"
 class SlicesPanel(Section):
     """Grey values and layout."""
 
-    def __init__(self, workplace: Workplace) -> None:
-        super().__init__("Slices", workplace)
-        grid = QGridLayout(self.body)
-        grid.setSpacing(4)
-        grid.setContentsMargins(8, 2, 8, 6)
-        self.window_word = choice(label="grey values")
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Slices", actions)
+        grid = framed(QGridLayout(self.body))
+        self.window_word = choice("grey values")
         self.window_word.setToolTip("Values that are drawn black and white; in a slice: drag with the right button")
         self.window_word.activated.connect(self._named)
         self.level, self.width_ = _number(-MAX_GREY), _number(0.0)
         for box in (self.level, self.width_):
             box.valueChanged.connect(lambda _: self.ask("window", self.level.value(), self.width_.value()))
-        self.layout_ = choice(label="layout")
-        self.layout_.activated.connect(lambda _: self.ask("layout", self.layout_.currentText()))
-        self.chart = switch("Chart", "The energies at each step")
-        self.chart.toggled.connect(lambda on: self.ask("chart", on))
-        self.interpolate = switch("Smooth", "Slices smooth between voxels, or each voxel as a rectangle")
-        self.interpolate.toggled.connect(lambda on: self.ask("interpolate", on))
-        self.straight = switch("Straight", "Slices straight by anatomy, or along the voxels of an oblique scan (2)")
-        self.straight.toggled.connect(lambda on: self.ask("straight", on))
-        self.whole = button("Whole", "The whole image in each tile (R)")
-        self.whole.clicked.connect(lambda: self.ask("whole"))
+        self.layout_ = self.choice("layout", "layout")
+        self.chart = self.switch("Chart", "chart", "The energies at each step")
+        tip = "Slices smooth between voxels, or each voxel as a rectangle"
+        self.interpolate = self.switch("Smooth", "interpolate", tip)
+        tip = "Slices straight by anatomy, or along the voxels of an oblique scan (2)"
+        self.straight = self.switch("Straight", "straight", tip)
+        self.whole = self.button("Whole", "The whole image in each tile (R)", "whole")
         grid.addWidget(QLabel("Grey values"), 0, 0)
         grid.addWidget(self.window_word, 0, 1, 1, 3)
         for column, (text, box) in enumerate({"Level": self.level, "Width": self.width_}.items()):
@@ -57,16 +60,15 @@ class SlicesPanel(Section):
         """Show the grey values and the layout."""
         word = state["window_word"]
         show_choice(self.window_word, [*state["windows"], *([] if word else [BY_HAND])], word or BY_HAND)
-        for box, key in ((self.level, "level"), (self.width_, "width")):
-            if not box.hasFocus():
-                with QSignalBlocker(box):
-                    box.setDecimals(0 if state["width"] >= 50 else 4)
-                    box.setSingleStep(max(state["width"] / 20, 1e-4))
-                    box.setValue(state[key])
+        for number, key in ((self.level, "level"), (self.width_, "width")):
+            if not number.hasFocus():
+                with QSignalBlocker(number):
+                    number.setDecimals(0 if state["width"] >= 50 else 4)
+                    number.setSingleStep(max(state["width"] / 20, 1e-4))
+                    number.setValue(state[key])
         show_choice(self.layout_, state["layouts"], state["layout"])
-        show_switch(self.chart, state["chart"])
-        show_switch(self.interpolate, state["interpolate"])
-        show_switch(self.straight, state["straight"])
+        for box, key in ((self.chart, "chart"), (self.interpolate, "interpolate"), (self.straight, "straight")):
+            show_switch(box, state[key])
         self.straight.setEnabled(state["is_oblique"])
 
     def _named(self) -> None:
@@ -81,3 +83,25 @@ def _number(low: float) -> QDoubleSpinBox:
     box.setKeyboardTracking(False)
     box.setMinimumWidth(70)
     return box
+
+
+class PicturePanel(Section):
+    """Look of the scene."""
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Picture", actions)
+        form = framed(QFormLayout(self.body), 5)
+        self.color, self.theme = self.choice("colour", "color"), self.choice("theme", "theme")
+        self.volume, self.planes = self.switch("Image in 3D", "volume"), self.switch("Slices in 3D", "planes")
+        form.addRow("Colour by", self.color)
+        form.addRow(in_row(self.volume, self.planes))
+        form.addRow("Theme", self.theme)
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show how the scene is drawn."""
+        show_choice(self.color, state["colors"], state["color"])
+        show_choice(self.theme, tuple(THEMES), state["theme"])
+        for box, key in ((self.volume, "volume"), (self.planes, "planes")):
+            show_switch(box, state[key])
+            box.setEnabled(not state["is_flat"])
+        self.color.setEnabled(not state["is_flat"])
