@@ -55,10 +55,10 @@ def _frames_of(contents: Contents, options: ReadOptions, file: Path | None) -> l
             f"{len(cines)} series at several times are in it", "say which by --series; accelsurf info FOLDER lists them"
         )
     asked = dicom.volume_of(contents, options, file)
-    alike = [one for one in contents.volumes if one.uid == asked.uid and _contrast(one) == _contrast(asked)]
-    return [frame for one in alike for frame in one.frames]
+    alike = [volume for volume in contents.volumes if volume.uid == asked.uid and _contrast(volume) == _contrast(asked)]
+    return [frame for volume in alike for frame in volume.frames]
 
 
 def _contrast(volume: DicomVolume) -> dict[str, str]:
-    """What tells a volume apart other than time."""
+    """Elements, other than time, that tell a volume apart."""
     return {name: value for name, value in volume.phase.items() if name not in TIME_PHASES}

@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import stat
+import threading
 import time
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,7 +26,30 @@ from pathlib import Path
 from accelsurf.errors import AccelsurfWarning, OutputError
 from accelsurf.io import set_journals
 from accelsurf.io.set_journals import PREFIX, SUFFIX, Journal, Moves, sync_folder
-from accelsurf.io.signals import uninterrupted
+
+#: Signals that end a program on request.
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let both signals wait until the end of a short piece of work, such as some renames; then they act as before."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are handled in the main thread alone
+        return
+    waiting: list[int] = []
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    python_ones = [signal.Signals(number) for number, handler in before.items() if callable(handler)]
+    for number in python_ones:
+        signal.signal(number, lambda number, frame: waiting.append(number))
+    try:
+        yield
+    finally:
+        for number in python_ones:
+            signal.signal(number, before[number])
+        for came in waiting:
+            signal.raise_signal(came)
+
 
 _NEW, _OLD = "new", "old"
 #: Another process looks for a moment whether the writer of a set is dead, and holds its lock then.
@@ -108,7 +133,7 @@ class FileSet:
             _warn_without_journal(self.folder, self._journal)
 
     def _has_folder(self, name: str) -> bool:
-        """Whether the draft of a name, or what it replaces, is a folder: the system does not exchange these."""
+        """Test if the draft of a name, or what it replaces, is a folder: the system does not exchange these."""
         return (self.drafts / name).is_dir() or (self.folder / name).is_dir()
 
 
@@ -273,7 +298,7 @@ def _is_of_the_system(link: Path) -> bool:
 
 
 def _is_link(path: Path) -> bool:
-    """Whether a path is a link, or a junction of Windows."""
+    """Test if a path is a link, or a junction of Windows."""
     try:
         found = path.lstat()
     except OSError:
@@ -359,7 +384,7 @@ def _stat(path: Path, follow: bool = True) -> os.stat_result | None:
 
 
 def finish_killed_runs(folder: Path) -> None:
-    """What a command does before it reads results in a folder: `recover`.
+    """Recover a folder before results in it are read; see `recover`.
 
     Raises
     ------

@@ -67,7 +67,7 @@ def library_named(what: str, hint: str) -> Iterator[None]:
 
 
 def one_line(error: Exception) -> str:
-    """What an error of a library says, on one line of at most 200 characters."""
+    """Message of a library's error, on one line of at most 200 characters."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
@@ -87,7 +87,7 @@ def bytes_within(path: str | os.PathLike[str], budget: Budget) -> bytes:
 
 
 def read_json(path: str | os.PathLike[str]) -> Any:
-    """What a JSON file holds.
+    """Read a JSON file.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def _itk_reason(error: RuntimeError) -> str:
 
 
 def file_version(found: os.stat_result) -> tuple[int, ...]:
-    """What changes when a file is written or replaced."""
+    """Numbers that change when a file is written or replaced."""
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 

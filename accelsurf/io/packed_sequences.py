@@ -27,7 +27,7 @@ from accelsurf.io.formats.deflate import inflate
 from accelsurf.io.formats.nifti import NiftiFile
 from accelsurf.io.formats.raw_header import RawHeader
 from accelsurf.io.formats.raw_voxels import CHANGED
-from accelsurf.io.frame_times import FrameTimes
+from accelsurf.io.headers import FrameTimes
 from accelsurf.io.lazy_volume import Opening
 from accelsurf.io.memory import check_memory
 from accelsurf.io.sequence_sources import FileFrames, read_volumes, with_time
@@ -94,7 +94,7 @@ class NiftiFrames(_PackedFrames):
 
     @property
     def frame_values(self) -> int:
-        """How many values a frame has."""
+        """Number of values of a frame."""
         return math.prod(self.geometry.shape) if self.header.are_channels_guessed else super().frame_values
 
     def read(self, number: int) -> list[Volume]:

@@ -20,7 +20,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import headers, images
 from accelsurf.io.files import SPACE_HINT, staging, undone_on_failure
-from accelsurf.io.frame_times import FrameTimes
+from accelsurf.io.headers import FrameTimes
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format
 from accelsurf.settings.registry import load
 
@@ -137,8 +137,8 @@ class SequenceWriter:
         self._sums: dict[int, int] = {}
         self._stack = ExitStack()
         try:
-            one = self.path.with_name(self.path.name.replace("*", "_"))
-            self._files = self._stack.enter_context(staging(one, self._form.folder_marks))
+            base = self.path.with_name(self.path.name.replace("*", "_"))
+            self._files = self._stack.enter_context(staging(base, self._form.folder_marks))
             with self._naming():
                 scratch = self._files.drafts.parent / "frames.raw"
                 self._frames = FrameStack(scratch, geometry, self.times, self.dtype)
@@ -278,5 +278,5 @@ def _written_form(path: Path, dtype: np.dtype[Any], geometry: Geometry) -> Image
 
 
 def _checksum(array: NDArray[Any]) -> int:
-    """Of the values in their order."""
+    """Checksum of the values in their order."""
     return zlib.crc32(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).reshape(-1).view(np.uint8).data)

@@ -74,7 +74,7 @@ def read_sequence(
 
 
 def is_sequence(path: Path, options: ReadOptions) -> bool:
-    """Whether a path has several images in time: a file with time points, or a folder of volumes.
+    """Test if a path has several images in time: a file with time points, or a folder of volumes.
 
     A folder or pattern of slices is an image: only tracks tell that its slices are frames.
 
@@ -113,7 +113,7 @@ def opened(
     memory_bytes: int | None = None,
     outside_data: bool = False,
 ) -> FileSequence:
-    """As `read_sequence`, also where there is one frame only."""
+    """Open a sequence as `read_sequence` does, also where there is one frame only."""
     # Not before it is needed: this loads ITK, and the reader of stacks.
     from accelsurf.io.sequence_sources import FileFrames, FrameFolder, SliceFrames, holds_frames
 

@@ -7,7 +7,7 @@ from accelsurf.errors import UsageError
 from accelsurf.io.dicom.source_images import SourceImages, read
 from accelsurf.io.files import naming
 from accelsurf.io.formats import dicom
-from accelsurf.io.metadata import DICOM_KEY
+from accelsurf.io.headers import DICOM_KEY
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run_checkpoint import digest_of
 from accelsurf.settings.catalogue import entry

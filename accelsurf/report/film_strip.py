@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
-from accelsurf.io.metadata import UNIT_KEY
+from accelsurf.io.headers import UNIT_KEY
 from accelsurf.report.canvas import PALE, Canvas, fitting
 from accelsurf.report.slice_plot import Slice, draw_scale_bar
 from accelsurf.report.track_frames import FrameRow, TrackSet

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from accelsurf.analysis.statistics import statistics
-from accelsurf.io.metadata import VALUE_UNIT_KEY
+from accelsurf.io.headers import VALUE_UNIT_KEY
 from accelsurf.report.document import to_json
 from accelsurf.report.tables import csv_text
 from accelsurf.settings.labels import LabelTable

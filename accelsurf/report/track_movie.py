@@ -7,7 +7,7 @@ from pathlib import Path
 
 from accelsurf.errors import OutputError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.metadata import UNIT_KEY
+from accelsurf.io.headers import UNIT_KEY
 from accelsurf.report import movies
 from accelsurf.report.canvas import Canvas
 from accelsurf.report.movies import Picture

@@ -71,10 +71,8 @@ MESH_FORMATS: Registry[MeshFormat] = Registry(
         f"{_SURFACE}:vtp_bytes",
         f"{_CONTOUR}:vtp_bytes",
         auto=("contour",),
-        read=f"{_FORMATS}.vtp:read",
     ),
     MeshFormat("glb", "glTF 2.0 in one file", f"{_FORMATS}.glb:write", read=f"{_FORMATS}.glb:read"),
-    MeshFormat("3mf", "3MF, of 3D printers", f"{_FORMATS}.three_mf:write", read=f"{_FORMATS}.three_mf:read"),
     MeshFormat("csv", "a table of points", contour=f"{_CONTOUR}:csv_bytes", auto=("contour",)),
 )
 
@@ -85,7 +83,7 @@ def mesh_formats(shape: Shape) -> tuple[str, ...]:
     Examples
     --------
     >>> mesh_formats("surface"), mesh_formats("contour")
-    (('ply', 'stl', 'obj', 'vtp', 'glb', '3mf'), ('vtp', 'csv'))
+    (('ply', 'stl', 'obj', 'vtp', 'glb'), ('vtp', 'csv'))
     """
     return tuple(name for name, form in MESH_FORMATS.items() if form.writer(shape) is not None)
 

@@ -26,7 +26,6 @@ NAMES = (
     "deep report",
     "image as objects",
     "large triangles",
-    "vtp of shared arrays",
     "packed checkpoint",
     "large table",
     "many terms",
@@ -170,13 +169,6 @@ def bombs(folder):
         faces = np.tile([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], (20_000, 1))
         return meshes.voxels_inside(points, faces, (512, 512, 512))
 
-    def vtp():
-        points = "<DataArray type='Float32' NumberOfComponents='3' format='appended' offset='0'/>"
-        piece = f"<Piece NumberOfPoints='{(1 << 20) // 3}' NumberOfPolys='0'><Points>{points}</Points></Piece>"
-        body = struct.pack("<I", 4 * 3 * ((1 << 20) // 3)) + bytes(1 << 22)
-        head = "<VTKFile type='PolyData' byte_order='LittleEndian'><PolyData>" + piece * 20_000
-        return meshes.read(made("a.vtp", f"{head}</PolyData><AppendedData encoding='raw'>_".encode() + body))
-
     def checkpoint():
         stream = streams.BytesIO()
         np.savez_compressed(stream, tree=np.zeros(1 << 28, np.uint8))
@@ -206,7 +198,6 @@ def bombs(folder):
         "deep report": deep_report,
         "image as objects": lambda: segment_objects(noise.astype(np.float32), noise),
         "large triangles": triangles,
-        "vtp of shared arrays": vtp,
         "packed checkpoint": checkpoint,
         "large table": lambda: object_starts.read(
             str(made("b.csv", b"id,x,y,z,r\n" + b"1,1,1,1,1\n" * 500_000)), small.geometry, 2

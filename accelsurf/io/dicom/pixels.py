@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.io import itk
+from accelsurf.io.channels import to_grey
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.library import HEADER_HINT, damage_of, library, read_dataset
 from accelsurf.io.dicom.sources import DicomFile
-from accelsurf.io.grey import to_grey
 
 _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
 _COLOURS = 3
@@ -52,7 +52,7 @@ def value_type(frames: Sequence[Frame]) -> np.dtype[Any]:
 
 
 def _is_fraction(frame: Frame) -> bool:
-    """Whether the values of a slice may have fractions, or any size."""
+    """Test if the values of a slice may have fractions, or any size."""
     return frame.pixel[3] == _COLOURS or frame.has_table or frame.slope != 1.0 or bool(frame.intercept % 1.0)
 
 

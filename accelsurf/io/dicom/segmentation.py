@@ -36,7 +36,7 @@ _SOURCE = ("121322", "DCM", "Source image for image processing operation")
 
 @dataclass(frozen=True)
 class Algorithm:
-    """What made the segments.
+    """The program that made the segments.
 
     Attributes
     ----------
@@ -170,7 +170,7 @@ def _clean_slice(source: SourceImages, planes: dict[str, Any]) -> Any:
 
 
 def _planes(highdicom: Any, geometry: Geometry, aligned: Sequence[Frame | None]) -> dict[str, Any]:
-    """Where the frames are: as the source writes it where its pixels are the voxels, else as the grid says."""
+    """Places of the frames: as the source writes it where its pixels are the voxels, else as the grid says."""
     frames = [frame for frame in aligned if frame is not None]
     same = len(frames) == len(aligned)
     orientation = (frames[0].orientation if same else geometry.direction[:, :2].T.ravel().tolist()) or ()

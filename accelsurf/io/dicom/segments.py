@@ -72,12 +72,12 @@ class Segments:
 
     @property
     def values(self) -> int:
-        """How many voxels the grid has."""
+        """Number of voxels of the grid."""
         return int(np.prod(self.geometry.shape, dtype=object))
 
     @property
     def note(self) -> str:
-        """What a person should know; empty for nothing."""
+        """Note for the user; empty for nothing."""
         return "fractions: a voxel is of a segment where at least half of it is" if self.kind == _FRACTIONAL else ""
 
 

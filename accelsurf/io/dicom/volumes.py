@@ -36,7 +36,7 @@ class DicomVolume:
 
     @property
     def uid(self) -> str:
-        """Of its series."""
+        """UID of its series."""
         return self.frames[0].uids[1]
 
     def label(self, name: str) -> str:
@@ -74,13 +74,13 @@ class LeftOut:
     has_image: bool = False
 
     def is_of(self, series: str) -> bool:
-        """Whether it says that it is of a series, as far as it can be read."""
+        """Test if it names a series, as far as it can be read."""
         return bool(self.series) and (series == self.series or (self.is_series_cut and series.startswith(self.series)))
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What a folder holds.
+    """Volumes and other files of a folder.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ def contents_of(files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingP
 
 
 def counted(left: Iterable[LeftOut]) -> str:
-    """How many of each kind, which, and why, as a person says it.
+    """Count the files of each kind in words, with their names and the reasons.
 
     Examples
     --------
@@ -170,7 +170,7 @@ def names_of(frames: Iterable[Frame], root: Path, limit: int = 3) -> str:
 
 
 def _series_key(frame: Frame) -> tuple[str, ...]:
-    """What slices of one series share; where it has no UID, by what else there is."""
+    """Key that slices of one series share; without a UID, of the other elements."""
     uid, labels = frame.uids[1], frame.labels
     if uid:
         return (uid,)
@@ -210,7 +210,7 @@ def _as_number(value: str) -> tuple[float, str]:
 
 
 def _coincident(frames: Sequence[Frame]) -> bool:
-    """Whether two slices of one direction lie at one place."""
+    """Test if two slices of one direction lie at one place."""
     seen: set[tuple[int, ...]] = set()
     for frame in frames:
         if frame.position is None or frame.orientation is None:

@@ -24,8 +24,8 @@ from accelsurf.io.dicom.segments import Segments
 from accelsurf.io.dicom.slices import Slices, ordered
 from accelsurf.io.dicom.sources import DicomFile, SourceFiles, files_of, holds_dicom, is_dicom
 from accelsurf.io.dicom.volumes import Contents, DicomVolume, contents_of, counted, shown
+from accelsurf.io.headers import DICOM_KEY, LABELS_KEY, VALUE_UNIT_KEY, ZERO_BEYOND_KEY, with_warnings
 from accelsurf.io.memory import available_memory, check_memory
-from accelsurf.io.metadata import DICOM_KEY, LABELS_KEY, VALUE_UNIT_KEY, ZERO_BEYOND_KEY, with_warnings
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 #: Series that a message lists.
@@ -61,7 +61,7 @@ class DicomHeader:
 
     @property
     def values(self) -> int:
-        """How many voxels it has."""
+        """Number of voxels."""
         return math.prod(self.geometry.shape)
 
 
@@ -208,19 +208,19 @@ def of_file(contents: Contents, file: Path) -> tuple[DicomVolume, ...]:
 
 
 def _differ_in_time(volumes: tuple[DicomVolume, ...]) -> bool:
-    """Whether they are one series at several times."""
-    return len({one.uid for one in volumes}) == 1 and all(set(one.phase) <= TIME_PHASES for one in volumes)
+    """Test if they are one series at several times."""
+    return len({volume.uid for volume in volumes}) == 1 and all(set(volume.phase) <= TIME_PHASES for volume in volumes)
 
 
 def _by_name(volumes: tuple[DicomVolume, ...], asked: str) -> DicomVolume:
     """A volume by its number in the list, or by the UID of its series."""
     if asked.isdigit() and 1 <= int(asked) <= len(volumes):
         return volumes[int(asked) - 1]
-    found = [one for one in volumes if one.uid == asked]
+    found = [volume for volume in volumes if volume.uid == asked]
     if len(found) == 1:
         return found[0]
     if found:
-        numbers = ", ".join(str(n) for n, one in enumerate(volumes, 1) if one.uid == asked)
+        numbers = ", ".join(str(n) for n, volume in enumerate(volumes, 1) if volume.uid == asked)
         raise InputError(
             f"series {asked[:80]} has {len(found)} volumes, numbers {numbers}", "give --series with one of the numbers"
         )
@@ -230,8 +230,8 @@ def _by_name(volumes: tuple[DicomVolume, ...], asked: str) -> DicomVolume:
 
 
 def _short_list(contents: Contents, volumes: tuple[DicomVolume, ...]) -> str:
-    numbered = [(n, one) for n, one in enumerate(contents.volumes, 1) if one in volumes]
-    parts = [f"{n} {_title(one)}, {len(one.frames)} slices" for n, one in numbered[:_LISTED]]
+    numbered = [(n, volume) for n, volume in enumerate(contents.volumes, 1) if volume in volumes]
+    parts = [f"{n} {_title(volume)}, {len(volume.frames)} slices" for n, volume in numbered[:_LISTED]]
     return "; ".join(parts) + (f"; {len(numbered) - _LISTED} more" if len(numbered) > _LISTED else "")
 
 
@@ -242,7 +242,7 @@ def _title(volume: DicomVolume) -> str:
 
 
 def left_out(contents: Contents, series: str, file: Path | None) -> list[str]:
-    """What a person should know of files that are no part of a volume; beside a file only of damaged ones."""
+    """Notes on files that are no part of a volume; beside a file only on damaged ones."""
     named = [
         left for left in contents.left_out
         if file is None or (left.reason and (not left.series or left.is_of(series)))
@@ -301,12 +301,12 @@ def read_labels(
 
 
 def is_anatomical(metadata: Mapping[str, str]) -> bool:
-    """Whether the axes of the world are a patient's."""
+    """True if the axes of the world are a patient's."""
     return DICOM_KEY in metadata
 
 
 def listing(path: Path) -> list[dict[str, Any]]:
-    """What volumes a folder, archive or file holds; lengths in mm, in the order (x, y, z).
+    """List the volumes of a folder, archive or file; lengths in mm, in the order (x, y, z).
 
     Raises
     ------
@@ -344,7 +344,7 @@ def _entry(number: int, volume: DicomVolume, files: SourceFiles, contents: Conte
 
 
 def _first_entry(number: int, volume: DicomVolume, files: SourceFiles) -> dict[str, Any]:
-    """What is known of a volume before it is clear where it lies."""
+    """Entry of a volume without its grid."""
     return {
         "number": number, "uid": volume.uid, "modality": volume.label("modality"),
         "description": volume.label("description"), "series_number": volume.label("number"), "phase": volume.phase,
@@ -365,7 +365,7 @@ def _segmentation_entry(found: Segments, files: SourceFiles) -> dict[str, Any]:
 
 
 def orientation_words(axes: NDArray[np.float64]) -> str:
-    """Which plane of the patient the slices are: axial, coronal or sagittal, or oblique near one."""
+    """Name the plane of the patient in which the slices lie: axial, coronal or sagittal, or oblique near one."""
     normal = abs(axes[:, 2])
     name = ("sagittal", "coronal", "axial")[int(normal.argmax())]
     return name if normal.max() > 0.999 else f"oblique, near {name}"

@@ -15,9 +15,9 @@ from accelsurf.io import itk
 from accelsurf.io.formats.nrrd_metaimage import METAIMAGE_ITK_NAME, NRRD_ITK_NAME, NRRD_KEY, put_nrrd_space
 from accelsurf.io.formats.raw_header import RawHeader
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
+from accelsurf.io.headers import FRAME_KEY
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import FRAME_KEY
 
 _HEADER_SAMPLE = 1 << 14  # bytes, more than any header written here has
 
@@ -52,7 +52,7 @@ def read_channels(path: Path, header: RawHeader, available: int) -> list[Volume]
     Raises
     ------
     InputError
-        As `read`, and for more than `accelsurf.io.selection.MAX_CHANNELS` components.
+        As `read`, and for more than `accelsurf.io.channels.MAX_CHANNELS` components.
     """
     return _read_some(path, header, header.selected(), available)
 
@@ -81,7 +81,7 @@ def _read_some(path: Path, header: RawHeader, numbers: Sequence[int], available:
 
 
 def is_by_voxel(reader: sitk.ImageFileReader, header: RawHeader) -> bool:
-    """Whether ITK gives volumes as values of a voxel: those of an axis of NRRD without a direction also at its end."""
+    """True if ITK gives volumes as values of a voxel: those of an axis of NRRD without a direction also at its end."""
     return header.is_interleaved or (header.time_points + header.channels > 2 and reader.GetNumberOfComponents() > 1)
 
 

@@ -1,4 +1,4 @@
-"""What the fourth axis of an NRRD is: values of a voxel, or time points."""
+"""The fourth axis of an NRRD: values of a voxel, or time points."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from accelsurf.errors import InputError
-from accelsurf.io.frame_times import TIMES_KEY
+from accelsurf.io.headers import TIMES_KEY
 
 #: Seconds of a unit of time.
 SECONDS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
@@ -79,7 +79,7 @@ def _place(kinds: Sequence[str], directions: str) -> tuple[int, bool]:
 
 
 def _times_of_slicer(said: Mapping[str, str], fields: Mapping[str, str], count: int) -> str:
-    """The line of `accelsurf.io.frame_times` with the times of a sequence of 3D Slicer; empty where it has none."""
+    """The line of `accelsurf.io.headers` with the times of a sequence of 3D Slicer; empty where it has none."""
     units = re.findall(r'"([^"]*)"', fields.get("units", ""))
     factor = SECONDS.get((said.get("axis 0 index unit") or (units[0] if units else "")).lower())
     words = said.get("axis 0 index values", "").replace(",", " ").split()

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.io.channels import single
 from accelsurf.io.files import library_named
 from accelsurf.io.formats.deflate import TRUNCATED_HINT
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
+from accelsurf.io.headers import with_warnings
 from accelsurf.io.lazy_volume import LazyVolume, Opening
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import with_warnings
-from accelsurf.io.selection import single
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
@@ -39,7 +39,7 @@ _NOTE = "an array of numpy does not say how large a voxel is: 1 mm is taken; giv
 
 @dataclass(frozen=True, eq=False)
 class ArrayHeader:
-    """What an array claims.
+    """Claims of the header of an array.
 
     Attributes
     ----------
@@ -73,12 +73,12 @@ class ArrayHeader:
 
     @property
     def time_points(self) -> int:
-        """How many images are in it."""
+        """Number of images in it."""
         return self.shape[0] if len(self.shape) == 4 else 1
 
     @property
     def values(self) -> int:
-        """How many values the image has."""
+        """Number of values of the image."""
         return math.prod(self.geometry.shape)
 
     def image_offset(self) -> int:

@@ -1,4 +1,4 @@
-"""What the metadata of an OME-Zarr image say: its axes, its levels, and where their voxels are.
+"""Metadata of OME-Zarr images: axes, levels, and the places of their voxels.
 
 Versions 0.4 and 0.5 differ in the place of the metadata only. Axes of space are given in their order in the array;
 lengths may have any unit. Axes along lines of the body say so in words (`ome_orientation`). For other directions
@@ -19,8 +19,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Floats, Geometry
 from accelsurf.io.formats.ome_orientation import direction_of, word_of, words_for
 from accelsurf.io.formats.zarr_files import STORED_KEY
-from accelsurf.io.headers import is_anatomical
-from accelsurf.io.metadata import FRAME_KEY, ORIENTED_KEY, UNIT_KEY, WARNING_KEY, with_warnings
+from accelsurf.io.headers import FRAME_KEY, ORIENTED_KEY, UNIT_KEY, WARNING_KEY, is_anatomical, with_warnings
 from accelsurf.settings import budgets
 
 #: Name of the attribute that accelsurf writes.
@@ -106,7 +105,7 @@ class OmeMetadata:
 
     @property
     def space_axes(self) -> tuple[int, ...]:
-        """Which axes of the array are z, y, x, or y, x; by their names, else in the order of the array."""
+        """Numbers of the axes z, y, x, or y, x; by their names, else in the order of the array."""
         return _space_axes(self.axes)
 
     def geometry(self, level: int, shape: Sequence[int]) -> Geometry:
@@ -195,7 +194,7 @@ def _space_axes(axes: Sequence[OmeAxis]) -> tuple[int, ...]:
 
 
 def _placed(
-    axes: Sequence[OmeAxis], finest: OmeLevel, own: Floats | None, metadata: dict[str, str]
+    axes: Sequence[OmeAxis], finest: OmeLevel, stored: Floats | None, metadata: dict[str, str]
 ) -> tuple[Floats, dict[str, str]]:
     """The directions of the axes, and the metadata with what is to be said of them.
 
@@ -210,13 +209,13 @@ def _placed(
         f"the orientation of the axis {axis.name[:40]}, which is none of space, is not used"
         for axis in axes if axis.orientation and axis.kind != "space"
     ]
-    if direction is None or own is not None:
-        if direction is not None and own is not None and not np.allclose(direction, own, rtol=0.0, atol=1e-4):
+    if direction is None or stored is not None:
+        if direction is not None and stored is not None and not np.allclose(direction, stored, rtol=0.0, atol=1e-4):
             raise InputError(
                 'the orientation of the axes of the OME-Zarr contradicts "direction" in its attribute "accelsurf"',
                 'remove what is wrong: "orientation" of the axes, or "direction" of "accelsurf"',
             )
-        return np.eye(3) if own is None else own, with_warnings(metadata, *notes)
+        return np.eye(3) if stored is None else stored, with_warnings(metadata, *notes)
     if not np.array_equal(direction, np.eye(3)) and any(finest.translation[i] for i in order):
         notes.append(
             "the axes are oriented and the store has a translation: it is read as the place of the first voxel in LPS, "
@@ -226,12 +225,12 @@ def _placed(
 
 
 def is_oriented(metadata: Mapping[str, str]) -> bool:
-    """Whether the axes of an OME-Zarr were given an anatomical orientation."""
+    """Test if the axes of an OME-Zarr have an anatomical orientation."""
     return ORIENTED_KEY in metadata
 
 
 def _other_kind(ome: Mapping[str, Any]) -> tuple[str, str]:
-    """What a group is that is no image, and what to do."""
+    """Name the kind of a group that is no image, and the remedy."""
     if "plate" in ome:
         return "an OME-Zarr plate of many images given, one image expected", "give one of its fields, as PLATE/A/1/0"
     if "well" in ome:
@@ -257,10 +256,10 @@ def _level(dataset: Mapping[str, Any], common: Any, axes: int) -> OmeLevel:
 
 def _transform(given: Any, axes: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Scale and translation of a list of transformations: one scale, then perhaps one translation."""
-    kinds = [one["type"] for one in given]
+    kinds = [transform["type"] for transform in given]
     if kinds not in (["scale"], ["scale", "translation"]):
         raise ValueError(f"coordinateTransformations are {kinds}, expected a scale, then perhaps a translation")
-    numbers = [tuple(float(value) for value in one[one["type"]]) for one in given]
+    numbers = [tuple(float(value) for value in transform[transform["type"]]) for transform in given]
     if any(len(some) != axes or not all(map(math.isfinite, some)) for some in numbers):
         raise ValueError(f"a transformation of {axes} finite numbers expected")
     return numbers[0], numbers[1] if len(numbers) > 1 else (0.0,) * axes
@@ -321,11 +320,11 @@ def attributes_of(
         said = ({"orientation": {"type": "anatomical", "value": word}} for word in words)
         axes = [axis | orientation for axis, orientation in zip(axes, said, strict=True)]
     multiscale = {"name": name, "axes": axes, "datasets": datasets, "type": method}
-    own = {
+    grid = {
         "direction": geometry.direction.tolist(),
         "metadata": {key: value for key, value in metadata.items() if key != WARNING_KEY},
     }
-    return {"ome": {"version": VERSIONS[-1], "multiscales": [multiscale]}, OWN_KEY: own}
+    return {"ome": {"version": VERSIONS[-1], "multiscales": [multiscale]}, OWN_KEY: grid}
 
 
 def _words(geometry: Geometry, metadata: Mapping[str, str]) -> list[str] | None:

@@ -20,12 +20,55 @@ from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import itk
+from accelsurf.io.channels import to_grey
 from accelsurf.io.formats.deflate import check_unpacked, inflated_bytes
-from accelsurf.io.formats.raster import TRUNCATED_HINT, RasterHeader
-from accelsurf.io.grey import to_grey
+from accelsurf.io.headers import with_warnings
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import with_warnings
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+
+STORED = {
+    **{"uint8": (8, 1), "uint16": (16, 1), "uint32": (32, 1), "int8": (8, 2), "int16": (16, 2), "int32": (32, 2)},
+    "float32": (32, 3),
+}
+"""Types of values that a TIFF can hold here: bits and sample format (1 unsigned, 2 signed, 3 floating point)."""
+
+TRUNCATED_HINT = "the file is truncated or damaged: copy or export it again"
+
+
+@dataclass(frozen=True)
+class RasterHeader:
+    """Claims of the header of a PNG or TIFF.
+
+    Attributes
+    ----------
+    data : Path
+        The file.
+    shape : tuple of int
+        (pages, rows, columns).
+    spacing : tuple of float or None
+        mm, (z, y, x); None for a PNG, which says it further on.
+    pixel_bytes : int
+        Bytes that a pixel takes in memory, with all its colours.
+    """
+
+    itk_name: ClassVar[str]
+    """The format, as ITK names the class that reads it."""
+
+    data: Path
+    shape: tuple[int, int, int]
+    spacing: tuple[float, float, float] | None
+    pixel_bytes: int
+
+    @property
+    def values(self) -> int:
+        """Number of pixels of the image; colours become one value."""
+        return math.prod(self.shape)
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """The grid; None for a PNG, which says it further on."""
+        return None if self.spacing is None else Geometry(self.shape, self.spacing)
+
 
 _START = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 4, 6: 4}
@@ -40,7 +83,7 @@ _PALETTE, _COLOUR, _GREY = ((b"IHDR", b"IDAT", b"IEND", *more) for more in ((b"P
 
 @dataclass(frozen=True)
 class PngHeader(RasterHeader):
-    """What the header of a PNG claims, and whether all of it is there.
+    """Claims of the header of a PNG, and the check that all of it is there.
 
     Attributes
     ----------
@@ -103,7 +146,7 @@ class PngHeader(RasterHeader):
         return _scale(scale)
 
     def _is_copied(self, name: bytes, known: tuple[bytes, ...]) -> bool:
-        """Whether a part says what the pixels are.
+        """Test if a part describes the pixels.
 
         Raises
         ------

@@ -37,7 +37,7 @@ Config = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class ChunkFormat:
-    """How a chunk of an array is packed.
+    """Packing of a chunk of an array.
 
     Attributes
     ----------

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.chunk_cache import ChunkCache
 from accelsurf.io.formats.zarr_codecs import ChunkFormat, format_of, format_of_v2
 from accelsurf.io.headers import check_within_store, is_outside_data_allowed, outside_data_allowed
+from accelsurf.io.lazy_volume import ChunkCache
 from accelsurf.settings import budgets
 
 #: In the attribute of accelsurf of a group: for each array that it wrote, the files of the chunks, as `runs_of`.
@@ -125,7 +125,7 @@ class ChunkFiles:
         return self._folder / self._name / self._metadata.encode_chunk_key(place)
 
     def _entry(self, file: Any, found: os.stat_result, place: Sequence[int]) -> tuple[int, int] | None:
-        """Where a chunk begins in a shard, and how many bytes it has."""
+        """First byte of a chunk in a shard, and its number of bytes."""
         key = found.st_ino, found.st_size, found.st_mtime_ns
         index = self._indices.get(key, lambda: self._read_index(file, found.st_size))
         assert self._in_shard is not None
@@ -138,7 +138,7 @@ class ChunkFiles:
         return first, size
 
     def _bounds(self, file_bytes: int) -> tuple[int, int]:
-        """Where the chunks of a shard are."""
+        """First byte and end of the chunks of a shard."""
         return (self._index_bytes, file_bytes) if self._at_start else (0, file_bytes - self._index_bytes)
 
     def _read_index(self, file: Any, file_bytes: int) -> NDArray[Any]:
@@ -184,7 +184,7 @@ class ChunkFiles:
     def _walk(
         self, folder: Path, place: tuple[int, ...], wanted: Sequence[int | None]
     ) -> Iterator[tuple[int, ...]]:
-        """As `places`, of the files below a folder."""
+        """Walk the files below a folder, as `places` does."""
         axis = len(place)
         is_last = axis == len(wanted) - 1
         for name in _names(folder) if is_last or wanted[axis] is None else (str(wanted[axis]),):
@@ -240,7 +240,7 @@ def runs_of(numbers: Iterable[int]) -> list[int]:
 
 
 def is_in_runs(number: int, runs: Sequence[int]) -> bool:
-    """Whether a number is in runs of `runs_of`.
+    """Test if a number is in runs of `runs_of`.
 
     Examples
     --------
