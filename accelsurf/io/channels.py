@@ -1,4 +1,4 @@
-"""Images of several channels: each comes out as a volume of its own, all on one grid."""
+"""Channels of images: which of a file are read, each as a volume on one grid, and colours as grey."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ class DicomFrames(FileSequence):
         dicom.refuse_lost(contents, series, options)
         self._parts, times = frames_in_time(frames, self._files.root)
         first = self._header(0)
-        self.place(first.geometry, times, [*dicom.left_out(contents, series, file), *first.notes])
+        self.place(first.geometry, times, [*dicom.notes_on_left_out(contents, series, file), *first.notes])
 
     def _header(self, number: int) -> dicom.DicomHeader:
         """Slices of a frame in their order, on a grid."""
@@ -35,7 +35,7 @@ class DicomFrames(FileSequence):
 
     def read(self, number: int) -> list[Volume]:
         """Read the slices of a frame."""
-        return [dicom.read(self.path, self._header(number), self.memory)]
+        return [dicom.read_dicom(self.path, self._header(number), self.memory)]
 
 
 def _frames_of(contents: Contents, options: ReadOptions, file: Path | None) -> list[Frame]:

@@ -61,7 +61,7 @@ _NAMED = 3
 
 
 class FileSet:
-    """Drafts of files that will stand in one folder; made by `opened`.
+    """Drafts of files that will stand in one folder; made by `open_set`.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class FileSet:
 
 
 @contextmanager
-def opened(folder: Path, name: str, unique: bool = False, inputs: Sequence[Path] = ()) -> Iterator[FileSet]:
+def open_set(folder: Path, name: str, unique: bool = False, inputs: Sequence[Path] = ()) -> Iterator[FileSet]:
     """Prepare a set of files. What a killed process has left of one is finished or removed first.
 
     Parameters
@@ -166,7 +166,7 @@ def opened(folder: Path, name: str, unique: bool = False, inputs: Sequence[Path]
         Of staging folders that are not of this user's runs, and of a state folder that cannot be written.
     """
     refuse_links(folder)
-    stuck = [staging for staging in recover(folder) if set_journals.is_of(staging, name)]
+    stuck = [staging for staging in recover(folder) if set_journals.belongs_to(staging, name)]
     if stuck and not unique:
         raise OutputError(
             f"{folder / name}: a run that was killed has put only some of its files in place, and they cannot be moved",
@@ -201,7 +201,7 @@ def _warn_without_journal(folder: Path, journal: Journal) -> None:
 
 def _begun(folder: Path, name: str, unique: bool) -> Journal | None:
     for _ in range(_TRIES):
-        journal = set_journals.begun(folder, name, unique)
+        journal = set_journals.begin_journal(folder, name, unique)
         if journal is not None:
             return journal
         time.sleep(_TRY_SECONDS)
@@ -224,7 +224,7 @@ def recover(folder: Path) -> list[Path]:
     if set_journals.is_staging(folder):
         return []
     there, stuck = _staging_folders(folder), []
-    for journal in set_journals.left_by_dead(folder):
+    for journal in set_journals.journals_of_the_dead(folder):
         try:
             _check_staging(journal)
             if journal.moves is not None:
@@ -253,7 +253,7 @@ def _name_foreign(folder: Path, there: list[str]) -> None:
     """Warn of staging folders of which no journal of this user tells: whoever left them, nothing in them counts."""
     if not there:
         return
-    known = set_journals.recorded(folder)
+    known = set_journals.recorded_staging(folder)
     names = [name for name in there if name not in known and os.path.lexists(folder / name)]
     if names:
         more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import AccelsurfError, InputError, OutputError
-from accelsurf.io.file_set import FileSet, opened
+from accelsurf.io.file_set import FileSet, open_set
 from accelsurf.settings import budgets
 from accelsurf.settings.budgets import Budget
 from accelsurf.settings.input_file import check_readable
@@ -135,7 +135,7 @@ def staging(path: Path, folder_marks: tuple[str, ...] = ()) -> Iterator[FileSet]
     try:
         if path.is_dir() and not any((path / mark).is_file() for mark in folder_marks):
             raise OutputError(f"{path}: is a folder, a file name expected", hint="choose another name")
-        with opened(path.parent, path.name, unique=True) as files:
+        with open_set(path.parent, path.name, unique=True) as files:
             yield files
     except OSError as error:
         raise OutputError(

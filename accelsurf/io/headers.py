@@ -1,4 +1,7 @@
-"""Formats of files, by the ending of their names, and their headers."""
+"""Formats of files, by the ending of their names; what their headers say, also of the times of frames.
+
+Files give times as a step and its unit, or where that cannot say them, as a line of text (`FrameTimes.text`).
+"""
 
 from __future__ import annotations
 
@@ -50,7 +53,7 @@ class FrameTimes:
     unit: TimeUnit = "frame"
 
     @classmethod
-    def given(cls, values: Sequence[float], unit: str) -> FrameTimes:
+    def checked(cls, values: Sequence[float], unit: str) -> FrameTimes:
         """Times that were given, checked.
 
         Raises

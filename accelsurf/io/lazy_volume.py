@@ -1,7 +1,7 @@
 """Images that stay where they are: a box of voxels is read when it is asked for.
 
 `accelsurf.io.read` brings a whole image into memory; `open_volume` reads its header only. What a box holds is the same,
-voxel by voxel, in the same type.
+voxel by voxel, in the same type. Unpacked pieces are held up to a number of bytes (`ChunkCache`).
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ class ItkFrames(_PackedFrames):
         check_memory(self.geometry.size, itk.voxel_type(reader).itemsize, self.memory)
         if header.is_interleaved:
             return [Volume(_interleaved(header, reader, number), self.geometry, dict(header.metadata), self.path)]
-        lazy = itk_volumes.open_lazily(self.path, with_time(header, number), Opening())
+        lazy = itk_volumes.open_raw(self.path, with_time(header, number), Opening())
         return [Volume(lazy.voxels.read(whole_box(lazy.shape)), self.geometry, lazy.metadata, self.path)]
 
 

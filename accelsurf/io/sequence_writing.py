@@ -131,7 +131,7 @@ class SequenceWriter:
         self, path: str | os.PathLike[str], geometry: Geometry, times: Sequence[float], time_unit: str, dtype: Any
     ) -> None:
         self.path, self.geometry = Path(path), geometry
-        self.times = FrameTimes.given(times, time_unit)
+        self.times = FrameTimes.checked(times, time_unit)
         self.dtype = np.dtype(dtype).newbyteorder("=")
         self._form = _written_form(self.path, self.dtype, geometry)
         self._sums: dict[int, int] = {}
@@ -225,12 +225,12 @@ class SequenceWriter:
 
     def _check(self) -> None:
         """Read the draft back, and refuse one that does not hold the frames."""
-        from accelsurf.io.sequences import opened
+        from accelsurf.io.sequences import open_sequence
 
         try:
-            found = opened(self._files.drafts / self.path.name, memory_bytes=sys.maxsize)
+            found = open_sequence(self._files.drafts / self.path.name, memory_bytes=sys.maxsize)
             difference = images.stored_grid(self.geometry, headers.split_name(self.path)[1]).difference(found.geometry)
-            if not difference and FrameTimes.given(found.times, found.time_unit) != self.times:
+            if not difference and FrameTimes.checked(found.times, found.time_unit) != self.times:
                 difference = "other times are read than were written"
             for number in range(len(self._frames)) if not difference else ():
                 array = found.frame(number).array

@@ -60,7 +60,7 @@ def read_sequence(
     UsageError
         When the format has not what is asked for, or ``frame_time`` is no positive number.
     """
-    found = opened(
+    found = open_sequence(
         path, frame_time=frame_time, frames_from_slices=frames_from_slices, options=options, memory_bytes=memory_bytes,
         outside_data=outside_data,
     )
@@ -104,7 +104,7 @@ def is_sequence(path: Path, options: ReadOptions) -> bool:
         return headers.counts(path, replace(options.among(form.options), level=0))[1] > 1
 
 
-def opened(
+def open_sequence(
     path: str | os.PathLike[str],
     *,
     frame_time: float | None = None,

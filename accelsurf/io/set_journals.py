@@ -150,7 +150,7 @@ def state_folder() -> Path:
     return folder
 
 
-def begun(folder: Path, name: str, unique: bool) -> Journal | None:
+def begin_journal(folder: Path, name: str, unique: bool) -> Journal | None:
     """Return the locked journal of a new set of files; None where another process writes a set of this name there.
 
     Parameters
@@ -200,7 +200,7 @@ def begun(folder: Path, name: str, unique: bool) -> Journal | None:
     return journal
 
 
-def left_by_dead(folder: Path) -> Iterator[Journal]:
+def journals_of_the_dead(folder: Path) -> Iterator[Journal]:
     """Journals of sets in a folder whose writers are dead, each locked; of those that live none.
 
     Parameters
@@ -222,7 +222,7 @@ def left_by_dead(folder: Path) -> Iterator[Journal]:
             yield Journal(path, lock, folder / content["staging"], None if moves is None else Moves(**moves))
 
 
-def recorded(folder: Path) -> set[str]:
+def recorded_staging(folder: Path) -> set[str]:
     """Names of the staging folders in a folder that journals of this user name."""
     contents = (_content(path) for path in _journals(folder))
     return {content["staging"] for content in contents if content is not None}
@@ -241,7 +241,7 @@ def staging_name(name: str, token: str) -> str:
     return f"{PREFIX}{name}.{token}{SUFFIX}"
 
 
-def is_of(staging: Path, name: str) -> bool:
+def belongs_to(staging: Path, name: str) -> bool:
     """Test if a staging folder is of a set of this name."""
     token = staging.name.removesuffix(SUFFIX).rpartition(".")[2]
     return staging.name == staging_name(name, token)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from accelsurf import __version__
 from accelsurf.errors import UsageError
-from accelsurf.io.dicom.source_images import SourceImages, read
+from accelsurf.io.dicom.source_images import SourceImages, read_source_images
 from accelsurf.io.files import naming
 from accelsurf.io.formats import dicom
 from accelsurf.io.headers import DICOM_KEY
@@ -35,12 +35,12 @@ def source_of(result: Result) -> SourceImages:
             "the image was not read from DICOM, whose slices DICOM outputs refer to", "give a DICOM series as the image"
         )
     with naming(path):
-        header = dicom.parse(path, result.config.reading)
+        header = dicom.parse_dicom(path, result.config.reading)
         if not isinstance(header, dicom.DicomHeader):
             raise UsageError(
                 "the image is a DICOM segmentation, and DICOM outputs refer to the slices of a scan", "give the scan"
             )
-        return read(header.slices.frames)
+        return read_source_images(header.slices.frames)
 
 
 def objects_of(result: Result) -> list[SegmentedObject]:

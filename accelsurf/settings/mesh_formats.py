@@ -58,13 +58,12 @@ class MeshFormat:
 
 
 _SURFACE, _CONTOUR = f"{_FORMATS}.surface_files", "accelsurf.analysis.contours"
-_TRIMESH = f"{_FORMATS}.trimesh_files"
 
 MESH_FORMATS: Registry[MeshFormat] = Registry(
     "mesh format",
-    MeshFormat("ply", "PLY, binary", f"{_SURFACE}:ply_bytes", auto=("surface",), read=f"{_TRIMESH}:read_ply"),
-    MeshFormat("stl", "STL, binary", f"{_SURFACE}:stl_bytes", read=f"{_TRIMESH}:read_stl"),
-    MeshFormat("obj", "Wavefront OBJ", f"{_SURFACE}:obj_bytes", read=f"{_TRIMESH}:read_obj"),
+    MeshFormat("ply", "PLY, binary", f"{_SURFACE}:ply_bytes", auto=("surface",), read=f"{_SURFACE}:read_ply"),
+    MeshFormat("stl", "STL, binary", f"{_SURFACE}:stl_bytes", read=f"{_SURFACE}:read_stl"),
+    MeshFormat("obj", "Wavefront OBJ", f"{_SURFACE}:obj_bytes", read=f"{_SURFACE}:read_obj"),
     MeshFormat(
         "vtp",
         "VTK PolyData, triangles or lines",
@@ -72,7 +71,7 @@ MESH_FORMATS: Registry[MeshFormat] = Registry(
         f"{_CONTOUR}:vtp_bytes",
         auto=("contour",),
     ),
-    MeshFormat("glb", "glTF 2.0 in one file", f"{_FORMATS}.glb:write", read=f"{_FORMATS}.glb:read"),
+    MeshFormat("glb", "glTF 2.0 in one file", f"{_FORMATS}.glb:glb_bytes", read=f"{_FORMATS}.glb:read_glb"),
     MeshFormat("csv", "a table of points", contour=f"{_CONTOUR}:csv_bytes", auto=("contour",)),
 )
 

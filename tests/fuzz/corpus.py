@@ -230,7 +230,7 @@ def _meshes():
     for name in ("ply", "stl", "obj"):
         content = getattr(surface_files, f"{name}_bytes")(points, triangles, "LPS")
         yield Input("mesh", f".{name}", {"obj": "text", "ply": "mixed"}.get(name, "binary"), content)
-    yield Input("mesh", ".glb", "mixed", glb.write(points, triangles, "LPS"))
+    yield Input("mesh", ".glb", "mixed", glb.glb_bytes(points, triangles, "LPS"))
     import trimesh
 
     cube = trimesh.Trimesh(points, triangles, process=False)

@@ -102,7 +102,7 @@ def bombs(folder):
         return io.read(made("a.nrrd", head.encode() + body))
 
     def picture():
-        plain = png.encode(small.array[:1].astype(np.uint8), (1.0, 1.0, 1.0))
+        plain = png.png_bytes(small.array[:1].astype(np.uint8), (1.0, 1.0, 1.0))
         body = b"IDAT" + zlib.compress(bytes(1 << 27), 1)
         at = plain.index(b"IDAT") - 4
         length = struct.unpack(">I", plain[at : at + 4])[0]
@@ -126,7 +126,7 @@ def bombs(folder):
         return io.read(made("a.tif", b"".join(out)))
 
     def shared_strips():
-        content = bytearray(tiff_file.encode(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
+        content = bytearray(tiff_file.tiff_bytes(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
         body = zlib.compress(bytes(1 << 22), 1)
         strips = 20_000
         offsets, lengths = len(content), len(content) + 4 * strips
@@ -141,7 +141,7 @@ def bombs(folder):
         return io.read(made("a.tif", bytes(content)))
 
     def described(text):
-        values = tiff_file.encode(small.array.astype(np.uint16), (1.0, 1.0, 1.0))
+        values = tiff_file.tiff_bytes(small.array.astype(np.uint16), (1.0, 1.0, 1.0))
         at, old = values.index(b"ImageJ"), values.index(struct.pack("<HH", 270, 2))
         content = bytearray(values) + text.encode()
         struct.pack_into("<II", content, old + 4, len(text), len(values))
@@ -151,7 +151,7 @@ def bombs(folder):
         return energy_expression.parse("")
 
     def claims(compression):
-        content = bytearray(tiff_file.encode(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
+        content = bytearray(tiff_file.tiff_bytes(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
         for place in range(len(content) - 12):
             tag, kind, count = struct.unpack_from("<HHI", content, place)
             if (tag, kind, count) in ((256, 4, 1), (257, 4, 1), (278, 4, 1)):

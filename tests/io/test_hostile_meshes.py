@@ -103,7 +103,7 @@ def objs():
 def glbs():
     from accelsurf.io.formats import glb
 
-    content = glb.write(CORNERS, FACES, "LPS")
+    content = glb.glb_bytes(CORNERS, FACES, "LPS")
     length = struct.unpack_from("<I", content, 12)[0]
     plain = content[20 : 20 + length].decode()
 

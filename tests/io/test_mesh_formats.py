@@ -66,7 +66,7 @@ def _glb(change: dict[str, object]) -> bytes:
     """A file whose description is changed."""
     from accelsurf.io.formats import glb
 
-    content = glb.write(TETRAHEDRON.vertices, TETRAHEDRON.faces, "LPS")
+    content = glb.glb_bytes(TETRAHEDRON.vertices, TETRAHEDRON.faces, "LPS")
     length = struct.unpack_from("<I", content, 12)[0]
     contents = json.loads(content[20 : 20 + length]) | change
     text = json.dumps(contents).encode()

@@ -128,7 +128,7 @@ def test_what_accelsurf_writes_says_its_space_and_comes_back_in_place(suffix, sp
 
 def test_a_glb_is_where_its_nodes_put_it(tmp_path):
     """glTF says where each axis points; its extras say only how the points are stored."""
-    content = glb.write(CORNERS, FACES, "LPS")
+    content = glb.glb_bytes(CORNERS, FACES, "LPS")
     length = struct.unpack_from("<I", content, 12)[0]
     for extras in ({}, {"space": "lps"}, {"SPACE": "LPS", "unit": "m"}, [], "SPACE=RAS"):
         contents = json.loads(content[20 : 20 + length])

@@ -1,4 +1,8 @@
-"""Frames of DICOM files: place, contrast, time and meaning of the values of each slice."""
+"""Frames of DICOM files: place, contrast, time and meaning of the values of each slice.
+
+Siemens scanners write mosaics, the slices of a volume side by side in one picture. Of reconstructed slices of nuclear
+medicine the file gives the place of the first alone.
+"""
 
 from __future__ import annotations
 

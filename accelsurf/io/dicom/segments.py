@@ -81,7 +81,7 @@ class Segments:
         return "fractions: a voxel is of a segment where at least half of it is" if self.kind == _FRACTIONAL else ""
 
 
-def parse(file: DicomFile, root: Path) -> Segments:
+def parse_segments(file: DicomFile, root: Path) -> Segments:
     """Read what a segmentation says of its segments, and prove that its frames lie on a grid.
 
     Parameters
@@ -193,7 +193,7 @@ def _is_regular(along: NDArray[np.float64], height: float) -> bool:
     return bool(np.abs(along - np.rint(along / height) * height).max() <= TOLERANCE_MM)
 
 
-def read(segments: Segments, available: int, ids: Sequence[tuple[int, int]] = ()) -> NDArray[Any]:
+def read_segments(segments: Segments, available: int, ids: Sequence[tuple[int, int]] = ()) -> NDArray[Any]:
     """Read the label map: the number of a segment in each of its voxels, 0 elsewhere.
 
     Parameters

@@ -109,7 +109,7 @@ def pixel_for_pixel(frame: Frame, geometry: Geometry, k: int) -> bool:
     return bool(np.linalg.norm(frame.position + ends @ steps - voxels, axis=1).max() <= _tolerance(geometry))
 
 
-def read(frames: Sequence[Frame]) -> SourceImages:
+def read_source_images(frames: Sequence[Frame]) -> SourceImages:
     """Read what else is needed of the slices of a volume than where they lie: of patient, study and dates.
 
     Parameters

@@ -73,7 +73,7 @@ class LeftOut:
     is_series_cut: bool = False
     has_image: bool = False
 
-    def is_of(self, series: str) -> bool:
+    def belongs_to(self, series: str) -> bool:
         """Test if it names a series, as far as it can be read."""
         return bool(self.series) and (series == self.series or (self.is_series_cut and series.startswith(self.series)))
 
@@ -95,7 +95,7 @@ class Contents:
 
     def lost_from(self, series: str) -> list[LeftOut]:
         """Files that say they are of a series and have no image that can be read."""
-        return [left for left in self.left_out if left.is_of(series) and not left.has_image]
+        return [left for left in self.left_out if left.belongs_to(series) and not left.has_image]
 
 
 def contents_of(files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingProxyType({})) -> Contents:
@@ -130,13 +130,13 @@ def contents_of(files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingP
     return Contents(tuple(volumes), tuple(left))
 
 
-def counted(left: Iterable[LeftOut]) -> str:
+def count_in_words(left: Iterable[LeftOut]) -> str:
     """Count the files of each kind in words, with their names and the reasons.
 
     Examples
     --------
     >>> scouts = [LeftOut(Path(name), name, "localizer") for name in ("a", "b")]
-    >>> counted([*scouts, LeftOut(Path("c"), "c", "", "cut short")])
+    >>> count_in_words([*scouts, LeftOut(Path("c"), "c", "", "cut short")])
     '2 localizers (a, b), 1 file that cannot be read (c: cut short)'
     """
     kinds: dict[str, list[LeftOut]] = {}

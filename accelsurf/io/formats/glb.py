@@ -27,7 +27,7 @@ _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 MAX_DEPTH = 64
 
 
-def write(vertices: Floats, faces: NDArray[np.int32], space: str, label: LabelEntry | None = None) -> bytes:
+def glb_bytes(vertices: Floats, faces: NDArray[np.int32], space: str, label: LabelEntry | None = None) -> bytes:
     """Return the bytes of a .glb file; ``space`` is LPS or RAS."""
     import trimesh
     from trimesh.visual import TextureVisuals
@@ -60,7 +60,7 @@ def _linear(color: tuple[int, int, int]) -> list[float]:
     return [round(x, 6) for x in np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4).tolist()]
 
 
-def read(content: bytes) -> MeshContent:
+def read_glb(content: bytes) -> MeshContent:
     """Points in mm and triangles of all meshes of the scene, each where its nodes put it.
 
     The nodes say where the points are in glTF's space; the header says which space they are stored in.

@@ -215,7 +215,7 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
         if compressed:
             file.seek(0)
             start = first_bytes(file, max(HEADER_BYTES.values()))
-        header = parse(start)
+        header = parse_header(start)
         times_text = times_text_in(_extensions(file, header, compressed)) if len(header.size) > 3 else ""
     if times_text:  # frames that are counted have no unit, but times
         header = replace(header, says_time=True)
@@ -256,7 +256,7 @@ read_plain_header = partial(read_header, compressed=False)
 read_compressed_header = partial(read_header, compressed=True)
 
 
-def parse(raw: bytes) -> NiftiHeader:
+def parse_header(raw: bytes) -> NiftiHeader:
     """Read a header, in either byte order, and refuse one that no 3D image of real numbers can have.
 
     Several volumes one after the other are accepted; see `NiftiFile.single`.

@@ -1,6 +1,10 @@
 """NIfTI volumes: ITK writes them, and places those of version 1 in the world; the voxels are read here.
 
 ITK turns NaN and infinity into 0 without a word, ignores small slopes, and reads voxels from places in the header.
+
+A plain NIfTI is also written box by box, into a file that is sparse where nothing was written. Where an axis has more
+than 32767 voxels it is a NIfTI-2. Names and colours of a label map are in an extension of the header with the code 30
+(CARET), as XML of Connectome Workbench; programs that do not know it read the file as any other.
 """
 
 from __future__ import annotations
@@ -145,7 +149,7 @@ _MAX_HEADER_BYTES = 352
 _MICRON = 3
 
 
-def read(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
+def read_nifti(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
     """Read a file of one volume.
 
     Parameters
@@ -174,20 +178,20 @@ def read(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
     return Volume(nifti.read_volumes(header, [0])[0], geometry, _metadata(header, geometry), path)
 
 
-def read_channels(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:
+def read_nifti_channels(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:
     """Read the volumes of a file, which follow one another in it.
 
     Raises
     ------
     InputError
-        As `read`, and for more than `accelsurf.io.channels.MAX_CHANNELS` of them.
+        As `read_nifti`, and for more than `accelsurf.io.channels.MAX_CHANNELS` of them.
     """
     if header.nifti.volumes == 1:
-        return [read(path, header, available)]
+        return [read_nifti(path, header, available)]
     return _read_some(path, header, header.selected(), available)
 
 
-def open_lazily(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVolume:
+def open_nifti(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVolume:
     """Open an uncompressed file of one volume, to be read box by box.
 
     Parameters
@@ -202,7 +206,7 @@ def open_lazily(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVo
     Raises
     ------
     InputError
-        As `read`.
+        As `read_nifti`.
     """
     fields = header.nifti
     number, (nx, ny, nz) = header.single(), fields.size[:3]
@@ -214,7 +218,7 @@ def open_lazily(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVo
     return LazyVolume(voxels, geometry, _metadata(header, geometry), path, layout)
 
 
-def write(volume: Volume, path: Path) -> None:
+def write_nifti(volume: Volume, path: Path) -> None:
     """Write NIfTI-1, with the numbers and codes that placed the volume when it was read."""
     reserve(path, volume.array.nbytes + _MAX_HEADER_BYTES)
     itk.save(volume, path, nifti.ITK_NAME, compress=False)
@@ -227,12 +231,12 @@ def write(volume: Volume, path: Path) -> None:
 def write_compressed(volume: Volume, path: Path) -> None:
     """Write NIfTI-1, compressed, the same bytes for the same volume."""
     plain = path.with_suffix("")  # ends in .nii
-    write(volume, plain)
+    write_nifti(volume, plain)
     gzip_file(plain, path)
     plain.unlink()
 
 
-def store(
+def store_nifti(
     path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str], source: str | None
 ) -> NiftiBoxes:
     """Begin a file that is written box by box; a NIfTI has no place for the name of its source."""

@@ -117,7 +117,7 @@ class OmeHeader:
         return math.prod(n for n, axis in zip(self.shape, self.ome.axes, strict=True) if axis.kind == kind)
 
 
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> OmeHeader:
+def parse_ome_zarr(path: Path, options: ReadOptions = AS_IT_IS) -> OmeHeader:
     """Read the metadata of an image, or of the only one in a store that bioformats2raw has written.
 
     Raises
@@ -208,7 +208,7 @@ def _says_images(mark: Path) -> bool:
         return False
 
 
-def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
+def open_ome_zarr(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
     """Open a level of one channel and time point.
 
     Parameters
@@ -270,7 +270,7 @@ def _grids(header: OmeHeader) -> tuple[Geometry, ...]:
     return tuple(ome.geometry(i, shape) for i, shape in enumerate(shapes))
 
 
-def read(path: Path, header: OmeHeader, available: int) -> Volume:
+def read_ome_zarr(path: Path, header: OmeHeader, available: int) -> Volume:
     """Read a level of one channel and time point, the finest unless another was asked for.
 
     Raises
@@ -283,13 +283,13 @@ def read(path: Path, header: OmeHeader, available: int) -> Volume:
     return _in_memory(*_opened(path, header, place, asked.level, 0), available, 1)
 
 
-def read_channels(path: Path, header: OmeHeader, available: int) -> list[Volume]:
+def read_ome_zarr_channels(path: Path, header: OmeHeader, available: int) -> list[Volume]:
     """Read the channels of an image, or the one that was asked for.
 
     Raises
     ------
     InputError
-        As `read`, and for more than `selection.MAX_CHANNELS` channels.
+        As `read_ome_zarr`, and for more than `accelsurf.io.channels.MAX_CHANNELS` channels.
     """
     places = selected(header.count("channel"), header.count("time"), header.options)
     opened = [_opened(path, header, place, header.options.level, 0) for place in places]
@@ -302,7 +302,7 @@ def _in_memory(lazy: LazyVolume, voxels: ZarrVoxels, available: int, count: int)
     return Volume(array, lazy.geometry, with_warnings(lazy.metadata, voxels.missing(listed=False)), lazy.source)
 
 
-def write(volume: Volume, path: Path) -> None:
+def write_ome_zarr(volume: Volume, path: Path) -> None:
     """Write OME-Zarr 0.5 with coarser levels of means."""
     _write(volume, path, labels=False)
 
@@ -321,7 +321,7 @@ def _write(volume: Volume, path: Path, labels: bool) -> None:
     pyramid.finish()
 
 
-def store(
+def store_ome_zarr(
     path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str], source: str | None
 ) -> ZarrPyramid:
     """Begin a label map that is written box by box."""

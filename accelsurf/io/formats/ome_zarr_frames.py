@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from accelsurf.io.sequence_writing import FrameStack
 
 
-def write(path: Path, frames: FrameStack) -> None:
+def write_ome_zarr_frames(path: Path, frames: FrameStack) -> None:
     """Write the frames; a chunk of zeros takes no space."""
     zarr = library()
     from zarr.codecs import ZstdCodec

@@ -1,7 +1,8 @@
 """PNG: what the header claims, whether it is all there, and how it is written.
 
 ITK reads the pixels, from a copy without the parts that say nothing about them: a note, a profile of colours or a
-number of significant bits (by which ITK would divide the values) is not unpacked and not heeded.
+number of significant bits (by which ITK would divide the values) is not unpacked and not heeded. Headers of PNG
+and TIFF keep the size of a pixel and no place in the world: an image starts at the world's origin, along its axes.
 """
 
 from __future__ import annotations
@@ -171,7 +172,7 @@ def _scale(text: bytes) -> tuple[float, float] | None:
     return (x, y) if min(x, y) > 0 and math.isfinite(x) and math.isfinite(y) else None
 
 
-def read(path: Path, header: PngHeader, available: int) -> Volume:
+def read_png(path: Path, header: PngHeader, available: int) -> Volume:
     """Read a PNG.
 
     Parameters
@@ -201,7 +202,7 @@ def read(path: Path, header: PngHeader, available: int) -> Volume:
     return Volume(array[None], Geometry(header.shape, spacing), with_warnings({}, note), path)
 
 
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> PngHeader:
+def parse_png(path: Path, options: ReadOptions = AS_IT_IS) -> PngHeader:
     """Read the header of a PNG.
 
     Raises
@@ -238,12 +239,12 @@ def _row_bytes(width: int, height: int, bits: int, interlaced: bool) -> int:
     return total
 
 
-def write(volume: Volume, path: Path) -> None:
-    """Write a grey PNG; see `encode`."""
-    path.write_bytes(encode(volume.array, volume.geometry.spacing))
+def write_png(volume: Volume, path: Path) -> None:
+    """Write a grey PNG; see `png_bytes`."""
+    path.write_bytes(png_bytes(volume.array, volume.geometry.spacing))
 
 
-def encode(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
+def png_bytes(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
     """A grey PNG of the one slice of an array, with the size of a pixel where ITK looks for it.
 
     Parameters

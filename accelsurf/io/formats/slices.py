@@ -118,7 +118,7 @@ def _numbered(name: str) -> list[tuple[int, str]]:
     return [(int(word) if place % 2 else 0, "" if place % 2 else word) for place, word in enumerate(words)]
 
 
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> SliceFolder:
+def parse_slices(path: Path, options: ReadOptions = AS_IT_IS) -> SliceFolder:
     """Read the headers of all slices.
 
     Raises
@@ -200,7 +200,7 @@ def _gaps(names: Sequence[str]) -> str:
     return f"slices are missing: the numbers of the files have gaps at {text}; the others are put side by side"
 
 
-def read(path: Path, header: SliceFolder, available: int) -> Volume:
+def read_slices(path: Path, header: SliceFolder, available: int) -> Volume:
     """Read all slices.
 
     Raises
@@ -225,7 +225,7 @@ def read(path: Path, header: SliceFolder, available: int) -> Volume:
     return Volume(array, header.geometry, with_warnings(header.metadata, colours), path)
 
 
-def open_lazily(path: Path, header: SliceFolder, opening: Opening) -> LazyVolume:
+def open_slices(path: Path, header: SliceFolder, opening: Opening) -> LazyVolume:
     """Open slices in TIFF, to be read box by box.
 
     Raises

@@ -1,4 +1,7 @@
-"""The bytes of surface files: PLY, STL, OBJ, VTP. Without a label they have neither name nor colour."""
+"""Surface files: PLY, STL, OBJ, VTP. Without a label they have neither name nor colour.
+
+trimesh reads them, all but VTP, and writes none with a comment that says the space of the points.
+"""
 
 from __future__ import annotations
 

@@ -334,8 +334,8 @@ class TiffHeader(RasterHeader):
         """Bytes of all rows when unpacked; of pages in tiles, with what goes beyond the image."""
         return int(self.strip_bytes.sum()) * self.shape[0]
 
-    def of_pages(self, pages: Sequence[int], sample: int | None = None) -> TiffHeader:
-        """The header of some of the pages, in an order."""
+    def select_pages(self, pages: Sequence[int], sample: int | None = None) -> TiffHeader:
+        """Return the header of some of the pages, in an order."""
         starts = np.concatenate([[0], self.ends[:-1]])
         strips = [self.strips[starts[page] : self.ends[page]] for page in pages]
         _, ny, nx = self.shape
@@ -484,16 +484,16 @@ def _rows(page: Page) -> int:
 
 def _bits(page: Page) -> tuple[int, ...]:
     """Bits of each value of a pixel."""
-    return of_samples(page, BITS)
+    return sample_values(page, BITS)
 
 
 def _format(page: Page) -> int:
     """Sample format of all values of a pixel; 0 where they have several."""
-    found = set(of_samples(page, FORMAT))
+    found = set(sample_values(page, FORMAT))
     return found.pop() if len(found) == 1 else 0
 
 
-def of_samples(page: Page, tag: int) -> tuple[int, ...]:
+def sample_values(page: Page, tag: int) -> tuple[int, ...]:
     """Values of a tag that has one for each value of a pixel, or one for all.
 
     Raises

@@ -17,12 +17,12 @@ from accelsurf.grid.volume import Volume
 MAX_FILE_BYTES = 0xFFFFFFFF
 
 
-def write(volume: Volume, path: Path) -> None:
-    """Write a grey TIFF; see `encode`."""
-    path.write_bytes(encode(volume.array, volume.geometry.spacing))
+def write_tiff(volume: Volume, path: Path) -> None:
+    """Write a grey TIFF; see `tiff_bytes`."""
+    path.write_bytes(tiff_bytes(volume.array, volume.geometry.spacing))
 
 
-def encode(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
+def tiff_bytes(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
     """Return a TIFF with a page for each slice, its sizes per cm; ImageJ finds the distance of the slices as well.
 
     Parameters

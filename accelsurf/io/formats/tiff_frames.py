@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _OME_TYPES = {"float32": "float"}
 
 
-def write(path: Path, frames: FrameStack) -> None:
+def write_tiff_frames(path: Path, frames: FrameStack) -> None:
     """Write the pages, deflated.
 
     Raises

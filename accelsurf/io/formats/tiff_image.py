@@ -106,7 +106,7 @@ class TiffImage:
         return len(places) * math.prod(self.grids[self.level].shape)
 
 
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
+def parse_tiff(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
     """Read the directories of a TIFF (also BigTIFF), and of the files that belong to it.
 
     Raises
@@ -263,7 +263,7 @@ def _file_header(
     return header_of(path, form, some, spacing)
 
 
-def open_lazily(path: Path, header: TiffImage, opening: Opening) -> LazyVolume:
+def open_tiff(path: Path, header: TiffImage, opening: Opening) -> LazyVolume:
     """Open one channel of a grey image, to be read box by box.
 
     Parameters
@@ -293,7 +293,7 @@ def _opened(path: Path, image: TiffImage, t: int, c: int, cache_bytes: int) -> L
     numbers = image.stack.file_numbers[t, c // image.samples].tolist()
     sources, depths, is_packed = [], [], False
     for number, group in itertools.groupby(zip(numbers, pages, strict=True), key=lambda pair: pair[0]):
-        part = image.parts[number].of_pages([page for _, page in group], sample)
+        part = image.parts[number].select_pages([page for _, page in group], sample)
         sources.append(_source(part, cache_bytes))
         depths.append(part.shape[0])
         is_packed = is_packed or part.planes is None
@@ -322,7 +322,7 @@ def _source(header: TiffHeader, cache_bytes: int) -> VoxelSource:
     return TiffPages(header, cache_bytes)
 
 
-def read(path: Path, header: TiffImage, available: int) -> Volume:
+def read_tiff(path: Path, header: TiffImage, available: int) -> Volume:
     """Read an image of one channel, or the channel that was asked for.
 
     Raises
@@ -334,13 +334,13 @@ def read(path: Path, header: TiffImage, available: int) -> Volume:
     return _read(path, header, place, available, 1)
 
 
-def read_channels(path: Path, header: TiffImage, available: int) -> list[Volume]:
+def read_tiff_channels(path: Path, header: TiffImage, available: int) -> list[Volume]:
     """Read the channels of an image, or the one that was asked for.
 
     Raises
     ------
     InputError
-        As `read`, and for more than `selection.MAX_CHANNELS` channels.
+        As `read_tiff`, and for more than `accelsurf.io.channels.MAX_CHANNELS` channels.
     """
     places = selected(header.channels, header.stack.time_points, header.options)
     return [_read(path, header, place, available, len(places)) for place in places]
@@ -352,7 +352,7 @@ def _read(path: Path, image: TiffImage, place: tuple[int, int], available: int, 
     check_memory(grid.shape[::-1], part.pixel_bytes * count, available)
     if part.stored is None and len(image.parts) == 1:
         t, c = place
-        pages = TiffPages(part.of_pages(image.stack.pages[t, c].tolist()), 0)
+        pages = TiffPages(part.select_pages(image.stack.pages[t, c].tolist()), 0)
         array, note = to_grey(pages.read(whole_box(grid.shape)))
         return Volume(array, grid, with_warnings(image.metadata, note), path)
     lazy = _opened(path, image, *place, 0)

@@ -1,6 +1,6 @@
 """Arrays of a Zarr, read chunk by chunk. The only place that imports zarr for reading; it is an extra.
 
-zarr reads and checks the metadata; the chunks are unpacked by `zarr_codecs`, which compares them with what they
+zarr reads and checks the metadata; the chunks are unpacked by `zarr_files`, which compares them with what they
 announce.
 
 A chunk that is not in the store has the fill value: so says Zarr, and stores of label maps consist of little else. A

@@ -108,7 +108,7 @@ def test_booleans_become_bytes_and_doubles_are_refused(tmp_path):
 def test_a_tiff_beyond_4_gib_is_refused(monkeypatch):
     monkeypatch.setattr(tiff_file, "MAX_FILE_BYTES", 200)
     with pytest.raises(UsageError, match="4 GiB"):
-        tiff_file.encode(SMALL[None], (1.0, 1.0, 1.0))
+        tiff_file.tiff_bytes(SMALL[None], (1.0, 1.0, 1.0))
 
 
 # ----------------------------------------------------------------------------------------------------- labels
