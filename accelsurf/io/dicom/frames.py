@@ -21,13 +21,13 @@ from accelsurf.io.dicom.library import HEADER_HINT, PixelBytes, damage_of, libra
 from accelsurf.io.dicom.sources import DicomFile
 from accelsurf.settings import budgets
 
-TAGS = ("DetectorInformationSequence", "SliceVector", "TimeSlotVector", "EnergyWindowVector")
-_CLASS = "1.2.840.10008.5.1.4.1.1.20"
+_NUCLEAR_TAGS = ("DetectorInformationSequence", "SliceVector", "TimeSlotVector", "EnergyWindowVector")
+_NUCLEAR = "1.2.840.10008.5.1.4.1.1.20"
 _RECONSTRUCTED = {"RECON TOMO", "RECON GATED TOMO"}
 
 
 def _is_reconstructed(dataset: Any) -> bool:
-    return str(dataset.get("SOPClassUID")) == _CLASS and bool(_RECONSTRUCTED & set(listed(dataset.get("ImageType"))))
+    return str(dataset.get("SOPClassUID")) == _NUCLEAR and bool(_RECONSTRUCTED & set(listed(dataset.get("ImageType"))))
 
 
 def _entry(dataset: Any, name: str, number: int) -> int | None:
@@ -77,9 +77,10 @@ def phase_of(dataset: Any, number: int) -> dict[str, str]:
     return {what: str(value) for what, value in found.items() if value is not None}
 
 
+#: The number of images in a mosaic, and the block that says which way they follow (Siemens), with their creators.
+_MOSAIC_COUNT, _MOSAIC_TAGS = 0x0019_100A, (0x0019_100A, 0x0019_0010, 0x0029_1010, 0x0029_0010)
 #: First row and column, rows, columns, position.
 Tile = tuple[tuple[int, int], int, int, tuple[float, ...]]
-_COUNT = 0x0019_100A
 
 
 def tiles_of(path: DicomFile, dataset: Any) -> list[Tile]:
@@ -96,7 +97,7 @@ def tiles_of(path: DicomFile, dataset: Any) -> list[Tile]:
     with quiet():  # it warns of itself
         from nibabel.nicom import csareader
 
-    count = dataset.get(_COUNT)
+    count = dataset.get(_MOSAIC_COUNT)
     block = csareader.get_csa_header(dataset, "image")
     count = int(count.value) if count is not None else (csareader.get_n_mosaic(block) if block else None)
     normal = csareader.get_slice_normal(block) if block else None
@@ -131,14 +132,10 @@ _TAGS = [
     *("PerFrameFunctionalGroupsSequence", "FrameTime", "FrameTimeVector", "CineRate", "RecommendedDisplayFrameRate"),
     *("ModalityLUTSequence", *(f"{kind}PixelPadding{part}" for kind in ("", "Float", "DoubleFloat")
                                for part in ("Value", "RangeLimit"))),
-    *kinds.TAGS, *TAGS,
+    *kinds.TAGS, *_NUCLEAR_TAGS,
 ]
 #: Samples of a pixel on average, where colours are stored for pairs of pixels.
 _HALVED = "YBR_FULL_422"
-#: The number of images in a mosaic and the block that says which way they follow (Siemens).
-_MOSAIC_COUNT, _MOSAIC_CREATOR, _MOSAIC_BLOCK, _BLOCK_CREATOR = (
-    0x0019_100A, 0x0019_0010, 0x0029_1010, 0x0029_0010,
-)
 _MAX_SIDE, _MAX_BITS = 1 << 16, 64
 
 
@@ -252,9 +249,7 @@ def _frames(path: DicomFile, dataset: Elements, pixels: PixelBytes | None, of_se
         raise InputError(f"{path.name}: {count} frames announced, {len(groups)} described", HEADER_HINT)
     said = _said(path, dataset)
     if "MOSAIC" in listed(dataset.get("ImageType")):
-        from accelsurf.io.dicom.frames import tiles_of
-
-        tiles = tiles_of(path, read_dataset(path, [*_TAGS, *_mosaic_tags()]))
+        tiles = tiles_of(path, read_dataset(path, [*_TAGS, *_MOSAIC_TAGS]))
         return [_frame(path, dataset, 0, 1, tile, said) for tile in tiles]
     return [_frame(path, dataset, number, count, None, said) for number in order_of(dataset, count)]
 
@@ -296,10 +291,6 @@ def _check_pixels(path: DicomFile, dataset: Elements, pixels: PixelBytes, size: 
     budgets.DICOM_PACKED.check(
         size * samples * bits // 8, f"{path.name} announces for each frame", pixels.present // count + 4096
     )
-
-
-def _mosaic_tags() -> list[Any]:
-    return [_MOSAIC_COUNT, _MOSAIC_CREATOR, _MOSAIC_BLOCK, _BLOCK_CREATOR]
 
 
 @dataclass(frozen=True)
