@@ -34,10 +34,11 @@ def glb_bytes(vertices: Floats, faces: NDArray[np.int32], space: str, label: Lab
     from trimesh.visual.material import PBRMaterial
 
     name = "surface" if label is None else label.name
-    mesh = trimesh.Trimesh(vertices, faces, process=False, validate=False)
+    look = None
     if label is not None:
         material = PBRMaterial(name, baseColorFactor=[*label.color, 255], metallicFactor=0.0, roughnessFactor=0.8)
-        mesh.visual = TextureVisuals(material=material)
+        look = TextureVisuals(material=material)
+    mesh = trimesh.Trimesh(vertices, faces, process=False, validate=False, visual=look)
 
     def describe(tree: dict[str, Any]) -> None:
         tree["asset"] |= {"generator": "accelsurf", "extras": {"space": space, "unit": "mm"}}
