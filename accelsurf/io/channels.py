@@ -14,6 +14,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import naming
 from accelsurf.io.memory import available_memory
+from accelsurf.settings.file_formats import ImageFormat
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.registry import load
 
@@ -174,10 +175,14 @@ def read(
     path = Path(path)
     with naming(path), headers.outside_data_allowed(outside_data):
         form, header = headers.parse(path, options)
-        available = available_memory()
-        if form.read_channels is None:
-            return [load(form.read)(path, header, available)]
-        volumes: list[Volume] = load(form.read_channels)(path, header, available)
+        return read_volumes(path, form, header, available_memory())
+
+
+def read_volumes(path: Path, form: ImageFormat, header: Any, available: int) -> list[Volume]:
+    """Read the channels of an image whose header was read, into so many bytes of memory at most."""
+    if form.read_channels is None:
+        return [load(form.read)(path, header, available)]
+    volumes: list[Volume] = load(form.read_channels)(path, header, available)
     return volumes
 
 

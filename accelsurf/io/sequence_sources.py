@@ -15,6 +15,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.grid.volume import Volume
 from accelsurf.io import headers, itk
+from accelsurf.io.channels import read_volumes
 from accelsurf.io.files import naming
 from accelsurf.io.formats.slices import fitting_names, in_order
 from accelsurf.io.headers import FRAME_KEY, TIMES_KEY, WARNING_KEY, FrameTimes
@@ -171,14 +172,6 @@ class FrameFolder(FileSequence):
         file = self.files[number]
         with naming(file):
             return read_volumes(file, *self._parsed(file), self.memory)
-
-
-def read_volumes(path: Path, form: ImageFormat, header: Any, available: int) -> list[Volume]:
-    """The channels of an image whose header was read."""
-    if form.read_channels is None:
-        return [load(form.read)(path, header, available)]
-    found: list[Volume] = load(form.read_channels)(path, header, available)
-    return found
 
 
 def with_time(header: Any, number: int) -> Any:

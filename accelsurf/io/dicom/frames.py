@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import Any
 
@@ -230,7 +230,7 @@ def _frames(path: DicomFile, dataset: Elements, pixels: PixelBytes | None, of_se
     rows, columns = (int(dataset.get(name) or 0) for name in ("Rows", "Columns"))
     kind = kinds.kind_of(dataset)
     if kind and not (of_segmentation and kind == kinds.SEGMENTATION):
-        return [_frame(path, dataset, 0, 1, None, _said(path, dataset), kind)]
+        return [_frame(_common(path, dataset), dataset, 0, 1, None, _elapsed(dataset), kind)]
     if not any(dataset.get(name) for name in ("SOPClassUID", "Modality", "Rows")):
         what = "its header has no SOP class, modality or number of rows; cut short?"
         raise InputError(f"{path.name}: {what}", "copy it again")
@@ -247,11 +247,11 @@ def _frames(path: DicomFile, dataset: Elements, pixels: PixelBytes | None, of_se
     groups = dataset.get("PerFrameFunctionalGroupsSequence")
     if groups and len(groups) != count:
         raise InputError(f"{path.name}: {count} frames announced, {len(groups)} described", HEADER_HINT)
-    said = _said(path, dataset)
+    common, elapsed = _common(path, dataset), _elapsed(dataset)
     if "MOSAIC" in listed(dataset.get("ImageType")):
         tiles = tiles_of(path, read_dataset(path, [*_TAGS, *_MOSAIC_TAGS]))
-        return [_frame(path, dataset, 0, 1, tile, said) for tile in tiles]
-    return [_frame(path, dataset, number, count, None, said) for number in order_of(dataset, count)]
+        return [_frame(common, dataset, 0, 1, tile, elapsed) for tile in tiles]
+    return [_frame(common, dataset, number, count, None, elapsed) for number in order_of(dataset, count)]
 
 
 def _check_pixels(path: DicomFile, dataset: Elements, pixels: PixelBytes, size: int, count: int) -> None:
@@ -293,42 +293,27 @@ def _check_pixels(path: DicomFile, dataset: Elements, pixels: PixelBytes, size: 
     )
 
 
-@dataclass(frozen=True)
-class _Said:
-    """Elements that a file has for all its frames."""
-
-    size: tuple[int, int]
-    uids: tuple[str, str, str, str]
-    labels: dict[str, str]
-    image_type: tuple[str, ...]
-    pixel: tuple[int, int, bool, int, str]
-    padding: tuple[float, float] | None
-    elapsed: tuple[float, ...]
-
-
-def _said(path: DicomFile, dataset: Elements) -> _Said:
+def _common(path: DicomFile, dataset: Elements) -> Frame:
+    """A frame with the elements that a file has for all its frames."""
     bits, is_signed = int(dataset.get("BitsAllocated") or 16), bool(dataset.get("PixelRepresentation") or 0)
     names = {"modality": "Modality", "description": "SeriesDescription", "number": "SeriesNumber",
              "class": "SOPClassUID"}
     study, series, instance, world = (
         text(dataset, f"{what}UID") for what in ("StudyInstance", "SeriesInstance", "SOPInstance", "FrameOfReference")
     )
-    return _Said(
-        (int(dataset.get("Rows") or 0), int(dataset.get("Columns") or 0)),
-        (study, series, instance, world),
-        {what: text(dataset, name) for what, name in names.items()},
-        tuple(listed(dataset.get("ImageType"))),
-        (
-            int(dataset.get("BitsStored") or bits), bits, is_signed, int(dataset.get("SamplesPerPixel") or 1),
-            text(dataset, "PhotometricInterpretation"),
-        ),
-        _padding(path, dataset, bits, is_signed),
-        _elapsed(dataset),
+    pixel = (
+        int(dataset.get("BitsStored") or bits), bits, is_signed, int(dataset.get("SamplesPerPixel") or 1),
+        text(dataset, "PhotometricInterpretation"),
+    )
+    return Frame(
+        path, 0, 1, None, int(dataset.get("Rows") or 0), int(dataset.get("Columns") or 0), None, None, None, None,
+        1.0, 0.0, (study, series, instance, world), {what: text(dataset, name) for what, name in names.items()},
+        tuple(listed(dataset.get("ImageType"))), pixel, {}, padding=_padding(path, dataset, bits, is_signed),
     )
 
 
 def _frame(
-    path: DicomFile, dataset: Elements, number: int, count: int, tile: Any, said: _Said, kind: str = ""
+    common: Frame, dataset: Elements, number: int, count: int, tile: Tile | None, elapsed: Floats, kind: str = ""
 ) -> Frame:
     place = _group(dataset, number, "PlanePositionSequence")
     turn = _group(dataset, number, "PlaneOrientationSequence")
@@ -337,29 +322,22 @@ def _frame(
     slope, intercept = number_of(scale, "RescaleSlope"), number_of(scale, "RescaleIntercept")
     table = scale.get("ModalityLUTSequence")
     if slope == 0 and not table:
-        raise InputError(f"{path.name}: its values are scaled by 0", HEADER_HINT)
+        raise InputError(f"{common.path.name}: its values are scaled by 0", HEADER_HINT)
     spacing = numbers_of(size, "PixelSpacing", 2) or numbers_of(dataset, "ImagerPixelSpacing", 2)
     position, orientation = place_of(dataset, number) or (
         numbers_of(place, "ImagePositionPatient", 3), numbers_of(turn, "ImageOrientationPatient", 6)
     )
-    corner, (rows, columns) = None, said.size
-    if tile is not None:
-        corner, rows, columns, position = tile
-    phase, times = _phase(path, dataset, number, count), _times(dataset, number, said.elapsed)
-    return Frame(
-        path, number, count, corner, rows, columns, position, orientation,
-        spacing if spacing is not None and min(spacing) > 0 else None,
-        number_of(size, "SpacingBetweenSlices") or number_of(size, "SliceThickness") or None,
-        1.0 if slope is None or table else slope,
-        0.0 if intercept is None or table else intercept,
-        said.uids,
-        {**said.labels, "unit": _unit(dataset, scale, table), "kind": kind},
-        said.image_type,
-        said.pixel,
-        {name: value for name, value in phase.items() if value},
-        {name: value for name, value in times.items() if value is not None and math.isfinite(value)},
-        bool(table),
-        said.padding,
+    corner, rows, columns, position = tile or (None, common.rows, common.columns, position)
+    phase, times = _phase(common.path, dataset, number, count), _times(dataset, number, elapsed)
+    return replace(
+        common, number=number, frames=count, corner=corner, rows=rows, columns=columns, position=position,
+        orientation=orientation, spacing=spacing if spacing is not None and min(spacing) > 0 else None,
+        thickness=number_of(size, "SpacingBetweenSlices") or number_of(size, "SliceThickness") or None,
+        slope=1.0 if slope is None or table else slope, intercept=0.0 if intercept is None or table else intercept,
+        labels={**common.labels, "unit": _unit(dataset, scale, table), "kind": kind},
+        phase={name: value for name, value in phase.items() if value},
+        times={name: value for name, value in times.items() if value is not None and math.isfinite(value)},
+        has_table=bool(table),
     )
 
 
