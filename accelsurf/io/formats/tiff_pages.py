@@ -257,15 +257,15 @@ def _heard() -> Iterator[list[str]]:
     """Take the lines that tifffile logs in this thread; they go nowhere else."""
     said: list[str] = []
 
-    def take(record: logging.LogRecord) -> bool:
+    def collect(record: logging.LogRecord) -> bool:
         if record.thread != get_ident():
             return True
         said.append(" ".join(record.getMessage().split())[:200])
         return False
 
     logger = logging.getLogger("tifffile")
-    logger.addFilter(take)
+    logger.addFilter(collect)
     try:
         yield said
     finally:
-        logger.removeFilter(take)
+        logger.removeFilter(collect)
