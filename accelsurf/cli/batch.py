@@ -233,7 +233,7 @@ def _run(
     from accelsurf.batch.run import refuse_results
     from accelsurf.cli import batch_case
     from accelsurf.cli.progress import BatchProgress
-    from accelsurf.io.signals import uninterrupted
+    from accelsurf.io.file_set import uninterrupted
     from accelsurf.report.output_folder import opened_set
 
     interrupts = Interrupts.current()

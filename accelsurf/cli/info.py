@@ -122,7 +122,7 @@ def _facts_of(path: Path, requested: ReadOptions) -> dict[str, Any]:
     from accelsurf import io
     from accelsurf.errors import InputError
     from accelsurf.io import headers
-    from accelsurf.io.metadata import FRAME_KEY, UNIT_KEY
+    from accelsurf.io.headers import FRAME_KEY, UNIT_KEY
 
     first = replace(
         requested, time_index=requested.time_index or 0, channel_index=requested.channel_index or 0,

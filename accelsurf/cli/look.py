@@ -92,7 +92,7 @@ def look(
 def _say_notes(volumes: list[Volume]) -> None:
     """Print the warnings about the files of an image."""
     from accelsurf.cli.interrupts import say
-    from accelsurf.io.metadata import WARNING_KEY
+    from accelsurf.io.headers import WARNING_KEY
 
     for note in dict.fromkeys(volume.metadata.get(WARNING_KEY, "") for volume in volumes):
         if note:
@@ -117,7 +117,7 @@ def _values(array: NDArray[Any]) -> str:
 
 def _said_of(volumes: list[Volume]) -> str:
     """Size of an image, and of its voxels in the unit of the file."""
-    from accelsurf.io.metadata import UNIT_KEY
+    from accelsurf.io.headers import UNIT_KEY
     from accelsurf.settings.wording import voxel_text
 
     grid = volumes[0].geometry

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
-from accelsurf.io.metadata import UNIT_KEY
+from accelsurf.io.headers import UNIT_KEY
 from accelsurf.settings.wording import place_text, size_option, size_text, volume_text
 
 if TYPE_CHECKING:

@@ -36,7 +36,7 @@ class ChallengeTrack(NamedTuple):
 
 @dataclass(frozen=True)
 class ChallengeFolder:
-    """What is in such a folder; nothing of a label map is read yet.
+    """Tracks and label maps of a folder; nothing of a label map is read yet.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class ChallengeFolder:
 
 
 def is_challenge(path: Path) -> bool:
-    """Whether a path is a folder of the challenge, or one of a reference, with a folder ``TRA`` in it."""
+    """Test if a path is a folder of the challenge, or one of a reference, with a folder ``TRA`` in it."""
     return any((folder / table).is_file() for folder in (path, path / "TRA") for table in _TABLES)
 
 
@@ -83,7 +83,7 @@ def open_challenge(path: Path) -> ChallengeFolder:
     if not frames or lacking is not None:
         raise InputError(f"{folder}: the label map of frame {lacking or 0} is not there", "are all files there?")
     exact = folder.parent / "SEG" if folder.name == "TRA" else folder
-    slices = [one.name for one in exact.glob("man_seg*") if _SLICE.fullmatch(one.name)]
+    slices = [slice_map.name for slice_map in exact.glob("man_seg*") if _SLICE.fullmatch(slice_map.name)]
     if slices:
         raise InputError(f"{exact / slices[0]}: an outline of one slice of a volume, outlines of whole frames expected",
                          "give the folder TRA alone: SEG is then measured on its label maps")
@@ -105,18 +105,18 @@ def _read_tracks(table: Path) -> tuple[ChallengeTrack, ...]:
         if not line.strip():
             continue
         try:
-            one = ChallengeTrack(*(int(word) for word in line.split()))
+            track = ChallengeTrack(*(int(word) for word in line.split()))
         except (TypeError, ValueError):
             raise InputError(
                 f"line {number}: {line[:40]!r} given, expected four whole numbers: label, first and last frame, parent",
                 _TABLE_HINT,
             ) from None
-        if not (0 < one.label < 2**32 and 0 <= one.first <= one.last and one.parent >= 0):
+        if not (0 < track.label < 2**32 and 0 <= track.first <= track.last and track.parent >= 0):
             raise InputError(
                 f"line {number}: {line[:40]!r} given, expected a label above 0, and first <= last frame", _TABLE_HINT
             )
-        if one.label in tracks:
-            raise InputError(f"line {number}: a second track with the label {one.label}", _TABLE_HINT)
-        tracks[one.label] = one
+        if track.label in tracks:
+            raise InputError(f"line {number}: a second track with the label {track.label}", _TABLE_HINT)
+        tracks[track.label] = track
     return tuple(tracks.values())
 

@@ -26,7 +26,7 @@ class DicomFrames(FileSequence):
         dicom.refuse_lost(contents, series, options)
         self._parts, times = frames_in_time(frames, self._files.root)
         first = self._header(0)
-        self.place(first.geometry, times, [*dicom.left_out(contents, series, file), *first.notes])
+        self.place(first.geometry, times, [*dicom.notes_on_left_out(contents, series, file), *first.notes])
 
     def _header(self, number: int) -> dicom.DicomHeader:
         """Slices of a frame in their order, on a grid."""
@@ -35,7 +35,7 @@ class DicomFrames(FileSequence):
 
     def read(self, number: int) -> list[Volume]:
         """Read the slices of a frame."""
-        return [dicom.read(self.path, self._header(number), self.memory)]
+        return [dicom.read_dicom(self.path, self._header(number), self.memory)]
 
 
 def _frames_of(contents: Contents, options: ReadOptions, file: Path | None) -> list[Frame]:
@@ -55,10 +55,10 @@ def _frames_of(contents: Contents, options: ReadOptions, file: Path | None) -> l
             f"{len(cines)} series at several times are in it", "say which by --series; accelsurf info FOLDER lists them"
         )
     asked = dicom.volume_of(contents, options, file)
-    alike = [one for one in contents.volumes if one.uid == asked.uid and _contrast(one) == _contrast(asked)]
-    return [frame for one in alike for frame in one.frames]
+    alike = [volume for volume in contents.volumes if volume.uid == asked.uid and _contrast(volume) == _contrast(asked)]
+    return [frame for volume in alike for frame in volume.frames]
 
 
 def _contrast(volume: DicomVolume) -> dict[str, str]:
-    """What tells a volume apart other than time."""
+    """Elements, other than time, that tell a volume apart."""
     return {name: value for name, value in volume.phase.items() if name not in TIME_PHASES}

@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import stat
+import threading
 import time
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,7 +26,30 @@ from pathlib import Path
 from accelsurf.errors import AccelsurfWarning, OutputError
 from accelsurf.io import set_journals
 from accelsurf.io.set_journals import PREFIX, SUFFIX, Journal, Moves, sync_folder
-from accelsurf.io.signals import uninterrupted
+
+#: Signals that end a program on request.
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let both signals wait until the end of a short piece of work, such as some renames; then they act as before."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are handled in the main thread alone
+        return
+    waiting: list[int] = []
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    python_ones = [signal.Signals(number) for number, handler in before.items() if callable(handler)]
+    for number in python_ones:
+        signal.signal(number, lambda number, frame: waiting.append(number))
+    try:
+        yield
+    finally:
+        for number in python_ones:
+            signal.signal(number, before[number])
+        for came in waiting:
+            signal.raise_signal(came)
+
 
 _NEW, _OLD = "new", "old"
 #: Another process looks for a moment whether the writer of a set is dead, and holds its lock then.
@@ -36,7 +61,7 @@ _NAMED = 3
 
 
 class FileSet:
-    """Drafts of files that will stand in one folder; made by `opened`.
+    """Drafts of files that will stand in one folder; made by `open_set`.
 
     Attributes
     ----------
@@ -108,12 +133,12 @@ class FileSet:
             _warn_without_journal(self.folder, self._journal)
 
     def _has_folder(self, name: str) -> bool:
-        """Whether the draft of a name, or what it replaces, is a folder: the system does not exchange these."""
+        """Test if the draft of a name, or what it replaces, is a folder: the system does not exchange these."""
         return (self.drafts / name).is_dir() or (self.folder / name).is_dir()
 
 
 @contextmanager
-def opened(folder: Path, name: str, unique: bool = False, inputs: Sequence[Path] = ()) -> Iterator[FileSet]:
+def open_set(folder: Path, name: str, unique: bool = False, inputs: Sequence[Path] = ()) -> Iterator[FileSet]:
     """Prepare a set of files. What a killed process has left of one is finished or removed first.
 
     Parameters
@@ -141,7 +166,7 @@ def opened(folder: Path, name: str, unique: bool = False, inputs: Sequence[Path]
         Of staging folders that are not of this user's runs, and of a state folder that cannot be written.
     """
     refuse_links(folder)
-    stuck = [staging for staging in recover(folder) if set_journals.is_of(staging, name)]
+    stuck = [staging for staging in recover(folder) if set_journals.belongs_to(staging, name)]
     if stuck and not unique:
         raise OutputError(
             f"{folder / name}: a run that was killed has put only some of its files in place, and they cannot be moved",
@@ -176,7 +201,7 @@ def _warn_without_journal(folder: Path, journal: Journal) -> None:
 
 def _begun(folder: Path, name: str, unique: bool) -> Journal | None:
     for _ in range(_TRIES):
-        journal = set_journals.begun(folder, name, unique)
+        journal = set_journals.begin_journal(folder, name, unique)
         if journal is not None:
             return journal
         time.sleep(_TRY_SECONDS)
@@ -199,7 +224,7 @@ def recover(folder: Path) -> list[Path]:
     if set_journals.is_staging(folder):
         return []
     there, stuck = _staging_folders(folder), []
-    for journal in set_journals.left_by_dead(folder):
+    for journal in set_journals.journals_of_the_dead(folder):
         try:
             _check_staging(journal)
             if journal.moves is not None:
@@ -228,7 +253,7 @@ def _name_foreign(folder: Path, there: list[str]) -> None:
     """Warn of staging folders of which no journal of this user tells: whoever left them, nothing in them counts."""
     if not there:
         return
-    known = set_journals.recorded(folder)
+    known = set_journals.recorded_staging(folder)
     names = [name for name in there if name not in known and os.path.lexists(folder / name)]
     if names:
         more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
@@ -273,7 +298,7 @@ def _is_of_the_system(link: Path) -> bool:
 
 
 def _is_link(path: Path) -> bool:
-    """Whether a path is a link, or a junction of Windows."""
+    """Test if a path is a link, or a junction of Windows."""
     try:
         found = path.lstat()
     except OSError:
@@ -359,7 +384,7 @@ def _stat(path: Path, follow: bool = True) -> os.stat_result | None:
 
 
 def finish_killed_runs(folder: Path) -> None:
-    """What a command does before it reads results in a folder: `recover`.
+    """Recover a folder before results in it are read; see `recover`.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import AccelsurfError, InputError, OutputError
-from accelsurf.io.file_set import FileSet, opened
+from accelsurf.io.file_set import FileSet, open_set
 from accelsurf.settings import budgets
 from accelsurf.settings.budgets import Budget
 from accelsurf.settings.input_file import check_readable
@@ -67,7 +67,7 @@ def library_named(what: str, hint: str) -> Iterator[None]:
 
 
 def one_line(error: Exception) -> str:
-    """What an error of a library says, on one line of at most 200 characters."""
+    """Message of a library's error, on one line of at most 200 characters."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
@@ -87,7 +87,7 @@ def bytes_within(path: str | os.PathLike[str], budget: Budget) -> bytes:
 
 
 def read_json(path: str | os.PathLike[str]) -> Any:
-    """What a JSON file holds.
+    """Read a JSON file.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def _itk_reason(error: RuntimeError) -> str:
 
 
 def file_version(found: os.stat_result) -> tuple[int, ...]:
-    """What changes when a file is written or replaced."""
+    """Numbers that change when a file is written or replaced."""
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
@@ -135,7 +135,7 @@ def staging(path: Path, folder_marks: tuple[str, ...] = ()) -> Iterator[FileSet]
     try:
         if path.is_dir() and not any((path / mark).is_file() for mark in folder_marks):
             raise OutputError(f"{path}: is a folder, a file name expected", hint="choose another name")
-        with opened(path.parent, path.name, unique=True) as files:
+        with open_set(path.parent, path.name, unique=True) as files:
             yield files
     except OSError as error:
         raise OutputError(

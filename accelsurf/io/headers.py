@@ -1,20 +1,185 @@
-"""Which format a file has, by the ending of its name, and what its header says."""
+"""Formats of files, by the ending of their names; what their headers say, also of the times of frames.
+
+Files give times as a step and its unit, or where that cannot say them, as a line of text (`FrameTimes.text`).
+"""
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, cast
+
+import numpy as np
 
 from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.sequence import check_times
+from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, image_suffixes
 from accelsurf.settings.input_file import check_readable
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.registry import load
+
+TimeUnit = Literal["s", "frame"]
+#: Under which name files hold the line of text of `FrameTimes.text`.
+TIMES_KEY = "accelsurf_frame_times"
+_NUMBER = r"-?[0-9]{1,20}(?:\.[0-9]{1,20})?(?:e[-+]?[0-9]{1,3})?"
+_TEXT = re.compile(rf"(s|frame)((?: {_NUMBER})+)\s*")
+
+
+@dataclass(frozen=True)
+class FrameTimes:
+    """When the frames of a sequence are.
+
+    Attributes
+    ----------
+    values : tuple of float
+        Rising, one for each frame.
+    unit : {"s", "frame"}
+
+    Examples
+    --------
+    >>> FrameTimes.regular(3, 0.5), FrameTimes((0.0, 1.0, 3.0), "frame").step
+    (FrameTimes(values=(0.0, 0.5, 1.0), unit='s'), None)
+    """
+
+    values: tuple[float, ...]
+    unit: TimeUnit = "frame"
+
+    @classmethod
+    def checked(cls, values: Sequence[float], unit: str) -> FrameTimes:
+        """Times that were given, checked.
+
+        Raises
+        ------
+        UsageError
+            When there is none, or the unit is no unit; InputError when they do not rise.
+        """
+        if unit not in ("s", "frame"):
+            raise UsageError(f"time unit {unit!r} given, s or frame expected")
+        numbers = tuple(float(value) for value in values)
+        if not numbers or not all(map(math.isfinite, numbers)):
+            raise UsageError(f"{len(numbers)} times given, finite numbers for one frame or more expected")
+        check_times(numbers)
+        return cls(numbers, cast(TimeUnit, unit))
+
+    @classmethod
+    def regular(cls, count: int, seconds: float | None) -> FrameTimes:
+        """Frames from time 0 on, so many seconds apart; or where that is not known, counted.
+
+        Raises
+        ------
+        InputError
+            When there are more than an axis of time may have.
+        """
+        budgets.AXIS.check(count, "the time points of the sequence")
+        if seconds is None:
+            return cls(tuple(float(n) for n in range(count)))
+        return cls(tuple(n * seconds for n in range(count)), "s")
+
+    @classmethod
+    def from_text(cls, text: str, count: int) -> FrameTimes:
+        """Read what `text` has written for a number of frames; one number for several frames is the step between them.
+
+        Raises
+        ------
+        InputError
+            When it is damaged, or of another number of frames.
+        """
+        found = _TEXT.fullmatch(text.strip())
+        values = tuple(float(word) for word in found.group(2).split()) if found else ()
+        if found is not None and len(values) == 1 < count and values[0] > 0 and found.group(1) == "s":
+            return cls.regular(count, values[0])
+        if found is None or len(values) != count or not all(map(math.isfinite, values)):
+            raise InputError(f"the times of {count} frames expected, found {text[:60]!r}", "correct or take them out")
+        check_times(values)
+        return cls(values, cast(TimeUnit, found.group(1)))
+
+    @property
+    def step(self) -> float | None:
+        """From one frame to the next, where the first is at 0 and all are equally far apart; else None."""
+        if self.values[0] != 0.0:
+            return None
+        step = self.values[1] if len(self.values) > 1 else 1.0
+        return step if all(value == n * step for n, value in enumerate(self.values)) else None
+
+    @property
+    def seconds(self) -> float | None:
+        """The step in seconds; None where there is none, or the unit is another."""
+        return self.step if self.unit == "s" else None
+
+    @property
+    def is_count(self) -> bool:
+        """True if the frames are counted: 0, 1, 2, ..."""
+        return self.unit == "frame" and self.step == 1.0
+
+    @property
+    def mean_step(self) -> float:
+        """From one frame to the next on average, for fields of headers that hold one number."""
+        if len(self.values) == 1:
+            return 1.0
+        return self.step or (self.values[-1] - self.values[0]) / (len(self.values) - 1)
+
+    @property
+    def text(self) -> str:
+        """Unit and times as a line of text; the numbers are exact."""
+        return " ".join([self.unit, *(repr(value) for value in self.values)])
+
+
+def single_precision(value: float) -> float:
+    """The shortest number that has the same single precision: what is meant where a header holds 0.0399999991.
+
+    Examples
+    --------
+    >>> single_precision(0.03999999910593033)
+    0.04
+    """
+    with np.errstate(over="ignore"):
+        return float(str(np.float32(value)))
+
+
+WARNING_KEY = "warning"
+"""A warning about the file that was read; absent when there is none."""
+
+LABELS_KEY = "labels"
+"""Names and colours of a label map, from `accelsurf.settings.labels.LabelTable.to_json`; absent where none are known.
+"""
+
+DICOM_KEY = "dicom_series"
+"""The UID of the series that an image was read from; absent where it was no DICOM."""
+
+ZERO_BEYOND_KEY = "zero_beyond"
+"""There where a label map's format stores only voxels near labels, as a DICOM segmentation: all beyond them are 0."""
+
+VALUE_UNIT_KEY = "value_unit"
+"""The unit of the values, as HU, where the file says it."""
+
+ORIENTED_KEY = "ome_oriented"
+"""Present where the axes of an OME-Zarr were given an anatomical orientation."""
+
+UNIT_KEY = "spatial_unit"
+"""The unit in which the file gives lengths: nm or um; absent where it is mm, or none. All lengths here are mm."""
+FRAME_KEY = "frame_seconds"
+"""Seconds from one time point of a sequence to the next; absent where the file does not say them."""
+
+
+def with_warnings(metadata: Mapping[str, str], *notes: str) -> dict[str, str]:
+    """The metadata with further warnings.
+
+    Examples
+    --------
+    >>> with_warnings({"warning": "a"}, "b", "")
+    {'warning': 'a; b'}
+    """
+    said = "; ".join(note for note in (metadata.get(WARNING_KEY, ""), *notes) if note)
+    return {**metadata, WARNING_KEY: said} if said else dict(metadata)
+
 
 #: Names of formats whose files may be zip archives, or are folders that somebody packed.
 _PACKED = ("dcm", "ome.zarr")
@@ -74,7 +239,7 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any
 
 
 def kind_of(form: ImageFormat) -> str:
-    """What messages call an image of a format.
+    """Name of an image of a format in messages.
 
     Examples
     --------
@@ -85,7 +250,7 @@ def kind_of(form: ImageFormat) -> str:
 
 
 def counts(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[int, int]:
-    """How many channels and time points an image has, by its header alone.
+    """Count the channels and time points of an image, by its header alone.
 
     Raises
     ------
@@ -97,7 +262,7 @@ def counts(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[int, int]:
 
 
 def is_pattern(path: Path) -> bool:
-    """Whether a path names files by a pattern, and no file itself.
+    """Test if a path names files by a pattern, and no file itself.
 
     Examples
     --------
@@ -136,7 +301,7 @@ def _absent_form(path: Path) -> ImageFormat:
 
 
 def _header(form: ImageFormat, path: Path, options: ReadOptions) -> Any:
-    """What a header claims."""
+    """Claims of a header."""
     # The first of one is harmless to ask for, and the level that fits.
     unknown = [n for n in options.given if n not in form.options and getattr(options, n) not in (0, "auto")]
     if unknown:
@@ -165,7 +330,7 @@ def format_of(path: Path) -> ImageFormat:
     if (form is None or form.name in _PACKED) and path.is_file():
         _check_no_packed_zarr(path)
     if form is None and path.is_file():
-        form = next((one for one in IMAGE_FORMATS.values() if one.is_file and load(one.is_file)(path)), None)
+        form = next((kind for kind in IMAGE_FORMATS.values() if kind.is_file and load(kind.is_file)(path)), None)
     if form is None:
         raise InputError(
             f"unknown file type, one of {', '.join(image_suffixes())} expected",
@@ -215,7 +380,7 @@ def _folder_format(path: Path) -> ImageFormat | None:
 
 
 def is_stored(path: Path) -> bool:
-    """Whether a path names a file, or a folder that is an image.
+    """Test if a path names a file, or a folder that is an image.
 
     Examples
     --------
@@ -227,13 +392,13 @@ def is_stored(path: Path) -> bool:
 
 
 def is_store(path: Path) -> bool:
-    """Whether a path is the folder of an image that may have any size, and is opened rather than read."""
+    """Test if a path is the folder of an image that may have any size, and is opened rather than read."""
     stores = [form for form in IMAGE_FORMATS.values() if form.has_levels]
     return any((path / mark).is_file() for form in stores for mark in form.folder_marks)
 
 
 def count_values(path: Path, options: ReadOptions = AS_IT_IS) -> int:
-    """How many values an image has, those of all channels together, by its header alone.
+    """Count the values of an image, those of all channels together, by its header alone.
 
     Raises
     ------
@@ -268,7 +433,7 @@ def options_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
 
 
 def is_outside_data_allowed() -> bool:
-    """Whether a header may name a data file in another folder now; for processes that go on with this work."""
+    """Test if a header may name a data file in another folder now; for processes that go on with this work."""
     return _OUTSIDE_DATA.get()
 
 
@@ -348,7 +513,7 @@ def split_name(path: str | os.PathLike[str]) -> tuple[str, str]:
 
 
 def is_anatomical(metadata: Mapping[str, str]) -> bool:
-    """Whether a header said that the world axes are a patient's: a NIfTI transform code, or an NRRD space by name.
+    """Test if a header says that the world axes are a patient's: a NIfTI transform code, or an NRRD space by name.
 
     Parameters
     ----------

@@ -145,7 +145,7 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
 
 
 def _write(volume: Volume, path: Path, labels: bool) -> None:
-    """As `write`, with what the format does for label maps."""
+    """Write a volume, with what the format does for label maps."""
     with naming(path):
         headers.check_name(path)
     stem, suffix = split_name(path)

@@ -48,7 +48,7 @@ def open_reader(path: Path, itk_name: str) -> sitk.ImageFileReader:
         The format, as ITK names the class that reads it.
     """
     reader = _reader(path, itk_name)
-    _listened(reader.ReadImageInformation)
+    listened(reader.ReadImageInformation)
     return reader
 
 
@@ -62,7 +62,7 @@ def _reader(path: Path, itk_name: str) -> sitk.ImageFileReader:
 
 def execute(reader: sitk.ImageFileReader) -> sitk.Image:
     """Read the voxels; a fourth axis of one is dropped."""
-    image = _listened(reader.Execute)
+    image = listened(reader.Execute)
     return image[:, :, :, 0] if image.GetDimension() == 4 and image.GetSize()[3] == 1 else image
 
 
@@ -111,7 +111,7 @@ def save(
     writer.SetFileName(str(path))
     writer.SetUseCompression(compress)
     # Its libraries print about a full disk and go on: what they wrote is read back, and told in one line.
-    _listened(lambda: writer.Execute(image), refuses=False)
+    listened(lambda: writer.Execute(image), refuses=False)
 
 
 def voxel_type(reader: sitk.ImageFileReader) -> np.dtype[Any]:
@@ -165,7 +165,7 @@ def check_kind(reader: sitk.ImageFileReader, count: int = 1, is_interleaved: boo
         )
 
 
-def _listened(work: Callable[[], _T], refuses: bool = True) -> _T:
+def listened(work: Callable[[], _T], refuses: bool = True) -> _T:
     """Return what a call of ITK returns, without what its libraries print.
 
     ITK's own warnings are switched off: accelsurf checks the file and reports a problem in one line.
@@ -229,7 +229,7 @@ def _take_own_files() -> bool:
 
 
 def _among_others(work: Callable[[], _T], printed: IO[bytes]) -> tuple[Future[_T], list[str]]:
-    """As `_apart`, with the standard error of the process: what is of no library is written to it afterwards."""
+    """Work as `_apart`, with the standard error of the process: lines of no library are written to it afterwards."""
     future: Future[_T] = Future()
     before = _standard_error()
     os.dup2(printed.fileno(), 2)
@@ -257,6 +257,6 @@ def _standard_error() -> int:
 
 
 def _lines(printed: IO[bytes]) -> list[str]:
-    """What was printed."""
+    """Read the lines that were printed."""
     printed.seek(0)
     return [line.strip() for line in printed.read(_MAX_PRINTED).decode("utf-8", "replace").splitlines() if line.strip()]

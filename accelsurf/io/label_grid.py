@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.io.metadata import ZERO_BEYOND_KEY
+from accelsurf.io.headers import ZERO_BEYOND_KEY
 
 #: Distance, in voxels of the smallest spacing, within which voxels of two grids are the same ones.
 _TOLERANCE = 1e-3

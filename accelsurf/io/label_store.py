@@ -76,7 +76,7 @@ class LabelStore:
             headers.check_name(self.path)
         form = image_format(headers.split_name(self.path)[1])
         if form is None or form.store is None:
-            known = [one.suffixes[0] for one in IMAGE_FORMATS.values() if one.store is not None]
+            known = [form.suffixes[0] for form in IMAGE_FORMATS.values() if form.store is not None]
             raise UsageError(f"{self.path}: label maps are written box by box as {' or '.join(known)}")
         self._lock = Lock()
         self._stack = ExitStack()

@@ -110,7 +110,7 @@ def _entry(number: int, label: str, name: str, color: Color) -> LabelEntry:
 
 
 def _is_whole(text: str) -> bool:
-    """Whether a text is a whole number without a sign, of a length that can be meant."""
+    """Test if a text is a whole number without a sign, of a length that can be meant."""
     return _WHOLE.fullmatch(text) is not None
 
 
@@ -227,7 +227,7 @@ def itk_snap_text(entries: Iterable[LabelEntry]) -> str:
     >>> print(itk_snap_text([LabelEntry(1, "liver", (200, 60, 60))]).splitlines()[-1])
         1   200   60   60        1  1  1    "liver"
     """
-    rows = [(0, (0, 0, 0), 0, "Clear Label"), *((one.id, one.color, 1, one.name) for one in entries)]
+    rows = [(0, (0, 0, 0), 0, "Clear Label"), *((entry.id, entry.color, 1, entry.name) for entry in entries)]
     lines = [
         f'{label:5d} {color[0]:5d} {color[1]:4d} {color[2]:4d} {seen:8d} {seen:2d} {seen:2d}    "{_quoted(name)}"'
         for label, color, seen, name in rows
@@ -247,7 +247,7 @@ def color_table_text(entries: Iterable[LabelEntry]) -> str:
     >>> print(color_table_text([LabelEntry(2, "left kidney", (1, 2, 3))]).splitlines()[-1])
     2 left_kidney 1 2 3 255
     """
-    rows = [f"{one.id} {one.name.replace(' ', '_')} {' '.join(map(str, one.color))} 255" for one in entries]
+    rows = [f"{entry.id} {entry.name.replace(' ', '_')} {' '.join(map(str, entry.color))} 255" for entry in entries]
     return "\n".join(["# Color table file", "# label name R G B A", "0 background 0 0 0 0", *rows]) + "\n"
 
 
@@ -259,5 +259,5 @@ def bids_text(entries: Iterable[LabelEntry]) -> str:
     >>> print(bids_text([LabelEntry(1, "liver", (200, 60, 60))]).splitlines()[-1].expandtabs(1))
     1 liver #c83c3c
     """
-    rows = ["\t".join((str(one.id), one.name, one.hex)) for one in entries]
+    rows = ["\t".join((str(entry.id), entry.name, entry.hex)) for entry in entries]
     return "\n".join(["index\tname\tcolor", *rows]) + "\n"

@@ -1,15 +1,18 @@
 """Images that stay where they are: a box of voxels is read when it is asked for.
 
 `accelsurf.io.read` brings a whole image into memory; `open_volume` reads its header only. What a box holds is the same,
-voxel by voxel, in the same type.
+voxel by voxel, in the same type. Unpacked pieces are held up to a number of bytes (`ChunkCache`).
 """
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Lock
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,18 +22,149 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.io import headers, selection
+from accelsurf.io import headers
+from accelsurf.io.channels import selected
 from accelsurf.io.files import naming
-from accelsurf.io.metadata import with_warnings
-from accelsurf.settings.reading import Level, ReadOptions
+from accelsurf.io.headers import with_warnings
+from accelsurf.io.memory import available_memory
+from accelsurf.settings.reading import Level, ReadOptions, Spacing
 from accelsurf.settings.registry import load
+
+
+class StackedVoxels:
+    """Slabs, one after the other along z.
+
+    Parameters
+    ----------
+    slabs : sequence of VoxelSource
+        Of one type.
+    depths : sequence of int
+        Slices of each.
+
+    Raises
+    ------
+    InputError
+        When their types differ.
+    """
+
+    def __init__(self, slabs: Sequence[VoxelSource], depths: Sequence[int]) -> None:
+        self._slabs, self.dtype = tuple(slabs), slabs[0].dtype
+        if any(slab.dtype != self.dtype for slab in slabs):
+            raise InputError("the slices have values of several types", "convert them to one type first")
+        self._ends = np.cumsum(depths)
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes that were read so far."""
+        return sum(slab.bytes_read for slab in self._slabs)
+
+    def read(self, box: Box) -> NDArray[Any]:
+        """Return the values in a box; see `accelsurf.io.LazyVolume.read`."""
+        values = np.empty([s.stop - s.start for s in box], self.dtype)
+        at = box[0].start
+        while at < box[0].stop:
+            number = int(np.searchsorted(self._ends, at, side="right"))
+            begin = int(self._ends[number - 1]) if number else 0
+            stop = min(box[0].stop, int(self._ends[number]))
+            inside = (slice(at - begin, stop - begin), *box[1:])
+            values[at - box[0].start : stop - box[0].start] = self._slabs[number].read(inside)
+            at = stop
+        return values
+
+
+#: Of a run, for each voxel, at most.
+_RUN_BYTES = 80
+
+
+def checked_level(level: Level, shapes: Sequence[tuple[int, ...]]) -> int:
+    """The number of a level that was asked for.
+
+    Parameters
+    ----------
+    level : int or "auto"
+        "auto" is the finest whose run fits into the free memory, else the coarsest.
+    shapes : sequence of tuple of int
+        Of the levels, finest first.
+
+    Raises
+    ------
+    UsageError
+        When there is no such level.
+
+    Examples
+    --------
+    >>> checked_level("auto", [(10**5, 10**5, 10**5), (8, 8, 8)])
+    1
+    """
+    if level == "auto":
+        free = available_memory()
+        small = (n for n, shape in enumerate(shapes) if math.prod(shape) * _RUN_BYTES <= free)
+        return next(small, len(shapes) - 1)
+    if not 0 <= level < len(shapes):
+        raise UsageError(f"level {level} asked for, the image has {len(shapes)}", f"give 0 to {len(shapes) - 1}")
+    return level
+
+
+class ChunkCache:
+    """Arrays by a key; may be used by several threads.
+
+    Parameters
+    ----------
+    max_bytes : int
+        Of all arrays that are held. One that is larger by itself is not held.
+
+    Attributes
+    ----------
+    bytes_made : int
+        Of all arrays that were made so far, held or not.
+    """
+
+    def __init__(self, max_bytes: int) -> None:
+        self.max_bytes, self.bytes_made = max_bytes, 0
+        self._held: OrderedDict[Hashable, NDArray[Any]] = OrderedDict()
+        self._bytes = 0
+        self._lock = Lock()
+
+    def get(self, key: Hashable, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """Return the array of a key, made if it is not held; nobody writes into it.
+
+        Parameters
+        ----------
+        key : hashable
+        make : callable
+            Returns the array; two threads that miss it at the same time both call it.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> cache = ChunkCache(16)
+        >>> for key in "abca":
+        ...     held = cache.get(key, lambda: np.zeros(1))
+        >>> cache.bytes_made
+        32
+        """
+        with self._lock:
+            if (array := self._held.get(key)) is not None:
+                self._held.move_to_end(key)
+                return array
+        array = make()
+        array.setflags(write=False)
+        with self._lock:
+            self.bytes_made += array.nbytes
+            if array.nbytes <= self.max_bytes and key not in self._held:
+                self._held[key] = array
+                self._bytes += array.nbytes
+                while self._bytes > self.max_bytes:
+                    self._bytes -= self._held.popitem(last=False)[1].nbytes
+        return array
+
 
 #: Bytes of unpacked chunks or pages that are held at most, where the caller says nothing.
 CACHE_BYTES = 1 << 28
 
 
 class VoxelSource(Protocol):
-    """Where the voxels of a `LazyVolume` come from."""
+    """Source of the voxels of a `LazyVolume`."""
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -46,7 +180,7 @@ class VoxelSource(Protocol):
 
 @dataclass(frozen=True)
 class Opening:
-    """What `open_volume` was asked for beside the name of the image; see there.
+    """Arguments of `open_volume` beside the name of the image; see there.
 
     ``again`` is true where the same image was opened before, so that what there is to say of it has been said.
     """
@@ -55,7 +189,7 @@ class Opening:
     channel_index: int | None = None
     time_index: int | None = None
     cache_bytes: int = CACHE_BYTES
-    spacing: tuple[float, float, float] | None = None
+    spacing: Spacing | None = None
     again: bool = False
 
     @property
@@ -66,7 +200,7 @@ class Opening:
 
 @dataclass(frozen=True)
 class StoreLayout:
-    """How an image is stored.
+    """Levels, chunks and axes of a stored image.
 
     Attributes
     ----------
@@ -132,6 +266,10 @@ class LazyVolume:
             return LazyVolume, (self.voxels, self.geometry, self.metadata, self.source)
         return _reopened, self._opened
 
+    def keep_opening(self, path: Path, opening: Opening, outside_data: bool) -> None:
+        """Keep the arguments by which another process, or `coarser`, opens it again."""
+        self._opened = path, opening, outside_data
+
     @classmethod
     def of_array(cls, volume: Volume) -> LazyVolume:
         """A volume that is in memory, to be read like one that is not."""
@@ -139,7 +277,7 @@ class LazyVolume:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """As in `Volume`, with a warning about what is missing.
+        """Metadata as in `Volume`, with a warning about missing chunks.
 
         Raises
         ------
@@ -172,8 +310,8 @@ class LazyVolume:
         """
         if self._opened is None or self.layout.level + 1 >= len(self.layout.levels):
             return None
-        path, own, outside = self._opened
-        return _reopened(path, replace(own, level=self.layout.level + 1), outside)
+        path, opening, outside = self._opened
+        return _reopened(path, replace(opening, level=self.layout.level + 1), outside)
 
     @property
     def bytes_read(self) -> int:
@@ -255,7 +393,7 @@ def open_volume(
     channel_index: int | None = None,
     time_index: int | None = None,
     cache_bytes: int = CACHE_BYTES,
-    spacing: tuple[float, float, float] | None = None,
+    spacing: Spacing | None = None,
     outside_data: bool = False,
 ) -> LazyVolume:
     """Open an image without reading its voxels.
@@ -297,12 +435,12 @@ def _opened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
                 "convert it to OME-Zarr, or save it uncompressed as .nii, .nrrd or .mha",
             )
         volume: LazyVolume = load(form.open)(path, header, opening)
-    volume._opened = path.absolute(), opening, headers.is_outside_data_allowed() or outside_data
+    volume.keep_opening(path.absolute(), opening, headers.is_outside_data_allowed() or outside_data)
     return volume
 
 
 def open_with(path: str | os.PathLike[str], options: ReadOptions) -> LazyVolume:
-    """As `open_volume`, with those options of an image that the format of the file has."""
+    """Open a volume with those options of an image that the format of the file has; see `open_volume`."""
     asked = options.restricted_to(headers.options_of(path))
     return open_volume(
         path, level=asked.level, channel_index=asked.channel_index, time_index=asked.time_index, spacing=asked.spacing
@@ -320,7 +458,7 @@ def open_channels(path: str | os.PathLike[str], options: ReadOptions) -> list[La
     path = Path(path)
     asked = options.restricted_to(headers.options_of(path))
     with naming(path):
-        places = selection.selected(*headers.counts(path, asked), asked)
+        places = selected(*headers.counts(path, asked), asked)
     return [open_with(path, replace(asked, channels_from_time=False, time_index=t, channel_index=c)) for t, c in places]
 
 

@@ -1,4 +1,4 @@
-"""What the machine has: memory, cores; whether there is memory for an image, asked before anything is read."""
+"""Memory and cores of the machine; the memory for an image is checked before anything is read."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def available_memory() -> int:
 
 
 def available_cores() -> int:
-    """How many cores this process may use."""
+    """Count the cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

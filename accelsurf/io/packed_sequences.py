@@ -10,7 +10,6 @@ import math
 import shutil
 import tempfile
 import weakref
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
@@ -21,16 +20,17 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.volume import Volume
 from accelsurf.io import itk
+from accelsurf.io.channels import read_volumes
 from accelsurf.io.files import file_version
 from accelsurf.io.formats import itk_volumes
 from accelsurf.io.formats.deflate import inflate
 from accelsurf.io.formats.nifti import NiftiFile
 from accelsurf.io.formats.raw_header import RawHeader
 from accelsurf.io.formats.raw_voxels import CHANGED
-from accelsurf.io.frame_times import FrameTimes
+from accelsurf.io.headers import FrameTimes
 from accelsurf.io.lazy_volume import Opening
 from accelsurf.io.memory import check_memory
-from accelsurf.io.sequence_sources import FileFrames, read_volumes, with_time
+from accelsurf.io.sequence_sources import FileFrames, with_time
 from accelsurf.settings.reading import ReadOptions
 
 
@@ -72,14 +72,9 @@ class _PackedFrames(FileFrames):
             )
         with header.data.open("rb") as packed:
             packed.seek(header.offset)
-            header.check_present(_copied(inflate(packed, header.stored_bytes, header.claimed_bytes), file))
+            header.check_present(sum(map(file.write, inflate(packed, header.stored_bytes, header.claimed_bytes))))
         file.flush()
         return file
-
-
-def _copied(pieces: Iterable[bytes], file: IO[bytes]) -> int:
-    """Write pieces; their bytes."""
-    return sum(file.write(piece) for piece in pieces)
 
 
 class NiftiFrames(_PackedFrames):
@@ -94,7 +89,7 @@ class NiftiFrames(_PackedFrames):
 
     @property
     def frame_values(self) -> int:
-        """How many values a frame has."""
+        """Number of values of a frame."""
         return math.prod(self.geometry.shape) if self.header.are_channels_guessed else super().frame_values
 
     def read(self, number: int) -> list[Volume]:
@@ -122,7 +117,7 @@ class ItkFrames(_PackedFrames):
         check_memory(self.geometry.size, itk.voxel_type(reader).itemsize, self.memory)
         if header.is_interleaved:
             return [Volume(_interleaved(header, reader, number), self.geometry, dict(header.metadata), self.path)]
-        lazy = itk_volumes.open_lazily(self.path, with_time(header, number), Opening())
+        lazy = itk_volumes.open_raw(self.path, with_time(header, number), Opening())
         return [Volume(lazy.voxels.read(whole_box(lazy.shape)), self.geometry, lazy.metadata, self.path)]
 
 

@@ -1,4 +1,4 @@
-"""Where the frames of sequences come from: the time points of a file, the slices of a volume, the files of a folder."""
+"""Sources of the frames of sequences: the time points of a file, the slices of a volume, the files of a folder."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.sequence import ImageSequence
 from accelsurf.grid.volume import Volume
 from accelsurf.io import headers, itk
+from accelsurf.io.channels import read_volumes
 from accelsurf.io.files import naming
 from accelsurf.io.formats.slices import fitting_names, in_order
-from accelsurf.io.frame_times import TIMES_KEY, FrameTimes
+from accelsurf.io.headers import FRAME_KEY, TIMES_KEY, WARNING_KEY, FrameTimes
 from accelsurf.io.lazy_volume import LazyVolume, open_volume
 from accelsurf.io.memory import available_memory, check_memory
-from accelsurf.io.metadata import FRAME_KEY, WARNING_KEY
 from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import ImageFormat
 from accelsurf.settings.reading import ReadOptions
@@ -90,7 +90,7 @@ class FileFrames(FileSequence):
 
     @property
     def frame_values(self) -> int:
-        """How many values a frame has, those of all channels together."""
+        """Number of values of a frame, those of all channels together."""
         return int(with_time(self.header, 0).values)
 
     def read(self, number: int) -> list[Volume]:
@@ -161,7 +161,7 @@ class FrameFolder(FileSequence):
 
     @property
     def frame_values(self) -> int:
-        """How many values a frame has, those of all channels together."""
+        """Number of values of a frame, those of all channels together."""
         return int(self._parsed(self.files[0])[1].values)
 
     def _parsed(self, file: Path) -> tuple[ImageFormat, Any]:
@@ -172,14 +172,6 @@ class FrameFolder(FileSequence):
         file = self.files[number]
         with naming(file):
             return read_volumes(file, *self._parsed(file), self.memory)
-
-
-def read_volumes(path: Path, form: ImageFormat, header: Any, available: int) -> list[Volume]:
-    """The channels of an image whose header was read."""
-    if form.read_channels is None:
-        return [load(form.read)(path, header, available)]
-    found: list[Volume] = load(form.read_channels)(path, header, available)
-    return found
 
 
 def with_time(header: Any, number: int) -> Any:
@@ -197,7 +189,7 @@ def geometry_of(path: Path, header: Any) -> Geometry:
 
 
 def holds_frames(path: Path) -> bool:
-    """Whether a path is a folder with a file for each frame, or a pattern of such files."""
+    """Test if a path is a folder with a file for each frame, or a pattern of such files."""
     if headers.is_pattern(path):
         return True
     if not path.is_dir() or headers.is_stored(path):

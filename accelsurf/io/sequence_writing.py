@@ -20,7 +20,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import headers, images
 from accelsurf.io.files import SPACE_HINT, staging, undone_on_failure
-from accelsurf.io.frame_times import FrameTimes
+from accelsurf.io.headers import FrameTimes
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format
 from accelsurf.settings.registry import load
 
@@ -131,14 +131,14 @@ class SequenceWriter:
         self, path: str | os.PathLike[str], geometry: Geometry, times: Sequence[float], time_unit: str, dtype: Any
     ) -> None:
         self.path, self.geometry = Path(path), geometry
-        self.times = FrameTimes.given(times, time_unit)
+        self.times = FrameTimes.checked(times, time_unit)
         self.dtype = np.dtype(dtype).newbyteorder("=")
         self._form = _written_form(self.path, self.dtype, geometry)
         self._sums: dict[int, int] = {}
         self._stack = ExitStack()
         try:
-            one = self.path.with_name(self.path.name.replace("*", "_"))
-            self._files = self._stack.enter_context(staging(one, self._form.folder_marks))
+            base = self.path.with_name(self.path.name.replace("*", "_"))
+            self._files = self._stack.enter_context(staging(base, self._form.folder_marks))
             with self._naming():
                 scratch = self._files.drafts.parent / "frames.raw"
                 self._frames = FrameStack(scratch, geometry, self.times, self.dtype)
@@ -225,12 +225,12 @@ class SequenceWriter:
 
     def _check(self) -> None:
         """Read the draft back, and refuse one that does not hold the frames."""
-        from accelsurf.io.sequences import opened
+        from accelsurf.io.sequences import open_sequence
 
         try:
-            found = opened(self._files.drafts / self.path.name, memory_bytes=sys.maxsize)
+            found = open_sequence(self._files.drafts / self.path.name, memory_bytes=sys.maxsize)
             difference = images.stored_grid(self.geometry, headers.split_name(self.path)[1]).difference(found.geometry)
-            if not difference and FrameTimes.given(found.times, found.time_unit) != self.times:
+            if not difference and FrameTimes.checked(found.times, found.time_unit) != self.times:
                 difference = "other times are read than were written"
             for number in range(len(self._frames)) if not difference else ():
                 array = found.frame(number).array
@@ -278,5 +278,5 @@ def _written_form(path: Path, dtype: np.dtype[Any], geometry: Geometry) -> Image
 
 
 def _checksum(array: NDArray[Any]) -> int:
-    """Of the values in their order."""
+    """Checksum of the values in their order."""
     return zlib.crc32(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).reshape(-1).view(np.uint8).data)

@@ -60,7 +60,7 @@ def read_sequence(
     UsageError
         When the format has not what is asked for, or ``frame_time`` is no positive number.
     """
-    found = opened(
+    found = open_sequence(
         path, frame_time=frame_time, frames_from_slices=frames_from_slices, options=options, memory_bytes=memory_bytes,
         outside_data=outside_data,
     )
@@ -74,7 +74,7 @@ def read_sequence(
 
 
 def is_sequence(path: Path, options: ReadOptions) -> bool:
-    """Whether a path has several images in time: a file with time points, or a folder of volumes.
+    """Test if a path has several images in time: a file with time points, or a folder of volumes.
 
     A folder or pattern of slices is an image: only tracks tell that its slices are frames.
 
@@ -104,7 +104,7 @@ def is_sequence(path: Path, options: ReadOptions) -> bool:
         return headers.counts(path, replace(options.restricted_to(form.options), level=0))[1] > 1
 
 
-def opened(
+def open_sequence(
     path: str | os.PathLike[str],
     *,
     frame_time: float | None = None,
@@ -113,7 +113,7 @@ def opened(
     memory_bytes: int | None = None,
     outside_data: bool = False,
 ) -> FileSequence:
-    """As `read_sequence`, also where there is one frame only."""
+    """Open a sequence as `read_sequence` does, also where there is one frame only."""
     # Not before it is needed: this loads ITK, and the reader of stacks.
     from accelsurf.io.sequence_sources import FileFrames, FrameFolder, SliceFrames, holds_frames
 

@@ -38,7 +38,7 @@ _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 @dataclass(frozen=True)
 class Moves:
-    """What is moved: ``files`` in their order, then ``last``; ``remove`` are old files; ``undo`` moves all back."""
+    """Moves of a set: ``files`` in their order, then ``last``; ``remove`` are old files; ``undo`` moves all back."""
 
     files: Sequence[str]
     remove: Sequence[str]
@@ -67,7 +67,7 @@ class Journal:
 
     @property
     def has_file(self) -> bool:
-        """Whether it is in a file, so that another process finds it after a kill."""
+        """True if it is in a file, so that another process finds it after a kill."""
         return self._path is not None
 
     def write(self, moves: Moves | None) -> None:
@@ -150,7 +150,7 @@ def state_folder() -> Path:
     return folder
 
 
-def begun(folder: Path, name: str, unique: bool) -> Journal | None:
+def begin_journal(folder: Path, name: str, unique: bool) -> Journal | None:
     """Return the locked journal of a new set of files; None where another process writes a set of this name there.
 
     Parameters
@@ -200,7 +200,7 @@ def begun(folder: Path, name: str, unique: bool) -> Journal | None:
     return journal
 
 
-def left_by_dead(folder: Path) -> Iterator[Journal]:
+def journals_of_the_dead(folder: Path) -> Iterator[Journal]:
     """Journals of sets in a folder whose writers are dead, each locked; of those that live none.
 
     Parameters
@@ -222,7 +222,7 @@ def left_by_dead(folder: Path) -> Iterator[Journal]:
             yield Journal(path, lock, folder / content["staging"], None if moves is None else Moves(**moves))
 
 
-def recorded(folder: Path) -> set[str]:
+def recorded_staging(folder: Path) -> set[str]:
     """Names of the staging folders in a folder that journals of this user name."""
     contents = (_content(path) for path in _journals(folder))
     return {content["staging"] for content in contents if content is not None}
@@ -241,14 +241,14 @@ def staging_name(name: str, token: str) -> str:
     return f"{PREFIX}{name}.{token}{SUFFIX}"
 
 
-def is_of(staging: Path, name: str) -> bool:
-    """Whether a staging folder is of a set of this name."""
+def belongs_to(staging: Path, name: str) -> bool:
+    """Test if a staging folder is of a set of this name."""
     token = staging.name.removesuffix(SUFFIX).rpartition(".")[2]
     return staging.name == staging_name(name, token)
 
 
 def is_staging(folder: Path) -> bool:
-    """Whether a folder is, or lies in, a staging folder.
+    """Test if a folder is, or lies in, a staging folder.
 
     Examples
     --------
@@ -302,7 +302,7 @@ def _forget_old(state: Path) -> None:
 
 
 def _content(path: Path) -> dict[str, Any] | None:
-    """What a journal says; None where it is gone, is not this user's alone, or is none."""
+    """Read a journal; None where it is gone, is not this user's alone, or is none."""
     try:
         with open(os.open(path, os.O_RDONLY | _NO_LINK), encoding="utf-8") as file:
             if not _is_private(os.fstat(file.fileno())):
@@ -321,7 +321,7 @@ def _content(path: Path) -> dict[str, Any] | None:
 
 
 def _is_private(found: os.stat_result) -> bool:
-    """Whether a file is this user's, and nobody else may write it."""
+    """Test if a file is this user's, and nobody else may write it."""
     if os.name != "posix":
         return True
     return found.st_uid == os.geteuid() and not found.st_mode & _OTHERS_MAY_WRITE
@@ -361,7 +361,7 @@ def _unlink(path: Path) -> None:
 
 
 def _is_file(lock: int, path: Path) -> bool:
-    """Whether an open file is still the one of that name."""
+    """Test if an open file is still the one of that name."""
     try:
         return os.path.samestat(os.fstat(lock), path.lstat())
     except OSError:

@@ -11,11 +11,11 @@ from accelsurf import __version__
 from accelsurf.analysis.contours import in_slices
 from accelsurf.errors import UsageError
 from accelsurf.io.dicom.segmentation import Algorithm, segmentation_bytes
-from accelsurf.io.dicom.source_images import SourceImages, read
+from accelsurf.io.dicom.source_images import SourceImages, read_source_images
 from accelsurf.io.dicom.structure_set import Region, structure_set_bytes
 from accelsurf.io.files import naming, write_bytes
 from accelsurf.io.formats import dicom
-from accelsurf.io.metadata import DICOM_KEY
+from accelsurf.io.headers import DICOM_KEY
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run_checkpoint import digest_of
 from accelsurf.settings.catalogue import entry
@@ -84,12 +84,12 @@ def source_of(result: Result) -> SourceImages:
             "the image was not read from DICOM, whose slices DICOM outputs refer to", "give a DICOM series as the image"
         )
     with naming(path):
-        header = dicom.parse(path, result.config.reading)
+        header = dicom.parse_dicom(path, result.config.reading)
         if not isinstance(header, dicom.DicomHeader):
             raise UsageError(
                 "the image is a DICOM segmentation, and DICOM outputs refer to the slices of a scan", "give the scan"
             )
-        return read(header.slices.frames)
+        return read_source_images(header.slices.frames)
 
 
 def objects_of(result: Result) -> list[SegmentedObject]:

@@ -9,7 +9,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.io import label_tables
 from accelsurf.io.file_set import InputFiles
 from accelsurf.io.files import write_bytes
-from accelsurf.io.metadata import DICOM_KEY, LABELS_KEY
+from accelsurf.io.headers import DICOM_KEY, LABELS_KEY
 from accelsurf.report.inputs import named_files
 from accelsurf.settings.labels import LabelEntry, LabelTable
 from accelsurf.settings.mesh_formats import LABEL_OUTPUTS
@@ -73,9 +73,9 @@ def into_image(result: Result, image: Path, overwrite: bool) -> None:
 
 def seg_nrrd(result: Result, table: LabelTable, path: Path) -> None:
     """Write a segmentation of 3D Slicer."""
-    from accelsurf.io.formats import seg_nrrd as slicer
+    from accelsurf.io.formats.nrrd_metaimage import write_segmentation
 
-    slicer.write(result.labels_volume(), entries_of(result, table), path)
+    write_segmentation(result.labels_volume(), entries_of(result, table), path)
 
 
 def itk_snap(result: Result, table: LabelTable, path: Path) -> None:

@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from accelsurf.errors import OutputError
-from accelsurf.io.file_set import FileSet, InputFiles, opened, refuse_links
+from accelsurf.io.file_set import FileSet, InputFiles, open_set, refuse_links
 from accelsurf.report.result_sets import has_guests, is_failure_report, is_output, outdated_inputs
 
 #: Of a file's name, on the usual file systems.
@@ -99,7 +99,7 @@ def make_writable(folder: Path) -> None:
 
 @contextmanager
 def opened_set(folder: Path, name: str, inputs: Sequence[Path] = ()) -> Iterator[FileSet]:
-    """Make a folder, and prepare the files of a run in it; see `accelsurf.io.file_set.opened`.
+    """Make a folder, and prepare the files of a run in it; see `accelsurf.io.file_set.open_set`.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def opened_set(folder: Path, name: str, inputs: Sequence[Path] = ()) -> Iterator
     make_writable(folder)
     with ExitStack() as stack:
         try:
-            files = stack.enter_context(opened(folder, name, inputs=inputs))
+            files = stack.enter_context(open_set(folder, name, inputs=inputs))
         except OSError as error:
             reason = error.strerror or str(error)
             raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None

@@ -16,8 +16,7 @@ from accelsurf.analysis import shared_walls
 from accelsurf.analysis.contours import Contours
 from accelsurf.grid.grey_window import parse_window
 from accelsurf.io.files import write_bytes
-from accelsurf.io.headers import is_anatomical
-from accelsurf.io.metadata import LABELS_KEY, UNIT_KEY
+from accelsurf.io.headers import LABELS_KEY, UNIT_KEY, is_anatomical
 from accelsurf.report import layouts, output_names, preview, tables
 from accelsurf.report.document import describe_objects
 from accelsurf.report.label_files import given_labels, is_named, table_of

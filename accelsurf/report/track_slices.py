@@ -20,7 +20,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.grid.volume import Volume
-from accelsurf.io.metadata import UNIT_KEY
+from accelsurf.io.headers import UNIT_KEY
 from accelsurf.report import movies
 from accelsurf.report.canvas import (
     DARK,

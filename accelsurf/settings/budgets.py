@@ -133,14 +133,8 @@ UPLOAD = Budget(
 )
 #: While it is read: text becomes lists of Python's numbers.
 MESH_BYTES_PER_FILE_BYTE = 40
-MESH_UNPACKED = Budget(
-    "packed arrays of a .vtp", 32, "bytes", "save the mesh uncompressed", "byte of the file (and 64 MiB)"
-)
-MESH_XML = Budget(
-    "the model of a 3MF, unpacked", 64, "bytes", "the file is damaged: export it again", "byte of the file (and 4 MiB)"
-)
 MESH_COPIES = Budget(
-    "the points and triangles that a glTF builds, or that the items of a 3MF repeat", 1, "points and triangles",
+    "the points and triangles that a glTF builds", 1, "points and triangles",
     "export it as one mesh", "byte of the file (and 1048576)",
 )
 MESH_ROWS = Budget(
@@ -167,6 +161,6 @@ BUDGETS = (
     CONFIG, EXPRESSION, PATH, PATH_VOXELS, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, AXIS, SLACK, DEFLATE,
     LZW, PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, DICOM_FRAMES, DICOM_DEFLATED, DICOM_PACKED,
     DICOM_ARCHIVE_FILES, DICOM_ARCHIVE_BYTES, DICOM_ARCHIVE, ZARR_CHUNK, ZARR_METADATA, ZARR_LEVELS, MESH_FILE,
-    MESH_UNPACKED, MESH_XML, MESH_COPIES, MESH_ROWS, OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED,
+    MESH_COPIES, MESH_ROWS, OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED,
     UPLOAD,
 )

@@ -58,23 +58,20 @@ class MeshFormat:
 
 
 _SURFACE, _CONTOUR = f"{_FORMATS}.surface_files", "accelsurf.analysis.contours"
-_TRIMESH = f"{_FORMATS}.trimesh_files"
 
 MESH_FORMATS: Registry[MeshFormat] = Registry(
     "mesh format",
-    MeshFormat("ply", "PLY, binary", f"{_SURFACE}:ply_bytes", auto=("surface",), read=f"{_TRIMESH}:read_ply"),
-    MeshFormat("stl", "STL, binary", f"{_SURFACE}:stl_bytes", read=f"{_TRIMESH}:read_stl"),
-    MeshFormat("obj", "Wavefront OBJ", f"{_SURFACE}:obj_bytes", read=f"{_TRIMESH}:read_obj"),
+    MeshFormat("ply", "PLY, binary", f"{_SURFACE}:ply_bytes", auto=("surface",), read=f"{_SURFACE}:read_ply"),
+    MeshFormat("stl", "STL, binary", f"{_SURFACE}:stl_bytes", read=f"{_SURFACE}:read_stl"),
+    MeshFormat("obj", "Wavefront OBJ", f"{_SURFACE}:obj_bytes", read=f"{_SURFACE}:read_obj"),
     MeshFormat(
         "vtp",
         "VTK PolyData, triangles or lines",
         f"{_SURFACE}:vtp_bytes",
         f"{_CONTOUR}:vtp_bytes",
         auto=("contour",),
-        read=f"{_FORMATS}.vtp:read",
     ),
-    MeshFormat("glb", "glTF 2.0 in one file", f"{_FORMATS}.glb:write", read=f"{_FORMATS}.glb:read"),
-    MeshFormat("3mf", "3MF, of 3D printers", f"{_FORMATS}.three_mf:write", read=f"{_FORMATS}.three_mf:read"),
+    MeshFormat("glb", "glTF 2.0 in one file", f"{_FORMATS}.glb:glb_bytes", read=f"{_FORMATS}.glb:read_glb"),
     MeshFormat("csv", "a table of points", contour=f"{_CONTOUR}:csv_bytes", auto=("contour",)),
 )
 
@@ -85,7 +82,7 @@ def mesh_formats(shape: Shape) -> tuple[str, ...]:
     Examples
     --------
     >>> mesh_formats("surface"), mesh_formats("contour")
-    (('ply', 'stl', 'obj', 'vtp', 'glb', '3mf'), ('vtp', 'csv'))
+    (('ply', 'stl', 'obj', 'vtp', 'glb'), ('vtp', 'csv'))
     """
     return tuple(name for name, form in MESH_FORMATS.items() if form.writer(shape) is not None)
 

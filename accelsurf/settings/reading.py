@@ -18,6 +18,8 @@ _SMALLEST, _LARGEST = 1e-9, 1e6
 
 #: A level of a pyramid, 0 the finest; "auto" is the finest whose run fits into the memory.
 Level = int | Literal["auto"]
+#: Size of a voxel (x, y, z), mm.
+Spacing = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class ReadOptions:
     time_index: int | None = None
     channels_from_time: bool = False
     series: str | None = None
-    spacing: tuple[float, float, float] | None = None
+    spacing: Spacing | None = None
     resample: bool = False
 
     @property
@@ -75,7 +77,7 @@ class ReadOptions:
 AS_IT_IS = ReadOptions()
 
 
-def spacing_of(text: str) -> tuple[float, float, float]:
+def spacing_of(text: str) -> Spacing:
     """The size of a voxel (x, y, z) in mm, as it is written: one number or three, and a unit unless it is mm.
 
     Raises

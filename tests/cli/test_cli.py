@@ -403,9 +403,9 @@ def test_a_file_that_appears_while_the_run_goes_on_is_not_replaced(scans, tmp_pa
 
 
 def test_two_runs_with_one_output(scans, tmp_path, capsys):
-    from accelsurf.io.file_set import opened
+    from accelsurf.io.file_set import open_set
 
-    with opened(tmp_path, "ball"):
+    with open_set(tmp_path, "ball"):
         assert run("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--max-steps", 1) == 7
         assert "another run is writing there now" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

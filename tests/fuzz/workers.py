@@ -25,7 +25,7 @@ SECONDS, RSS_BYTES = 20.0, 1 << 30
 ADDRESS_BYTES = 2 << 30
 #: Libraries that readers import when they need them.
 LIBRARIES = (
-    *("SimpleITK", "nibabel", "tifffile", "zarr", "numcodecs", "pydicom", "highdicom", "trimesh", "lxml.etree", "PIL"),
+    *("SimpleITK", "nibabel", "tifffile", "zarr", "numcodecs", "pydicom", "highdicom", "trimesh", "PIL"),
     *("PIL.Image", "scipy.ndimage", "scipy.spatial", "numba", "skimage.measure", "fast_simplification"),
     *("accelsurf.segmentation.api", "accelsurf.tracking.track", "accelsurf.viewer.frontends.movie_file"),
 )

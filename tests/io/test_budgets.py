@@ -26,7 +26,6 @@ NAMES = (
     "deep report",
     "image as objects",
     "large triangles",
-    "vtp of shared arrays",
     "packed checkpoint",
     "large table",
     "many terms",
@@ -103,7 +102,7 @@ def bombs(folder):
         return io.read(made("a.nrrd", head.encode() + body))
 
     def picture():
-        plain = png.encode(small.array[:1].astype(np.uint8), (1.0, 1.0, 1.0))
+        plain = png.png_bytes(small.array[:1].astype(np.uint8), (1.0, 1.0, 1.0))
         body = b"IDAT" + zlib.compress(bytes(1 << 27), 1)
         at = plain.index(b"IDAT") - 4
         length = struct.unpack(">I", plain[at : at + 4])[0]
@@ -127,7 +126,7 @@ def bombs(folder):
         return io.read(made("a.tif", b"".join(out)))
 
     def shared_strips():
-        content = bytearray(tiff_file.encode(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
+        content = bytearray(tiff_file.tiff_bytes(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
         body = zlib.compress(bytes(1 << 22), 1)
         strips = 20_000
         offsets, lengths = len(content), len(content) + 4 * strips
@@ -142,7 +141,7 @@ def bombs(folder):
         return io.read(made("a.tif", bytes(content)))
 
     def described(text):
-        values = tiff_file.encode(small.array.astype(np.uint16), (1.0, 1.0, 1.0))
+        values = tiff_file.tiff_bytes(small.array.astype(np.uint16), (1.0, 1.0, 1.0))
         at, old = values.index(b"ImageJ"), values.index(struct.pack("<HH", 270, 2))
         content = bytearray(values) + text.encode()
         struct.pack_into("<II", content, old + 4, len(text), len(values))
@@ -152,7 +151,7 @@ def bombs(folder):
         return energy_expression.parse("")
 
     def claims(compression):
-        content = bytearray(tiff_file.encode(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
+        content = bytearray(tiff_file.tiff_bytes(np.zeros((1, 64, 64), np.uint8), (1.0, 1.0, 1.0)))
         for place in range(len(content) - 12):
             tag, kind, count = struct.unpack_from("<HHI", content, place)
             if (tag, kind, count) in ((256, 4, 1), (257, 4, 1), (278, 4, 1)):
@@ -169,13 +168,6 @@ def bombs(folder):
         points = np.array([[0, 0, 0], [500, 0, 0], [0, 500, 0], [0, 0, 500]], float)
         faces = np.tile([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], (20_000, 1))
         return meshes.voxels_inside(points, faces, (512, 512, 512))
-
-    def vtp():
-        points = "<DataArray type='Float32' NumberOfComponents='3' format='appended' offset='0'/>"
-        piece = f"<Piece NumberOfPoints='{(1 << 20) // 3}' NumberOfPolys='0'><Points>{points}</Points></Piece>"
-        body = struct.pack("<I", 4 * 3 * ((1 << 20) // 3)) + bytes(1 << 22)
-        head = "<VTKFile type='PolyData' byte_order='LittleEndian'><PolyData>" + piece * 20_000
-        return meshes.read(made("a.vtp", f"{head}</PolyData><AppendedData encoding='raw'>_".encode() + body))
 
     def checkpoint():
         stream = streams.BytesIO()
@@ -206,7 +198,6 @@ def bombs(folder):
         "deep report": deep_report,
         "image as objects": lambda: segment_objects(noise.astype(np.float32), noise),
         "large triangles": triangles,
-        "vtp of shared arrays": vtp,
         "packed checkpoint": checkpoint,
         "large table": lambda: object_starts.read(
             str(made("b.csv", b"id,x,y,z,r\n" + b"1,1,1,1,1\n" * 500_000)), small.geometry, 2

@@ -13,7 +13,7 @@ import pytest
 
 from accelsurf.errors import AccelsurfWarning, OutputError
 from accelsurf.io import file_set, set_journals
-from accelsurf.io.file_set import opened, recover
+from accelsurf.io.file_set import open_set, recover
 from accelsurf.io.files import write_bytes
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are forked")
@@ -51,7 +51,7 @@ def filled(folder):
 
 
 def write_new(folder):
-    with opened(folder, "scan") as files:
+    with open_set(folder, "scan") as files:
         for name, text in NEW.items():
             (files.drafts / name).write_bytes(text)
         (files.drafts / REPORT).write_bytes(report(NEW))
@@ -158,19 +158,19 @@ def test_a_kill_while_everything_is_put_back(tmp_path, monkeypatch):
 
 
 def test_what_a_living_process_writes_is_left_alone(tmp_path):
-    with opened(tmp_path, "scan") as files:
+    with open_set(tmp_path, "scan") as files:
         (files.drafts / "a").write_bytes(b"1")
         assert recover(tmp_path) == [] and (files.drafts / "a").exists()
-        with pytest.raises(OutputError, match="another run is writing there now"), opened(tmp_path, "scan"):
+        with pytest.raises(OutputError, match="another run is writing there now"), open_set(tmp_path, "scan"):
             pytest.fail("two owners")
-        with opened(tmp_path, "other") as others:
+        with open_set(tmp_path, "other") as others:
             assert others.drafts != files.drafts
         files.commit()
     assert content(tmp_path) == {"a": b"1"} and not list(tmp_path.glob(".*"))
 
 
 def test_drafts_of_an_exception_are_removed(tmp_path):
-    with pytest.raises(ZeroDivisionError), opened(tmp_path, "scan") as files:
+    with pytest.raises(ZeroDivisionError), open_set(tmp_path, "scan") as files:
         (files.drafts / "a").write_bytes(b"1")
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
@@ -195,7 +195,7 @@ def test_signals_wait_until_all_files_are_in_place(tmp_path, monkeypatch):
 
 def test_long_names_have_a_short_hidden_folder(tmp_path):
     name = "名" * 80  # 240 bytes
-    with opened(tmp_path, name) as files:
+    with open_set(tmp_path, name) as files:
         (files.drafts / name).write_bytes(b"1")
         files.commit()
     assert content(tmp_path) == {name: b"1"} and all(
@@ -213,7 +213,7 @@ def test_file_systems_without_locks_take_files(tmp_path, monkeypatch):
     monkeypatch.setattr(fcntl, "flock", no_locks)
     write_bytes(tmp_path / "a", b"1")
     for _ in range(2):  # the second after a kill
-        with pytest.warns(AccelsurfWarning, match="No locks available"), opened(tmp_path, "scan") as files:
+        with pytest.warns(AccelsurfWarning, match="No locks available"), open_set(tmp_path, "scan") as files:
             write_bytes(files.drafts / "b", b"2")
             write_bytes(files.drafts / "c", b"3")
             files.commit(last="c")
@@ -239,7 +239,7 @@ def test_a_full_home_costs_no_result(when, tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", [".accelsurf", ".data.accelsurf", ".a.b.accelsurf"])
 def test_folders_that_are_called_like_the_program_are_folders(name, tmp_path):
     folder = filled(tmp_path / name)
-    with opened(folder, "scan"):
+    with open_set(folder, "scan"):
         assert list(set_journals.state_folder().glob("*.json"))
 
 
@@ -284,7 +284,7 @@ def test_a_process_that_only_looks_for_dead_ones_is_waited_for(unique, tmp_path,
         return len(looked) > 2 and real(lock)
 
     monkeypatch.setattr(set_journals, "_try_lock", try_lock)
-    with opened(tmp_path, "scan", unique=unique) as files:
+    with open_set(tmp_path, "scan", unique=unique) as files:
         (files.drafts / "a").write_bytes(b"1")
         files.commit()
     monkeypatch.undo()
@@ -374,7 +374,7 @@ def test_nothing_in_an_output_folder_orders_a_move_or_a_deletion(plant, seed, tm
     assert len(said) == 1 and name in str(said[0].message)
     with pytest.warns(AccelsurfWarning):
         write_bytes(folder / "new.txt", b"1")
-    with pytest.warns(AccelsurfWarning), opened(folder, "scan") as files:
+    with pytest.warns(AccelsurfWarning), open_set(folder, "scan") as files:
         (files.drafts / "b").write_bytes(b"2")
         (files.drafts / "c").write_bytes(b"3")
         files.commit(last="c")
@@ -402,7 +402,7 @@ def test_a_link_in_place_of_a_staging_folder_is_not_followed(part, tmp_path):
     (staging / part).rename(tmp_path / "kept")
     (staging / part).symlink_to(tmp_path / "elsewhere")
     assert recover(staging.parent) == [staging]
-    with pytest.raises(OutputError, match="only some of its files"), opened(staging.parent, "scan"):
+    with pytest.raises(OutputError, match="only some of its files"), open_set(staging.parent, "scan"):
         pytest.fail("written over")
     assert (tmp_path / "elsewhere" / "scan_seg.nii").read_bytes() == b"mine"
     (staging / part).unlink()

@@ -82,7 +82,7 @@ def test_a_draft_that_differs_is_refused_without_an_error_of_the_system(tmp_path
 
     def load(function):
         done = real(function)
-        if not str(function).endswith("nifti_volumes:write"):
+        if not str(function).endswith("nifti_volumes:write_nifti"):
             return done
 
         def write(volume, draft):

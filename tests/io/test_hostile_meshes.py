@@ -3,15 +3,12 @@
 All are read in one process, whose address space is limited, and which says for each what it took.
 """
 
-import io
 import json
 import resource
 import struct
 import subprocess
 import sys
 import time
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -103,113 +100,10 @@ def objs():
     yield "obj lines joined", "obj", ("v 0 0 \\\n" * 100_000).encode()
 
 
-def vtps():
-    from accelsurf.io.formats import surface_files
-
-    good = surface_files.vtp_bytes(CORNERS, FACES, "LPS")
-    head, _, data = good.partition(b"<AppendedData")
-    for count in (*BIG, -1):
-        yield f"vtp points {count}", "vtp", good.replace(b'NumberOfPoints="4"', f'NumberOfPoints="{count}"'.encode())
-        yield f"vtp polygons {count}", "vtp", good.replace(b'NumberOfPolys="4"', f'NumberOfPolys="{count}"'.encode())
-        for offset in (b"0", b"104"):
-            new = f'offset="{count}"'.encode()
-            yield f"vtp offset {offset} {count}", "vtp", good.replace(b'offset="%s"' % offset, new)
-        eight = struct.pack("<Q", count % 2**64)
-        begin = good.index(b"_", len(head)) + 1
-        yield f"vtp length {count}", "vtp", good[:begin] + eight + good[begin + 8 :]
-        packed = head.replace(b"<VTKFile", b'<VTKFile compressor="vtkZLibDataCompressor"')
-        body = zlib.compress(bytes(1 << 20))
-        for blocks, block, last in ((count, 96, 0), (1, count, 0), (1, 96, count), (2, count, count)):
-            sizes = struct.pack("<4Q", *(n % 2**64 for n in (blocks, block, last, len(body))))
-            mark = b'<AppendedData encoding="raw">_'
-            yield f"vtp blocks {blocks} {block} {last}", "vtp", packed + mark + sizes + body
-        tail = b'<AppendedData encoding="base64">_' + b"////" * 40
-        yield f"vtp base64 {count}", "vtp", head.replace(b'offset="0"', f'offset="{count}"'.encode()) + tail
-        text = good.replace(b'format="ascii">83', f'format="ascii">{count}'.encode(), 1)
-        yield f"vtp space {count}", "vtp", text
-    zeros = zlib.compress(bytes(1 << 28), 9)
-    sizes = struct.pack("<4Q", 1, 1 << 28, 0, len(zeros))
-    packed = head.replace(b"<VTKFile", b'<VTKFile compressor="vtkZLibDataCompressor"')
-    yield "vtp packed zeros", "vtp", packed + b'<AppendedData encoding="raw">_' + sizes + zeros
-    for encoding in ("utf-8", "utf-16"):
-        yield f"vtp entities {encoding}", "vtp", entities("<VTKFile type='PolyData'>&j;</VTKFile>", encoding)
-        system = "<!DOCTYPE a [<!ENTITY j SYSTEM 'file:///etc/passwd'>]><VTKFile type='PolyData'>&j;</VTKFile>"
-        yield f"vtp file entity {encoding}", "vtp", system.encode(encoding)
-    yield "vtp deep", "vtp", b"<VTKFile type='PolyData'>" + b"<a>" * 300_000
-    yield "vtp wide", "vtp", b"<VTKFile type='PolyData'>" + b"<a/>" * 500_000 + b"</VTKFile>"
-    pieces = b"<Piece NumberOfPoints='0'><Points><DataArray type='Int8'/></Points></Piece>" * 10_000
-    yield "vtp pieces", "vtp", b"<VTKFile type='PolyData'><PolyData>" + pieces + b"</PolyData></VTKFile>"
-    fields = b"<Array type='String' Name='SPACE' format='appended' offset='0'/>" * 20_000
-    yield "vtp fields", "vtp", good.replace(b"<FieldData>", b"<FieldData>" + fields)
-    yield "vtp comments", "vtp", good.replace(b"<PolyData>", b"<!--SPACE-->" * 100_000 + b"<PolyData>")
-
-
-def entities(root, encoding="utf-8"):
-    lines = "".join(f"<!ENTITY {b} '{f'&{a};' * 10}'>" for a, b in zip("abcdefghi", "bcdefghij", strict=True))
-    return f"<!DOCTYPE x [<!ENTITY a '{'a' * 1000}'>{lines}]>{root}".encode(encoding)
-
-
-def three_mfs():
-    from accelsurf.io.formats import three_mf
-
-    with zipfile.ZipFile(io.BytesIO(three_mf.write(CORNERS, FACES, "LPS"))) as archive:
-        model = archive.read("3D/3dmodel.model").decode()
-
-    def packed(text, name="3D/3dmodel.model", method=zipfile.ZIP_DEFLATED):
-        stream = io.BytesIO()
-        with zipfile.ZipFile(stream, "w", method) as archive:
-            archive.writestr(name, text)
-        return stream.getvalue()
-
-    item = '<item objectid="1"/>'
-    ball = "".join(f'<vertex x="{n}" y="{n % 7}" z="{n % 3}"/>' for n in range(5000))
-    for count in (1000, 200_000):
-        yield f"3mf {count} items", "3mf", packed(model.replace(item, item * count))
-        moved = item.replace("/>", ' transform="1 0 0 0 1 0 0 0 1 5 5 5"/>')
-        yield f"3mf {count} items moved", "3mf", packed(model.replace(item, moved * count))
-        yield f"3mf {count} items of a large mesh", "3mf", packed(
-            model.replace("<vertices>", f"<vertices>{ball}").replace(item, item * count)
-        )
-        empty = "<object id='2'><mesh/></object>"
-        others = item + '<item objectid="2"/>' * count
-        text = model.replace("</resources>", f"{empty}</resources>").replace(item, others)
-        yield f"3mf {count} empty items", "3mf", packed(text)
-    parts = "".join(
-        f'<object id="{n + 1}"><components>{f"""<component objectid="{n}"/>""" * 10}</components></object>'
-        for n in range(1, 30)
-    )
-    text = model.replace("</resources>", f"{parts}</resources>").replace(item, '<item objectid="30"/>')
-    yield "3mf components", "3mf", packed(text)
-    itself = '<object id="2"><components><component objectid="2"/></components></object>'
-    text = model.replace("</resources>", f"{itself}</resources>").replace(item, '<item objectid="2"/>')
-    yield "3mf of itself", "3mf", packed(text)
-    for encoding in ("utf-8", "utf-16"):
-        yield f"3mf entities {encoding}", "3mf", packed(entities(model[model.index("<model") :], encoding))
-    for method in (zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):
-        yield f"3mf zeros {method}", "3mf", packed(bytes(1 << 28), method=method)
-        yield f"3mf elements {method}", "3mf", packed(b"<a>" + b"<b/>" * 3_900_000 + b"</a>", method=method)
-        yield f"3mf blanks {method}", "3mf", packed(b"<a>" + b" \n" * 30_000_000 + b"</a>", method=method)
-    yield "3mf deep", "3mf", packed(b"<a>" * 1_000_000)
-    yield "3mf other model", "3mf", packed(model, "../../etc/a.model")
-    lies = bytearray(packed(model))
-    at = lies.index(b"PK\x01\x02")
-    for count in (0, 1, 2**31, 2**32 - 2):
-        struct.pack_into("<I", lies, at + 24, count)  # the unpacked size
-        yield f"3mf size {count}", "3mf", bytes(lies)
-    for number in (*BIG, -1):
-        yield f"3mf point {number}", "3mf", packed(model.replace('v1="1"', f'v1="{number}"'))
-        yield f"3mf place {number}", "3mf", packed(model.replace('x="11.000000"', f'x="{number}e300"'))
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        for n in range(20_000):
-            archive.writestr(f"{n}.model", "")
-    yield "3mf many files", "3mf", stream.getvalue()
-
-
 def glbs():
     from accelsurf.io.formats import glb
 
-    content = glb.write(CORNERS, FACES, "LPS")
+    content = glb.glb_bytes(CORNERS, FACES, "LPS")
     length = struct.unpack_from("<I", content, 12)[0]
     plain = content[20 : 20 + length].decode()
 
@@ -228,20 +122,20 @@ def glbs():
                 name = f"glb {part} {key} {which} {str(count)[:20]}"
                 yield name, "glb", changed(lambda c, p=part, k=key, w=which, n=count: c[p][w].update({k: n}))
     sparse = {"count": 10**9, "indices": {"bufferView": 0}, "values": {"bufferView": 0}}
-    yield "glb sparse", "glb", changed(lambda c: c["accessors"][0].update(sparse=sparse))
+    yield "glb sparse", "glb", changed(lambda c: c["accessors"][1].update(sparse=sparse))
     bare = {"count": 10**9, "componentType": 5126, "type": "VEC3", "sparse": sparse}
-    yield "glb only sparse", "glb", changed(lambda c: c["accessors"].__setitem__(0, bare))
+    yield "glb only sparse", "glb", changed(lambda c: c["accessors"].__setitem__(1, bare))
     for uri in ("/etc/passwd", "file:///etc/passwd", "http://localhost:1/a.bin", "data:,aaaa", "../a.bin"):
         yield f"glb uri {uri}", "glb", changed(lambda c, u=uri: c["buffers"][0].update(uri=u))
         yield f"glb image {uri}", "glb", changed(lambda c, u=uri: c.update(images=[{"uri": u}]))
     many = 50_000
-    primitive = {"attributes": {"POSITION": 0}, "indices": 1}
+    primitive = {"attributes": {"POSITION": 1}, "indices": 0}
     points = np.tile(CORNERS, (20_000, 1)).astype("<f4").tobytes()
 
     def heavy(contents):
-        contents["accessors"][0].update(count=80_000)
+        contents["accessors"][1].update(count=80_000)
         contents["bufferViews"] = [{"buffer": 0, "byteLength": len(points)}] * 2
-        contents["accessors"][1].update(count=12, componentType=5121)
+        contents["accessors"][0].update(count=12, componentType=5121)
         contents["meshes"][0]["primitives"] = [primitive] * many
 
     yield "glb primitives of large data", "glb", changed(heavy, points)
@@ -264,7 +158,7 @@ def glbs():
 
 
 def files():
-    for made in (plys, stls, objs, vtps, three_mfs, glbs):
+    for made in (plys, stls, objs, glbs):
         yield from made()
 
 
@@ -288,16 +182,16 @@ def test_each_is_refused_or_read_in_time(told):
         if kind not in ("InputError", "read") or seconds > MAX_SECONDS or megabytes > MAX_MB
         or (kind != "read" and (not hint or "\n" in message or len(message) > 1000 or "memory" in message))
     }
-    assert len(told) > 400 and not faults, json.dumps(faults, indent=1)
+    assert len(told) > 300 and not faults, json.dumps(faults, indent=1)
 
 
-@pytest.mark.parametrize("word", ["entities", "items of a large mesh", "uri", "zeros", "components", "stl 4294967295"])
+@pytest.mark.parametrize("word", ["uri", "sparse", "stl 4294967295"])
 def test_these_are_refused(told, word):
     found = {name: kind for name, (kind, *_) in told.items() if word in name}
     assert found and set(found.values()) == {"InputError"}, found
 
 
-@pytest.mark.parametrize("name", ["obj materials", "glb image /etc/passwd", "3mf 1000 items", "3mf other model"])
+@pytest.mark.parametrize("name", ["obj materials", "glb image /etc/passwd"])
 def test_these_are_read(told, name):
     assert told[name][0] == "read", told[name]
 
@@ -314,7 +208,7 @@ def read_all(folder):
 
     opened = []
     sys.addaudithook(lambda event, words: opened.append(words[0]) if event in ("open", "socket.connect") else None)
-    for suffix in ("ply", "stl", "obj", "3mf", "glb", "vtp"):  # what is imported is not of a file
+    for suffix in ("ply", "stl", "obj", "glb"):  # what is imported is not of a file
         (folder / f"a.{suffix}").write_bytes(b"")
         try:
             meshes.read(folder / f"a.{suffix}")

@@ -70,7 +70,7 @@ def files(folder):
     from accelsurf import io
     from accelsurf.grid.volume import Volume
     from accelsurf.io import channels, label_tables
-    from accelsurf.io.formats.nifti_boxes import _write_second_header
+    from accelsurf.io.formats.nifti_volumes import _write_second_header
 
     small = Volume.from_array(np.arange(120, dtype="<i2").reshape(4, 5, 6))
     voxels = small.array.tobytes()

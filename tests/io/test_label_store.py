@@ -15,7 +15,7 @@ from accelsurf.errors import OutputError, UsageError
 from accelsurf.grid.boxes import box_at, whole_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.io.formats import nifti_boxes, zarr_pyramid
+from accelsurf.io.formats import nifti_volumes, zarr_pyramid
 from tests.support.folders import contents
 
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -92,7 +92,7 @@ def test_a_full_disk_is_an_error_that_leaves_nothing(tmp_path, monkeypatch, suff
     def full(*args):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    owner = nifti_boxes.NiftiBoxes if suffix == ".nii" else zarr_pyramid.ZarrPyramid
+    owner = nifti_volumes.NiftiBoxes if suffix == ".nii" else zarr_pyramid.ZarrPyramid
     monkeypatch.setattr(owner, when, full)
     store = io.LabelStore(tmp_path / f"a{suffix}", GRID, np.uint8)
     with pytest.raises(OutputError, match=rf"a{suffix}: cannot be written \(No space left") as caught:

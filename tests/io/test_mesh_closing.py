@@ -173,7 +173,7 @@ def test_a_slit_wider_than_the_tolerance_stays_refused():
         meshes.closed_mesh(corners, numbers)
 
 
-@pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj", ".vtp"])
+@pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj"])
 def test_files_of_single_triangles(tmp_path, suffix):
     """As programs for construction write them: no corner is shared, each is rounded on its own."""
     points, triangles = ball(6.0, (3.1, -5.1, 0.0))

@@ -67,32 +67,10 @@ def test_what_vtk_writes_is_read(polydata, voxels, tmp_path, suffix, binary):
     np.testing.assert_array_equal(meshes.inside(path, GRID), voxels)
 
 
-@pytest.mark.parametrize("mode", ["ascii", "binary", "appended", "raw"])
-@pytest.mark.parametrize("compressed", [True, False])
-@pytest.mark.parametrize("order", ["little", "big"])
-@pytest.mark.parametrize("sizes", [32, 64])
-def test_every_encoding_of_vtk_xml(polydata, voxels, tmp_path, mode, compressed, order, sizes):
-    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
-
-    path = tmp_path / "a.vtp"
-    writer = vtkXMLPolyDataWriter()
-    writer.SetFileName(str(path))
-    writer.SetInputData(polydata)
-    writer.SetDataMode({"ascii": 0, "binary": 1}.get(mode, 2))
-    writer.SetEncodeAppendedData(mode == "appended")
-    writer.SetBlockSize(4096)  # several blocks to an array
-    if not compressed:
-        writer.SetCompressorTypeToNone()
-    (writer.SetByteOrderToBigEndian if order == "big" else writer.SetByteOrderToLittleEndian)()
-    (writer.SetHeaderTypeToUInt32 if sizes == 32 else writer.SetHeaderTypeToUInt64)()
-    assert writer.Write()
-    np.testing.assert_array_equal(meshes.inside(path, GRID), voxels)
-
-
 def test_polygons_become_triangles(tmp_path):
     cube = pyvista.Cube(center=CENTRE, x_length=5, y_length=6, z_length=7)
     found = []
-    for suffix in (".ply", ".vtp"):
+    for suffix in (".ply",):
         cube.save(tmp_path / f"a{suffix}")
         found.append(meshes.inside(tmp_path / f"a{suffix}", GRID))
     corners = "".join(f"v {x} {y} {z}\n" for x, y, z in cube.points)
@@ -188,8 +166,6 @@ CORNERS = "0 0 0\n9 0 0\n0 9 0\n0 0 9\n"
         ("a.obj", "", "no triangle"),
         ("a.obj", "v 0 0\nv 9 0\nv 0 9\nf 1 2 3\n", "points of 2 coordinates"),
         ("a.stl", "solid a\nendsolid a\n", "no triangle"),
-        ("a.vtp", '<VTKFile type="UnstructuredGrid"/>', "VTKFile UnstructuredGrid given"),
-        ("a.vtp", '<!DOCTYPE x [<!ENTITY a "aa">]><VTKFile type="PolyData">&a;</VTKFile>', "entities"),
     ],
 )
 def test_meshes_that_are_none(tmp_path, name, text, words):

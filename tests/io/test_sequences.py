@@ -9,8 +9,9 @@ import SimpleITK as sitk
 
 from accelsurf import cli, io
 from accelsurf.errors import InputError, UsageError
-from accelsurf.io import channels, headers, selection
-from accelsurf.io.metadata import FRAME_KEY, UNIT_KEY
+from accelsurf.io import channels, headers
+from accelsurf.io.channels import selected, single
+from accelsurf.io.headers import FRAME_KEY, UNIT_KEY
 from accelsurf.settings.reading import ReadOptions
 
 FULL = np.random.default_rng(0).integers(0, 30000, (3, 4, 5, 6)).astype(np.int16)  # t z y x
@@ -155,5 +156,5 @@ def test_commands_refuse_a_sequence_and_take_a_time_point(tmp_path, capsys):
 
 
 def test_places_of_channels_and_time_points():
-    assert selection.selected(2, 1, ReadOptions()) == [(0, 0), (0, 1)]
-    assert selection.single(1, 4, ReadOptions(time_index=3)) == (3, 0)
+    assert selected(2, 1, ReadOptions()) == [(0, 0), (0, 1)]
+    assert single(1, 4, ReadOptions(time_index=3)) == (3, 0)

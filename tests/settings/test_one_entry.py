@@ -172,7 +172,7 @@ def test_what_it_does_not_take_is_refused_in_the_usual_words(toys):
         RunConfig(flow="toy-flo")
     with pytest.raises(UsageError, match="png, tif, npy or toy"):
         RunConfig(format="toi")
-    with pytest.raises(UsageError, match="3mf, csv, toymesh"):
+    with pytest.raises(UsageError, match="glb, csv, toymesh"):
         RunConfig(mesh="toimesh")
     with pytest.raises(UsageError, match="fluorescence-nucleus or toy-scan"):
         RunConfig(preset="toy-scam")
@@ -189,7 +189,7 @@ def test_help_schema_and_messages(toys):
     assert properties["flow"]["enum"][-1] == "toy-flow" and "toy that wants" in properties["energy"]["description"]
     assert expected("flow").endswith("or toy-flow")
     assert "ome.zarr, tif, npy, toy, or for one slice png" in help_of("format")
-    assert "3mf, toymesh;" in help_of("mesh")
+    assert "glb, toymesh;" in help_of("mesh")
     assert "fluorescence-nucleus, toy-scan." in properties["preset"]["description"]
     assert properties["format"]["anyOf"][0]["enum"][-1] == "toy"
 

@@ -153,7 +153,7 @@ def test_odd_config_changes_every_field():
         ("balloon", "up", "a number"),
         ("reproducible", "maybe", "true or false"),
         ("epsilon", 3, "at most 2.5"),
-        ("mesh", "ply,wrl", "ply, stl, obj, vtp, glb, 3mf, csv or auto"),
+        ("mesh", "ply,wrl", "ply, stl, obj, vtp, glb, csv or auto"),
         ("mesh", "", "ply, stl, obj, vtp"),
         ("mesh_space", "xyz", "lps or ras"),
         ("save_sdf", "maybe", "true or false"),

@@ -8,7 +8,7 @@ from pydicom.dataset import FileMetaDataset
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import frames_of
-from accelsurf.io.dicom.source_images import SourceImages, read
+from accelsurf.io.dicom.source_images import SourceImages, read_source_images
 
 CT, ENHANCED_MR = "1.2.840.10008.5.1.4.1.1.2", "1.2.840.10008.5.1.4.1.1.4.1"
 STUDY, SERIES, FRAME = "1.2.3.4", "1.2.3.4.5", "1.2.3.4.6"
@@ -87,4 +87,4 @@ def write_frames(path: Path, geometry: Geometry, order=None) -> list[Path]:
 
 def source_of(paths) -> SourceImages:
     """What objects refer to, of files in the order of z."""
-    return read([frame for path in paths for frame in frames_of(path)])
+    return read_source_images([frame for path in paths for frame in frames_of(path)])

@@ -5,7 +5,7 @@ import re
 import pytest
 
 import accelsurf
-from accelsurf.io.metadata import DICOM_KEY
+from accelsurf.io.headers import DICOM_KEY
 from tests.support import viewing
 from tests.viewer.test_browser import ask, driven, state, until
 

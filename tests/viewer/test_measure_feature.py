@@ -9,7 +9,7 @@ import pytest
 
 from accelsurf import Volume
 from accelsurf.io import write
-from accelsurf.io.metadata import UNIT_KEY, VALUE_UNIT_KEY
+from accelsurf.io.headers import UNIT_KEY, VALUE_UNIT_KEY
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene

@@ -5,7 +5,7 @@ import pytest
 
 from accelsurf import Volume
 from accelsurf.errors import UsageError
-from accelsurf.io.metadata import UNIT_KEY
+from accelsurf.io.headers import UNIT_KEY
 from accelsurf.viewer.core.measurements import COLUMNS, MAX_COUNT, Measurement, Measurements
 from accelsurf.viewer.scene.overlay import Pixels
 from tests.support import viewing

@@ -11,7 +11,7 @@ from PIL import Image
 from accelsurf import Volume
 from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import InputError, UsageError
-from accelsurf.io.metadata import DICOM_KEY, UNIT_KEY
+from accelsurf.io.headers import DICOM_KEY, UNIT_KEY
 from accelsurf.report import canvas
 from accelsurf.viewer.frontends.page_document import style_sheet
 from accelsurf.viewer.scene import colors, shapes

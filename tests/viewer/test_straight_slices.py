@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization.clicks import read_clicks
-from accelsurf.io.metadata import DICOM_KEY
+from accelsurf.io.headers import DICOM_KEY
 from accelsurf.segmentation.image_force import image_forces
 from accelsurf.segmentation.region_of_interest import region_of_interest
 from accelsurf.settings.run_config import RunConfig

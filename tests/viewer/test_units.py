@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from accelsurf import Volume
-from accelsurf.io.metadata import UNIT_KEY
+from accelsurf.io.headers import UNIT_KEY
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.page_document import page_text

@@ -9,7 +9,7 @@ from pathlib import Path
 from accelsurf.errors import InputError
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.volumes import SAME_PLACE_MM, names_of
-from accelsurf.io.frame_times import FrameTimes
+from accelsurf.io.headers import FrameTimes
 
 #: Phases by which slices of one place may differ in a sequence; by others they are of several contrasts.
 TIME_PHASES = frozenset({"time point", "trigger time", "acquisition", "acquisition time", "file"})
@@ -19,7 +19,7 @@ _ORDERS = ("offset", "trigger", "point", "frame", "acquisition", "content", "num
 
 
 def is_cine(frames: Sequence[Frame]) -> bool:
-    """Whether several slices lie at one place, or are pictures of one file."""
+    """Test if several slices lie at one place, or are pictures of one file."""
     return len(_places(frames)) < len(frames)
 
 
@@ -40,7 +40,7 @@ def frames_in_time(frames: Sequence[Frame], root: Path) -> tuple[list[tuple[Fram
         When places have several numbers of slices, or slices differ in more than time.
     """
     places = list(_places(frames).values())
-    contrasts = sorted({name for own in places for name in _differing(own)} - TIME_PHASES)
+    contrasts = sorted({name for frames in places for name in _differing(frames)} - TIME_PHASES)
     if contrasts:
         raise InputError(
             f"slices at one place differ in {', '.join(contrasts)}, not in time alone",
@@ -53,10 +53,10 @@ def frames_in_time(frames: Sequence[Frame], root: Path) -> tuple[list[tuple[Fram
             "as many at each expected",
             "give a complete series",
         )
-    order = next((name for name in _ORDERS if all(_tells_apart(own, name) for own in places)), None)
+    order = next((name for name in _ORDERS if all(_tells_apart(frames, name) for frames in places)), None)
     if order is None:
         raise InputError("nothing in the files tells the order of slices at one place", "convert them with their times")
-    rows = [sorted(own, key=lambda frame: frame.times[order]) for own in places]
+    rows = [sorted(frames, key=lambda frame: frame.times[order]) for frames in places]
     parts = [tuple(row[n] for row in rows) for n in range(len(most))]
     return parts, _times_of(parts)
 

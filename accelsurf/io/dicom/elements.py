@@ -34,7 +34,7 @@ def text(dataset: Any, name: str) -> str:
 
 
 def numbers_of(dataset: Any, name: str, count: int) -> Floats | None:
-    """So many finite numbers; None where the element has others."""
+    """Read a number of finite numbers; None where the element has others."""
     value = None if dataset is None else dataset.get(name)
     if value is None or value == "":
         return None

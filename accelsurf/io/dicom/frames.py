@@ -1,19 +1,125 @@
-"""What each slice of a DICOM file says of itself: where it lies, what it is of, how its values are meant."""
+"""Frames of DICOM files: place, contrast, time and meaning of the values of each slice.
+
+Siemens scanners write mosaics, the slices of a volume side by side in one picture. Of reconstructed slices of nuclear
+medicine the file gives the place of the first alone.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import Any
 
+import numpy as np
+
 from accelsurf.errors import InputError
-from accelsurf.io.dicom import kinds, nuclear
+from accelsurf.io.dicom import kinds
 from accelsurf.io.dicom.elements import Elements, Floats, listed, number_of, numbers_of, text
-from accelsurf.io.dicom.library import HEADER_HINT, PixelBytes, damage_of, library, read_dataset, read_header
+from accelsurf.io.dicom.library import HEADER_HINT, PixelBytes, damage_of, library, quiet, read_dataset, read_header
 from accelsurf.io.dicom.sources import DicomFile
 from accelsurf.settings import budgets
+
+_NUCLEAR_TAGS = ("DetectorInformationSequence", "SliceVector", "TimeSlotVector", "EnergyWindowVector")
+_NUCLEAR = "1.2.840.10008.5.1.4.1.1.20"
+_RECONSTRUCTED = {"RECON TOMO", "RECON GATED TOMO"}
+
+
+def _is_reconstructed(dataset: Any) -> bool:
+    return str(dataset.get("SOPClassUID")) == _NUCLEAR and bool(_RECONSTRUCTED & set(listed(dataset.get("ImageType"))))
+
+
+def _entry(dataset: Any, name: str, number: int) -> int | None:
+    """Entry of a vector for a frame; None where there is none."""
+    value = dataset.get(name)
+    if value is None or isinstance(value, (str, bytes)):
+        return None
+    if isinstance(value, int):
+        return value if number == 0 else None
+    return int(value[number]) if number < len(value) else None
+
+
+def order_of(dataset: Any, count: int) -> list[int]:
+    """The frames of a file in the order of their slices; as they come where nothing else is said."""
+    numbers = list(range(count))
+    if not _is_reconstructed(dataset):
+        return numbers
+    places = [_entry(dataset, "SliceVector", number) for number in numbers]
+    return numbers if None in places else sorted(numbers, key=lambda number: places[number] or 0)
+
+
+def place_of(dataset: Any, number: int) -> tuple[Floats, Floats] | None:
+    """Position (3) and directions (6) of a frame; None where the file is of another kind, or does not say them.
+
+    The sign of *Spacing Between Slices* says whether slices follow along the normal or against it (PS3.3 C.8.4.15).
+    """
+    if not _is_reconstructed(dataset):
+        return None
+    detectors = dataset.get("DetectorInformationSequence")
+    first = detectors[0] if detectors else dataset
+    position, turn = numbers_of(first, "ImagePositionPatient", 3), numbers_of(first, "ImageOrientationPatient", 6)
+    step = number_of(dataset, "SpacingBetweenSlices")
+    if position is None or turn is None or step is None:
+        return None
+    place = _entry(dataset, "SliceVector", number)
+    normal = np.cross(turn[:3], turn[3:])
+    moved = np.array(position) + (number if place is None else place - 1) * step * normal
+    return tuple(moved.tolist()), turn
+
+
+def phase_of(dataset: Any, number: int) -> dict[str, str]:
+    """Elements that may tell apart slices at one place."""
+    if not _is_reconstructed(dataset):
+        return {}
+    names = {"energy window": "EnergyWindowVector", "trigger time": "TimeSlotVector"}
+    found = {what: _entry(dataset, name, number) for what, name in names.items()}
+    return {what: str(value) for what, value in found.items() if value is not None}
+
+
+#: The number of images in a mosaic, and the block that says which way they follow (Siemens), with their creators.
+_MOSAIC_COUNT, _MOSAIC_TAGS = 0x0019_100A, (0x0019_100A, 0x0019_0010, 0x0029_1010, 0x0029_0010)
+#: First row and column, rows, columns, position.
+Tile = tuple[tuple[int, int], int, int, tuple[float, ...]]
+
+
+def tiles_of(path: DicomFile, dataset: Any) -> list[Tile]:
+    """Places of the slices of a mosaic in the picture and in the patient.
+
+    The file says where the whole picture would lie if it were a slice with the middle of the first one; the slices
+    follow along the normal that the private block says.
+
+    Raises
+    ------
+    InputError
+        When the file does not say how many slices there are, or which way they follow.
+    """
+    with quiet():  # it warns of itself
+        from nibabel.nicom import csareader
+
+    count = dataset.get(_MOSAIC_COUNT)
+    block = csareader.get_csa_header(dataset, "image")
+    count = int(count.value) if count is not None else (csareader.get_n_mosaic(block) if block else None)
+    normal = csareader.get_slice_normal(block) if block else None
+    turn, place = dataset.get("ImageOrientationPatient"), dataset.get("ImagePositionPatient")
+    size, step = dataset.get("PixelSpacing"), dataset.get("SpacingBetweenSlices")
+    if not count or count < 1 or normal is None or None in (turn, place, size, step):
+        raise InputError(
+            f"{path.name}: a mosaic without what says where its slices lie", "convert it by dcm2niix first"
+        )
+    side = math.ceil(math.sqrt(count))
+    rows, columns = int(dataset.Rows) // side, int(dataset.Columns) // side
+    along_row, along_column = np.array(turn, float)[:3], np.array(turn, float)[3:]
+    shift = (int(dataset.Columns) - columns) / 2 * float(size[1]) * along_row
+    shift = shift + (int(dataset.Rows) - rows) / 2 * float(size[0]) * along_column
+    across = np.cross(along_row, along_column)
+    step = float(step) * (1.0 if float(np.dot(across, normal)) >= 0 else -1.0)
+    first = np.array(place, float) + shift
+    return [
+        ((n // side * rows, n % side * columns), rows, columns, tuple((first + n * step * across).tolist()))
+        for n in range(count)
+    ]
+
 
 _TAGS = [
     *("SOPClassUID", "SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID", "FrameOfReferenceUID", "Modality"),
@@ -26,14 +132,10 @@ _TAGS = [
     *("PerFrameFunctionalGroupsSequence", "FrameTime", "FrameTimeVector", "CineRate", "RecommendedDisplayFrameRate"),
     *("ModalityLUTSequence", *(f"{kind}PixelPadding{part}" for kind in ("", "Float", "DoubleFloat")
                                for part in ("Value", "RangeLimit"))),
-    *kinds.TAGS, *nuclear.TAGS,
+    *kinds.TAGS, *_NUCLEAR_TAGS,
 ]
 #: Samples of a pixel on average, where colours are stored for pairs of pixels.
 _HALVED = "YBR_FULL_422"
-#: The number of images in a mosaic and the block that says which way they follow (Siemens).
-_MOSAIC_COUNT, _MOSAIC_CREATOR, _MOSAIC_BLOCK, _BLOCK_CREATOR = (
-    0x0019_100A, 0x0019_0010, 0x0029_1010, 0x0029_0010,
-)
 _MAX_SIDE, _MAX_BITS = 1 << 16, 64
 
 
@@ -128,7 +230,7 @@ def _frames(path: DicomFile, dataset: Elements, pixels: PixelBytes | None, of_se
     rows, columns = (int(dataset.get(name) or 0) for name in ("Rows", "Columns"))
     kind = kinds.kind_of(dataset)
     if kind and not (of_segmentation and kind == kinds.SEGMENTATION):
-        return [_frame(path, dataset, 0, 1, None, _said(path, dataset), kind)]
+        return [_frame(_common(path, dataset), dataset, 0, 1, None, _elapsed(dataset), kind)]
     if not any(dataset.get(name) for name in ("SOPClassUID", "Modality", "Rows")):
         what = "its header has no SOP class, modality or number of rows; cut short?"
         raise InputError(f"{path.name}: {what}", "copy it again")
@@ -145,13 +247,11 @@ def _frames(path: DicomFile, dataset: Elements, pixels: PixelBytes | None, of_se
     groups = dataset.get("PerFrameFunctionalGroupsSequence")
     if groups and len(groups) != count:
         raise InputError(f"{path.name}: {count} frames announced, {len(groups)} described", HEADER_HINT)
-    said = _said(path, dataset)
+    common, elapsed = _common(path, dataset), _elapsed(dataset)
     if "MOSAIC" in listed(dataset.get("ImageType")):
-        from accelsurf.io.dicom.mosaic import tiles_of
-
-        tiles = tiles_of(path, read_dataset(path, [*_TAGS, *_mosaic_tags()]))
-        return [_frame(path, dataset, 0, 1, tile, said) for tile in tiles]
-    return [_frame(path, dataset, number, count, None, said) for number in nuclear.order_of(dataset, count)]
+        tiles = tiles_of(path, read_dataset(path, [*_TAGS, *_MOSAIC_TAGS]))
+        return [_frame(common, dataset, 0, 1, tile, elapsed) for tile in tiles]
+    return [_frame(common, dataset, number, count, None, elapsed) for number in order_of(dataset, count)]
 
 
 def _check_pixels(path: DicomFile, dataset: Elements, pixels: PixelBytes, size: int, count: int) -> None:
@@ -193,46 +293,27 @@ def _check_pixels(path: DicomFile, dataset: Elements, pixels: PixelBytes, size: 
     )
 
 
-def _mosaic_tags() -> list[Any]:
-    return [_MOSAIC_COUNT, _MOSAIC_CREATOR, _MOSAIC_BLOCK, _BLOCK_CREATOR]
-
-
-@dataclass(frozen=True)
-class _Said:
-    """What a file says of all its frames."""
-
-    size: tuple[int, int]
-    uids: tuple[str, str, str, str]
-    labels: dict[str, str]
-    image_type: tuple[str, ...]
-    pixel: tuple[int, int, bool, int, str]
-    padding: tuple[float, float] | None
-    elapsed: tuple[float, ...]
-
-
-def _said(path: DicomFile, dataset: Elements) -> _Said:
+def _common(path: DicomFile, dataset: Elements) -> Frame:
+    """A frame with the elements that a file has for all its frames."""
     bits, is_signed = int(dataset.get("BitsAllocated") or 16), bool(dataset.get("PixelRepresentation") or 0)
     names = {"modality": "Modality", "description": "SeriesDescription", "number": "SeriesNumber",
              "class": "SOPClassUID"}
     study, series, instance, world = (
         text(dataset, f"{what}UID") for what in ("StudyInstance", "SeriesInstance", "SOPInstance", "FrameOfReference")
     )
-    return _Said(
-        (int(dataset.get("Rows") or 0), int(dataset.get("Columns") or 0)),
-        (study, series, instance, world),
-        {what: text(dataset, name) for what, name in names.items()},
-        tuple(listed(dataset.get("ImageType"))),
-        (
-            int(dataset.get("BitsStored") or bits), bits, is_signed, int(dataset.get("SamplesPerPixel") or 1),
-            text(dataset, "PhotometricInterpretation"),
-        ),
-        _padding(path, dataset, bits, is_signed),
-        _elapsed(dataset),
+    pixel = (
+        int(dataset.get("BitsStored") or bits), bits, is_signed, int(dataset.get("SamplesPerPixel") or 1),
+        text(dataset, "PhotometricInterpretation"),
+    )
+    return Frame(
+        path, 0, 1, None, int(dataset.get("Rows") or 0), int(dataset.get("Columns") or 0), None, None, None, None,
+        1.0, 0.0, (study, series, instance, world), {what: text(dataset, name) for what, name in names.items()},
+        tuple(listed(dataset.get("ImageType"))), pixel, {}, padding=_padding(path, dataset, bits, is_signed),
     )
 
 
 def _frame(
-    path: DicomFile, dataset: Elements, number: int, count: int, tile: Any, said: _Said, kind: str = ""
+    common: Frame, dataset: Elements, number: int, count: int, tile: Tile | None, elapsed: Floats, kind: str = ""
 ) -> Frame:
     place = _group(dataset, number, "PlanePositionSequence")
     turn = _group(dataset, number, "PlaneOrientationSequence")
@@ -241,29 +322,22 @@ def _frame(
     slope, intercept = number_of(scale, "RescaleSlope"), number_of(scale, "RescaleIntercept")
     table = scale.get("ModalityLUTSequence")
     if slope == 0 and not table:
-        raise InputError(f"{path.name}: its values are scaled by 0", HEADER_HINT)
+        raise InputError(f"{common.path.name}: its values are scaled by 0", HEADER_HINT)
     spacing = numbers_of(size, "PixelSpacing", 2) or numbers_of(dataset, "ImagerPixelSpacing", 2)
-    position, orientation = nuclear.place_of(dataset, number) or (
+    position, orientation = place_of(dataset, number) or (
         numbers_of(place, "ImagePositionPatient", 3), numbers_of(turn, "ImageOrientationPatient", 6)
     )
-    corner, (rows, columns) = None, said.size
-    if tile is not None:
-        corner, rows, columns, position = tile
-    phase, times = _phase(path, dataset, number, count), _times(dataset, number, said.elapsed)
-    return Frame(
-        path, number, count, corner, rows, columns, position, orientation,
-        spacing if spacing is not None and min(spacing) > 0 else None,
-        number_of(size, "SpacingBetweenSlices") or number_of(size, "SliceThickness") or None,
-        1.0 if slope is None or table else slope,
-        0.0 if intercept is None or table else intercept,
-        said.uids,
-        {**said.labels, "unit": _unit(dataset, scale, table), "kind": kind},
-        said.image_type,
-        said.pixel,
-        {name: value for name, value in phase.items() if value},
-        {name: value for name, value in times.items() if value is not None and math.isfinite(value)},
-        bool(table),
-        said.padding,
+    corner, rows, columns, position = tile or (None, common.rows, common.columns, position)
+    phase, times = _phase(common.path, dataset, number, count), _times(dataset, number, elapsed)
+    return replace(
+        common, number=number, frames=count, corner=corner, rows=rows, columns=columns, position=position,
+        orientation=orientation, spacing=spacing if spacing is not None and min(spacing) > 0 else None,
+        thickness=number_of(size, "SpacingBetweenSlices") or number_of(size, "SliceThickness") or None,
+        slope=1.0 if slope is None or table else slope, intercept=0.0 if intercept is None or table else intercept,
+        labels={**common.labels, "unit": _unit(dataset, scale, table), "kind": kind},
+        phase={name: value for name, value in phase.items() if value},
+        times={name: value for name, value in times.items() if value is not None and math.isfinite(value)},
+        has_table=bool(table),
     )
 
 
@@ -303,7 +377,7 @@ def _frame_type(dataset: Any, number: int) -> str:
 
 
 def _phase(path: DicomFile, dataset: Any, number: int, count: int) -> dict[str, str]:
-    """What may tell apart slices at one place, most telling first."""
+    """Elements that may tell apart slices at one place, most telling first."""
     content = _group(dataset, number, "FrameContentSequence")
     echo = _group(dataset, number, "MREchoSequence")
     diffusion = _group(dataset, number, "MRDiffusionSequence")
@@ -320,7 +394,7 @@ def _phase(path: DicomFile, dataset: Any, number: int, count: int) -> dict[str, 
         "gradient": text(gradient, "DiffusionGradientOrientation"),
         "acquisition": text(dataset, "AcquisitionNumber"),
         "acquisition time": text(content, "FrameAcquisitionDateTime") or text(dataset, "AcquisitionTime"),
-        **nuclear.phase_of(dataset, number),
+        **phase_of(dataset, number),
         "file": path.name if count > 1 else "",
     }
 

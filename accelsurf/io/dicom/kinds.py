@@ -1,4 +1,4 @@
-"""What a DICOM object is if it is no slice of a volume."""
+"""Kinds of DICOM objects that are no slices of a volume."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ HINTS = {
 
 
 def kind_of(dataset: Any) -> str:
-    """What it is; empty for an image that may be a slice of a volume, and where nothing is said."""
+    """Name the kind; empty for an image that may be a slice of a volume, and where nothing is said."""
     known = _CLASSES.get(text(dataset, "SOPClassUID")) or _MODALITIES.get(text(dataset, "Modality"))
     if known is not None:
         return known
@@ -46,7 +46,7 @@ def kind_of(dataset: Any) -> str:
 
 
 def is_image(dataset: Any) -> bool:
-    """Whether it is of a class of images; where it does not say its class, of a modality of them."""
+    """Test if it is of a class of images; where it does not say its class, of a modality of them."""
     uid = text(dataset, "SOPClassUID")
     if not uid:
         return text(dataset, "Modality") in ("CT", "MR", "PT", "NM", "US", "XA")

@@ -213,7 +213,7 @@ def _inflated(stream: BinaryIO) -> Iterator[tuple[BinaryIO, Any]]:
 
 
 def _pixel_bytes(data: BinaryIO, length: int, start: int) -> PixelBytes:
-    """What there is of pixels that begin at a place."""
+    """Describe the pixels that begin at a byte of a file."""
     end = data.seek(0, os.SEEK_END)
     if length != _UNDEFINED:
         return PixelBytes(length, min(length, end - start))

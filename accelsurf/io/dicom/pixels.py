@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -15,10 +14,11 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.io import itk
+from accelsurf.io.channels import to_grey
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.library import HEADER_HINT, damage_of, library, read_dataset
 from accelsurf.io.dicom.sources import DicomFile
-from accelsurf.io.grey import to_grey
+from accelsurf.io.dicom.writing_tools import data_set, file_bytes, filled
 
 _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
 _COLOURS = 3
@@ -26,6 +26,11 @@ _COLOURS = 3
 _FRAME_HEADERS = {*range(0xC0, 0xD0), 0xF7} - {0xC4, 0xC8, 0xCC}
 #: What a packed image ends with, in all kinds of JPEG, and how many bytes may follow it.
 _END_OF_IMAGE, _TAIL = b"\xff\xd9", 1024
+#: The elements that describe pixels.
+_DESCRIBING = (
+    "Rows", "Columns", "BitsAllocated", "BitsStored", "HighBit", "PixelRepresentation", "SamplesPerPixel",
+    "PhotometricInterpretation", "PlanarConfiguration",
+)
 
 
 def value_type(frames: Sequence[Frame]) -> np.dtype[Any]:
@@ -52,7 +57,7 @@ def value_type(frames: Sequence[Frame]) -> np.dtype[Any]:
 
 
 def _is_fraction(frame: Frame) -> bool:
-    """Whether the values of a slice may have fractions, or any size."""
+    """Test if the values of a slice may have fractions, or any size."""
     return frame.pixel[3] == _COLOURS or frame.has_table or frame.slope != 1.0 or bool(frame.intercept % 1.0)
 
 
@@ -218,21 +223,14 @@ def _by_itk(dataset: Any, frame: Frame) -> NDArray[Any]:
     if _END_OF_IMAGE not in packed[-_TAIL:]:  # its decoders fill what is missing with grey
         raise InputError(f"{frame.path.name}: its compressed pixels have no end mark; cut short?", "copy it again")
     _check_packed(packed, frame, (int(dataset.Rows), int(dataset.Columns)))
-    alone = pydicom.Dataset()
-    for name in (
-        "Rows", "Columns", "BitsAllocated", "BitsStored", "HighBit", "PixelRepresentation", "SamplesPerPixel",
-        "PhotometricInterpretation", "PlanarConfiguration",
-    ):
-        if name in dataset:
-            setattr(alone, name, dataset[name].value)
-    alone.SOPClassUID, alone.SOPInstanceUID = _SECONDARY_CAPTURE, "1.2.3"
-    alone.PixelData = pydicom.encaps.encapsulate([packed])
-    alone["PixelData"].is_undefined_length = True
-    alone.file_meta = pydicom.dataset.FileMetaDataset()
-    alone.file_meta.TransferSyntaxUID = syntax = dataset.file_meta.TransferSyntaxUID
-    content = io.BytesIO()
-    alone.save_as(content, enforce_file_format=True)
-    with _as_file(content.getvalue()) as path:
+    syntax = dataset.file_meta.TransferSyntaxUID
+    meta = filled(pydicom.dataset.FileMetaDataset(), TransferSyntaxUID=syntax)
+    alone = data_set(
+        **{name: dataset[name].value for name in _DESCRIBING if name in dataset}, SOPClassUID=_SECONDARY_CAPTURE,
+        SOPInstanceUID="1.2.3", PixelData=pydicom.encaps.encapsulate([packed]), file_meta=meta,
+    )
+    filled(alone["PixelData"], is_undefined_length=True)
+    with _as_file(file_bytes(alone)) as path:
         try:
             return itk.array_of(path, "GDCMImageIO")[0]
         except RuntimeError:  # of many lines

@@ -94,7 +94,7 @@ def resampled(values: NDArray[Any], grid: RegularGrid) -> NDArray[np.float32]:
 
     def slice_at(n: int) -> NDArray[np.float32]:
         if n not in placed:
-            for old in [one for one in placed if one < n - 1]:
+            for old in [place for place in placed if place < n - 1]:
                 del placed[old]
             placed[n] = ndimage.affine_transform(
                 values[n].astype(np.float32), np.ones(2), -grid.aside[n], out.shape[1:], order=1, mode="constant",

@@ -19,7 +19,16 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.library import library, quiet
 from accelsurf.io.dicom.source_images import SourceImages, pixel_for_pixel
-from accelsurf.io.dicom.writing_tools import derived_uid, file_bytes, fix, short_text
+from accelsurf.io.dicom.writing_tools import (
+    data_set,
+    derived_uid,
+    file_bytes,
+    filled,
+    fix,
+    image_reference,
+    reference,
+    short_text,
+)
 from accelsurf.settings.labels import LabelEntry
 
 #: Largest number of a segment.
@@ -36,7 +45,7 @@ _SOURCE = ("121322", "DCM", "Source image for image processing operation")
 
 @dataclass(frozen=True)
 class Algorithm:
-    """What made the segments.
+    """The program that made the segments.
 
     Attributes
     ----------
@@ -156,21 +165,19 @@ def _clean_slice(source: SourceImages, planes: dict[str, Any]) -> Any:
 
     highdicom takes orientation and measures from it if they are nearly those of the planes: so they are the same.
     """
-    dataset = library("pydicom").Dataset()
-    for keyword, text in source.patient.items():
-        setattr(dataset, keyword, text)
-    dataset.SpecificCharacterSet = "ISO_IR 192"
-    dataset.SOPClassUID, dataset.SOPInstanceUID = _SINGLE_FRAME, source.instances[0][1]
-    dataset.StudyInstanceUID, dataset.SeriesInstanceUID = source.study_uid, source.series_uid
-    dataset.FrameOfReferenceUID, dataset.Modality = source.frame_of_reference, source.modality
-    dataset.Rows, dataset.Columns = source.frames[0].rows, source.frames[0].columns
+    dataset = data_set(
+        **source.patient, SpecificCharacterSet="ISO_IR 192", SOPClassUID=_SINGLE_FRAME,
+        SOPInstanceUID=source.instances[0][1], StudyInstanceUID=source.study_uid, SeriesInstanceUID=source.series_uid,
+        FrameOfReferenceUID=source.frame_of_reference, Modality=source.modality, Rows=source.frames[0].rows,
+        Columns=source.frames[0].columns,
+    )
     for item in (planes["plane_positions"][0][0], planes["plane_orientation"][0], planes["pixel_measures"][0]):
         dataset.update(item)
     return dataset
 
 
 def _planes(highdicom: Any, geometry: Geometry, aligned: Sequence[Frame | None]) -> dict[str, Any]:
-    """Where the frames are: as the source writes it where its pixels are the voxels, else as the grid says."""
+    """Places of the frames: as the source writes it where its pixels are the voxels, else as the grid says."""
     frames = [frame for frame in aligned if frame is not None]
     same = len(frames) == len(aligned)
     orientation = (frames[0].orientation if same else geometry.direction[:, :2].T.ravel().tolist()) or ()
@@ -212,37 +219,23 @@ def _refer(
     dataset: Any, geometry: Geometry, source: SourceImages, by_slice: Sequence[Sequence[Frame]]
 ) -> None:
     """References to the objects of the source: all of them, and those of each frame's plane."""
-    pydicom = library("pydicom")
-    every = []
-    for sop_class, instance in source.instances:
-        item = pydicom.Dataset()
-        item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = sop_class, instance
-        every.append(item)
-    dataset.SourceImageSequence = every
-    series = pydicom.Dataset()
-    series.SeriesInstanceUID, series.ReferencedInstanceSequence = source.series_uid, every
-    dataset.ReferencedSeriesSequence = [series]
+    every = [reference(*instance) for instance in source.instances]
+    series = data_set(SeriesInstanceUID=source.series_uid, ReferencedInstanceSequence=every)
+    filled(dataset, SourceImageSequence=every, ReferencedSeriesSequence=[series])
     normal = geometry.direction[:, 2]
     for group in dataset.PerFrameFunctionalGroupsSequence:
         place = np.array([float(v) for v in group.PlanePositionSequence[0].ImagePositionPatient])
         k = round(float((place - geometry.origin) @ normal) / geometry.spacing[0])
-        item = pydicom.Dataset()
-        item.DerivationCodeSequence = [_coded(pydicom, _SEGMENTATION)]
-        item.SourceImageSequence = [_source_item(pydicom, frame, geometry, k) for frame in by_slice[k]]
-        group.DerivationImageSequence = [item] if by_slice[k] else []
+        images = [
+            image_reference(
+                frame, PurposeOfReferenceCodeSequence=[_coded(*_SOURCE)],
+                SpatialLocationsPreserved="YES" if pixel_for_pixel(frame, geometry, k) else "NO",
+            )
+            for frame in by_slice[k]
+        ]
+        item = data_set(DerivationCodeSequence=[_coded(*_SEGMENTATION)], SourceImageSequence=images)
+        filled(group, DerivationImageSequence=[item] if images else [])
 
 
-def _source_item(pydicom: Any, frame: Frame, geometry: Geometry, k: int) -> Any:
-    item = pydicom.Dataset()
-    item.ReferencedSOPClassUID, item.ReferencedSOPInstanceUID = frame.labels["class"], frame.uids[2]
-    if frame.frames > 1:
-        item.ReferencedFrameNumber = frame.number + 1
-    item.PurposeOfReferenceCodeSequence = [_coded(pydicom, _SOURCE)]
-    item.SpatialLocationsPreserved = "YES" if pixel_for_pixel(frame, geometry, k) else "NO"
-    return item
-
-
-def _coded(pydicom: Any, code: tuple[str, str, str]) -> Any:
-    item = pydicom.Dataset()
-    item.CodeValue, item.CodingSchemeDesignator, item.CodeMeaning = code
-    return item
+def _coded(value: str, scheme: str, meaning: str) -> Any:
+    return data_set(CodeValue=value, CodingSchemeDesignator=scheme, CodeMeaning=meaning)

@@ -71,16 +71,16 @@ class Segments:
 
     @property
     def values(self) -> int:
-        """How many voxels the grid has."""
+        """Number of voxels of the grid."""
         return int(np.prod(self.geometry.shape, dtype=object))
 
     @property
     def note(self) -> str:
-        """What a person should know; empty for nothing."""
+        """Note for the user; empty for nothing."""
         return "fractions: a voxel is of a segment where at least half of it is" if self.kind == _FRACTIONAL else ""
 
 
-def parse(file: DicomFile, root: Path) -> Segments:
+def parse_segments(file: DicomFile, root: Path) -> Segments:
     """Read what a segmentation says of its segments, and prove that its frames lie on a grid.
 
     Parameters
@@ -192,7 +192,7 @@ def _is_regular(along: NDArray[np.float64], height: float) -> bool:
     return bool(np.abs(along - np.rint(along / height) * height).max() <= TOLERANCE_MM)
 
 
-def read(segments: Segments, available: int, ids: Sequence[tuple[int, int]] = ()) -> NDArray[Any]:
+def read_segments(segments: Segments, available: int, ids: Sequence[tuple[int, int]] = ()) -> NDArray[Any]:
     """Read the label map: the number of a segment in each of its voxels, 0 elsewhere.
 
     Parameters

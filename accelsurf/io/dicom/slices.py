@@ -1,4 +1,4 @@
-"""Where the slices of a volume lie: their order along the normal, and whether that is a regular grid.
+"""Places of the slices of a volume: their order along the normal, and whether that is a regular grid.
 
 The order of slices follows from where they lie, never from their numbers or names. A grid is one where no slice lies
 farther than `TOLERANCE_MM` from its place. Of what is none, each fault is told with the names of the files.
@@ -19,6 +19,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.library import HEADER_HINT
 from accelsurf.io.dicom.volumes import DicomVolume, names_of
+from accelsurf.settings.reading import Spacing
 
 Floats = NDArray[np.float64]
 #: No slice may lie farther from its place on the grid, at any of its corners, mm.
@@ -76,7 +77,7 @@ class Slices:
 
     @property
     def aside(self) -> Floats:
-        """How far each slice is shifted in its plane against the first, mm: along a row, along a column."""
+        """Shift of each slice in its plane against the first, mm: along a row, along a column."""
         return np.asarray((self.positions - self.positions[0]) @ self.axes[:, :2])
 
     @property
@@ -100,7 +101,7 @@ class Slices:
         return Geometry(shape, self.spacing, tuple(self.positions[0].tolist()), self.axes)
 
 
-def ordered(volume: DicomVolume, root: Path, spacing: tuple[float, float, float] | None = None) -> Slices:
+def ordered(volume: DicomVolume, root: Path, spacing: Spacing | None = None) -> Slices:
     """Put slices in their order along the normal, and find what is wrong with it.
 
     Parameters
@@ -144,7 +145,7 @@ def ordered(volume: DicomVolume, root: Path, spacing: tuple[float, float, float]
     return Slices(found.frames, axes, found.spacing, positions, tuple(faults), note)
 
 
-def _pictures(frames: Sequence[Frame], spacing: tuple[float, float, float] | None) -> Slices:
+def _pictures(frames: Sequence[Frame], spacing: Spacing | None) -> Slices:
     """Pictures that lie nowhere, one above the other in their order, from the world's origin on."""
     first = frames[0]
     note = "the files do not say where the pictures lie: they start at the world's origin"
@@ -198,7 +199,7 @@ def _alike(frames: Sequence[Frame], axes: Floats, root: Path) -> tuple[list[Fram
     alike = list(frames)
     for what, key, slack in kinds:
         counts = Counter(map(key, alike))
-        common = max(counts, key=lambda one: counts[one])
+        common = max(counts, key=lambda size: counts[size])
         others = [frame for frame in alike if _differ(key(frame), common, slack)]
         if others:
             alike = [frame for frame in alike if not _differ(key(frame), common, slack)]
@@ -209,13 +210,13 @@ def _alike(frames: Sequence[Frame], axes: Floats, root: Path) -> tuple[list[Fram
     return alike, faults
 
 
-def _differ(one: tuple[int, ...], other: tuple[int, ...], slack: int) -> bool:
-    """Whether two keys differ by more than their rounding."""
-    return len(one) != len(other) or any(abs(a - b) > slack for a, b in zip(one, other, strict=True))
+def _differ(key: tuple[int, ...], other: tuple[int, ...], slack: int) -> bool:
+    """Test if two keys differ by more than their rounding."""
+    return len(key) != len(other) or any(abs(a - b) > slack for a, b in zip(key, other, strict=True))
 
 
 def _place_faults(slices: Slices, root: Path) -> list[Fault]:
-    """What is wrong with the places of slices that are alike."""
+    """List the faults in the places of slices that are alike."""
     along, frames = slices.along, slices.frames
     steps = np.diff(along)
     same = np.flatnonzero(steps < TOLERANCE_MM)

@@ -68,7 +68,7 @@ class SourceImages:
         return tuple(dict.fromkeys((frame.labels["class"], frame.uids[2]) for frame in self.frames))
 
     def in_planes(self, geometry: Geometry) -> tuple[tuple[Frame, ...], ...]:
-        """Which frames lie in the plane of each slice of a grid; where in the plane does not matter.
+        """Frames in the plane of each slice of a grid, anywhere in the plane.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class SourceImages:
         normal = geometry.direction[:, 2]
         turns = (np.array(frame.orientation, np.float64).reshape(2, 3) for frame in self.frames)
         pairs = zip(self.frames, turns, strict=True)
-        parallel = [one for one, turn in pairs if np.abs(turn @ normal).max() < _PARALLEL]
+        parallel = [frame for frame, turn in pairs if np.abs(turn @ normal).max() < _PARALLEL]
         if not parallel:
             raise InputError(
                 "the grid's slices are not parallel to those of the DICOM series",
@@ -99,7 +99,7 @@ def _tolerance(geometry: Geometry) -> float:
 
 
 def pixel_for_pixel(frame: Frame, geometry: Geometry, k: int) -> bool:
-    """Whether a frame's pixels are the voxels of a slice of the grid; those of a mosaic's tile are not its file's."""
+    """Test if a frame's pixels are the voxels of a slice of the grid; those of a mosaic's tile are not its file's."""
     if frame.spacing is None or frame.corner is not None or (frame.rows, frame.columns) != geometry.shape[1:]:
         return False
     turn = np.array(frame.orientation, np.float64).reshape(2, 3)
@@ -109,7 +109,7 @@ def pixel_for_pixel(frame: Frame, geometry: Geometry, k: int) -> bool:
     return bool(np.linalg.norm(frame.position + ends @ steps - voxels, axis=1).max() <= _tolerance(geometry))
 
 
-def read(frames: Sequence[Frame]) -> SourceImages:
+def read_source_images(frames: Sequence[Frame]) -> SourceImages:
     """Read what else is needed of the slices of a volume than where they lie: of patient, study and dates.
 
     Parameters
@@ -163,7 +163,7 @@ def _text(header: Any, keyword: str) -> str:
 
 
 def _patient(header: Any) -> dict[str, str]:
-    """What is copied of patient and study: values that DICOM allows, else ""."""
+    """Values that are copied of patient and study; "" for one that DICOM does not allow."""
     found = {keyword: short_text(_text(header, keyword)) for keyword in _TEXTS}
     for keywords, pattern in ((_DATES, r"[0-9]{8}"), (_TIMES, r"[0-9]{2,6}(\.[0-9]{1,6})?")):
         found |= {key: text if re.fullmatch(pattern, text := _text(header, key)) else "" for key in keywords}

@@ -125,7 +125,7 @@ class SourceFiles:
 
 
 def is_dicom(path: DicomFile) -> bool:
-    """Whether a file begins as a DICOM does."""
+    """Test if a file begins as a DICOM does."""
     count = _MARK_AT + len(_MARK)
     try:
         if isinstance(path, Member):
@@ -141,7 +141,7 @@ def is_dicom(path: DicomFile) -> bool:
 
 
 def holds_dicom(folder: Path) -> bool:
-    """Whether one of the first files in a folder is DICOM."""
+    """Test if one of the first files in a folder is DICOM."""
     for number, path in enumerate(_walk(folder)):
         if number >= _TRIED:
             return False
@@ -234,7 +234,7 @@ def _of_archive(path: Path, available: int) -> SourceFiles:
 
 
 def _is_seen(info: zipfile.ZipInfo) -> bool:
-    """Whether a member is looked at, as files in a folder are."""
+    """Test if a member is looked at, as files in a folder are."""
     parts = PurePosixPath(info.filename.replace("\\", "/")).parts
     return bool(parts) and not any(p.startswith(".") and p not in ("..", ".") for p in parts[-1:]) and (
         parts[-1].upper() != "DICOMDIR" and parts[0] != "__MACOSX"

@@ -19,7 +19,16 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.library import library, quiet
 from accelsurf.io.dicom.source_images import SourceImages
-from accelsurf.io.dicom.writing_tools import SH, derived_uid, file_bytes, short_text
+from accelsurf.io.dicom.writing_tools import (
+    SH,
+    data_set,
+    derived_uid,
+    file_bytes,
+    filled,
+    image_reference,
+    reference,
+    short_text,
+)
 from accelsurf.settings.labels import LabelEntry
 
 Floats = NDArray[np.float64]
@@ -83,60 +92,50 @@ def structure_set_bytes(
         )
     by_slice = source.in_planes(geometry)
     with quiet():
-        dataset = _head(source, version, seed)
-        dataset.ReferencedFrameOfReferenceSequence = [_frame_of_reference(source)]
-        dataset.StructureSetROISequence = [_roi(region.entry, source) for region in regions]
-        dataset.ROIContourSequence = [_contours(region, by_slice) for region in regions]
-        dataset.RTROIObservationsSequence = [_observation(region.entry) for region in regions]
-        dataset.ApprovalStatus = "UNAPPROVED"
+        dataset = filled(
+            _head(source, version, seed),
+            ReferencedFrameOfReferenceSequence=[_frame_of_reference(source)],
+            StructureSetROISequence=[_roi(region.entry, source) for region in regions],
+            ROIContourSequence=[_contours(region, by_slice) for region in regions],
+            RTROIObservationsSequence=[_observation(region.entry) for region in regions],
+            ApprovalStatus="UNAPPROVED",
+        )
     return file_bytes(dataset)
-
-
-def _item(**values: Any) -> Any:
-    item = library("pydicom").Dataset()
-    for keyword, value in values.items():
-        setattr(item, keyword, value)
-    return item
 
 
 def _head(source: SourceImages, version: str, seed: str) -> Any:
     """The data set with file meta information, patient, study, series, equipment and the names of the whole."""
-    meta = library("pydicom.dataset").FileMetaDataset()
-    meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = _STRUCTURE_SET, derived_uid(seed, "instance")
-    meta.TransferSyntaxUID, meta.ImplementationClassUID = _IMPLICIT, _IMPLEMENTATION
-    meta.ImplementationVersionName = "ACCELSURF"
-    dataset = _item(SpecificCharacterSet="ISO_IR 192", **source.patient)
-    dataset.file_meta, dataset.preamble = meta, b"\0" * 128
-    dataset.SOPClassUID, dataset.SOPInstanceUID = _STRUCTURE_SET, meta.MediaStorageSOPInstanceUID
-    dataset.StudyInstanceUID, dataset.SeriesInstanceUID = source.study_uid, derived_uid(seed, "series")
-    dataset.FrameOfReferenceUID = source.frame_of_reference
-    dataset.Modality, dataset.SeriesNumber = "RTSTRUCT", source.series_number * 100 + 3
-    dataset.SeriesDescription, dataset.OperatorsName, dataset.InstanceNumber = "accelsurf contours", "", 1
-    dataset.Manufacturer = dataset.ManufacturerModelName = "accelsurf"
-    dataset.SoftwareVersions = short_text(version)
-    dataset.StructureSetLabel = short_text("accelsurf", SH)
-    dataset.StructureSetDescription = "Holes are contours of their own: exclusive or"
-    for what in ("InstanceCreation", "Series", "StructureSet"):
-        setattr(dataset, f"{what}Date", source.date)
-        setattr(dataset, f"{what}Time", source.time)
-    return dataset
+    instance = derived_uid(seed, "instance")
+    meta = filled(
+        library("pydicom.dataset").FileMetaDataset(), MediaStorageSOPClassUID=_STRUCTURE_SET,
+        MediaStorageSOPInstanceUID=instance, TransferSyntaxUID=_IMPLICIT, ImplementationClassUID=_IMPLEMENTATION,
+        ImplementationVersionName="ACCELSURF",
+    )
+    times = {
+        f"{what}{part}": value for what in ("InstanceCreation", "Series", "StructureSet")
+        for part, value in (("Date", source.date), ("Time", source.time))
+    }
+    return data_set(
+        file_meta=meta, preamble=b"\0" * 128, SpecificCharacterSet="ISO_IR 192", **source.patient,
+        SOPClassUID=_STRUCTURE_SET, SOPInstanceUID=instance, StudyInstanceUID=source.study_uid,
+        SeriesInstanceUID=derived_uid(seed, "series"), FrameOfReferenceUID=source.frame_of_reference,
+        Modality="RTSTRUCT", SeriesNumber=source.series_number * 100 + 3, SeriesDescription="accelsurf contours",
+        OperatorsName="", InstanceNumber=1, Manufacturer="accelsurf", ManufacturerModelName="accelsurf",
+        SoftwareVersions=short_text(version), StructureSetLabel=short_text("accelsurf", SH),
+        StructureSetDescription="Holes are contours of their own: exclusive or", **times,
+    )
 
 
 def _frame_of_reference(source: SourceImages) -> Any:
     """The world of the contours, and the images that lie in it."""
-    images = [
-        _item(ReferencedSOPClassUID=sop_class, ReferencedSOPInstanceUID=instance)
-        for sop_class, instance in source.instances
-    ]
-    series = _item(SeriesInstanceUID=source.series_uid, ContourImageSequence=images)
-    study = _item(
-        ReferencedSOPClassUID=_STUDY, ReferencedSOPInstanceUID=source.study_uid, RTReferencedSeriesSequence=[series]
-    )
-    return _item(FrameOfReferenceUID=source.frame_of_reference, RTReferencedStudySequence=[study])
+    images = [reference(*instance) for instance in source.instances]
+    series = data_set(SeriesInstanceUID=source.series_uid, ContourImageSequence=images)
+    study = reference(_STUDY, source.study_uid, RTReferencedSeriesSequence=[series])
+    return data_set(FrameOfReferenceUID=source.frame_of_reference, RTReferencedStudySequence=[study])
 
 
 def _roi(entry: LabelEntry, source: SourceImages) -> Any:
-    return _item(
+    return data_set(
         ROINumber=entry.id,
         ReferencedFrameOfReferenceUID=source.frame_of_reference,
         ROIName=short_text(entry.name) or f"label {entry.id}",
@@ -145,7 +144,7 @@ def _roi(entry: LabelEntry, source: SourceImages) -> Any:
 
 
 def _observation(entry: LabelEntry) -> Any:
-    return _item(
+    return data_set(
         ObservationNumber=entry.id, ReferencedROINumber=entry.id, RTROIInterpretedType="", ROIInterpreter=""
     )
 
@@ -155,26 +154,20 @@ def _contours(region: Region, by_slice: Sequence[Sequence[Frame]]) -> Any:
     for k in sorted(region.loops):
         for loop in region.loops[k]:
             items.append(_contour(loop, by_slice[k], len(items) + 1))
-    return _item(ROIDisplayColor=list(region.entry.color), ReferencedROINumber=region.entry.id, ContourSequence=items)
+    return data_set(
+        ROIDisplayColor=list(region.entry.color), ReferencedROINumber=region.entry.id, ContourSequence=items
+    )
 
 
 def _contour(loop: Floats, frames: Sequence[Frame], number: int) -> Any:
-    item = _item(
-        ContourGeometricType="CLOSED_PLANAR", NumberOfContourPoints=len(loop), ContourNumber=number
+    images = {"ContourImageSequence": [image_reference(frame) for frame in frames]} if frames else {}
+    item = data_set(
+        ContourGeometricType="CLOSED_PLANAR", NumberOfContourPoints=len(loop), ContourNumber=number, **images
     )
-    if frames:
-        item.ContourImageSequence = [_image(frame) for frame in frames]
     # As bytes: pydicom would check each of some 100,000 numbers.
     text = "\\".join(map(_decimal, loop.ravel().tolist())).encode()
     raw, tag = library("pydicom.dataelem").RawDataElement, library("pydicom.tag").Tag("ContourData")
     item[tag] = raw(tag, "DS", len(text) + len(text) % 2, text + b" " * (len(text) % 2), 0, True, True)
-    return item
-
-
-def _image(frame: Frame) -> Any:
-    item = _item(ReferencedSOPClassUID=frame.labels["class"], ReferencedSOPInstanceUID=frame.uids[2])
-    if frame.frames > 1:
-        item.ReferencedFrameNumber = frame.number + 1
     return item
 
 

@@ -36,7 +36,7 @@ class DicomVolume:
 
     @property
     def uid(self) -> str:
-        """Of its series."""
+        """UID of its series."""
         return self.frames[0].uids[1]
 
     def label(self, name: str) -> str:
@@ -73,14 +73,14 @@ class LeftOut:
     is_series_cut: bool = False
     has_image: bool = False
 
-    def is_of(self, series: str) -> bool:
-        """Whether it says that it is of a series, as far as it can be read."""
+    def belongs_to(self, series: str) -> bool:
+        """Test if it names a series, as far as it can be read."""
         return bool(self.series) and (series == self.series or (self.is_series_cut and series.startswith(self.series)))
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What a folder holds.
+    """Volumes and other files of a folder.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Contents:
 
     def lost_from(self, series: str) -> list[LeftOut]:
         """Files that say they are of a series and have no image that can be read."""
-        return [left for left in self.left_out if left.is_of(series) and not left.has_image]
+        return [left for left in self.left_out if left.belongs_to(series) and not left.has_image]
 
 
 def contents_of(files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingProxyType({})) -> Contents:
@@ -130,13 +130,13 @@ def contents_of(files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingP
     return Contents(tuple(volumes), tuple(left))
 
 
-def counted(left: Iterable[LeftOut]) -> str:
-    """How many of each kind, which, and why, as a person says it.
+def count_in_words(left: Iterable[LeftOut]) -> str:
+    """Count the files of each kind in words, with their names and the reasons.
 
     Examples
     --------
     >>> scouts = [LeftOut(Path(name), name, "localizer") for name in ("a", "b")]
-    >>> counted([*scouts, LeftOut(Path("c"), "c", "", "cut short")])
+    >>> count_in_words([*scouts, LeftOut(Path("c"), "c", "", "cut short")])
     '2 localizers (a, b), 1 file that cannot be read (c: cut short)'
     """
     kinds: dict[str, list[LeftOut]] = {}
@@ -170,7 +170,7 @@ def names_of(frames: Iterable[Frame], root: Path, limit: int = 3) -> str:
 
 
 def _series_key(frame: Frame) -> tuple[str, ...]:
-    """What slices of one series share; where it has no UID, by what else there is."""
+    """Key that slices of one series share; without a UID, of the other elements."""
     uid, labels = frame.uids[1], frame.labels
     if uid:
         return (uid,)
@@ -210,7 +210,7 @@ def _as_number(value: str) -> tuple[float, str]:
 
 
 def _coincident(frames: Sequence[Frame]) -> bool:
-    """Whether two slices of one direction lie at one place."""
+    """Test if two slices of one direction lie at one place."""
     seen: set[tuple[int, ...]] = set()
     for frame in frames:
         if frame.position is None or frame.orientation is None:

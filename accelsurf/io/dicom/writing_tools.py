@@ -11,7 +11,8 @@ import io
 import uuid
 from typing import Any
 
-from accelsurf.io.dicom.library import quiet
+from accelsurf.io.dicom.frames import Frame
+from accelsurf.io.dicom.library import library, quiet
 
 #: What the identifiers that highdicom draws at random begin with.
 RANDOM_PREFIX = "1.2.826.0.1.3680043.10.511.3."
@@ -73,9 +74,31 @@ def fix(dataset: Any, seed: str, date: str, time: str) -> None:
             element.value = date + time
 
     dataset.walk(visit)
-    for keyword in ("InstanceCreation", "Content", "Series"):
-        setattr(dataset, f"{keyword}Date", date)
-        setattr(dataset, f"{keyword}Time", time)
+    for what in ("InstanceCreation", "Content", "Series"):
+        filled(dataset, **{f"{what}Date": date, f"{what}Time": time})
+
+
+def filled(dataset: Any, **elements: Any) -> Any:
+    """Put elements into a data set by their keywords, and return it."""
+    for keyword, value in elements.items():
+        setattr(dataset, keyword, value)
+    return dataset
+
+
+def data_set(**elements: Any) -> Any:
+    """Return a data set with elements by their keywords."""
+    return filled(library().Dataset(), **elements)
+
+
+def reference(sop_class: str, instance: str, **elements: Any) -> Any:
+    """Return an item that refers to an object."""
+    return data_set(ReferencedSOPClassUID=sop_class, ReferencedSOPInstanceUID=instance, **elements)
+
+
+def image_reference(frame: Frame, **elements: Any) -> Any:
+    """Return an item that refers to a frame of an image."""
+    of_several = {"ReferencedFrameNumber": frame.number + 1} if frame.frames > 1 else {}
+    return reference(frame.labels["class"], frame.uids[2], **of_several, **elements)
 
 
 def file_bytes(dataset: Any) -> bytes:

@@ -1,4 +1,4 @@
-"""Streams packed by gzip, zlib or PackBits: read piece by piece; the same content is written as the same bytes."""
+"""Streams packed by gzip or zlib: read piece by piece; the same content is written as the same bytes."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def first_bytes(file: BinaryIO, count: int) -> bytes:
 
 
 def inflated_bytes(unpack: Any, piece: bytes) -> int:
-    """How many bytes a piece of a zlib stream unpacks to, without keeping them.
+    """Count the bytes that a piece of a zlib stream unpacks to, without keeping them.
 
     Parameters
     ----------
@@ -131,22 +131,6 @@ def inflated_bytes(unpack: Any, piece: bytes) -> int:
             hint="the file is truncated or damaged: copy or export it again",
         ) from error
     return count
-
-
-def run_lengths(packed: bytes) -> int:
-    """How many bytes the runs of a PackBits stream unpack to.
-
-    Examples
-    --------
-    >>> run_lengths(bytes([2, 7, 8, 9, 254, 5]))
-    6
-    """
-    total, at = 0, 0
-    while at < len(packed):
-        run = packed[at]  # up to 127: so many bytes and one follow; from 129: one byte, 257 - run times
-        total += run + 1 if run < 128 else 257 - run if run > 128 else 0
-        at += run + 2 if run < 128 else 2 if run > 128 else 1
-    return total
 
 
 def gzip_file(source: Path, target: Path) -> None:

@@ -23,9 +23,9 @@ from accelsurf.io.dicom.resampling import RegularGrid, regular_grid, resampled
 from accelsurf.io.dicom.segments import Segments
 from accelsurf.io.dicom.slices import Slices, ordered
 from accelsurf.io.dicom.sources import DicomFile, SourceFiles, files_of, holds_dicom, is_dicom
-from accelsurf.io.dicom.volumes import Contents, DicomVolume, contents_of, counted, shown
+from accelsurf.io.dicom.volumes import Contents, DicomVolume, contents_of, count_in_words, shown
+from accelsurf.io.headers import DICOM_KEY, LABELS_KEY, VALUE_UNIT_KEY, ZERO_BEYOND_KEY, with_warnings
 from accelsurf.io.memory import available_memory, check_memory
-from accelsurf.io.metadata import DICOM_KEY, LABELS_KEY, VALUE_UNIT_KEY, ZERO_BEYOND_KEY, with_warnings
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 #: Series that a message lists.
@@ -33,7 +33,7 @@ _LISTED = 6
 _DAMAGE_HINT = "copy the scan again"
 _SERIES_HINT = "give the folder of a CT, MR or PET series"
 
-__all__ = ["DicomHeader", "holds_dicom", "is_anatomical", "is_dicom", "listing", "parse", "read"]
+__all__ = ["DicomHeader", "holds_dicom", "is_anatomical", "is_dicom", "listing", "parse_dicom", "read_dicom"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +61,11 @@ class DicomHeader:
 
     @property
     def values(self) -> int:
-        """How many voxels it has."""
+        """Number of voxels."""
         return math.prod(self.geometry.shape)
 
 
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Segments:
+def parse_dicom(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Segments:
     """Choose a series, and prove that its slices lie on a grid; or the segmentation, where there is no series.
 
     Raises
@@ -79,11 +79,11 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Segments
     if (segmentation := segmentation_of(contents)) is not None:
         if options.given:
             raise UsageError(f"{options.given[0]} was given, a DICOM segmentation has no such choice", "leave it out")
-        return segments.parse(segmentation, files.root)
+        return segments.parse_segments(segmentation, files.root)
     volume = volume_of(contents, options, file)
     refuse_lost(contents, volume.uid, options)
     slices = ordered(volume, files.root, options.spacing)
-    notes = left_out(contents, volume.uid, file)
+    notes = notes_on_left_out(contents, volume.uid, file)
     try:
         return on_grid(slices, options, notes)
     except GeometryError as error:  # a file that cannot be read may be what is missing
@@ -121,7 +121,7 @@ def segmentation_of(contents: Contents) -> DicomFile | None:
     if contents.volumes or not found:
         return None
     if len(found) > 1:
-        raise InputError(f"several segmentations are in it: {counted(found)}", "give one of the files")
+        raise InputError(f"several segmentations are in it: {count_in_words(found)}", "give one of the files")
     return found[0].file
 
 
@@ -144,7 +144,7 @@ def refuse_lost(contents: Contents, series: str, options: ReadOptions) -> None:
     lost = contents.lost_from(series)
     if lost and not options.resample:
         raise InputError(
-            f"a slice of the series is lost: {counted(lost)}",
+            f"a slice of the series is lost: {count_in_words(lost)}",
             "copy it again; to go on without it, take it out of the folder or add --resample",
         )
 
@@ -174,13 +174,13 @@ def volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> Di
         kinds_found = {left.kind for left in contents.left_out}
         hint = _DAMAGE_HINT if kinds_found == {""} else _SERIES_HINT
         raise InputError(
-            f"no image of a volume is in it, but {counted(contents.left_out) or 'nothing'}",
+            f"no image of a volume is in it, but {count_in_words(contents.left_out) or 'nothing'}",
             next((HINTS[kind] for kind in HINTS if kind in kinds_found), hint),
         )
     if options.series is not None:
         return _by_name(volumes, options.series)
     if file is not None:
-        volumes = of_file(contents, file)
+        volumes = volumes_of_file(contents, file)
     if len(volumes) > 1:
         raise InputError(
             f"{len(volumes)} volumes are in it: {_short_list(contents, volumes)}",
@@ -190,7 +190,7 @@ def volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> Di
     return volumes[0]
 
 
-def of_file(contents: Contents, file: Path) -> tuple[DicomVolume, ...]:
+def volumes_of_file(contents: Contents, file: Path) -> tuple[DicomVolume, ...]:
     """The volumes that a file is of: those that are of it alone, else those with a slice of it.
 
     Raises
@@ -202,25 +202,25 @@ def of_file(contents: Contents, file: Path) -> tuple[DicomVolume, ...]:
     if not found:
         said = [left for left in contents.left_out if left.file == file]
         hint = HINTS.get(said[0].kind, _SERIES_HINT) if said else _SERIES_HINT
-        raise InputError(f"this file has no image of a volume, but {counted(said) or 'nothing'}", hint)
+        raise InputError(f"this file has no image of a volume, but {count_in_words(said) or 'nothing'}", hint)
     alone = [volume for volume in found if all(frame.path == file for frame in volume.frames)]
     return tuple(alone or found)
 
 
 def _differ_in_time(volumes: tuple[DicomVolume, ...]) -> bool:
-    """Whether they are one series at several times."""
-    return len({one.uid for one in volumes}) == 1 and all(set(one.phase) <= TIME_PHASES for one in volumes)
+    """Test if they are one series at several times."""
+    return len({volume.uid for volume in volumes}) == 1 and all(set(volume.phase) <= TIME_PHASES for volume in volumes)
 
 
 def _by_name(volumes: tuple[DicomVolume, ...], asked: str) -> DicomVolume:
     """A volume by its number in the list, or by the UID of its series."""
     if asked.isdigit() and 1 <= int(asked) <= len(volumes):
         return volumes[int(asked) - 1]
-    found = [one for one in volumes if one.uid == asked]
+    found = [volume for volume in volumes if volume.uid == asked]
     if len(found) == 1:
         return found[0]
     if found:
-        numbers = ", ".join(str(n) for n, one in enumerate(volumes, 1) if one.uid == asked)
+        numbers = ", ".join(str(n) for n, volume in enumerate(volumes, 1) if volume.uid == asked)
         raise InputError(
             f"series {asked[:80]} has {len(found)} volumes, numbers {numbers}", "give --series with one of the numbers"
         )
@@ -230,8 +230,8 @@ def _by_name(volumes: tuple[DicomVolume, ...], asked: str) -> DicomVolume:
 
 
 def _short_list(contents: Contents, volumes: tuple[DicomVolume, ...]) -> str:
-    numbered = [(n, one) for n, one in enumerate(contents.volumes, 1) if one in volumes]
-    parts = [f"{n} {_title(one)}, {len(one.frames)} slices" for n, one in numbered[:_LISTED]]
+    numbered = [(n, volume) for n, volume in enumerate(contents.volumes, 1) if volume in volumes]
+    parts = [f"{n} {_title(volume)}, {len(volume.frames)} slices" for n, volume in numbered[:_LISTED]]
     return "; ".join(parts) + (f"; {len(numbered) - _LISTED} more" if len(numbered) > _LISTED else "")
 
 
@@ -241,16 +241,16 @@ def _title(volume: DicomVolume) -> str:
     return f"{words} ({phase})" if phase else words
 
 
-def left_out(contents: Contents, series: str, file: Path | None) -> list[str]:
-    """What a person should know of files that are no part of a volume; beside a file only of damaged ones."""
+def notes_on_left_out(contents: Contents, series: str, file: Path | None) -> list[str]:
+    """Notes on files that are no part of a volume; beside a file only on damaged ones."""
     named = [
         left for left in contents.left_out
-        if file is None or (left.reason and (not left.series or left.is_of(series)))
+        if file is None or (left.reason and (not left.series or left.belongs_to(series)))
     ]
-    return [f"left out: {counted(named)}"] if named else []
+    return [f"left out: {count_in_words(named)}"] if named else []
 
 
-def read(path: Path, header: DicomHeader | Segments, available: int) -> Volume:
+def read_dicom(path: Path, header: DicomHeader | Segments, available: int) -> Volume:
     """Read the values of the series, or the label map of a segmentation.
 
     Raises
@@ -275,7 +275,7 @@ def read(path: Path, header: DicomHeader | Segments, available: int) -> Volume:
 def read_labels(
     path: Path, header: DicomHeader | Segments, available: int, ids: Sequence[tuple[int, int]] = ()
 ) -> Volume:
-    """Read a segmentation as a label map of the numbers of its segments; a series as `read` does.
+    """Read a segmentation as a label map of the numbers of its segments; a series as `read_dicom` does.
 
     Parameters
     ----------
@@ -289,11 +289,11 @@ def read_labels(
     Raises
     ------
     InputError
-        As `read`, and where segments overlap.
+        As `read_dicom`, and where segments overlap.
     """
     if isinstance(header, DicomHeader):
-        return read(path, header, available)
-    labels = segments.read(header, available, ids)
+        return read_dicom(path, header, available)
+    labels = segments.read_segments(header, available, ids)
     metadata = {
         DICOM_KEY: header.frames[0].uids[1], LABELS_KEY: header.table.to_json(), ZERO_BEYOND_KEY: "yes",
     }
@@ -301,12 +301,12 @@ def read_labels(
 
 
 def is_anatomical(metadata: Mapping[str, str]) -> bool:
-    """Whether the axes of the world are a patient's."""
+    """True if the axes of the world are a patient's."""
     return DICOM_KEY in metadata
 
 
 def listing(path: Path) -> list[dict[str, Any]]:
-    """What volumes a folder, archive or file holds; lengths in mm, in the order (x, y, z).
+    """List the volumes of a folder, archive or file; lengths in mm, in the order (x, y, z).
 
     Raises
     ------
@@ -315,13 +315,13 @@ def listing(path: Path) -> list[dict[str, Any]]:
     """
     files, contents, file = found_in(path)
     if (segmentation := segmentation_of(contents)) is not None:
-        return [_segmentation_entry(segments.parse(segmentation, files.root), files)]
+        return [_segmentation_entry(segments.parse_segments(segmentation, files.root), files)]
     if not contents.volumes:
         volume_of(contents, AS_IT_IS, None)  # says what there is
-    volumes = contents.volumes if file is None else of_file(contents, file)
+    volumes = contents.volumes if file is None else volumes_of_file(contents, file)
     numbered = [(number, volume) for number, volume in enumerate(contents.volumes, 1) if volume in volumes]
     entries = [_entry(number, volume, files, contents) for number, volume in numbered]
-    entries[0]["left_out"] = left_out(contents, volumes[0].uid, file)
+    entries[0]["left_out"] = notes_on_left_out(contents, volumes[0].uid, file)
     return entries
 
 
@@ -337,14 +337,14 @@ def _entry(number: int, volume: DicomVolume, files: SourceFiles, contents: Conte
     entry["orientation"] = orientation_words(slices.axes)
     lost = contents.lost_from(volume.uid)
     entry["warnings"] = [
-        *([f"a slice of the series is lost: {counted(lost)}"] if lost else []),
+        *([f"a slice of the series is lost: {count_in_words(lost)}"] if lost else []),
         *(fault.text for fault in slices.faults), *([slices.note] if slices.note else []),
     ]
     return entry
 
 
 def _first_entry(number: int, volume: DicomVolume, files: SourceFiles) -> dict[str, Any]:
-    """What is known of a volume before it is clear where it lies."""
+    """Entry of a volume without its grid."""
     return {
         "number": number, "uid": volume.uid, "modality": volume.label("modality"),
         "description": volume.label("description"), "series_number": volume.label("number"), "phase": volume.phase,
@@ -365,7 +365,7 @@ def _segmentation_entry(found: Segments, files: SourceFiles) -> dict[str, Any]:
 
 
 def orientation_words(axes: NDArray[np.float64]) -> str:
-    """Which plane of the patient the slices are: axial, coronal or sagittal, or oblique near one."""
+    """Name the plane of the patient in which the slices lie: axial, coronal or sagittal, or oblique near one."""
     normal = abs(axes[:, 2])
     name = ("sagittal", "coronal", "axial")[int(normal.argmax())]
     return name if normal.max() > 0.999 else f"oblique, near {name}"

@@ -27,40 +27,27 @@ _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 MAX_DEPTH = 64
 
 
-def write(vertices: Floats, faces: NDArray[np.int32], space: str, label: LabelEntry | None = None) -> bytes:
-    """The bytes of a .glb file; ``space`` is LPS or RAS."""
-    points, corners = vertices.astype("<f4"), faces.astype("<u4")
-    matrix = _from_stored(space)
-    primitive: dict[str, Any] = {"attributes": {"POSITION": 0}, "indices": 1}
-    mesh: dict[str, Any] = {"primitives": [primitive]}
-    node: dict[str, Any] = {"mesh": 0, "matrix": [value + 0.0 for value in matrix.T.ravel().tolist()]}
-    contents: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": "accelsurf", "extras": {"space": space, "unit": "mm"}},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [node],
-        "meshes": [mesh],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": len(points), "type": "VEC3",
-             "min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist()},
-            {"bufferView": 1, "componentType": 5125, "count": corners.size, "type": "SCALAR"},
-        ],
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": 0, "byteLength": points.nbytes, "target": 34962},
-            {"buffer": 0, "byteOffset": points.nbytes, "byteLength": corners.nbytes, "target": 34963},
-        ],
-        "buffers": [{"byteLength": points.nbytes + corners.nbytes}],
-    }
+def glb_bytes(vertices: Floats, faces: NDArray[np.int32], space: str, label: LabelEntry | None = None) -> bytes:
+    """Return the bytes of a .glb file; ``space`` is LPS or RAS."""
+    import trimesh
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    name = "surface" if label is None else label.name
+    look = None
     if label is not None:
-        node["name"] = mesh["name"] = label.name
-        primitive["material"] = 0
-        look = {"baseColorFactor": [*_linear(label.color), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
-        contents["materials"] = [{"name": label.name, "pbrMetallicRoughness": look}]
-    text = json.dumps(contents, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    data = points.tobytes() + corners.tobytes()
-    head = struct.pack("<III", _MAGIC, 2, 28 + len(text) + len(data))
-    return b"".join((head, struct.pack("<II", len(text), _JSON), text, struct.pack("<II", len(data), _BIN), data))
+        material = PBRMaterial(name, baseColorFactor=[*label.color, 255], metallicFactor=0.0, roughnessFactor=0.8)
+        look = TextureVisuals(material=material)
+    mesh = trimesh.Trimesh(vertices, faces, process=False, validate=False, visual=look)
+
+    def describe(tree: dict[str, Any]) -> None:
+        tree["asset"] |= {"generator": "accelsurf", "extras": {"space": space, "unit": "mm"}}
+        if label is not None:  # trimesh rounds colours to bytes, too coarse for dark ones once they are linear
+            tree["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [*_linear(label.color), 1.0]
+
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, node_name=name, geom_name=name, transform=_from_stored(space))
+    return bytes(trimesh.exchange.gltf.export_glb(scene, include_normals=False, tree_postprocessor=describe))
 
 
 def _from_stored(space: str) -> Floats:
@@ -74,7 +61,7 @@ def _linear(color: tuple[int, int, int]) -> list[float]:
     return [round(x, 6) for x in np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4).tolist()]
 
 
-def read(content: bytes) -> MeshContent:
+def read_glb(content: bytes) -> MeshContent:
     """Points in mm and triangles of all meshes of the scene, each where its nodes put it.
 
     The nodes say where the points are in glTF's space; the header says which space they are stored in.
@@ -109,7 +96,7 @@ def read(content: bytes) -> MeshContent:
                 budgets.MESH_COPIES.check(rows, factor=len(content) + (1 << 20))
                 meshes.append((points @ matrix[:3, :3].T + matrix[:3, 3], triangles))
         stack += [(child, matrix, depth + 1) for child in reversed(node.get("children", []))]
-    return MeshContent(*joined(meshes), header)
+    return MeshContent(*_joined(meshes), header)
 
 
 def _header(contents: dict[str, Any]) -> str:
@@ -120,12 +107,12 @@ def _header(contents: dict[str, Any]) -> str:
     return "\n".join(f"SPACE={value}" for name, value in extras.items() if name.upper() == "SPACE")
 
 
-def joined(meshes: list[tuple[Floats, NDArray[np.int64]]]) -> tuple[Floats, NDArray[np.int64]]:
-    """Several meshes as one."""
+def _joined(meshes: list[tuple[Floats, NDArray[np.int64]]]) -> tuple[Floats, NDArray[np.int64]]:
+    """Join several meshes."""
     if not meshes:
         raise ValueError("there is no mesh in it")
     first = np.cumsum([0] + [len(points) for points, _ in meshes[:-1]])
-    triangles = [own + n for (_, own), n in zip(meshes, first, strict=True)]
+    triangles = [corners + n for (_, corners), n in zip(meshes, first, strict=True)]
     return np.concatenate([points for points, _ in meshes]), np.concatenate(triangles)
 
 

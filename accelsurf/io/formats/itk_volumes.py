@@ -15,14 +15,14 @@ from accelsurf.io import itk
 from accelsurf.io.formats.nrrd_metaimage import METAIMAGE_ITK_NAME, NRRD_ITK_NAME, NRRD_KEY, put_nrrd_space
 from accelsurf.io.formats.raw_header import RawHeader
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
+from accelsurf.io.headers import FRAME_KEY
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import FRAME_KEY
 
 _HEADER_SAMPLE = 1 << 14  # bytes, more than any header written here has
 
 
-def read(path: Path, header: RawHeader, available: int) -> Volume:
+def read_by_itk(path: Path, header: RawHeader, available: int) -> Volume:
     """Read a volume.
 
     Parameters
@@ -46,13 +46,13 @@ def read(path: Path, header: RawHeader, available: int) -> Volume:
     return _read_some(path, header, numbers, available)[0]
 
 
-def read_channels(path: Path, header: RawHeader, available: int) -> list[Volume]:
+def read_channels_by_itk(path: Path, header: RawHeader, available: int) -> list[Volume]:
     """Read the components of an image of vectors, or volumes of a sequence; one volume of an ordinary image.
 
     Raises
     ------
     InputError
-        As `read`, and for more than `accelsurf.io.selection.MAX_CHANNELS` components.
+        As `read_by_itk`, and for more than `accelsurf.io.channels.MAX_CHANNELS` components.
     """
     return _read_some(path, header, header.selected(), available)
 
@@ -81,11 +81,11 @@ def _read_some(path: Path, header: RawHeader, numbers: Sequence[int], available:
 
 
 def is_by_voxel(reader: sitk.ImageFileReader, header: RawHeader) -> bool:
-    """Whether ITK gives volumes as values of a voxel: those of an axis of NRRD without a direction also at its end."""
+    """True if ITK gives volumes as values of a voxel: those of an axis of NRRD without a direction also at its end."""
     return header.is_interleaved or (header.time_points + header.channels > 2 and reader.GetNumberOfComponents() > 1)
 
 
-def open_lazily(path: Path, header: RawHeader, opening: Opening) -> LazyVolume:
+def open_raw(path: Path, header: RawHeader, opening: Opening) -> LazyVolume:
     """Open a volume whose voxels are stored as they are, to be read box by box.
 
     Parameters
@@ -100,7 +100,7 @@ def open_lazily(path: Path, header: RawHeader, opening: Opening) -> LazyVolume:
     Raises
     ------
     InputError
-        When the voxels are packed or are text, or as `read`.
+        When the voxels are packed or are text, or as `read_by_itk`.
     """
     reader = itk.open_reader(path, header.itk_name)
     numbers = header.selected()

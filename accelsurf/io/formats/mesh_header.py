@@ -1,4 +1,4 @@
-"""What the header of a mesh says of its space and its unit: ``SPACE=RAS``, as 3D Slicer and accelsurf write it."""
+"""Space and unit in the header of a mesh: ``SPACE=RAS``, as 3D Slicer and accelsurf write it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class MeshContent(NamedTuple):
 
 
 def is_ras(header: str, given: str = "") -> bool:
-    """Whether the points of a mesh are RAS, not LPS.
+    """Test if the points of a mesh are RAS, not LPS.
 
     Parameters
     ----------

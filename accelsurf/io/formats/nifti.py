@@ -1,4 +1,4 @@
-"""What the header of a NIfTI-1 or NIfTI-2 file says, and its voxels.
+"""NIfTI-1 and NIfTI-2 files: their headers, and their voxels.
 
 ITK repairs, guesses and forgets: it reads a file without voxels as zeros, takes a negative pixdim as a mirrored axis,
 falls back on the qform when the sform is sheared, and writes both codes as 1. So the header is read here first,
@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io import selection
+from accelsurf.io.channels import MAX_CHANNELS, selected, single
 from accelsurf.io.formats.deflate import GZIP_START, TRUNCATED_HINT, first_bytes, inflate
 from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
 from accelsurf.io.formats.sequence_files import extensions_in, times_text_in
-from accelsurf.io.frame_times import single_precision
+from accelsurf.io.headers import single_precision
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
@@ -92,26 +92,26 @@ class NiftiHeader:
 
     @property
     def volumes(self) -> int:
-        """How many volumes follow one another."""
+        """Number of volumes that follow one another."""
         return math.prod(self.size[3:])
 
     @property
     def time_points(self) -> int:
-        """How many time points there are: volumes along the fourth axis, unless they are channels."""
+        """Number of time points: volumes along the fourth axis, unless they are channels."""
         if len(self.size) < 4 or (len(self.size) == 4 and (self.is_vector or self.are_channels_guessed)):
             return 1
         return self.size[3]
 
     @property
     def channels(self) -> int:
-        """How many channels there are at a time point."""
+        """Number of channels at a time point."""
         return self.volumes // self.time_points
 
     @property
     def are_channels_guessed(self) -> bool:
-        """Whether a few volumes are taken for channels because nothing is said of time."""
+        """True if a few volumes are taken for channels because nothing is said of time."""
         guessed = len(self.size) == 4 and not self.is_vector and not self.says_time
-        return guessed and self.size[3] <= selection.MAX_CHANNELS
+        return guessed and self.size[3] <= MAX_CHANNELS
 
     @property
     def value_type(self) -> np.dtype[Any]:
@@ -135,7 +135,7 @@ class NiftiHeader:
 
 @dataclass(frozen=True, kw_only=True)
 class NiftiFile(RawHeader):
-    """What the header of a NIfTI file claims.
+    """Claims of the header of a NIfTI file.
 
     Attributes
     ----------
@@ -147,12 +147,12 @@ class NiftiFile(RawHeader):
 
     @property
     def are_channels_guessed(self) -> bool:
-        """Whether a few volumes are taken for channels because nothing is said of time."""
+        """True if a few volumes are taken for channels because nothing is said of time."""
         return self.nifti.are_channels_guessed
 
     @property
     def values(self) -> int:
-        """How many values are read, those of all channels together."""
+        """Number of values that are read, those of all channels together."""
         return len(self.selected()) * math.prod(self.nifti.size[:3])
 
     @property
@@ -166,10 +166,10 @@ class NiftiFile(RawHeader):
         Raises
         ------
         InputError
-            As `accelsurf.io.selection.selected`.
+            As `accelsurf.io.channels.selected`.
         """
         header = self.nifti
-        places = selection.selected(header.channels, header.time_points, self.asked)
+        places = selected(header.channels, header.time_points, self.asked)
         return [channel * header.time_points + time for time, channel in places]
 
     def single(self) -> int:
@@ -178,10 +178,10 @@ class NiftiFile(RawHeader):
         Raises
         ------
         InputError
-            As `accelsurf.io.selection.single`.
+            As `accelsurf.io.channels.single`.
         """
         header = self.nifti
-        time, channel = selection.single(header.channels, header.time_points, self.asked)
+        time, channel = single(header.channels, header.time_points, self.asked)
         return channel * header.time_points + time
 
 
@@ -215,7 +215,7 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
         if compressed:
             file.seek(0)
             start = first_bytes(file, max(HEADER_BYTES.values()))
-        header = parse(start)
+        header = parse_header(start)
         times_text = times_text_in(_extensions(file, header, compressed)) if len(header.size) > 3 else ""
     if times_text:  # frames that are counted have no unit, but times
         header = replace(header, says_time=True)
@@ -256,7 +256,7 @@ read_plain_header = partial(read_header, compressed=False)
 read_compressed_header = partial(read_header, compressed=True)
 
 
-def parse(raw: bytes) -> NiftiHeader:
+def parse_header(raw: bytes) -> NiftiHeader:
     """Read a header, in either byte order, and refuse one that no 3D image of real numbers can have.
 
     Several volumes one after the other are accepted; see `NiftiFile.single`.

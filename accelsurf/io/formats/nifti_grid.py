@@ -1,4 +1,4 @@
-"""Where a NIfTI header places an image: twice, by its qform and its sform, in a unit of its own."""
+"""Grids of NIfTI headers, which give two of them, qform and sform, in a unit of the file."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class NiftiGrid:
         return self._geometry(matrix / spacing, spacing, np.array(self.sform).reshape(3, 4)[:, 3])
 
     def sform_deviation(self) -> float:
-        """How far the axes of the affine are from perpendicular: the largest cosine between two of them."""
+        """Largest cosine between two axes of the affine: 0 where they are perpendicular."""
         matrix, spacing = self._sform_parts()
         return orthonormal_deviation(matrix / spacing)
 
@@ -192,7 +192,7 @@ class NiftiGrid:
 
 
 def is_finite(values: Sequence[float]) -> bool:
-    """Whether all are numbers of single precision, which NIfTI-1 has; NIfTI-2 has doubles, whose squares overflow."""
+    """Test if all are numbers of single precision, which NIfTI-1 has; NIfTI-2 has doubles, whose squares overflow."""
     return bool((np.abs(values) <= np.finfo(np.float32).max).all())
 
 
@@ -213,6 +213,6 @@ def _near(a: Geometry, b: Geometry) -> bool:
 
 
 def is_anatomical(metadata: Mapping[str, str]) -> bool:
-    """Whether a transform code said that the world's axes are a patient's."""
+    """Test if a transform code says that the world's axes are a patient's."""
     # Bytes 17 to 20 of these fields are the codes of qform and sform; both 0 means that the world is not known.
     return any(bytes.fromhex(metadata.get(METADATA_KEY, ""))[17:21])

@@ -1,29 +1,147 @@
 """NIfTI volumes: ITK writes them, and places those of version 1 in the world; the voxels are read here.
 
 ITK turns NaN and infinity into 0 without a word, ignores small slopes, and reads voxels from places in the header.
+
+A plain NIfTI is also written box by box, into a file that is sparse where nothing was written. Where an axis has more
+than 32767 voxels it is a NIfTI-2. Names and colours of a label map are in an extension of the header with the code 30
+(CARET), as XML of Connectome Workbench; programs that do not know it read the file as any other.
 """
 
 from __future__ import annotations
 
+import os
+import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
+from numpy.typing import NDArray
 
+from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import itk
 from accelsurf.io.files import reserve
 from accelsurf.io.formats import itk_volumes, nifti, nifti_grid
 from accelsurf.io.formats.deflate import gzip_file
-from accelsurf.io.formats.nifti_boxes import NiftiBoxes
-from accelsurf.io.formats.nifti_labels import put_labels
-from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
+from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels, write_box
+from accelsurf.io.headers import FRAME_KEY, LABELS_KEY, UNIT_KEY, with_warnings
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import FRAME_KEY, LABELS_KEY, UNIT_KEY, with_warnings
 from accelsurf.settings.labels import LabelTable
+
+#: Voxels along an axis of a NIfTI-1: its sizes are 16-bit numbers.
+MAX_AXIS = 2**15 - 1
+_DIM_OFFSET = 40
+_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+class NiftiBoxes:
+    """A NIfTI that is being written; one thread at a time.
+
+    Parameters
+    ----------
+    path : Path
+        The file, which is made.
+    geometry : Geometry
+        The whole grid.
+    dtype : numpy.dtype
+        Of the values.
+    metadata : mapping of str to str
+        As in `Volume`: where it has the numbers and codes of a NIfTI header that place this grid, they are given back
+        (in a NIfTI-1).
+    """
+
+    def __init__(self, path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str]) -> None:
+        if max(geometry.shape) > MAX_AXIS:
+            _write_second_header(path, geometry, dtype)
+        else:
+            _write_first_header(path, geometry, dtype, metadata)
+        offset = path.stat().st_size
+        self._layout = RawLayout(path, offset, dtype.newbyteorder("<"), geometry.shape)
+        with path.open("r+b") as file:
+            file.truncate(self._layout.end)
+
+    def write(self, box: Box, array: NDArray[Any]) -> None:
+        """Write the voxels of a box."""
+        write_box(self._layout, box, array)
+
+    def read(self, box: Box) -> NDArray[Any]:
+        """Return the voxels of a box; 0 where none were written."""
+        return RawVoxels(self._layout).read(box)
+
+    def finish(self) -> None:
+        """Nothing is left to do."""
+
+
+def _write_first_header(path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str]) -> None:
+    """Write a NIfTI-1 without voxels."""
+    voxel = Geometry((1, 1, 1), geometry.spacing, geometry.origin, geometry.direction)
+    itk.save(Volume(np.zeros((1, 1, 1), dtype), voxel), path, nifti.ITK_NAME, compress=False)
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size - dtype.itemsize)
+        file.seek(_DIM_OFFSET)
+        file.write(struct.pack("<8h", 3, *geometry.size, 1, 1, 1, 1))
+    if (fields := metadata.get(nifti_grid.METADATA_KEY)) is not None:
+        itk_volumes.restore_grid(path, geometry, nifti.ITK_NAME, lambda file: nifti_grid.put_grid(file, fields))
+
+
+def _write_second_header(path: Path, geometry: Geometry, dtype: np.dtype[Any]) -> None:
+    """Write a NIfTI-2 without voxels, its place as sform and qform."""
+    from nibabel.nifti2 import Nifti2Header
+
+    affine = np.eye(4)
+    affine[:3, :3] = geometry.direction * geometry.spacing_xyz
+    affine[:3, 3] = geometry.origin
+    affine = _RAS @ affine
+    header = Nifti2Header(endianness="<")
+    header.set_data_dtype(dtype)
+    header.set_data_shape(geometry.size)
+    header.set_qform(affine, code=1)
+    header.set_sform(affine, code=1)
+    header.set_xyzt_units("mm")
+    header["magic"] = b"n+2"
+    header["vox_offset"] = nifti.HEADER_BYTES[2] + 4
+    path.write_bytes(header.binaryblock + b"\0" * 4)
+
+
+_CODE = 30
+_HEADER, _FIRST = 348, 352
+_OFFSET_PLACE = 108
+
+
+def extension_of(table: LabelTable) -> bytes:
+    """The extension: its size, a multiple of 16, its code, and the XML."""
+    rows = "".join(
+        f'<Label Key="{label.id}" Red="{label.color[0] / 255:.6g}" Green="{label.color[1] / 255:.6g}" '
+        f'Blue="{label.color[2] / 255:.6g}" Alpha="1">{escape(label.name)}</Label>\n'
+        for label in table
+    )
+    text = (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<CaretExtension>\n<VolumeInformation Index="0">\n<LabelTable>\n'
+        f'<Label Key="0" Red="0" Green="0" Blue="0" Alpha="0">background</Label>\n{rows}'
+        "</LabelTable>\n<VolumeType>Label</VolumeType>\n</VolumeInformation>\n</CaretExtension>\n"
+    ).encode()
+    size = -(-(len(text) + 8) // 16) * 16
+    return struct.pack("<2i", size, _CODE) + text.ljust(size - 8, b"\0")
+
+
+def put_labels(path: Path, table: LabelTable) -> None:
+    """Put the extension into an uncompressed little-endian NIfTI-1 file that has none."""
+    extension = extension_of(table)
+    draft = path.with_name("extended.nii")
+    with path.open("rb") as old, draft.open("wb") as new:
+        header = bytearray(old.read(_FIRST))
+        struct.pack_into("<f", header, _OFFSET_PLACE, float(_FIRST + len(extension)))
+        header[_HEADER] = 1
+        new.write(header)
+        new.write(extension)
+        while block := old.read(1 << 22):
+            new.write(block)
+    os.replace(draft, path)
+
 
 #: Bytes before the voxels of a file that ITK writes.
 _MAX_HEADER_BYTES = 352
@@ -31,7 +149,7 @@ _MAX_HEADER_BYTES = 352
 _MICRON = 3
 
 
-def read(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
+def read_nifti(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
     """Read a file of one volume.
 
     Parameters
@@ -60,20 +178,20 @@ def read(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
     return Volume(nifti.read_volumes(header, [0])[0], geometry, _metadata(header, geometry), path)
 
 
-def read_channels(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:
+def read_nifti_channels(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:
     """Read the volumes of a file, which follow one another in it.
 
     Raises
     ------
     InputError
-        As `read`, and for more than `accelsurf.io.selection.MAX_CHANNELS` of them.
+        As `read_nifti`, and for more than `accelsurf.io.channels.MAX_CHANNELS` of them.
     """
     if header.nifti.volumes == 1:
-        return [read(path, header, available)]
+        return [read_nifti(path, header, available)]
     return _read_some(path, header, header.selected(), available)
 
 
-def open_lazily(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVolume:
+def open_nifti(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVolume:
     """Open an uncompressed file of one volume, to be read box by box.
 
     Parameters
@@ -88,7 +206,7 @@ def open_lazily(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVo
     Raises
     ------
     InputError
-        As `read`.
+        As `read_nifti`.
     """
     fields = header.nifti
     number, (nx, ny, nz) = header.single(), fields.size[:3]
@@ -100,7 +218,7 @@ def open_lazily(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVo
     return LazyVolume(voxels, geometry, _metadata(header, geometry), path, layout)
 
 
-def write(volume: Volume, path: Path) -> None:
+def write_nifti(volume: Volume, path: Path) -> None:
     """Write NIfTI-1, with the numbers and codes that placed the volume when it was read."""
     reserve(path, volume.array.nbytes + _MAX_HEADER_BYTES)
     itk.save(volume, path, nifti.ITK_NAME, compress=False)
@@ -113,12 +231,12 @@ def write(volume: Volume, path: Path) -> None:
 def write_compressed(volume: Volume, path: Path) -> None:
     """Write NIfTI-1, compressed, the same bytes for the same volume."""
     plain = path.with_suffix("")  # ends in .nii
-    write(volume, plain)
+    write_nifti(volume, plain)
     gzip_file(plain, path)
     plain.unlink()
 
 
-def store(
+def store_nifti(
     path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str], source: str | None
 ) -> NiftiBoxes:
     """Begin a file that is written box by box; a NIfTI has no place for the name of its source."""

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
+from accelsurf.io.channels import single
 from accelsurf.io.files import library_named
 from accelsurf.io.formats.deflate import TRUNCATED_HINT
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
+from accelsurf.io.headers import with_warnings
 from accelsurf.io.lazy_volume import LazyVolume, Opening
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import with_warnings
-from accelsurf.io.selection import single
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
@@ -39,7 +39,7 @@ _NOTE = "an array of numpy does not say how large a voxel is: 1 mm is taken; giv
 
 @dataclass(frozen=True, eq=False)
 class ArrayHeader:
-    """What an array claims.
+    """Claims of the header of an array.
 
     Attributes
     ----------
@@ -73,12 +73,12 @@ class ArrayHeader:
 
     @property
     def time_points(self) -> int:
-        """How many images are in it."""
+        """Number of images in it."""
         return self.shape[0] if len(self.shape) == 4 else 1
 
     @property
     def values(self) -> int:
-        """How many values the image has."""
+        """Number of values of the image."""
         return math.prod(self.geometry.shape)
 
     def image_offset(self) -> int:
@@ -93,7 +93,7 @@ class ArrayHeader:
         return self.offset + number * self.values * self.stored.itemsize
 
 
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> ArrayHeader:
+def parse_npy(path: Path, options: ReadOptions = AS_IT_IS) -> ArrayHeader:
     """Read the header of an .npy.
 
     Raises
@@ -111,7 +111,7 @@ def parse_archive(path: Path, options: ReadOptions = AS_IT_IS) -> ArrayHeader:
     Raises
     ------
     InputError
-        As `parse`, and when there are several arrays and none was named.
+        As `parse_npy`, and when there are several arrays and none was named.
     """
     path, name = split_member(path)
     if not zipfile.is_zipfile(path):
@@ -195,7 +195,7 @@ def _fields(file: BinaryIO) -> tuple[np.dtype[Any], tuple[int, ...], bool, int]:
         raise InputError("the header of the array is damaged, or no plain array", "save it with numpy.save") from None
 
 
-def read(path: Path, header: ArrayHeader, available: int) -> Volume:
+def read_array(path: Path, header: ArrayHeader, available: int) -> Volume:
     """Read an array.
 
     Raises
@@ -218,7 +218,7 @@ def read(path: Path, header: ArrayHeader, available: int) -> Volume:
     return Volume(plain, header.geometry, dict(header.metadata), path)
 
 
-def open_lazily(path: Path, header: ArrayHeader, opening: Opening) -> LazyVolume:
+def open_npy(path: Path, header: ArrayHeader, opening: Opening) -> LazyVolume:
     """Open an .npy, to be read box by box.
 
     Parameters
@@ -244,7 +244,7 @@ def open_lazily(path: Path, header: ArrayHeader, opening: Opening) -> LazyVolume
     return LazyVolume(voxels, header.geometry, dict(header.metadata), path)
 
 
-def write(volume: Volume, path: Path) -> None:
+def write_npy(volume: Volume, path: Path) -> None:
     """Write an .npy."""
     with path.open("wb") as file:
         np.lib.format.write_array(file, volume.array, allow_pickle=False)

@@ -14,7 +14,7 @@ from typing import Any
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.volume import Volume
-from accelsurf.io.file_set import opened, refuse_links
+from accelsurf.io.file_set import open_set, refuse_links
 from accelsurf.io.files import write_bytes
 from accelsurf.io.formats import ome_zarr
 from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
@@ -54,7 +54,7 @@ def check(image: Path, name: str, overwrite: bool) -> Path:
         )
     if not image.is_dir():
         raise UsageError("label_group: it was given, and the image is no OME-Zarr", "leave it out")
-    header = ome_zarr.parse(image)
+    header = ome_zarr.parse_ome_zarr(image)
     if header.ome.version != _VERSION or not (header.folder / _MARK).is_file():
         raise UsageError(
             f"label_group: it was given, and the image is OME-Zarr {header.ome.version}, expected {_VERSION}",
@@ -91,10 +91,10 @@ def put(image: Path, labels: Volume, name: str, overwrite: bool) -> Path:
         When it cannot be written; the image and the other label maps are as they were.
     """
     check(image, name, overwrite)
-    group = ome_zarr.parse(image).folder / _GROUP
+    group = ome_zarr.parse_ome_zarr(image).folder / _GROUP
     try:
         group.mkdir(exist_ok=True)
-        with opened(group, name) as files:
+        with open_set(group, name) as files:
             pyramid = ZarrPyramid(
                 files.drafts / name, labels.geometry, labels.array.dtype, labels.metadata, name, True, "../../"
             )

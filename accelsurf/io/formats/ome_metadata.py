@@ -1,14 +1,17 @@
-"""What the metadata of an OME-Zarr image say: its axes, its levels, and where their voxels are.
+"""Metadata of OME-Zarr images: axes, levels, and the places of their voxels.
 
 Versions 0.4 and 0.5 differ in the place of the metadata only. Axes of space are given in their order in the array;
-lengths may have any unit. Axes along lines of the body say so in words (`ome_orientation`). For other directions
-OME-Zarr has nothing: accelsurf keeps them in an attribute of its own when it writes, with what
-`accelsurf.grid.volume.Volume` calls metadata, and which chunks it wrote.
+lengths may have any unit. Axes along lines of the body say from which side of the patient to which their
+coordinates increase (RFC-4 of OME-NGFF); the words for quadrupeds are taken as DICOM places both kinds of patients:
+dorsal where posterior is, cranial and rostral where superior is. For other directions OME-Zarr has nothing: accelsurf
+keeps them in an attribute of its own when it writes, with what `accelsurf.grid.volume.Volume` calls metadata, and
+which chunks it wrote.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,11 +20,130 @@ import numpy as np
 
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Floats, Geometry
-from accelsurf.io.formats.ome_orientation import direction_of, word_of, words_for
 from accelsurf.io.formats.zarr_files import STORED_KEY
-from accelsurf.io.headers import is_anatomical
-from accelsurf.io.metadata import FRAME_KEY, ORIENTED_KEY, UNIT_KEY, WARNING_KEY, with_warnings
+from accelsurf.io.headers import FRAME_KEY, ORIENTED_KEY, UNIT_KEY, WARNING_KEY, is_anatomical, with_warnings
 from accelsurf.settings import budgets
+
+#: The field of an axis, and what drafts of RFC-4 called it.
+_FIELDS = ("orientation", "anatomicalOrientation", "anatomical_orientation")
+#: Sides towards which x, y and z of the world (LPS) increase, and those that they come from.
+_SIDES = (("right", "left"), ("anterior", "posterior"), ("inferior", "superior"))
+_QUADRUPED = {
+    **{"dorsal": "posterior", "ventral": "anterior"},
+    **{"cranial": "superior", "rostral": "superior", "caudal": "inferior"},
+}
+_HINT = "correct the orientation of the axes in the metadata of the store, or remove it from all of them"
+
+
+def word_of(axis: Mapping[str, Any]) -> str:
+    """The orientation that an axis says it has, as RFC-4 spells it; empty where it says none.
+
+    Raises
+    ------
+    InputError
+        When it says two.
+
+    Examples
+    --------
+    >>> word_of({"name": "x", "orientation": {"type": "anatomical", "value": "left-to-right"}})
+    'left-to-right'
+    >>> word_of({"name": "x", "anatomicalOrientation": "LEFT_TO_RIGHT"})
+    'left-to-right'
+    """
+    words = {_word(axis[field]) for field in _FIELDS if axis.get(field) is not None}
+    if len(words) > 1:
+        named = " and ".join(sorted(words))
+        raise InputError(f"the axis {str(axis.get('name'))[:40]} of the OME-Zarr is oriented {named}", _HINT)
+    return "".join(words)
+
+
+def _word(given: Any) -> str:
+    if isinstance(given, Mapping):
+        kind, given = str(given.get("type", "anatomical")), given.get("value", "")
+        if kind.lower() != "anatomical":
+            return f"{kind[:40]} {str(given)[:40]}"
+    spaced = re.sub("(?<=[a-z])(?=[A-Z])", "-", str(given)[:80])
+    return re.sub(r"[\s_-]+", "-", spaced.strip()).lower()
+
+
+def _line(word: str) -> tuple[int, float] | None:
+    """The axis of the world that a word is along, and whether with it (1) or against it (-1)."""
+    ends = tuple(_QUADRUPED.get(side, side) for side in word.split("-to-"))
+    for axis, sides in enumerate(_SIDES):
+        if ends in (sides, sides[::-1]):
+            return axis, 1.0 if ends == sides else -1.0
+    return None
+
+
+def direction_of(axes: Sequence[tuple[str, str]]) -> tuple[Floats | None, list[str]]:
+    """The directions of a grid by the orientation of its axes.
+
+    Parameters
+    ----------
+    axes : sequence of (name, word)
+        x, y and z of the array, or x and y, with what `word_of` gives.
+
+    Returns
+    -------
+    tuple
+        Directions (3, 3) as in `Geometry`, None where no axis has a known orientation; and what a person should know.
+
+    Raises
+    ------
+    InputError
+        When two axes are oriented along the same line of the body.
+    """
+    lines = [_line(word) for _, word in axes]
+    known = [(line[0], name, word) for line, (name, word) in zip(lines, axes, strict=True) if line is not None]
+    for number, (axis, name, word) in enumerate(known):
+        for other_axis, other, other_word in known[:number]:
+            if axis == other_axis:
+                raise InputError(
+                    f"the axes {other[:40]} ({other_word}) and {name[:40]} ({word}) of the OME-Zarr are oriented along "
+                    "the same line of the body",
+                    _HINT,
+                )
+    notes = [
+        f"the orientation {word} of the axis {name[:40]} is no side of the body and not used"
+        for line, (name, word) in zip(lines, axes, strict=True) if word and line is None
+    ]
+    if not known:
+        return None, notes
+    direction = np.zeros((3, 3))
+    for column, line in enumerate(lines):
+        if line is not None:
+            direction[line[0], column] = line[1]
+    for column in (column for column in range(3) if not direction[:, column].any()):
+        free = [axis for axis in (column, 0, 1, 2) if not direction[axis].any()]
+        direction[free[0], column] = 1.0
+        if column < len(axes):
+            taken = "-to-".join(_SIDES[free[0]])
+            notes.append(f"the axis {axes[column][0][:40]} has no orientation, others have: it is taken as {taken}")
+    if len(axes) == 2 and np.linalg.det(direction) < 0:
+        direction[:, 2] *= -1.0  # the slice is seen from the side that makes the axes right-handed
+    if any(side in _QUADRUPED for _, _, word in known for side in word.split("-to-")):
+        notes.append(
+            "the axes are oriented in words for animals: dorsal is taken as posterior, cranial and rostral as superior"
+        )
+    return direction, notes
+
+
+def words_for(direction: Floats) -> list[str] | None:
+    """The words for the axes x, y and z of a grid; None where it is oblique.
+
+    Examples
+    --------
+    >>> words_for(np.diag([-1.0, -1.0, 1.0]))
+    ['left-to-right', 'posterior-to-anterior', 'inferior-to-superior']
+    """
+    if not np.isin(direction, (-1.0, 0.0, 1.0)).all():
+        return None
+    axes = np.abs(direction).argmax(axis=0)
+    return [
+        "-to-".join(_SIDES[axis] if direction[axis, column] > 0 else _SIDES[axis][::-1])
+        for column, axis in enumerate(axes)
+    ]
+
 
 #: Name of the attribute that accelsurf writes.
 OWN_KEY = "accelsurf"
@@ -52,7 +174,7 @@ class OmeAxis:
     unit : str
         Empty where none is given.
     orientation : str
-        Of `ome_orientation.word_of`.
+        Of `word_of`.
     """
 
     name: str
@@ -106,7 +228,7 @@ class OmeMetadata:
 
     @property
     def space_axes(self) -> tuple[int, ...]:
-        """Which axes of the array are z, y, x, or y, x; by their names, else in the order of the array."""
+        """Numbers of the axes z, y, x, or y, x; by their names, else in the order of the array."""
         return _space_axes(self.axes)
 
     def geometry(self, level: int, shape: Sequence[int]) -> Geometry:
@@ -195,7 +317,7 @@ def _space_axes(axes: Sequence[OmeAxis]) -> tuple[int, ...]:
 
 
 def _placed(
-    axes: Sequence[OmeAxis], finest: OmeLevel, own: Floats | None, metadata: dict[str, str]
+    axes: Sequence[OmeAxis], finest: OmeLevel, stored: Floats | None, metadata: dict[str, str]
 ) -> tuple[Floats, dict[str, str]]:
     """The directions of the axes, and the metadata with what is to be said of them.
 
@@ -210,13 +332,13 @@ def _placed(
         f"the orientation of the axis {axis.name[:40]}, which is none of space, is not used"
         for axis in axes if axis.orientation and axis.kind != "space"
     ]
-    if direction is None or own is not None:
-        if direction is not None and own is not None and not np.allclose(direction, own, rtol=0.0, atol=1e-4):
+    if direction is None or stored is not None:
+        if direction is not None and stored is not None and not np.allclose(direction, stored, rtol=0.0, atol=1e-4):
             raise InputError(
                 'the orientation of the axes of the OME-Zarr contradicts "direction" in its attribute "accelsurf"',
                 'remove what is wrong: "orientation" of the axes, or "direction" of "accelsurf"',
             )
-        return np.eye(3) if own is None else own, with_warnings(metadata, *notes)
+        return np.eye(3) if stored is None else stored, with_warnings(metadata, *notes)
     if not np.array_equal(direction, np.eye(3)) and any(finest.translation[i] for i in order):
         notes.append(
             "the axes are oriented and the store has a translation: it is read as the place of the first voxel in LPS, "
@@ -226,12 +348,12 @@ def _placed(
 
 
 def is_oriented(metadata: Mapping[str, str]) -> bool:
-    """Whether the axes of an OME-Zarr were given an anatomical orientation."""
+    """Test if the axes of an OME-Zarr have an anatomical orientation."""
     return ORIENTED_KEY in metadata
 
 
 def _other_kind(ome: Mapping[str, Any]) -> tuple[str, str]:
-    """What a group is that is no image, and what to do."""
+    """Name the kind of a group that is no image, and the remedy."""
     if "plate" in ome:
         return "an OME-Zarr plate of many images given, one image expected", "give one of its fields, as PLATE/A/1/0"
     if "well" in ome:
@@ -257,10 +379,10 @@ def _level(dataset: Mapping[str, Any], common: Any, axes: int) -> OmeLevel:
 
 def _transform(given: Any, axes: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Scale and translation of a list of transformations: one scale, then perhaps one translation."""
-    kinds = [one["type"] for one in given]
+    kinds = [transform["type"] for transform in given]
     if kinds not in (["scale"], ["scale", "translation"]):
         raise ValueError(f"coordinateTransformations are {kinds}, expected a scale, then perhaps a translation")
-    numbers = [tuple(float(value) for value in one[one["type"]]) for one in given]
+    numbers = [tuple(float(value) for value in transform[transform["type"]]) for transform in given]
     if any(len(some) != axes or not all(map(math.isfinite, some)) for some in numbers):
         raise ValueError(f"a transformation of {axes} finite numbers expected")
     return numbers[0], numbers[1] if len(numbers) > 1 else (0.0,) * axes
@@ -321,11 +443,11 @@ def attributes_of(
         said = ({"orientation": {"type": "anatomical", "value": word}} for word in words)
         axes = [axis | orientation for axis, orientation in zip(axes, said, strict=True)]
     multiscale = {"name": name, "axes": axes, "datasets": datasets, "type": method}
-    own = {
+    grid = {
         "direction": geometry.direction.tolist(),
         "metadata": {key: value for key, value in metadata.items() if key != WARNING_KEY},
     }
-    return {"ome": {"version": VERSIONS[-1], "multiscales": [multiscale]}, OWN_KEY: own}
+    return {"ome": {"version": VERSIONS[-1], "multiscales": [multiscale]}, OWN_KEY: grid}
 
 
 def _words(geometry: Geometry, metadata: Mapping[str, str]) -> list[str] | None:

@@ -16,16 +16,21 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.io import selection
+from accelsurf.io.channels import selected, single
 from accelsurf.io.formats.ome_metadata import OmeMetadata, parse_attributes
 from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid
 from accelsurf.io.formats.zarr_voxels import MARKS, ZarrVoxels, library, open_array, read_mark
-from accelsurf.io.frame_times import TIMES_KEY, FrameTimes
-from accelsurf.io.headers import check_within_store, split_name
-from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
-from accelsurf.io.levels import checked_level
+from accelsurf.io.headers import (
+    FRAME_KEY,
+    TIMES_KEY,
+    WARNING_KEY,
+    FrameTimes,
+    check_within_store,
+    split_name,
+    with_warnings,
+)
+from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout, checked_level
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import FRAME_KEY, WARNING_KEY, with_warnings
 from accelsurf.settings.reading import AS_IT_IS, Level, ReadOptions
 
 _SERIES_KEY = "bioformats2raw.layout"
@@ -37,7 +42,7 @@ _LISTED, _QUICK = 64, 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class OmeHeader:
-    """What an OME-Zarr claims.
+    """Claims of the metadata of an OME-Zarr.
 
     Attributes
     ----------
@@ -61,20 +66,20 @@ class OmeHeader:
 
     @property
     def values(self) -> int:
-        """How many values are read, those of all channels together; of the finest level where none was named."""
-        places = selection.selected(self.count("channel"), self.count("time"), self.options)
+        """Number of values that are read, those of all channels together; of the finest level where none was named."""
+        places = selected(self.count("channel"), self.count("time"), self.options)
         level = self.options.level if isinstance(self.options.level, int) else 0
         array = open_array(self.folder, self.ome.levels[min(level, len(self.ome.levels) - 1)].path)
         return len(places) * math.prod(int(array.shape[axis]) for axis in self.ome.space_axes)
 
     @property
     def channels(self) -> int:
-        """How many there are."""
+        """Number of them."""
         return self.count("channel")
 
     @property
     def time_points(self) -> int:
-        """How many there are."""
+        """Number of them."""
         return self.count("time")
 
     @property
@@ -88,14 +93,14 @@ class OmeHeader:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a person should know of all time points: what the metadata do not say, and how many chunks are missing.
+        """Notes on all time points: what the metadata do not say, and how many chunks are missing.
 
         Raises
         ------
         OSError
             When the folders of the image cannot be looked into.
         """
-        places = selection.selected(self.count("channel"), self.count("time"), replace(self.options, time_index=0))
+        places = selected(self.count("channel"), self.count("time"), replace(self.options, time_index=0))
         number = checked_level(self.options.level, [grid.shape for grid in _grids(self)])
         at = [{"time": None, "channel": channel} for _, channel in places]
         missing = (_voxels(self, number, place, 0).missing() for place in at)
@@ -108,11 +113,11 @@ class OmeHeader:
         return grids[checked_level(self.options.level, [grid.shape for grid in grids])]
 
     def count(self, kind: str) -> int:
-        """How many channels ("channel") or time points ("time") there are."""
+        """Number of channels ("channel") or time points ("time")."""
         return math.prod(n for n, axis in zip(self.shape, self.ome.axes, strict=True) if axis.kind == kind)
 
 
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> OmeHeader:
+def parse_ome_zarr(path: Path, options: ReadOptions = AS_IT_IS) -> OmeHeader:
     """Read the metadata of an image, or of the only one in a store that bioformats2raw has written.
 
     Raises
@@ -170,12 +175,12 @@ def _attributes(path: Path) -> dict[str, Any]:
 
 
 def _old_type(path: Path) -> str | None:
-    """What a node of Zarr 2 is."""
+    """Type of a node of Zarr 2."""
     return next((kind for kind in ("array", "group") if read_mark(path, path / f".z{kind}") is not None), None)
 
 
 def _plain(path: Path, kind: str) -> tuple[str, str]:
-    """What a Zarr is that has no metadata of OME, and what to do."""
+    """Name the kind of a Zarr without metadata of OME, and the remedy."""
     for above in (path.absolute().parent, path.absolute().parent.parent):
         if any(_says_images(above / mark) for mark in ("zarr.json", ".zattrs")):
             number = "" if kind != "array" or not path.name.isdigit() else f", with --level {path.name}"
@@ -196,14 +201,14 @@ def _plain(path: Path, kind: str) -> tuple[str, str]:
 
 
 def _says_images(mark: Path) -> bool:
-    """Whether a file of metadata is that of an OME-Zarr image; a quick look, which another reading follows."""
+    """Test if a file of metadata is that of an OME-Zarr image; a quick look, which another reading follows."""
     try:
         return mark.stat().st_size < _QUICK and b'"multiscales"' in mark.read_bytes()
     except OSError:
         return False
 
 
-def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
+def open_ome_zarr(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
     """Open a level of one channel and time point.
 
     Parameters
@@ -223,7 +228,7 @@ def open_lazily(path: Path, header: OmeHeader, opening: Opening) -> LazyVolume:
         When there is no such level, channel or time point.
     """
     asked = replace(header.options, channel_index=opening.channel_index, time_index=opening.time_index)
-    place = selection.single(header.count("channel"), header.count("time"), asked)
+    place = single(header.count("channel"), header.count("time"), asked)
     return _opened(path, header, place, opening.level, opening.cache_bytes, not opening.again)[0]
 
 
@@ -265,7 +270,7 @@ def _grids(header: OmeHeader) -> tuple[Geometry, ...]:
     return tuple(ome.geometry(i, shape) for i, shape in enumerate(shapes))
 
 
-def read(path: Path, header: OmeHeader, available: int) -> Volume:
+def read_ome_zarr(path: Path, header: OmeHeader, available: int) -> Volume:
     """Read a level of one channel and time point, the finest unless another was asked for.
 
     Raises
@@ -274,21 +279,21 @@ def read(path: Path, header: OmeHeader, available: int) -> Volume:
         When it is larger than the memory, a chunk is damaged, or there are several channels or time points.
     """
     asked = header.options
-    place = selection.single(header.count("channel"), header.count("time"), asked)
+    place = single(header.count("channel"), header.count("time"), asked)
     return _in_memory(*_opened(path, header, place, asked.level, 0), available, 1)
 
 
-def read_channels(path: Path, header: OmeHeader, available: int) -> list[Volume]:
+def read_ome_zarr_channels(path: Path, header: OmeHeader, available: int) -> list[Volume]:
     """Read the channels of an image, or the one that was asked for.
 
     Raises
     ------
     InputError
-        As `read`, and for more than `selection.MAX_CHANNELS` channels.
+        As `read_ome_zarr`, and for more than `accelsurf.io.channels.MAX_CHANNELS` channels.
     """
-    places = selection.selected(header.count("channel"), header.count("time"), header.options)
+    places = selected(header.count("channel"), header.count("time"), header.options)
     opened = [_opened(path, header, place, header.options.level, 0) for place in places]
-    return [_in_memory(*one, available, len(opened)) for one in opened]
+    return [_in_memory(*image, available, len(opened)) for image in opened]
 
 
 def _in_memory(lazy: LazyVolume, voxels: ZarrVoxels, available: int, count: int) -> Volume:
@@ -297,7 +302,7 @@ def _in_memory(lazy: LazyVolume, voxels: ZarrVoxels, available: int, count: int)
     return Volume(array, lazy.geometry, with_warnings(lazy.metadata, voxels.missing(listed=False)), lazy.source)
 
 
-def write(volume: Volume, path: Path) -> None:
+def write_ome_zarr(volume: Volume, path: Path) -> None:
     """Write OME-Zarr 0.5 with coarser levels of means."""
     _write(volume, path, labels=False)
 
@@ -316,7 +321,7 @@ def _write(volume: Volume, path: Path, labels: bool) -> None:
     pyramid.finish()
 
 
-def store(
+def store_ome_zarr(
     path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str], source: str | None
 ) -> ZarrPyramid:
     """Begin a label map that is written box by box."""

@@ -11,14 +11,13 @@ from accelsurf.io.formats.ome_metadata import OWN_KEY, attributes_of
 from accelsurf.io.formats.zarr_files import with_record
 from accelsurf.io.formats.zarr_pyramid import chunk_shape
 from accelsurf.io.formats.zarr_voxels import library
-from accelsurf.io.frame_times import TIMES_KEY
-from accelsurf.io.headers import split_name
+from accelsurf.io.headers import TIMES_KEY, split_name
 
 if TYPE_CHECKING:
     from accelsurf.io.sequence_writing import FrameStack
 
 
-def write(path: Path, frames: FrameStack) -> None:
+def write_ome_zarr_frames(path: Path, frames: FrameStack) -> None:
     """Write the frames; a chunk of zeros takes no space."""
     zarr = library()
     from zarr.codecs import ZstdCodec
@@ -40,7 +39,7 @@ def write(path: Path, frames: FrameStack) -> None:
 
 
 def _attributes(path: Path, frames: FrameStack) -> dict[str, Any]:
-    """Those of an image of one frame, with an axis more."""
+    """Attributes of an image of one frame, with an axis of time before the others."""
     geometry, times = frames.geometry, frames.times
     metadata = {} if times.is_count or times.seconds else {TIMES_KEY: times.text}
     level = ("0", geometry.spacing, (0.0, 0.0, 0.0))

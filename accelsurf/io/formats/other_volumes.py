@@ -31,7 +31,7 @@ _AGAIN = "copy or export it again"
 
 @dataclass(frozen=True, eq=False)
 class VolumeHeader:
-    """What a header claims.
+    """Claims of a header.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class VolumeHeader:
 
     @property
     def values(self) -> int:
-        """How many voxels there are."""
+        """Number of voxels."""
         return math.prod(self.geometry.shape)
 
 
@@ -155,7 +155,7 @@ def read_mgh(path: Path, header: VolumeHeader, available: int) -> Volume:
 
 
 def is_anatomical(metadata: dict[str, str]) -> bool:
-    """Whether the axes of the world are a patient's: FreeSurfer's are."""
+    """True if the axes of the world are a patient's: FreeSurfer's are."""
     return "mgh" in metadata
 
 

@@ -1,7 +1,8 @@
 """PNG: what the header claims, whether it is all there, and how it is written.
 
 ITK reads the pixels, from a copy without the parts that say nothing about them: a note, a profile of colours or a
-number of significant bits (by which ITK would divide the values) is not unpacked and not heeded.
+number of significant bits (by which ITK would divide the values) is not unpacked and not heeded. Headers of PNG
+and TIFF keep the size of a pixel and no place in the world: an image starts at the world's origin, along its axes.
 """
 
 from __future__ import annotations
@@ -20,12 +21,55 @@ from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import itk
+from accelsurf.io.channels import to_grey
 from accelsurf.io.formats.deflate import check_unpacked, inflated_bytes
-from accelsurf.io.formats.raster import TRUNCATED_HINT, RasterHeader
-from accelsurf.io.grey import to_grey
+from accelsurf.io.headers import with_warnings
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import with_warnings
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+
+STORED = {
+    **{"uint8": (8, 1), "uint16": (16, 1), "uint32": (32, 1), "int8": (8, 2), "int16": (16, 2), "int32": (32, 2)},
+    "float32": (32, 3),
+}
+"""Types of values that a TIFF can hold here: bits and sample format (1 unsigned, 2 signed, 3 floating point)."""
+
+TRUNCATED_HINT = "the file is truncated or damaged: copy or export it again"
+
+
+@dataclass(frozen=True)
+class RasterHeader:
+    """Claims of the header of a PNG or TIFF.
+
+    Attributes
+    ----------
+    data : Path
+        The file.
+    shape : tuple of int
+        (pages, rows, columns).
+    spacing : tuple of float or None
+        mm, (z, y, x); None for a PNG, which says it further on.
+    pixel_bytes : int
+        Bytes that a pixel takes in memory, with all its colours.
+    """
+
+    itk_name: ClassVar[str]
+    """The format, as ITK names the class that reads it."""
+
+    data: Path
+    shape: tuple[int, int, int]
+    spacing: tuple[float, float, float] | None
+    pixel_bytes: int
+
+    @property
+    def values(self) -> int:
+        """Number of pixels of the image; colours become one value."""
+        return math.prod(self.shape)
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """The grid; None for a PNG, which says it further on."""
+        return None if self.spacing is None else Geometry(self.shape, self.spacing)
+
 
 _START = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 4, 6: 4}
@@ -40,7 +84,7 @@ _PALETTE, _COLOUR, _GREY = ((b"IHDR", b"IDAT", b"IEND", *more) for more in ((b"P
 
 @dataclass(frozen=True)
 class PngHeader(RasterHeader):
-    """What the header of a PNG claims, and whether all of it is there.
+    """Claims of the header of a PNG, and the check that all of it is there.
 
     Attributes
     ----------
@@ -103,7 +147,7 @@ class PngHeader(RasterHeader):
         return _scale(scale)
 
     def _is_copied(self, name: bytes, known: tuple[bytes, ...]) -> bool:
-        """Whether a part says what the pixels are.
+        """Test if a part describes the pixels.
 
         Raises
         ------
@@ -128,7 +172,7 @@ def _scale(text: bytes) -> tuple[float, float] | None:
     return (x, y) if min(x, y) > 0 and math.isfinite(x) and math.isfinite(y) else None
 
 
-def read(path: Path, header: PngHeader, available: int) -> Volume:
+def read_png(path: Path, header: PngHeader, available: int) -> Volume:
     """Read a PNG.
 
     Parameters
@@ -158,7 +202,7 @@ def read(path: Path, header: PngHeader, available: int) -> Volume:
     return Volume(array[None], Geometry(header.shape, spacing), with_warnings({}, note), path)
 
 
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> PngHeader:
+def parse_png(path: Path, options: ReadOptions = AS_IT_IS) -> PngHeader:
     """Read the header of a PNG.
 
     Raises
@@ -195,12 +239,12 @@ def _row_bytes(width: int, height: int, bits: int, interlaced: bool) -> int:
     return total
 
 
-def write(volume: Volume, path: Path) -> None:
-    """Write a grey PNG; see `encode`."""
-    path.write_bytes(encode(volume.array, volume.geometry.spacing))
+def write_png(volume: Volume, path: Path) -> None:
+    """Write a grey PNG; see `png_bytes`."""
+    path.write_bytes(png_bytes(volume.array, volume.geometry.spacing))
 
 
-def encode(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
+def png_bytes(array: NDArray[Any], spacing: tuple[float, float, float]) -> bytes:
     """A grey PNG of the one slice of an array, with the size of a pixel where ITK looks for it.
 
     Parameters

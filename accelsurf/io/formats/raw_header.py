@@ -1,4 +1,4 @@
-"""What the header of a volume format claims about its voxels, and whether they are there.
+"""Claims of the header of a volume format about its voxels, and the check that they are there.
 
 Readers return zeros or garbage for missing voxels; the size is checked before anything is read or allocated.
 """
@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io import selection
+from accelsurf.io.channels import selected
 from accelsurf.io.formats.deflate import TRUNCATED_HINT, inflate
-from accelsurf.io.frame_times import FrameTimes
+from accelsurf.io.headers import FrameTimes
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
@@ -33,7 +33,7 @@ def _at_blank(text: bytes, is_last: bool) -> tuple[bytes, bytes]:
 
 @dataclass(frozen=True)
 class RawHeader:
-    """What a header claims.
+    """Claims of a header.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class RawHeader:
 
     @property
     def values(self) -> int:
-        """How many values are read, those of all channels together; of one byte each where that is not known."""
+        """Number of values that are read, those of all channels together; of one byte each where that is not known."""
         numbers = self.claimed_bytes if self.numbers is None else self.numbers
         every = self.channels * self.time_points
         return numbers if every == 1 else numbers // every * len(self.selected())
@@ -113,9 +113,9 @@ class RawHeader:
         Raises
         ------
         InputError
-            As `accelsurf.io.selection.selected`.
+            As `accelsurf.io.channels.selected`.
         """
-        places = selection.selected(self.channels, self.time_points, self.asked)
+        places = selected(self.channels, self.time_points, self.asked)
         return [time * self.channels + channel for time, channel in places]
 
     def check_claims(self) -> None:

@@ -32,7 +32,7 @@ CHANGED = ("the file has changed since it was opened", "let no other program wri
 
 @dataclass(frozen=True)
 class RawLayout:
-    """Where voxels lie in a file.
+    """Place of voxels in a file.
 
     Attributes
     ----------

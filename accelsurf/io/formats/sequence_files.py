@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from accelsurf.io.formats.deflate import gzip_file
-from accelsurf.io.frame_times import TIMES_KEY, single_precision
+from accelsurf.io.headers import TIMES_KEY, single_precision
 
 if TYPE_CHECKING:
     from accelsurf.io.sequence_writing import FrameStack

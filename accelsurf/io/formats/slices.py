@@ -21,10 +21,9 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import naming
 from accelsurf.io.formats.tiff_image import TiffImage
-from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
+from accelsurf.io.headers import UNIT_KEY, WARNING_KEY, with_warnings
+from accelsurf.io.lazy_volume import LazyVolume, Opening, StackedVoxels, StoreLayout
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import UNIT_KEY, WARNING_KEY, with_warnings
-from accelsurf.io.stacked_voxels import StackedVoxels
 from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import ImageFormat
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
@@ -37,7 +36,7 @@ _MAX_SHOWN = 8
 
 @dataclass(frozen=True, eq=False)
 class SliceFolder:
-    """What the files of a folder claim.
+    """Claims of the files of a folder.
 
     Attributes
     ----------
@@ -62,7 +61,7 @@ class SliceFolder:
 
     @property
     def values(self) -> int:
-        """How many values the image has."""
+        """Number of values of the image."""
         return math.prod(self.geometry.shape)
 
 
@@ -98,7 +97,7 @@ def fitting_names(path: Path, stores: bool = False) -> tuple[Path, list[str]]:
 
 
 def is_slices(folder: Path) -> bool:
-    """Whether a folder holds slices."""
+    """Test if a folder holds slices."""
     return any(entry.suffix.lower() in (*_SUFFIXES, *_LOSSY) for entry in folder.iterdir())
 
 
@@ -119,7 +118,7 @@ def _numbered(name: str) -> list[tuple[int, str]]:
     return [(int(word) if place % 2 else 0, "" if place % 2 else word) for place, word in enumerate(words)]
 
 
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> SliceFolder:
+def parse_slices(path: Path, options: ReadOptions = AS_IT_IS) -> SliceFolder:
     """Read the headers of all slices.
 
     Raises
@@ -136,7 +135,7 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> SliceFolder:
     shapes = [_shape(header) for _, header in found]
     for file, shape in zip(files, shapes, strict=True):
         if shape != shapes[0] or shape[0] != 1:
-            sizes = (" x ".join(map(str, one[::-1])) for one in (shape, shapes[0]))
+            sizes = (" x ".join(map(str, lengths[::-1])) for lengths in (shape, shapes[0]))
             raise InputError(
                 f"{file.name} has {' pixels, the first slice '.join(sizes)}: one size and one slice in each expected",
                 "leave out the files that are none of the stack; give a pattern, as 'FOLDER/slice*.tif'",
@@ -185,7 +184,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _gaps(names: Sequence[str]) -> str:
-    """What is to be said where numbers are missing between those of the names; empty where none is."""
+    """Warning of numbers that are missing between those of the names; empty where none is."""
     numbers = [[int(n) for n in re.findall(r"[0-9]+", name)] for name in names]
     if len({len(some) for some in numbers}) != 1 or not numbers[0]:
         return ""
@@ -201,7 +200,7 @@ def _gaps(names: Sequence[str]) -> str:
     return f"slices are missing: the numbers of the files have gaps at {text}; the others are put side by side"
 
 
-def read(path: Path, header: SliceFolder, available: int) -> Volume:
+def read_slices(path: Path, header: SliceFolder, available: int) -> Volume:
     """Read all slices.
 
     Raises
@@ -211,9 +210,9 @@ def read(path: Path, header: SliceFolder, available: int) -> Volume:
     """
     check_memory(header.geometry.size, header.headers[0].pixel_bytes if header.form.name == "png" else 4, available)
     array: np.ndarray | None = None
-    for z, (file, one) in enumerate(zip(header.files, header.headers, strict=True)):
+    for z, (file, claim) in enumerate(zip(header.files, header.headers, strict=True)):
         with naming(file):
-            found = load(header.form.read)(file, one, available)
+            found = load(header.form.read)(file, claim, available)
             if array is None:
                 array, note = np.empty(header.geometry.shape, found.array.dtype), found.metadata.get(WARNING_KEY, "")
             if found.array.dtype != array.dtype:
@@ -226,7 +225,7 @@ def read(path: Path, header: SliceFolder, available: int) -> Volume:
     return Volume(array, header.geometry, with_warnings(header.metadata, colours), path)
 
 
-def open_lazily(path: Path, header: SliceFolder, opening: Opening) -> LazyVolume:
+def open_slices(path: Path, header: SliceFolder, opening: Opening) -> LazyVolume:
     """Open slices in TIFF, to be read box by box.
 
     Raises
@@ -237,9 +236,9 @@ def open_lazily(path: Path, header: SliceFolder, opening: Opening) -> LazyVolume
     if header.form.open is None:
         raise InputError("slices in PNG are packed as a whole", "convert them to one OME-Zarr or to TIFF")
     slabs = []
-    for file, one in zip(header.files, header.headers, strict=True):
+    for file, claim in zip(header.files, header.headers, strict=True):
         with naming(file):
-            slabs.append(load(header.form.open)(file, one, Opening(cache_bytes=opening.cache_bytes)).voxels)
+            slabs.append(load(header.form.open)(file, claim, Opening(cache_bytes=opening.cache_bytes)).voxels)
     layout = StoreLayout((header.geometry,), (1, *header.geometry.shape[1:]))
     voxels = StackedVoxels(slabs, [1] * len(slabs))
     return LazyVolume(voxels, header.geometry, dict(header.metadata), path, layout)

@@ -1,68 +1,301 @@
-"""The pages of a TIFF: what their directories claim, whether it is all there, and what unpacks them.
+"""The pages of a TIFF: what their directories claim, and whether it is all there.
 
-ITK returns something for nearly every TIFF: the high bytes of 16-bit tiles, half floats as integers, grey values and
-opacity in turns; tifffile returns a stack that was cut short without its last slices. So the directories are always
-read here first. ITK unpacks the pages that it gives back unchanged, tifffile all others.
+tifffile returns a stack that was cut short without its last slices, and ignores tags that are damaged. So the
+directories are always read here first; tifffile unpacks the pages.
 """
 
 from __future__ import annotations
 
-import zlib
+import os
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, Literal
+from typing import Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.formats.deflate import check_unpacked, inflated_bytes, run_lengths
-from accelsurf.io.formats.raster import STORED, TRUNCATED_HINT, RasterHeader
-from accelsurf.io.formats.tiff_directories import (
-    BITS,
-    COMPRESSION,
-    EXTRA,
-    FILL_ORDER,
-    FORMAT,
-    HEIGHT,
-    MAX_SAMPLES,
-    ORIENTATION,
-    PHOTOMETRIC,
-    PLANAR,
-    PREDICTOR,
-    ROWS,
-    RULES,
-    SAMPLES,
-    TILE_HEIGHT,
-    TILE_WIDTH,
-    TILES,
-    WIDTH,
-    Page,
-    TiffForm,
-    strips_of,
-)
+from accelsurf.io.formats.png import STORED, TRUNCATED_HINT, RasterHeader
 from accelsurf.settings import budgets
+
+SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = 254, 256, 257, 258, 259, 262, 270
+STRIPS, ORIENTATION, SAMPLES, ROWS, STRIP_BYTES, X_RES, Y_RES, PLANAR = 273, 274, 277, 278, 279, 282, 283, 284
+RES_UNIT, TILE_WIDTH, TILE_HEIGHT, TILES, TILE_BYTES, FORMAT = 296, 322, 323, 324, 325, 339
+FILL_ORDER, PREDICTOR, SUB_PAGES, EXTRA = 266, 317, 330, 338
+_NAMES = {
+    1: "BYTE", 2: "ASCII", 3: "SHORT", 4: "LONG", 5: "RATIONAL", 7: "UNDEFINED", 13: "IFD", 16: "LONG8", 18: "IFD8"
+}
+_TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 7: "s", 13: "I", 16: "Q", 18: "Q"}
+#: Types of values: whole numbers, of any length, as TIFF 6.0 asks of readers; offsets; texts; fractions.
+_WHOLE, _OFFSET, _TEXT, _FRACTION = (1, 3, 4, 16), (3, 4, 13, 16, 18), (1, 2, 7), (5,)
+_OF_BIG_TIFF = (16, 18)
+MAX_SAMPLES, ANY = (1 << 16) - 1, 1 << 62
+
+
+class TagRule(NamedTuple):
+    """Types and number of values that a tag may have: libraries ignore one that they do not understand.
+
+    Attributes
+    ----------
+    name : str
+        Of the tag.
+    types : tuple of int
+        Of its values, by their numbers in TIFF.
+    most : int
+        The largest number of values.
+    """
+
+    name: str
+    types: tuple[int, ...] = _WHOLE
+    most: int = 1
+
+
+#: The tags that are read.
+RULES = {
+    SUBFILE: TagRule("NewSubfileType"), WIDTH: TagRule("ImageWidth"), HEIGHT: TagRule("ImageLength"),
+    BITS: TagRule("BitsPerSample", most=MAX_SAMPLES), COMPRESSION: TagRule("Compression"),
+    PHOTOMETRIC: TagRule("PhotometricInterpretation"), FILL_ORDER: TagRule("FillOrder"),
+    DESCRIPTION: TagRule("ImageDescription", _TEXT, ANY), STRIPS: TagRule("StripOffsets", _OFFSET, ANY),
+    ORIENTATION: TagRule("Orientation"), SAMPLES: TagRule("SamplesPerPixel"), ROWS: TagRule("RowsPerStrip"),
+    STRIP_BYTES: TagRule("StripByteCounts", _WHOLE, ANY), X_RES: TagRule("XResolution", _FRACTION),
+    Y_RES: TagRule("YResolution", _FRACTION), PLANAR: TagRule("PlanarConfiguration"),
+    RES_UNIT: TagRule("ResolutionUnit"), PREDICTOR: TagRule("Predictor"), TILE_WIDTH: TagRule("TileWidth"),
+    TILE_HEIGHT: TagRule("TileLength"), TILES: TagRule("TileOffsets", _OFFSET, ANY),
+    TILE_BYTES: TagRule("TileByteCounts", _WHOLE, ANY), SUB_PAGES: TagRule("SubIFDs", _OFFSET, 32),
+    EXTRA: TagRule("ExtraSamples", most=MAX_SAMPLES), FORMAT: TagRule("SampleFormat", most=MAX_SAMPLES),
+}
+_MAX_ENTRIES = 4096
+
+Page = dict[int, tuple[Any, ...]]
+
+
+class TiffForm(NamedTuple):
+    """Byte order and widths of the numbers of a file.
+
+    Attributes
+    ----------
+    order : str
+        Byte order.
+    word, counter : str
+        Codes of an offset and of a number of entries, as of `struct`.
+    entry_bytes : int
+        Length of an entry.
+    first : int
+        Where the first directory begins.
+    size : int
+        Bytes of the file.
+    """
+
+    order: Literal["<", ">"]
+    word: str
+    counter: str
+    entry_bytes: int
+    first: int
+    size: int
+
+
+class Directory(NamedTuple):
+    """A directory.
+
+    Attributes
+    ----------
+    page : Page
+        The values by tag.
+    following : int
+        Where the next directory begins; 0 where there is none.
+    spent : int
+        Bytes of the values of this one and of those before.
+    length : int
+        Bytes of the directory itself.
+    """
+
+    page: Page
+    following: int
+    spent: int
+    length: int
+
+
+def read_form(file: BinaryIO) -> TiffForm:
+    """Read the first bytes of a file.
+
+    Raises
+    ------
+    InputError
+        When it is no TIFF; struct.error when it ends too early.
+    """
+    size = file.seek(0, os.SEEK_END)
+    file.seek(0)
+    start = file.read(16)
+    order: Literal["<", ">"] = "<" if start[:2] == b"II" else ">"
+    version = struct.unpack(order + "H", start[2:4])[0] if start[:2] in (b"II", b"MM") and len(start) >= 4 else 0
+    if version not in (42, 43):
+        raise InputError("this is not a TIFF image: it does not start as one", hint="is it the right file?")
+    big = version == 43
+    word, count, entry = ("Q", "Q", 20) if big else ("I", "H", 12)
+    first = struct.unpack_from(order + word, start, 8 if big else 4)[0]
+    return TiffForm(order, word, count, entry, first, size)
+
+
+class Directories(NamedTuple):
+    """Directories of an open file.
+
+    Attributes
+    ----------
+    file : binary file
+    form : TiffForm
+        Of its numbers.
+    pages : mapping of int to Page
+        Where each directory begins, and its tags.
+    """
+
+    file: BinaryIO
+    form: TiffForm
+    pages: Mapping[int, Page]
+
+
+def read_pages(file: BinaryIO) -> Directories:
+    """Read the directories of a file, one after the other.
+
+    Raises
+    ------
+    InputError
+        When it is no TIFF or its pages run in a circle; ValueError or struct.error when it is damaged.
+    """
+    form = read_form(file)
+    at, spent, length = form.first, 0, 0
+    pages: dict[int, Page] = {}
+    while at:
+        if at in pages:
+            raise InputError("the pages of the TIFF run in a circle", hint=TRUNCATED_HINT)
+        found = read_directory(file, form, at, spent)
+        # Directories may not lie upon one another: there could be one for nearly each byte of the file.
+        spent, length = found.spent, length + found.length
+        budgets.TIFF_TAGS.check(length, "the directories of the TIFF, which overlap", form.size)
+        if WIDTH not in found.page or HEIGHT not in found.page:
+            raise ValueError
+        pages[at] = found.page
+        at = found.following
+    return Directories(file, form, pages)
+
+
+def read_directory(file: BinaryIO, form: TiffForm, at: int, spent: int = 0) -> Directory:
+    """Read one directory.
+
+    Parameters
+    ----------
+    file : binary file
+    form : TiffForm
+        How it is written.
+    at : int
+        Where the directory begins.
+    spent : int
+        Bytes of the values of directories before: pages may name the same bytes again and again.
+
+    Raises
+    ------
+    InputError
+        When a tag is not as it has to be, or the values take more bytes than the file has; ValueError or struct.error
+        when it is damaged.
+    """
+    order, word, entry = form.order, form.word, form.entry_bytes
+    file.seek(at)
+    (count,) = struct.unpack(order + form.counter, file.read(struct.calcsize(form.counter)))
+    if count > _MAX_ENTRIES:
+        raise ValueError
+    raw = file.read(count * entry)
+    (following,) = struct.unpack(order + word, file.read(struct.calcsize(word)))
+    length = file.tell() - at
+    page: Page = {}
+    for place in range(0, count * entry, entry):
+        tag, kind, n = struct.unpack_from(order + "HH" + word, raw, place)
+        if (rule := RULES.get(tag)) is None:
+            continue
+        if tag in page:  # libraries do not agree which of the two counts
+            raise ValueError
+        field = raw[place + 4 + struct.calcsize(word) : place + entry]
+        _check(rule, kind, n, field)
+        spent += n * struct.calcsize("=" + _TYPES[kind])
+        budgets.TIFF_TAGS.check(spent, "the entries of the TIFF", form.size + (1 << 16))
+        page[tag] = _values(file, order, tag, kind, n, field)
+    return Directory(page, following, spent, length)
+
+
+def _check(rule: TagRule, kind: int, count: int, field: bytes) -> None:
+    """Refuse an entry whose type or number of values are not those of its tag, or not those that were written.
+
+    Raises
+    ------
+    InputError
+        With both.
+    """
+    is_known = kind in rule.types and 0 < count <= rule.most and (kind not in _OF_BIG_TIFF or len(field) == 8)
+    size = struct.calcsize("=" + _TYPES[kind]) * count if is_known else 0
+    # What an entry does not fill is zero: other bytes are of a longer value.
+    if not is_known or (size < len(field) and rule.types != _TEXT and any(field[size:])):
+        most = f"at most {rule.most} " if rule.most < ANY else ""
+        raise InputError(
+            f"the tag {rule.name} of the TIFF is damaged: {count} value{'s' if count > 1 else ''} of type "
+            f"{_NAMES.get(kind, kind)}, {most}of type {' or '.join(_NAMES[known] for known in rule.types)} expected",
+            TRUNCATED_HINT,
+        )
+
+
+def _values(file: BinaryIO, order: str, tag: int, kind: int, count: int, field: bytes) -> tuple[Any, ...]:
+    """The values of an entry, in the entry itself or where it points; of a text also whether its end mark is there."""
+    code = "s" if RULES[tag].types == _TEXT else _TYPES[kind]
+    size = struct.calcsize(order + code) * count
+    if size > len(field):
+        file.seek(struct.unpack(order + ("Q" if len(field) == 8 else "I"), field)[0])
+        field = file.read(size)
+    if code == "s":
+        text, mark, _ = field[:count].partition(b"\0")
+        return _decoded(text), bool(mark)
+    return struct.unpack(f"{order}{count * len(code)}{code[0]}", field[:size])
+
+
+def _decoded(text: bytes) -> str:
+    """A text in UTF-8; one that is none is in Latin-1, as ImageJ writes it: its micro sign is one byte."""
+    try:
+        return text.decode()
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
+
+
+def strips_of(page: Page) -> NDArray[np.int64]:
+    """Offset and length of the strips or tiles of a page.
+
+    Raises
+    ------
+    InputError
+        When they overlap.
+    """
+    offsets, lengths = (TILES, TILE_BYTES) if TILES in page else (STRIPS, STRIP_BYTES)
+    strips = np.stack([np.array(page[offsets], np.int64), np.array(page[lengths], np.int64)], axis=1)
+    ordered = strips[np.argsort(strips[:, 0], kind="stable")]
+    if (ordered[1:, 0] - ordered[:-1, 0] < ordered[:-1, 1]).any():
+        raise InputError("strips or tiles of a page of the TIFF overlap", TRUNCATED_HINT)
+    return strips
+
 
 _PLAIN_HINT = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
 _MAX_TILE_EDGE = 1 << 12  # along an edge: a tile is held in memory, whatever the size of the image
 _DIRECTORY_BYTES = 186  # about
 
-_DEFLATE = (8, 32946)
-_LZW, _PACKBITS = 5, 32773
-_COMPRESSIONS = (1, _LZW, *_DEFLATE, _PACKBITS)  # the first: none
-_NO_PREDICTOR = (1, _PACKBITS)  # packings whose bytes are no differences
+DEFLATE = (8, 32946)
+LZW, PACKBITS = 5, 32773
+_RATIOS = {LZW: budgets.LZW, PACKBITS: budgets.PACKBITS, **dict.fromkeys(DEFLATE, budgets.DEFLATE)}
+_NO_PREDICTOR = (1, PACKBITS)  # packings whose bytes are no differences
 _FIRST_BYTE = 8  # after which strips and directories begin
-_CHUNK = 1 << 16
 #: Types of values by bits and sample format.
 _KINDS = {kind: name for name, kind in STORED.items()} | {
     **{(1, 1): "uint8", (64, 1): "uint64", (64, 2): "int64", (16, 3): "float16", (64, 3): "float64"}
 }
-Decoder = Literal["ITK", "tifffile"]
 
 @dataclass(frozen=True)
 class TiffHeader(RasterHeader):
-    """What the directories of a TIFF claim, and whether all of it is there.
+    """Claims of the directories of a TIFF, and the check that all of it is there.
 
     Attributes
     ----------
@@ -72,8 +305,6 @@ class TiffHeader(RasterHeader):
         Offset and length of the strips or tiles.
     compression : int
         Compression, by its number.
-    tiled : bool
-        Whether the voxels are in tiles, which may go beyond the image.
     directories : ndarray (n,) of int64
         Where the directories of the pages begin.
     stored : numpy.dtype or None
@@ -82,23 +313,20 @@ class TiffHeader(RasterHeader):
         Where the rows of each page begin, if they lie one after the other as they are.
     ends : ndarray (n,) of int64
         How many of the strips belong to the pages up to each.
-    decoder : str
-        What the pages are unpacked by.
+    is_white_zero : bool
+        Of black and white.
     sample : int or None
         Which value of each pixel is read, where it has several that are no colour.
     """
 
-    itk_name: ClassVar[str] = "TIFFImageIO"
-
     strip_bytes: NDArray[np.int64]
     strips: NDArray[np.int64]
     compression: int
-    tiled: bool
     directories: NDArray[np.int64]
     stored: np.dtype[Any] | None
     planes: NDArray[np.int64] | None
     ends: NDArray[np.int64]
-    decoder: Decoder = "ITK"
+    is_white_zero: bool = False
     sample: int | None = None
 
     @property
@@ -106,55 +334,17 @@ class TiffHeader(RasterHeader):
         """Bytes of all rows when unpacked; of pages in tiles, with what goes beyond the image."""
         return int(self.strip_bytes.sum()) * self.shape[0]
 
-    def of_pages(self, pages: Sequence[int], sample: int | None = None) -> TiffHeader:
-        """The header of some of the pages, in an order."""
+    def select_pages(self, pages: Sequence[int], sample: int | None = None) -> TiffHeader:
+        """Return the header of some of the pages, in an order."""
         starts = np.concatenate([[0], self.ends[:-1]])
-        some = [self.strips[starts[page] : self.ends[page]] for page in pages]
+        strips = [self.strips[starts[page] : self.ends[page]] for page in pages]
         _, ny, nx = self.shape
         return replace(
             self, shape=(len(pages), ny, nx),
-            strips=np.concatenate(some), ends=np.cumsum([len(one) for one in some], dtype=np.int64),
+            strips=np.concatenate(strips), ends=np.cumsum([len(places) for places in strips], dtype=np.int64),
             directories=self.directories[list(pages)], sample=sample,
             planes=None if self.planes is None else self.planes[list(pages)],
         )
-
-    def check_complete(self) -> None:
-        """Refuse a TIFF whose strips are not all there, or hold other numbers of bytes than its tags announce.
-
-        Raises
-        ------
-        InputError
-            With what is missing.
-        """
-        self.check_places()
-        stored = sum(self.strips[:, 1].tolist())
-        if ratio := {_LZW: budgets.LZW, _PACKBITS: budgets.PACKBITS}.get(self.compression):
-            ratio.check(self.unpacked_bytes, "the header announces voxels", stored)
-        if self.compression not in (1, *_DEFLATE, _PACKBITS):
-            return
-        if self.planes is not None and stored == self.unpacked_bytes:
-            return  # the rows of each page follow one another, however the strips divide them
-        present = 0
-        with self.data.open("rb") as file:
-            for (offset, length), announced in zip(self.strips.tolist(), self._announced(), strict=True):
-                file.seek(offset)
-                found = length if self.compression == 1 else self._unpacked(file, length, announced)
-                present += found
-                # A library leaves out what is too much, and fills up what is missing.
-                if found > announced or (found < announced and len(self.strips) > 1):
-                    raise InputError(
-                        f"a strip or tile of the TIFF holds {found} bytes of voxels, its tags announce {announced}",
-                        TRUNCATED_HINT,
-                    )
-        if present < self.unpacked_bytes:
-            raise InputError(
-                f"the header announces {self.unpacked_bytes} bytes of voxels, the file holds {present}",
-                hint=TRUNCATED_HINT,
-            )
-
-    def _announced(self) -> list[int]:
-        """Bytes of each strip when unpacked."""
-        return np.tile(self.strip_bytes, self.shape[0]).tolist()
 
     def check_places(self) -> None:
         """Refuse a TIFF whose strips lie beyond its end, or upon one another.
@@ -175,23 +365,18 @@ class TiffHeader(RasterHeader):
             )
         stored = sum(lengths.tolist())
         budgets.TIFF_STRIPS.check(stored, "the strips of the TIFF overlap", size + _DIRECTORY_BYTES)
-
-    def _unpacked(self, file: BinaryIO, length: int, announced: int) -> int:
-        """Bytes that a strip of a file unpacks to, read no further than is needed to refuse it."""
-        if self.compression == _PACKBITS:
-            return run_lengths(file.read(length))
-        unpack, present = zlib.decompressobj(), 0
-        while length > 0 and not unpack.eof and (piece := file.read(min(length, _CHUNK))):
-            length -= len(piece)
-            present += inflated_bytes(unpack, piece)
-            check_unpacked(present, announced)
-        return present
+        if ratio := _RATIOS.get(self.compression):
+            ratio.check(self.unpacked_bytes, "the header announces voxels", stored)
+        if self.compression == 1 and (lengths != np.tile(self.strip_bytes, self.shape[0])).any():
+            raise InputError(
+                f"the header announces {self.unpacked_bytes} bytes of voxels, the file holds {stored}", TRUNCATED_HINT
+            )
 
 
 def header_of(
     path: Path, form: TiffForm, pages: Mapping[int, Page], spacing: tuple[float, float, float], repeats: int = 1
 ) -> TiffHeader:
-    """What the directories of like pages claim.
+    """Collect the claims of the directories of like pages.
 
     Parameters
     ----------
@@ -213,19 +398,20 @@ def header_of(
         damaged.
     """
     listed = list(pages.values())
-    first, decoder = _page_kind(listed[0]), _decoder(listed[0])
+    first = _page_kind(listed[0])
+    _check_kind(listed[0])
     for number, page in enumerate(listed[1:], 2):
         if _page_kind(page) != first:
             raise InputError(
                 f"page {number} of the TIFF differs from the first in size or type, like slices expected",
                 hint="extract the page, or the pages of one size, first",
             )
-    page, tiled = listed[0], TILES in listed[0]
+    page = listed[0]
     width, height, bits = int(page[WIDTH][0]), int(page[HEIGHT][0]), sum(_bits(page))
     compression = int(page.get(COMPRESSION, (1,))[0])
-    strips = [strips_of(one) for one in listed]
-    stored, pixel = _stored_type(page, form.order), 4 if tiled or bits == 1 else bits // 8  # 4: ITK gives colours
-    is_plain = stored is not None and len(_bits(page)) == 1 and bits > 1 and compression == 1 and not tiled
+    strips = [strips_of(page) for page in listed]
+    stored, pixel = _stored_type(page, form.order), max(1, bits // 8)
+    is_plain = stored is not None and len(_bits(page)) == 1 and bits > 1 and compression == 1 and TILES not in page
     page_bytes = height * width * bits // 8
     planes, places = _planes(strips, page_bytes) if is_plain else None, np.array(list(pages), np.int64)
     if repeats > 1:
@@ -241,8 +427,8 @@ def header_of(
     ends = np.cumsum([len(some) for some in strips], dtype=np.int64) if repeats == 1 else np.arange(1, repeats + 1)
     strip_bytes = np.array([page_bytes]) if planes is not None else _strip_bytes(page, width, height, strips)
     return TiffHeader(
-        path, (len(places), height, width), spacing, pixel, strip_bytes, np.concatenate(strips), compression, tiled,
-        places, stored, planes, ends, decoder,
+        path, (len(places), height, width), spacing, pixel, strip_bytes, np.concatenate(strips), compression,
+        places, stored, planes, ends, page.get(PHOTOMETRIC, (1,))[0] == 0,
     )
 
 
@@ -255,7 +441,7 @@ def _stored_type(page: Page, order: Literal["<", ">"]) -> np.dtype[Any] | None:
 
 
 def _planes(strips: Sequence[NDArray[np.int64]], page_bytes: int) -> NDArray[np.int64] | None:
-    """Where the pages begin, if the strips of each follow one another; None if not."""
+    """Bytes at which the pages begin, if the strips of each follow one another; None if not."""
     for some in strips:
         if some[:, 1].sum() != page_bytes or (some.sum(axis=1)[:-1] != some[1:, 0]).any():
             return None
@@ -298,16 +484,16 @@ def _rows(page: Page) -> int:
 
 def _bits(page: Page) -> tuple[int, ...]:
     """Bits of each value of a pixel."""
-    return of_samples(page, BITS)
+    return sample_values(page, BITS)
 
 
 def _format(page: Page) -> int:
     """Sample format of all values of a pixel; 0 where they have several."""
-    found = set(of_samples(page, FORMAT))
+    found = set(sample_values(page, FORMAT))
     return found.pop() if len(found) == 1 else 0
 
 
-def of_samples(page: Page, tag: int) -> tuple[int, ...]:
+def sample_values(page: Page, tag: int) -> tuple[int, ...]:
     """Values of a tag that has one for each value of a pixel, or one for all.
 
     Raises
@@ -325,7 +511,7 @@ def of_samples(page: Page, tag: int) -> tuple[int, ...]:
 
 
 def _page_kind(page: Page) -> tuple[Any, ...]:
-    """What the pages of a stack have in common."""
+    """Key that the pages of a stack share."""
     keys = (COMPRESSION, PHOTOMETRIC, ORIENTATION, PLANAR, PREDICTOR, FILL_ORDER)
     tags = tuple(page.get(key, (1,))[0] for key in keys)
     tile = page.get(TILE_WIDTH), page.get(TILE_HEIGHT), TILES in page
@@ -333,17 +519,17 @@ def _page_kind(page: Page) -> tuple[Any, ...]:
 
 
 def samples_of(page: Page) -> int:
-    """How many values a pixel has that are channels: 1 for a colour."""
+    """Number of values of a pixel that are channels: 1 for a colour."""
     return len(_bits(page)) if page.get(PHOTOMETRIC, (1,))[0] in (0, 1) else 1
 
 
-def _decoder(page: Page) -> Decoder:
-    """What unpacks the pages: ITK, where it gives the values as they are, else tifffile.
+def _check_kind(page: Page) -> None:
+    """Refuse pages that do not give one number for each value of a pixel.
 
     Raises
     ------
     InputError
-        For what neither gives as one number for each pixel.
+        With what they hold.
     """
     bits, form, colour = _bits(page), _format(page), page.get(PHOTOMETRIC, (1,))[0]
     tiled, compression, predictor = TILES in page, page.get(COMPRESSION, (1,))[0], page.get(PREDICTOR, (1,))[0]
@@ -377,13 +563,5 @@ def _decoder(page: Page) -> Decoder:
         wrong = "colour channels one after the other"
     elif tiled and max(page[TILE_WIDTH][0], page[TILE_HEIGHT][0]) > _MAX_TILE_EDGE:
         wrong = f"tiles of {page[TILE_WIDTH][0]} x {page[TILE_HEIGHT][0]}"
-    elif not grey and (compression not in _COMPRESSIONS or (tiled and bits[0] != 8)):
-        wrong = f"colours in tiles, or packed by compression number {compression},"
     if wrong:
         raise InputError(f"a TIFF with {wrong} given, which cannot be read faithfully", hint=_PLAIN_HINT)
-    if bits == (1,):
-        if tiled or compression not in _COMPRESSIONS:
-            raise InputError("a TIFF of packed or tiled black and white given", hint=_PLAIN_HINT)
-        return "ITK"
-    plain = (bits[0], form) in STORED.values() and compression in _COMPRESSIONS and (len(bits) == 1 or not grey)
-    return "ITK" if plain and (not tiled or (bits[0], form) == (8, 1)) else "tifffile"

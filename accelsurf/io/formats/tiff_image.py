@@ -1,6 +1,6 @@
 """TIFF images: stacks, hyperstacks of ImageJ, OME-TIFF also of several files, pyramids; one or more channels at a time.
 
-The pages are found and checked here, whatever unpacks them later (see `accelsurf.io.formats.tiff`).
+The pages are found and checked here, before anything unpacks them (see `accelsurf.io.formats.tiff`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -19,29 +18,28 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
-from accelsurf.io import headers, selection
-from accelsurf.io.formats.raster import TRUNCATED_HINT
+from accelsurf.io import headers
+from accelsurf.io.channels import selected, single, to_grey
+from accelsurf.io.formats.png import TRUNCATED_HINT
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
-from accelsurf.io.formats.tiff import TiffHeader, header_of, samples_of
-from accelsurf.io.formats.tiff_directories import (
+from accelsurf.io.formats.tiff import (
     HEIGHT,
     SUB_PAGES,
     SUBFILE,
     WIDTH,
+    Directories,
     Page,
-    TiffForm,
+    TiffHeader,
+    header_of,
     read_directory,
     read_pages,
+    samples_of,
 )
-from accelsurf.io.formats.tiff_pages import TiffPages, library
+from accelsurf.io.formats.tiff_pages import TiffPages
 from accelsurf.io.formats.tiff_stack import TiffStack, stack_of
-from accelsurf.io.frame_times import FrameTimes
-from accelsurf.io.grey import to_grey
-from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout, VoxelSource
-from accelsurf.io.levels import checked_level
+from accelsurf.io.headers import FRAME_KEY, UNIT_KEY, FrameTimes, with_warnings
+from accelsurf.io.lazy_volume import LazyVolume, Opening, StackedVoxels, StoreLayout, VoxelSource, checked_level
 from accelsurf.io.memory import check_memory
-from accelsurf.io.metadata import FRAME_KEY, UNIT_KEY, with_warnings
-from accelsurf.io.stacked_voxels import StackedVoxels
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 _MAX_LEVELS = 32
@@ -50,7 +48,7 @@ Spacing = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class TiffImage:
-    """What a TIFF claims.
+    """Claims of a TIFF.
 
     Attributes
     ----------
@@ -83,12 +81,12 @@ class TiffImage:
 
     @property
     def channels(self) -> int:
-        """How many there are."""
+        """Number of them."""
         return self.stack.channels * self.samples
 
     @property
     def time_points(self) -> int:
-        """How many there are."""
+        """Number of them."""
         return self.stack.time_points
 
     @property
@@ -103,12 +101,12 @@ class TiffImage:
 
     @property
     def values(self) -> int:
-        """How many values are read, those of all channels together."""
-        places = selection.selected(self.channels, self.stack.time_points, self.options)
+        """Number of values that are read, those of all channels together."""
+        places = selected(self.channels, self.stack.time_points, self.options)
         return len(places) * math.prod(self.grids[self.level].shape)
 
 
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
+def parse_tiff(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
     """Read the directories of a TIFF (also BigTIFF), and of the files that belong to it.
 
     Raises
@@ -120,25 +118,23 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
     """
     try:
         with path.open("rb") as file:
-            form, all_pages = read_pages(file)
-            pages = _without_thumbnails(all_pages)
+            found = read_pages(file)
+            pages = _without_thumbnails(found.pages)
             first = next(iter(pages.values()))
             samples = samples_of(first)
             stack = stack_of(first, len(pages), samples)
-            sizes = _level_sizes(file, form, first)
+            sizes = _level_sizes(found, first)
             level = checked_level(options.level, sizes)
             spacing, metadata = _spacing(stack, options)
             grids = _grids(stack, sizes, spacing)
-            listed = all_pages if stack.counts_all else pages
-            parts, stack = _headers_of_files(path, (file, form, listed), stack, level, grids[level].spacing)
+            found = found if stack.counts_all else found._replace(pages=pages)
+            parts, stack = _headers_of_files(path, found, stack, level, grids[level].spacing)
     except (LookupError, TypeError, ValueError, OverflowError, struct.error):
         raise InputError("the TIFF header is cut short or damaged", hint=TRUNCATED_HINT) from None
-    if any(part.decoder == "tifffile" for part in parts):
-        library()  # one that is missing is said before anything is read
     return TiffImage(path, stack, parts, samples, grids, level, metadata, options)
 
 
-def _without_thumbnails(all_pages: dict[int, Page]) -> dict[int, Page]:
+def _without_thumbnails(all_pages: Mapping[int, Page]) -> dict[int, Page]:
     """The pages that are not smaller versions of others.
 
     Raises
@@ -191,14 +187,14 @@ def _spacing(stack: TiffStack, options: ReadOptions) -> tuple[Spacing, dict[str,
     return spacing, metadata
 
 
-def _level_sizes(file: BinaryIO, form: TiffForm, first: Page) -> list[tuple[int, int]]:
+def _level_sizes(found: Directories, first: Page) -> list[tuple[int, int]]:
     """Rows and columns of the levels, by the directories below that of the first page."""
     sizes = [(int(first[HEIGHT][0]), int(first[WIDTH][0]))]
     below = first.get(SUB_PAGES, ())
     if len(below) > _MAX_LEVELS or min(sizes[0]) < 1:
         raise ValueError
     for at in below:
-        page = read_directory(file, form, int(at))[0]
+        page = read_directory(found.file, found.form, int(at)).page
         height, width = int(page[HEIGHT][0]), int(page[WIDTH][0])
         if not (0 < height <= sizes[-1][0] and 0 < width <= sizes[-1][1]):
             return sizes[:1]  # it is no pyramid
@@ -219,7 +215,7 @@ def _grids(stack: TiffStack, sizes: Sequence[tuple[int, int]], spacing: Spacing)
 
 
 def _headers_of_files(
-    path: Path, own: tuple[BinaryIO, TiffForm, Mapping[int, Page]], stack: TiffStack, level: int, spacing: Spacing
+    path: Path, found: Directories, stack: TiffStack, level: int, spacing: Spacing
 ) -> tuple[tuple[TiffHeader, ...], TiffStack]:
     """The headers of the files at a level, and the stack with numbers of their pages."""
     numbers = np.zeros_like(stack.pages) if stack.file_numbers is None else stack.file_numbers
@@ -231,22 +227,22 @@ def _headers_of_files(
             continue
         wanted, places = np.unique(stack.pages[mine], return_inverse=True)
         if not number:
-            repeats = stack.pages.size if len(stack.files) == len(own[2]) == 1 and not stack.counts_all else 1
-            header = _file_header(path, own, wanted, level, spacing, repeats)
+            repeats = stack.pages.size if len(stack.files) == len(found.pages) == 1 and not stack.counts_all else 1
+            header = _file_header(path, found, wanted, level, spacing, repeats)
         else:
             other = path.parent / name
             headers.check_data_file(path, other)
             with other.open("rb") as file:
-                header = _file_header(other, (file, *read_pages(file)), wanted, level, spacing, 1)
+                header = _file_header(other, read_pages(file), wanted, level, spacing, 1)
         new_pages[mine], new_files[mine] = places, len(parts)
         parts.append(header)
-    if len({(part.shape[1:], part.stored, part.decoder) for part in parts}) > 1:
+    if len({(part.shape[1:], part.stored) for part in parts}) > 1:
         raise InputError("the files of the OME-TIFF differ in size or type", "export them again")
     return tuple(parts), replace(stack, pages=new_pages, file_numbers=new_files)
 
 
 def _file_header(
-    path: Path, found: tuple[BinaryIO, TiffForm, Mapping[int, Page]], wanted: np.ndarray, level: int, spacing: Spacing,
+    path: Path, found: Directories, wanted: np.ndarray, level: int, spacing: Spacing,
     repeats: int,
 ) -> TiffHeader:
     """The header of some pages of a file."""
@@ -261,13 +257,13 @@ def _file_header(
     some = dict(listed[page] for page in wanted.tolist())
     if level:
         below = [int(page[SUB_PAGES][level - 1]) for page in some.values()]
-        some = {at: read_directory(file, form, at)[0] for at in below}
+        some = {at: read_directory(file, form, at).page for at in below}
         if len(some) < len(below):
             raise InputError("pages of the TIFF share a directory of a level", TRUNCATED_HINT)
     return header_of(path, form, some, spacing)
 
 
-def open_lazily(path: Path, header: TiffImage, opening: Opening) -> LazyVolume:
+def open_tiff(path: Path, header: TiffImage, opening: Opening) -> LazyVolume:
     """Open one channel of a grey image, to be read box by box.
 
     Parameters
@@ -284,7 +280,7 @@ def open_lazily(path: Path, header: TiffImage, opening: Opening) -> LazyVolume:
     InputError
         When it is a colour image, is cut short, or has several channels or time points of which none was named.
     """
-    place = selection.single(header.channels, header.stack.time_points, header.options)
+    place = single(header.channels, header.stack.time_points, header.options)
     return _opened(path, header, *place, opening.cache_bytes)
 
 
@@ -297,7 +293,7 @@ def _opened(path: Path, image: TiffImage, t: int, c: int, cache_bytes: int) -> L
     numbers = image.stack.file_numbers[t, c // image.samples].tolist()
     sources, depths, is_packed = [], [], False
     for number, group in itertools.groupby(zip(numbers, pages, strict=True), key=lambda pair: pair[0]):
-        part = image.parts[number].of_pages([page for _, page in group], sample)
+        part = image.parts[number].select_pages([page for _, page in group], sample)
         sources.append(_source(part, cache_bytes))
         depths.append(part.shape[0])
         is_packed = is_packed or part.planes is None
@@ -326,7 +322,7 @@ def _source(header: TiffHeader, cache_bytes: int) -> VoxelSource:
     return TiffPages(header, cache_bytes)
 
 
-def read(path: Path, header: TiffImage, available: int) -> Volume:
+def read_tiff(path: Path, header: TiffImage, available: int) -> Volume:
     """Read an image of one channel, or the channel that was asked for.
 
     Raises
@@ -334,19 +330,19 @@ def read(path: Path, header: TiffImage, available: int) -> Volume:
     InputError
         When the file is incomplete, larger than the memory, or has several channels or time points.
     """
-    place = selection.single(header.channels, header.stack.time_points, header.options)
+    place = single(header.channels, header.stack.time_points, header.options)
     return _read(path, header, place, available, 1)
 
 
-def read_channels(path: Path, header: TiffImage, available: int) -> list[Volume]:
+def read_tiff_channels(path: Path, header: TiffImage, available: int) -> list[Volume]:
     """Read the channels of an image, or the one that was asked for.
 
     Raises
     ------
     InputError
-        As `read`, and for more than `selection.MAX_CHANNELS` channels.
+        As `read_tiff`, and for more than `accelsurf.io.channels.MAX_CHANNELS` channels.
     """
-    places = selection.selected(header.channels, header.stack.time_points, header.options)
+    places = selected(header.channels, header.stack.time_points, header.options)
     return [_read(path, header, place, available, len(places)) for place in places]
 
 
@@ -356,7 +352,7 @@ def _read(path: Path, image: TiffImage, place: tuple[int, int], available: int, 
     check_memory(grid.shape[::-1], part.pixel_bytes * count, available)
     if part.stored is None and len(image.parts) == 1:
         t, c = place
-        pages = TiffPages(part.of_pages(image.stack.pages[t, c].tolist()), 0)
+        pages = TiffPages(part.select_pages(image.stack.pages[t, c].tolist()), 0)
         array, note = to_grey(pages.read(whole_box(grid.shape)))
         return Volume(array, grid, with_warnings(image.metadata, note), path)
     lazy = _opened(path, image, *place, 0)

@@ -1,8 +1,8 @@
-"""TIFF stacks that are read some pages at a time.
+"""TIFF stacks that are read some pages at a time, unpacked by tifffile.
 
-Packed pages are copied, as they are packed, into a file of their own, which ITK reads. It has only tags that were
-checked: what libtiff says of it is no remark about a private tag, but a damage. Pages that ITK would change are
-unpacked by tifffile.
+tifffile cuts off what is too much in a strip and fills up what is missing, so the packings that have no length of their
+own are unpacked here first, to exactly the bytes that the tags announce; tifffile undoes the differences and puts the
+strips or tiles in their places. Without the package imagecodecs it has no LZW: Pillow unpacks that.
 """
 
 from __future__ import annotations
@@ -10,59 +10,32 @@ from __future__ import annotations
 import logging
 import os
 import struct
-from collections.abc import Iterator, Sequence
+import zlib
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
+from io import BytesIO
 from threading import get_ident
-from types import ModuleType
 from typing import Any, BinaryIO
 
 import numpy as np
+import tifffile
 from numpy.typing import NDArray
+from PIL.TiffImagePlugin import TiffImageFile
 
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
 from accelsurf.io import itk
-from accelsurf.io.chunk_cache import ChunkCache
 from accelsurf.io.files import file_version, one_line
-from accelsurf.io.formats.raster import TRUNCATED_HINT
+from accelsurf.io.formats.png import TRUNCATED_HINT
 from accelsurf.io.formats.raw_voxels import CHANGED
-from accelsurf.io.formats.tiff import TiffHeader, of_samples
-from accelsurf.io.formats.tiff_directories import (
-    BITS,
-    COMPRESSION,
-    EXTRA,
-    FORMAT,
-    HEIGHT,
-    PHOTOMETRIC,
-    PLANAR,
-    PREDICTOR,
-    ROWS,
-    SAMPLES,
-    STRIP_BYTES,
-    STRIPS,
-    TILE_BYTES,
-    TILE_HEIGHT,
-    TILE_WIDTH,
-    TILES,
-    WIDTH,
-    Page,
-    read_directory,
-    read_form,
-    strips_of,
-)
-from accelsurf.io.formats.tiff_file import MAX_FILE_BYTES
-from accelsurf.io.grey import to_grey
+from accelsurf.io.formats.tiff import DEFLATE, LZW, PACKBITS, TiffHeader, read_directory, read_form, strips_of
+from accelsurf.io.lazy_volume import ChunkCache
 
-#: The tags that ITK gets beside those of strips and tiles: all that say how voxels are stored.
-_GIVEN = (
-    WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, SAMPLES, ROWS, PLANAR, PREDICTOR, TILE_WIDTH, TILE_HEIGHT, EXTRA,
-    FORMAT,
-)
-_SHORT, _LONG = 3, 4
-_LZW = 5
-#: Packings that tifffile unpacks to bytes: LZW, LZMA, Zstandard by both numbers.
-_STREAMS = (_LZW, 34925, 34926, 50000)
+#: Packings of bytes, whose length tells nothing of the image: LZMA and Zstandard by both numbers among them.
+_STREAMS = (1, LZW, PACKBITS, *DEFLATE, 34925, 34926, 50000)
+_OF_FLOATS = 3  # the predictor whose differences are of the bytes of floats
 _GROUP_BYTES = 1 << 26  # of pages that are unpacked at once where none is held
 
 
@@ -84,8 +57,8 @@ class TiffPages:
         self._cache = ChunkCache(cache_bytes)
         self._version = file_version(header.data.stat())
         _, ny, nx = header.shape
-        self._step = 1 if cache_bytes else max(1, _GROUP_BYTES // (ny * nx * header.pixel_bytes))
         self._is_checked = False
+        self._step = 1 if cache_bytes else max(1, _GROUP_BYTES // (ny * nx * header.pixel_bytes))
 
     @property
     def bytes_read(self) -> int:
@@ -109,93 +82,57 @@ class TiffPages:
             values[z - box[0].start : some.stop - box[0].start] = pages[(slice(None), *box[1:])]
         return np.empty([s.stop - s.start for s in box], self.dtype) if values is None else values
 
-    def _pages(self, some: range) -> NDArray[Any]:
-        """The values of some pages."""
+    def _pages(self, numbers: range) -> NDArray[Any]:
+        """Return the values of some pages."""
         header = self._header
         with header.data.open("rb") as file:
             if file_version(os.fstat(file.fileno())) != self._version:
                 raise InputError(*CHANGED)
             form = read_form(file)
-            pages = [read_directory(file, form, int(header.directories[z])).page for z in some]
-            strips = [strips_of(page) for page in pages]
-            part = replace(header, shape=(len(some), *header.shape[1:]), strips=np.concatenate(strips))
-            where = f"page {some[0] + 1}" if len(some) == 1 else f"one of the pages {some[0] + 1} to {some[-1] + 1}"
+            directories = [int(header.directories[z]) for z in numbers]
+            strips = [strips_of(read_directory(file, form, at).page) for at in directories]
+            first, last = numbers[0] + 1, numbers[-1] + 1
+            where = f"page {first}" if first == last else f"one of the pages {first} to {last}"
             try:
-                part.check_complete()
-                found = self._unpacked(file, pages, form.order, some)
-            except (InputError, RuntimeError) as error:
-                reason = error.message if isinstance(error, InputError) else "ITK cannot read it"
-                raise InputError(f"{where} is damaged ({reason})", TRUNCATED_HINT) from error
-        is_grey = header.stored is not None
-        if found.shape[:3] != part.shape or (is_grey and (found.dtype, found.ndim) != (self.dtype, 3)):
-            raise InputError(
-                f"{where} is read as {found.dtype} {found.shape}, {self.dtype} {part.shape} expected",
-                "save the stack as a plain TIFF",
-            )
-        return found
-
-    def _unpacked(self, file: BinaryIO, pages: Sequence[Page], order: str, some: range) -> NDArray[Any]:
-        """The values of pages, (n, ny, nx), with colours along a fourth axis."""
-        header = self._header
-        if header.decoder == "ITK":
-            if header.compression == _LZW and not self._is_checked:
-                _check_ends(file, pages[0], header.strip_bytes, order)
-                self._is_checked = True
-            found = _values(file, pages, order)
-            return to_grey(found)[0] if found.ndim > 3 and header.stored is not None else found  # tiles; 1 bit
-        return np.stack([self._by_tifffile(file, int(header.directories[z])) for z in some])
-
-    def _by_tifffile(self, file: BinaryIO, at: int) -> NDArray[Any]:
-        """The values of the page whose directory begins at a byte, (ny, nx)."""
-        found = _values_by_tifffile(file, at, self._header)
-        ny, nx = self._header.shape[1:]
-        if found.ndim == 3:  # values of a pixel lie together, or each has a plane of its own
-            found = np.moveaxis(found, -1, 0) if found.shape[:2] == (ny, nx) else found
-            found = found[self._header.sample or 0]
-        return found.astype(found.dtype.newbyteorder("="), copy=False)
+                replace(header, shape=(len(numbers), *header.shape[1:]), strips=np.concatenate(strips)).check_places()
+                if header.compression == LZW and not self._is_checked:
+                    ends, announced = _contents(file, strips[0][[0, -1]]), header.strip_bytes[[0, -1]].tolist()
+                    itk.listened(lambda: _check_lzw_ends(ends, announced), refuses=False)
+                    self._is_checked = True
+                found = [_page(file, at, places, header) for at, places in zip(directories, strips, strict=True)]
+            except InputError as error:
+                raise InputError(f"{where} is damaged ({error.message})", error.hint) from error
+        for page in found:
+            is_expected = header.stored is None or (page.dtype, page.ndim) == (self.dtype, 2)
+            if not is_expected or page.shape[:2] != header.shape[1:] or page.shape != found[0].shape:
+                raise InputError(
+                    f"{where} is read as {page.dtype} {page.shape}, {self.dtype} {header.shape[1:]} expected",
+                    "save the stack as a plain TIFF",
+                )
+        return np.stack(found)
 
 
-def library() -> ModuleType:
-    """The package tifffile.
+def _page(file: BinaryIO, at: int, strips: NDArray[np.int64], header: TiffHeader) -> NDArray[Any]:
+    """Return the values of the page whose directory begins at a byte: (ny, nx), of a colour (ny, nx, 3 or 4).
 
     Raises
     ------
     InputError
-        When it is not installed.
+        When it cannot be unpacked, or holds other numbers of bytes than its tags announce.
     """
-    try:
-        import tifffile
-    except ImportError as error:
-        raise InputError(
-            "this kind of TIFF (tiles, packing or type of values) needs the package tifffile",
-            'install it: pip install "accelsurf[tiff]"',
-        ) from error
-    return tifffile
-
-
-def _values_by_tifffile(file: BinaryIO, at: int, header: TiffHeader) -> NDArray[Any]:
-    """The values of the page whose directory begins at a byte.
-
-    Raises
-    ------
-    InputError
-        When tifffile cannot unpack it.
-    """
-    tifffile = library()
     try:
         file.seek(0)
-        with _listened() as said, tifffile.TiffFile(file, _multifile=False) as stack:
+        with _heard() as said, tifffile.TiffFile(file, _multifile=False) as stack:
             stack.filehandle.seek(at)
             page = tifffile.TiffPage(stack, index=0)
-            if header.compression in _STREAMS:  # tifffile cuts off what is too much, and fills up what is missing
-                unpack = tifffile.TIFF.DECOMPRESSORS[header.compression]
-                pieces = zip(page.dataoffsets, page.databytecounts, header.strip_bytes.tolist(), strict=True)
-                for offset, length, announced in pieces:
-                    file.seek(offset)
-                    if len(unpack(file.read(length))) != announced:
-                        raise InputError(f"a strip or tile does not hold {announced} bytes of voxels", TRUNCATED_HINT)
-            said.clear()  # of tags, also of such that do not count
-            found = page.asarray(maxworkers=1)
+            said.clear()  # of tags, also of those that do not count
+            if header.compression in _STREAMS:
+                contents = _contents(file, strips)  # here: a library that is listened to has files of its own
+                joined = partial(_joined, page, contents, header)
+                # libtiff prints about damages, and goes on.
+                found = itk.listened(joined) if header.compression == LZW else joined()
+            else:
+                found = page.asarray(maxworkers=1)
             if said:
                 raise InputError(f"tifffile: {said[0]}", TRUNCATED_HINT)
     except (OSError, MemoryError, InputError):
@@ -208,39 +145,82 @@ def _values_by_tifffile(file: BinaryIO, at: int, header: TiffHeader) -> NDArray[
                 'install it: pip install "accelsurf[tiff]"',
             ) from error
         raise InputError(f"tifffile: {message}", TRUNCATED_HINT) from error
-    return np.asarray(found)
+    ny, nx = header.shape[1:]
+    if found.dtype == bool:  # black and white, by the lowest and the highest grey
+        found = np.where(found == header.is_white_zero, np.uint8(0), np.uint8(255))
+    if found.ndim == 3 and header.stored is not None:  # values of a pixel lie together, or each has a plane of its own
+        found = np.moveaxis(found, -1, 0) if found.shape[:2] == (ny, nx) else found
+        found = found[header.sample or 0]
+    return found.astype(found.dtype.newbyteorder("="), copy=False)
 
 
-@contextmanager
-def _listened() -> Iterator[list[str]]:
-    """What tifffile logs in this thread, which goes nowhere else."""
-    said: list[str] = []
+def _contents(file: BinaryIO, places: NDArray[np.int64]) -> list[bytes]:
+    """Read strips or tiles, by their offsets and lengths."""
+    contents = []
+    for offset, length in places.tolist():
+        file.seek(offset)
+        contents.append(file.read(length))
+    return contents
 
-    def heard(record: logging.LogRecord) -> bool:
-        if record.thread != get_ident():
-            return True
-        said.append(" ".join(record.getMessage().split())[:200])
-        return False
 
-    logger = logging.getLogger("tifffile")
-    logger.addFilter(heard)
+def _joined(page: tifffile.TiffPage, contents: list[bytes], header: TiffHeader) -> NDArray[Any]:
+    """Unpack the strips or tiles of a page one by one, and join them."""
+    predictor = page.predictor
+    # tifffile shall place what is unpacked already: its decoder follows these two.
+    page.compression = tifffile.COMPRESSION.NONE
+    if predictor == _OF_FLOATS:
+        page.predictor = tifffile.PREDICTOR.NONE
+    out = np.zeros(page.shaped, page.dtype)
+    for number, (packed, announced) in enumerate(zip(contents, header.strip_bytes.tolist(), strict=True)):
+        content = _unpacked(header.compression, packed, announced)
+        if predictor == _OF_FLOATS:
+            content = _summed_floats(content, page)
+        values, (sample, z, y, x, _), shape = page.decode(content, number)
+        assert values is not None
+        some = out[sample, z : z + shape[0], y : y + shape[1], x : x + shape[2]]
+        some[...] = values[: some.shape[0], : some.shape[1], : some.shape[2]]
+    return out.reshape(page.shape)
+
+
+def _unpacked(compression: int, content: bytes, announced: int) -> bytes:
+    """Unpack a strip or tile to the bytes that the tags announce.
+
+    Raises
+    ------
+    InputError
+        When it holds other numbers of them; zlib.error and others when it is damaged.
+    """
+    if compression in DEFLATE:
+        found = zlib.decompressobj().decompress(content, announced + 1)
+    elif compression == LZW:
+        found = _unpacked_lzw(content, announced)
+    else:
+        found = tifffile.TIFF.DECOMPRESSORS[compression](content)
+    if len(found) != announced:
+        raise InputError(
+            f"a strip or tile of the TIFF holds {len(found)} bytes of voxels or more, its tags announce {announced}",
+            TRUNCATED_HINT,
+        )
+    return found
+
+
+def _unpacked_lzw(content: bytes, announced: int) -> bytes:
+    """Unpack LZW by way of libtiff, which Pillow has: as a grey image of one row."""
+    # 1 word each: width, height, bits, compression, 0 is black, place, values of a pixel, rows, length.
+    tags = {256: announced, 257: 1, 258: 8, 259: LZW, 262: 1, 273: 8, 277: 1, 278: 1, 279: len(content)}
+    start = 8 + len(content) + len(content) % 2
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags.items())
+    directory = struct.pack("<H", len(tags)) + entries + bytes(4)
+    stream = BytesIO(struct.pack("<2sHI", b"II", 42, start) + content.ljust(start - 8, b"\0") + directory)
     try:
-        yield said
-    finally:
-        logger.removeFilter(heard)
+        with TiffImageFile(stream) as image:
+            return image.tobytes()
+    except OSError as error:
+        raise InputError(f"the LZW codes of a strip or tile are damaged, or end before {announced} bytes of voxels",
+                         TRUNCATED_HINT) from error
 
 
-def _values(file: BinaryIO, pages: Sequence[Page], order: str) -> NDArray[Any]:
-    """The values of pages, (n, ny, nx), or with colours along a fourth axis, by way of a file of their own."""
-    with itk.copied(".tif") as (path, out):
-        _write_pages(out, file, pages, order)
-        out.close()
-        found = itk.array_of(path, TiffHeader.itk_name)
-    ny, nx = pages[0][HEIGHT][0], pages[0][WIDTH][0]
-    return found.reshape(len(pages), ny, nx, *([-1] if found.size > len(pages) * ny * nx else []))
-
-
-def _check_ends(file: BinaryIO, page: Page, strip_bytes: NDArray[np.int64], order: str) -> None:
+def _check_lzw_ends(ends: list[bytes], announced: list[int]) -> None:
     """Refuse a page whose first or last strip holds more bytes than its tags announce.
 
     libtiff unpacks what is announced and does not tell whether more follows: it is asked for one byte more.
@@ -250,56 +230,42 @@ def _check_ends(file: BinaryIO, page: Page, strip_bytes: NDArray[np.int64], orde
     InputError
         When it is there.
     """
-    strips = strips_of(page)
-    for strip, announced in ((strips[0], int(strip_bytes[0])), (strips[-1], int(strip_bytes[-1]))):
-        row = {WIDTH: (announced + 1,), HEIGHT: (1,), BITS: (8,), PHOTOMETRIC: (1,), COMPRESSION: (_LZW,)}
+    for packed, count in zip(ends, announced, strict=True):
         try:
-            _values(file, [row | {STRIPS: (int(strip[0]),), STRIP_BYTES: (int(strip[1]),)}], order)
-        except (InputError, RuntimeError):
+            _unpacked_lzw(packed, count + 1)
+        except InputError:
             continue
-        raise InputError(f"a strip of the TIFF holds more than the {announced} bytes of voxels that its tags announce",
-                         TRUNCATED_HINT)
+        raise InputError(
+            f"a strip of the TIFF holds more than the {count} bytes of voxels that its tags announce",
+            TRUNCATED_HINT,
+        )
 
 
-def _write_pages(out: BinaryIO, file: BinaryIO, pages: Sequence[Page], order: str) -> None:
-    """Write a TIFF of some pages, with the strips or tiles of another file as they are there."""
-    out.write(struct.pack(order + "2sHI", b"II" if order == "<" else b"MM", 42, 8))
-    for number, page in enumerate(pages, 1):
-        _write_page(out, file, page, order, number == len(pages))
+def _summed_floats(content: bytes, page: tifffile.TiffPage) -> bytes:
+    """Undo differences of floats (Adobe's technical note 3), whose rows hold the bytes of all values by their rank."""
+    assert page.dtype is not None
+    samples = page.samplesperpixel if page.planarconfig == 1 else 1
+    columns = page.tilewidth if page.is_tiled else page.imagewidth
+    size = page.dtype.itemsize
+    steps = np.frombuffer(content, np.uint8).reshape(-1, size * columns, samples)
+    ranks = np.cumsum(steps, axis=1, dtype=np.uint8).reshape(-1, size, columns * samples)
+    return np.ascontiguousarray(ranks.transpose(0, 2, 1)).view(f">f{size}").astype(page.dtype).tobytes()
 
 
-def _write_page(out: BinaryIO, file: BinaryIO, page: Page, order: str, is_last: bool) -> None:
-    """Write a directory with its strips or tiles at the end of a file."""
-    strips = strips_of(page)
-    tags = {tag: page[tag] for tag in _GIVEN if tag in page}
-    tags |= {tag: of_samples(page, tag) for tag in (BITS, FORMAT)}
-    if (alphas := len(tags[BITS]) - 3) > 0:
-        tags.setdefault(EXTRA, (0,) * alphas)
-    where, lengths = (TILES, TILE_BYTES) if TILES in page else (STRIPS, STRIP_BYTES)
-    tags |= {where: (0,) * len(strips), lengths: tuple(strips[:, 1].tolist())}
-    directory = out.tell()
-    beyond = directory + 2 + 12 * len(tags) + 4
-    first = beyond + sum(4 * len(values) for values in tags.values())  # at most
-    tags[where] = tuple((first + np.cumsum(strips[:, 1]) - strips[:, 1]).tolist())
-    end = first + int(strips[:, 1].sum())
-    end += end % 2  # directories begin at even bytes
-    if end > MAX_FILE_BYTES:
-        raise InputError("a page of more than 4 GiB", "save the stack as OME-Zarr")
-    entries, far = [], b""
-    for tag in sorted(tags):
-        kind, n, raw = _packed(tags[tag], order)
-        if len(raw) > 4:
-            raw, far = struct.pack(order + "I", beyond + len(far)), far + raw
-        entries.append(struct.pack(order + "HHI", tag, kind, n) + raw.ljust(4, b"\0"))
-    out.write(struct.pack(order + "H", len(tags)) + b"".join(entries) + struct.pack(order + "I", 0 if is_last else end))
-    out.write(far.ljust(first - beyond, b"\0"))
-    for offset, length in strips.tolist():
-        file.seek(offset)
-        out.write(file.read(length))
-    out.write(b"\0" * (end - out.tell()))
+@contextmanager
+def _heard() -> Iterator[list[str]]:
+    """Take the lines that tifffile logs in this thread; they go nowhere else."""
+    said: list[str] = []
 
+    def collect(record: logging.LogRecord) -> bool:
+        if record.thread != get_ident():
+            return True
+        said.append(" ".join(record.getMessage().split())[:200])
+        return False
 
-def _packed(values: tuple[Any, ...], order: str) -> tuple[int, int, bytes]:
-    """Type, number and bytes of whole numbers, as they are written into a directory."""
-    kind, code = (_SHORT, "H") if max(values) < 1 << 16 else (_LONG, "I")
-    return kind, len(values), struct.pack(f"{order}{len(values)}{code}", *values)
+    logger = logging.getLogger("tifffile")
+    logger.addFilter(collect)
+    try:
+        yield said
+    finally:
+        logger.removeFilter(collect)

@@ -1,26 +1,101 @@
-"""Which page of a TIFF is which slice, channel and time point, and how large a voxel is: OME, ImageJ, tifffile, plain.
+"""Slice, channel and time point of each page of a TIFF, and the size of a voxel: OME, ImageJ, tifffile, plain.
 
-OME-XML is parsed without entities and document types: a few lines of them could unfold to any length.
+OME-XML with a document type is refused: a few lines of entities could unfold to any length.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
-from xml.parsers import expat
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.formats.lengths import length, mm_of, number, unit_name
-from accelsurf.io.formats.raster import TRUNCATED_HINT
-from accelsurf.io.formats.tiff_directories import DESCRIPTION, RES_UNIT, X_RES, Y_RES, Page
-from accelsurf.io.frame_times import TIMES_KEY, FrameTimes
+from accelsurf.io.formats.png import TRUNCATED_HINT
+from accelsurf.io.formats.tiff import DESCRIPTION, RES_UNIT, X_RES, Y_RES, Page
+from accelsurf.io.headers import TIMES_KEY, FrameTimes
 from accelsurf.settings import budgets
+
+_MICRO = ("um", "\u00b5m", "\u03bcm", "micron", "microns", "micrometer", "micrometers", "micrometre", "micrometres")
+_MM = {
+    **dict.fromkeys(_MICRO, 1e-3), "pm": 1e-9, "\u00e5": 1e-7, "angstrom": 1e-7,
+    **dict.fromkeys(("nm", "nanometer", "nanometers", "nanometre", "nanometres"), 1e-6),
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), 1.0),
+    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres"), 10.0), "dm": 100.0,
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1e3), "km": 1e6,
+    **dict.fromkeys(("inch", "inches", "in", '"'), 25.4), "thou": 0.0254, "li": 25.4 / 12, "ft": 304.8, "pt": 25.4 / 72,
+}  # fmt: skip
+_ESCAPE = re.compile(r"\\u([0-9a-fA-F]{4})")
+
+
+def mm_of(unit: str) -> float:
+    r"""Millimetres of a unit of length; 0 for what is none, as pixel.
+
+    Examples
+    --------
+    >>> mm_of("micron"), mm_of("\\u00B5m"), mm_of("inch"), mm_of("pixel"), mm_of("Mm")
+    (0.001, 0.001, 25.4, 0.0, 0.0)
+    """
+    name = _ESCAPE.sub(lambda found: chr(int(found.group(1), 16)), unit).strip()
+    if len(name) == 2 and name[0] in "YZEPTGM" and name[1] == "m":  # megametres, and more
+        return 0.0
+    return _MM.get(name.lower(), 0.0)
+
+
+def number(text: str, name: str) -> float:
+    """A number whose decimal mark may be a comma.
+
+    Parameters
+    ----------
+    text : str
+    name : str
+        What it is, for the message.
+
+    Raises
+    ------
+    InputError
+        When it is no number.
+
+    Examples
+    --------
+    >>> number(" 1,5", "spacing")
+    1.5
+    """
+    try:
+        return float(text.replace(",", ".") if text.count(",") == 1 and "." not in text else text)
+    except ValueError:
+        raise InputError(
+            f"the TIFF says {name} = {text.strip()[:40]!r}, a number expected", "export it again, or correct its header"
+        ) from None
+
+
+def length(value: float, mm: float) -> float:
+    """A length in mm, by its number and the millimetres of its unit; 0 where either is not known.
+
+    Examples
+    --------
+    >>> length(-1.5, 1e-3), length(0.0, 1.0), length(float("nan"), 1.0)
+    (0.0015, 0.0, 0.0)
+    """
+    found = abs(value) * mm
+    return found if math.isfinite(found) else 0.0
+
+
+def unit_name(mm: float) -> str:
+    """The unit in which lengths are shown, by the millimetres of the unit of a file.
+
+    Examples
+    --------
+    >>> unit_name(1e-3), unit_name(10.0), unit_name(1e-7)
+    ('um', 'mm', 'nm')
+    """
+    return "nm" if mm < 1e-4 else "um" if mm < 0.1 else "mm"
+
 
 #: Seconds of a unit of time in OME.
 _SECONDS = {"ms": 1e-3, "\u00b5s": 1e-6, "\u03bcs": 1e-6, "ns": 1e-9, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
@@ -33,7 +108,7 @@ _ONE_MM = (1.0, 1.0, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class TiffStack:
-    """How the pages of a TIFF make an image.
+    """Arrangement of the pages of a TIFF in an image.
 
     Attributes
     ----------
@@ -79,17 +154,17 @@ class TiffStack:
 
     @property
     def time_points(self) -> int:
-        """How many of them there are."""
+        """Number of time points."""
         return int(self.pages.shape[0])
 
     @property
     def channels(self) -> int:
-        """How many pages there are for a slice at a time point."""
+        """Number of pages for a slice at a time point."""
         return int(self.pages.shape[1])
 
 
 def stack_of(page: Page, pages: int, samples: int) -> TiffStack:
-    """What the first page of a TIFF says of all.
+    """Read the arrangement of the pages from the first of them.
 
     Parameters
     ----------
@@ -165,7 +240,7 @@ def _said(sizes: tuple[float, float, float], unit: str) -> tuple[tuple[float, fl
 
 
 def _imagej_stack(text: str, page: Page, pages: int) -> TiffStack:
-    """By the lines that ImageJ writes; the channel runs fastest, then the slice."""
+    """Read the lines that ImageJ writes; the channel runs fastest, then the slice."""
     pairs = (line.split("=", 1) for line in text.splitlines() if "=" in line)
     fields = {key.strip(): value.strip() for key, value in pairs}
     images = int(fields.get("images", pages))
@@ -214,76 +289,47 @@ def _imagej_spacing(fields: dict[str, str], page: Page) -> tuple[tuple[float, fl
 
 
 class _OmeReader:
-    """What the XML of an OME-TIFF says of its first image."""
+    """Parser of the XML of an OME-TIFF, for its first image."""
 
     def __init__(self, text: str) -> None:
-        self.images, self.binary_only, self.own = 0, "", ""
-        self.pixels: dict[str, str] = {}
-        self.data: list[tuple[dict[str, str], list[str]]] = []  # attributes of TiffData; its file's name and UUID
-        self.delays: dict[int, float] = {}  # seconds of the first plane of each time point
-        self.times_text = ""
-        self._in_uuid = self._in_times = False
-        parser = expat.ParserCreate()
-        parser.buffer_text = True
-        parser.StartDoctypeDeclHandler = self._refuse
-        parser.StartElementHandler = self._start
-        parser.EndElementHandler = self._end
-        parser.CharacterDataHandler = self._text
+        if "<!DOCTYPE" in text:
+            raise InputError("the OME-XML of the TIFF has a document type, not expected", "save the image again")
         try:
-            parser.Parse(text, True)
-        except expat.ExpatError as error:
+            self._root = ElementTree.fromstring(text)
+        except ElementTree.ParseError as error:
             raise InputError(f"the OME-XML of the TIFF is damaged ({error})", TRUNCATED_HINT) from None
+        self.uuid = self._root.get("UUID", "")
+        only = self._root.find("{*}BinaryOnly")
+        self.binary_only = "" if only is None else only.get("MetadataFile", "another file")
+        images = list(self._root.iterfind(".//{*}Pixels"))
+        self.images, self._first = len(images), images[0] if images else self._root
+        self.pixels = dict(self._first.attrib)
 
-    def _refuse(self, *_: Any) -> None:
-        raise InputError("the OME-XML of the TIFF has a document type, which OME-XML has not", "save the image again")
-
-    def _start(self, name: str, attributes: dict[str, str]) -> None:
-        name = name.rpartition(":")[2]
-        if name == "OME":
-            self.own = attributes.get("UUID", "")
-        elif name == "BinaryOnly":
-            self.binary_only = attributes.get("MetadataFile", "another file")
-        elif name == "Pixels":
-            self.images += 1
-            if self.images == 1:
-                self.pixels = attributes
-        elif name == "TiffData" and self.images == 1:
-            self.data.append((attributes, ["", ""]))
-        elif name == "UUID" and self.data and self.images == 1:
-            self.data[-1][1][0] = attributes.get("FileName", "")
-            self._in_uuid = True
-        elif name == "Plane" and self.images == 1 and "DeltaT" in attributes:
-            self._delay(attributes)
-        elif name == "CommentAnnotation":
-            self._in_times = attributes.get("Namespace") == TIMES_KEY
-
-    def _delay(self, attributes: dict[str, str]) -> None:
-        seconds = float(attributes["DeltaT"]) * _SECONDS.get(attributes.get("DeltaTUnit", "s"), math.nan)
-        number = int(attributes.get("TheT", 0))
-        self.delays[number] = min(seconds, self.delays.get(number, math.inf))
-
-    def _end(self, name: str) -> None:
-        self._in_uuid = False
-        if name.rpartition(":")[2] == "CommentAnnotation":
-            self._in_times = False
-
-    def _text(self, text: str) -> None:
-        if self._in_uuid:
-            self.data[-1][1][1] += text.strip()
-        elif self._in_times:
-            self.times_text += text
+    def data(self) -> Iterator[tuple[dict[str, str], str, str]]:
+        """Attributes of each TiffData, with the name and the UUID of its file, empty where it names none."""
+        for part in self._first.iterfind("{*}TiffData"):
+            uuid = part.find("{*}UUID")
+            named = ("", "") if uuid is None else (uuid.get("FileName", ""), (uuid.text or "").strip())
+            yield (part.attrib, *named)
 
     def times(self, count: int) -> FrameTimes | None:
-        """When so many time points are, where each has its own time, and they rise."""
-        if self.times_text.strip():
-            return FrameTimes.from_text(self.times_text, count)
-        values = tuple(self.delays.get(number, math.nan) for number in range(count))
+        """Read the times of a number of time points, where each has its own time, and they rise."""
+        for note in self._root.iterfind(".//{*}CommentAnnotation"):
+            if note.get("Namespace") == TIMES_KEY and (text := "".join(note.itertext())).strip():
+                return FrameTimes.from_text(text, count)
+        delays: dict[int, float] = {}  # seconds of the first plane of each time point
+        for plane in self._first.iterfind("{*}Plane"):
+            if "DeltaT" in plane.attrib:
+                seconds = float(plane.attrib["DeltaT"]) * _SECONDS.get(plane.get("DeltaTUnit", "s"), math.nan)
+                point = int(plane.get("TheT", 0))
+                delays[point] = min(seconds, delays.get(point, math.inf))
+        values = tuple(delays.get(point, math.nan) for point in range(count))
         rising = all(math.isfinite(b) and a < b for a, b in zip(values, values[1:], strict=False))
         return FrameTimes(values, "s") if count > 1 and math.isfinite(values[0]) and rising else None
 
 
 def _ome_stack(text: str, pages: int, samples: int) -> TiffStack:
-    """By the XML of an OME-TIFF, in which the unit is the micrometre unless another is named."""
+    """Read the XML of an OME-TIFF, in which the unit is the micrometre unless another is named."""
     said = _OmeReader(text)
     if said.binary_only:
         raise InputError(
@@ -328,8 +374,8 @@ def _assign(said: _OmeReader, table: NDArray[np.int64], order: str, names: dict[
     steps = {order[0]: 1, order[1]: sizes[order[0]], order[2]: sizes[order[0]] * sizes[order[1]]}
     planes = math.prod(sizes.values())
     flat = np.full((2, planes), -1, np.int64)  # in the order of the file
-    for attributes, (name, uuid) in said.data or [({}, ["", ""])]:
-        file = names.setdefault(name, len(names)) if name and not (uuid and uuid == said.own) else 0
+    for attributes, name, uuid in list(said.data()) or [({}, "", "")]:
+        file = names.setdefault(name, len(names)) if name and not (uuid and uuid == said.uuid) else 0
         first = sum(int(attributes.get(f"First{axis}", 0)) * steps[axis] for axis in "TCZ")
         page = int(attributes.get("IFD", 0))
         count = int(attributes.get("PlaneCount", 1 if "IFD" in attributes else planes - first))

@@ -22,7 +22,7 @@ from accelsurf.grid.pyramid import MAX_SPACING_RATIO
 from accelsurf.io.formats.ome_metadata import OWN_KEY, VERSIONS, attributes_of
 from accelsurf.io.formats.zarr_files import with_record
 from accelsurf.io.formats.zarr_voxels import library
-from accelsurf.io.metadata import LABELS_KEY
+from accelsurf.io.headers import LABELS_KEY
 from accelsurf.settings.labels import LabelTable
 
 #: Voxels of a chunk along each axis; of one slice, along the two others.
@@ -181,7 +181,7 @@ class ZarrPyramid:
         self._group.attrs[OWN_KEY] = with_record(self._attributes[OWN_KEY], self._folder, self._group)
 
     def _image_label(self) -> dict[str, Any]:
-        """What the attributes say of a label map."""
+        """Attributes of a label map."""
         values = sorted(self._values - {0})[:MAX_COLORS]
         said: dict[str, Any] = {"version": VERSIONS[-1]}
         if values:

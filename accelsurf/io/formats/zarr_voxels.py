@@ -1,6 +1,6 @@
 """Arrays of a Zarr, read chunk by chunk. The only place that imports zarr for reading; it is an extra.
 
-zarr reads and checks the metadata; the chunks are unpacked by `zarr_codecs`, which compares them with what they
+zarr reads and checks the metadata; the chunks are unpacked by `zarr_files`, which compares them with what they
 announce.
 
 A chunk that is not in the store has the fill value: so says Zarr, and stores of label maps consist of little else. A
@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
-from accelsurf.io.chunk_cache import ChunkCache
 from accelsurf.io.files import file_version, one_line
 from accelsurf.io.formats.zarr_files import ChunkFiles, is_in_runs
 from accelsurf.io.headers import check_within_store
+from accelsurf.io.lazy_volume import ChunkCache
 from accelsurf.settings import budgets
 
 #: Voxels along an axis: beyond that the numbers of the header are damaged.
@@ -92,7 +92,7 @@ def open_array(folder: Path, path: str) -> Any:
 
 
 def read_mark(folder: Path, mark: Path) -> Any:
-    """What a file of metadata in a group holds; None where there is none.
+    """Read a file of metadata in a group; None where there is none.
 
     Raises
     ------
@@ -236,7 +236,7 @@ class ZarrVoxels:
 
     @property
     def _fill_value(self) -> Any:
-        """What stands where a chunk is missing; Zarr 2 may not say it."""
+        """Value of voxels whose chunk is missing; Zarr 2 may not say it."""
         value = self._array.metadata.fill_value
         return np.asarray(0 if value is None else value, self.dtype)
 

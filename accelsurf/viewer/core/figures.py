@@ -8,7 +8,7 @@ import numpy as np
 
 from accelsurf.analysis.diameters import Diameters, diameters
 from accelsurf.errors import UsageError
-from accelsurf.io.metadata import VALUE_UNIT_KEY
+from accelsurf.io.headers import VALUE_UNIT_KEY
 from accelsurf.report.label_files import table_of
 from accelsurf.report.tables import rows_of, statistics_csv
 from accelsurf.segmentation.result import Result

@@ -21,8 +21,7 @@ from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.grid.slice_stack import SliceStack
 from accelsurf.grid.volume import Volume
-from accelsurf.io.headers import is_anatomical
-from accelsurf.io.metadata import UNIT_KEY
+from accelsurf.io.headers import UNIT_KEY, is_anatomical
 from accelsurf.report.movies import write_png
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag

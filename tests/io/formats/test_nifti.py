@@ -373,5 +373,5 @@ def test_channels_are_placed_and_scaled_as_one_alone(tmp_path, version, axes):
 
 def test_the_header_knows_its_own_grid():
     """The rule by which ITK places an image, which the tests above check on files."""
-    header = nifti_format.parse(nifti((0, 0), TURNED))
+    header = nifti_format.parse_header(nifti((0, 0), TURNED))
     assert header.grid.geometry().origin == (0, 0, 0) and header.grid.geometry().spacing == (3, 2, 1)

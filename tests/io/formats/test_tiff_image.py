@@ -11,7 +11,7 @@ from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.io import channels
-from accelsurf.io.metadata import FRAME_KEY, UNIT_KEY
+from accelsurf.io.headers import FRAME_KEY, UNIT_KEY
 from accelsurf.settings.reading import ReadOptions
 from tests.io.test_lazy_volume import assert_same_boxes
 
