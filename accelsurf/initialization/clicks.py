@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +79,46 @@ def read_clicks(
         else:
             out += _of_start(text, side, volume, image, id, window)
     return out
+
+
+class Clicked(Protocol):
+    """Settings or a correction: clicks in an object, and not in it, as texts."""
+
+    @property
+    def inside(self) -> tuple[str, ...]:
+        """In the object."""
+        ...
+
+    @property
+    def outside(self) -> tuple[str, ...]:
+        """Not in it."""
+        ...
+
+
+def clicks_of(
+    written: Clicked,
+    volume: Volume,
+    image: NDArray[np.float32] | None = None,
+    id: int | None = None,
+    has_ids: bool = False,
+    window: Window | None = None,
+) -> list[Click]:
+    """Read the clicks of settings or of a correction on the image's grid; the only reader of both sides.
+
+    Parameters
+    ----------
+    written : Clicked
+    id : int, optional
+        The object that they are about; without it, and among objects with ids, the clicks are in no object.
+    has_ids : bool
+        True if there are several objects.
+    volume, image, window
+        As of `read_clicks`.
+    """
+    read = [
+        click for side in SIDES for click in read_clicks(getattr(written, side), side, volume, image, id or 1, window)
+    ]
+    return [click._replace(side="inside", id=NO_OBJECT) for click in read] if has_ids and not id else read
 
 
 def check_contradictions(clicks: Clicks, geometry: Geometry, first: Sequence[int] = (0, 0, 0)) -> None:

@@ -16,7 +16,7 @@ from accelsurf.grid.volume import Volume, plain_array
 from accelsurf.io import LazyVolume, available_memory
 from accelsurf.io.lazy_volume import open_with
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
-from accelsurf.segmentation.given import clicks_of, psi_of, split_given
+from accelsurf.segmentation.given import given_clicks, psi_of, split_given
 from accelsurf.segmentation.memory_need import allowed_bytes
 from accelsurf.segmentation.refiner import OnObjectStep
 from accelsurf.segmentation.result import Result
@@ -247,7 +247,7 @@ def _run_of(
     first = as_volume(volume, spacing)
     others = [as_channel(one, first) for one in channels]
     texts, given = split_given(options)
-    clicks = [click for side in SIDES if side in given for click in clicks_of(side, given.pop(side), first)]
+    clicks = [click for side in SIDES if side in given for click in given_clicks(side, given.pop(side), first)]
     arrays = {key: psi_of(key, value, first.geometry) for key, value in given.items()}
     if "start" in arrays:
         texts.setdefault("start", default_of("start"))

@@ -13,16 +13,16 @@ from accelsurf.segmentation.balls import BallEdit
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import energy_settings
-from accelsurf.settings.edits import Edit
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 
 
-def check(edit: Edit, config: RunConfig, prepared: PreprocessedInput, ids: Sequence[int], energy: Any) -> None:
+def check(edit: Correction, config: RunConfig, prepared: PreprocessedInput, ids: Sequence[int], energy: Any) -> None:
     """Refuse an edit that a run cannot apply: a ball outside the grid, an unknown object, a setting without effect.
 
     Parameters
     ----------
-    edit : Edit
+    edit : Correction
     config : RunConfig
         Of the run.
     prepared : PreprocessedInput
@@ -60,7 +60,7 @@ def check(edit: Edit, config: RunConfig, prepared: PreprocessedInput, ids: Seque
                 )
 
 
-def _check_object(edit: Edit, ids: Sequence[int], where: str) -> None:
+def _check_object(edit: Correction, ids: Sequence[int], where: str) -> None:
     """Refuse an object that does not exist, and balls or clicks without an object where there are several."""
     allowed = {*ids, NO_OBJECT} if ids and edit.inside and not (edit.balls or edit.outside) else set(ids or (1,))
     if edit.object is not None and edit.object not in allowed:
@@ -80,12 +80,12 @@ def _check_object(edit: Edit, ids: Sequence[int], where: str) -> None:
         )
 
 
-def balls_of(edit: Edit, geometry: Geometry) -> tuple[BallEdit, ...]:
+def balls_of(edit: Correction, geometry: Geometry) -> tuple[BallEdit, ...]:
     """The balls of an edit on the grid of the region of interest."""
     return tuple(BallEdit(kind, *starts.ball_of(text, geometry)) for kind, text in edit.balls)
 
 
-def balls_for(own: int, edit: Edit, balls: Sequence[BallEdit]) -> tuple[BallEdit, ...]:
+def balls_for(own: int, edit: Correction, balls: Sequence[BallEdit]) -> tuple[BallEdit, ...]:
     """The balls of an edit for object ``own`` of several: what one object gains is taken from the others."""
     if edit.object is None or edit.object == own:
         return tuple(balls)

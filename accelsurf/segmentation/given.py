@@ -109,7 +109,7 @@ def _balls(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
     return starts.build(texts, Volume(np.zeros(geometry.shape, np.uint8), geometry))
 
 
-def clicks_of(side: Side, value: Any, volume: Volume) -> list[Click]:
+def given_clicks(side: Side, value: Any, volume: Volume) -> list[Click]:
     """Clicks from the value of ``inside`` or ``outside``: texts, masks, meshes, points (x, y, z), balls (x, y, z, r).
 
     Parameters
@@ -141,7 +141,7 @@ def clicks_of(side: Side, value: Any, volume: Volume) -> list[Click]:
             f"{side}: a {type(value).__name__} was given, expected a text, a mask, a mesh, a point (x, y, z), a ball "
             "(x, y, z, r), or a list of them", "see accelsurf.segment"
         )
-    return [click for one in value for click in clicks_of(side, one, volume)]
+    return [click for one in value for click in given_clicks(side, one, volume)]
 
 
 def _is_mask(value: Any, geometry: Geometry) -> bool:

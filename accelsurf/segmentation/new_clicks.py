@@ -10,28 +10,9 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Corner, corner_of
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
-from accelsurf.initialization.clicks import read_clicks, voxel_named
+from accelsurf.initialization.clicks import voxel_named
 from accelsurf.segmentation.preprocessing import PreprocessedInput
-from accelsurf.segmentation.result import Result
-from accelsurf.settings.refinements import Refinement
-
-
-def clicks_of(refinement: Refinement, result: Result, has_ids: bool) -> tuple[Click, ...]:
-    """Read the clicks of a correction on the grid of a result.
-
-    Among several objects (``has_ids``), outside clicks without an object are in none of them.
-
-    Raises
-    ------
-    UsageError, InputError
-        As of `accelsurf.initialization.clicks.read_clicks`.
-    """
-    own = refinement.new or refinement.object
-    inside = read_clicks(refinement.inside, "inside", result.volume, result.image, own or 1)
-    if own is None and has_ids:
-        none = read_clicks(refinement.outside, "inside", result.volume, result.image, NO_OBJECT)
-        return (*inside, *none)
-    return (*inside, *read_clicks(refinement.outside, "outside", result.volume, result.image, own or 1))
+from accelsurf.settings.edits import Correction
 
 
 def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple[Click, ...]:
@@ -63,7 +44,7 @@ def clicks_on(new: Sequence[Click], id: int) -> tuple[Click, ...]:
     return Clicks(own, (0, 0, 0)).of(id).clicks
 
 
-def check_object(refinement: Refinement, ids: Sequence[int] | None) -> None:
+def check_object(refinement: Correction, ids: Sequence[int] | None) -> None:
     """Refuse a correction of an object that there is not; ``ids`` is None where there is one without an id.
 
     Raises

@@ -53,14 +53,14 @@ from accelsurf.segmentation.run_setup import setup_of
 from accelsurf.segmentation.run_start import AROUND
 from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.segmentation.solver_setup import half_width
-from accelsurf.settings.refinements import MAX_ID, Refinement
+from accelsurf.settings.edits import MAX_ID, Correction
 
 #: Voxels of the largest spacing between what the model says of a new object and the border of its box.
 MARGIN = 8.0
 
 
 def begin_object(
-    objects: RefinedObjects, number: int, refinement: Refinement, new: Sequence[Click], base: Result,
+    objects: RefinedObjects, number: int, refinement: Correction, new: Sequence[Click], base: Result,
     workers: Workers, max_steps: int, on_step: OnStep | None,
 ) -> tuple[CorrectedSurface, Box, int]:
     """Begin an object beside the others, and let it come to rest.
@@ -70,7 +70,7 @@ def begin_object(
     objects : RefinedObjects
     number : int
         Of the correction.
-    refinement : Refinement
+    refinement : Correction
         With ``new``: an object that has this id begins anew.
     new : sequence of Click
         Its clicks, on the grid of the region of interest.
@@ -244,7 +244,7 @@ def voxel_of(point: str, base: Result) -> NDArray[np.int64]:
     return point_voxels([numbers], point, "split", base.geometry, words.endswith("vox"))[0]
 
 
-def completed(objects: RefinedObjects, refinement: Refinement, base: Result) -> Refinement:
+def completed(objects: RefinedObjects, refinement: Correction, base: Result) -> Correction:
     """A refinement that splits, with the object that is split and the id of its part.
 
     Raises
@@ -267,7 +267,7 @@ def completed(objects: RefinedObjects, refinement: Refinement, base: Result) -> 
 
 
 def split(
-    objects: RefinedObjects, number: int, refinement: Refinement, base: Result, workers: Workers
+    objects: RefinedObjects, number: int, refinement: Correction, base: Result, workers: Workers
 ) -> tuple[CorrectedSurface, CorrectedSurface]:
     """Make what is connected to a point an object of its own; voxels are connected by their faces.
 
@@ -276,7 +276,7 @@ def split(
     objects : RefinedObjects
     number : int
         Of the correction.
-    refinement : Refinement
+    refinement : Correction
         `completed`.
     base : Result
     workers : Workers

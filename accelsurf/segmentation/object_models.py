@@ -16,7 +16,7 @@ from accelsurf.segmentation.object_records import MadeEnergy
 from accelsurf.segmentation.preprocessing import PreprocessedInput, uses_model
 from accelsurf.segmentation.run_setup import energy_maker, thread_count
 from accelsurf.segmentation.run_state import BoxMask, RunState
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.volumes import volume_mm3
 
@@ -108,14 +108,14 @@ class ObjectModels:
         """Note new clicks."""
         self.clicks = self.clicks.with_later(clicks)
 
-    def begin_object(self, number: int, refinement: Refinement, taken: BoxMask | None) -> None:
+    def begin_object(self, number: int, refinement: Correction, taken: BoxMask | None) -> None:
         """Begin an object at clicks that have been noted.
 
         Parameters
         ----------
         number : int
             Of the correction.
-        refinement : Refinement
+        refinement : Correction
             With ``new``.
         taken : BoxMask or None
             Voxels that it may not have.

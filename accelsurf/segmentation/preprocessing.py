@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import AccelsurfError, GeometryError, InputError
 from accelsurf.grid.boxes import Box, bounding_box
-from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks
+from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.image_check import MIN_RANGE
 from accelsurf.grid.image_filters import ImageFilters
 from accelsurf.grid.volume import Volume, check_image
 from accelsurf.grid.window import Window
 from accelsurf.initialization import starts
-from accelsurf.initialization.clicks import read_clicks
+from accelsurf.initialization.clicks import clicks_of
 from accelsurf.segmentation.filters import filtered_volume, filters_of
 from accelsurf.segmentation.image_context import ImageContext, Mask, ModelInputs, Scale
 from accelsurf.segmentation.region_of_interest import cropped
@@ -155,7 +155,8 @@ def preprocess(
     filtered = _first_channel(volumes, filters, part)
     distance = distance_of_mask(config, given, window, box)
     seen = first, filtered, window
-    said = placed([*_clicks_of(config, seen, has_ids), *clicks], first, box, distance, None)
+    read = clicks_of(config, first, filtered, has_ids=has_ids, window=window)
+    said = placed([*read, *clicks], first, box, distance, None)
     start = given["start"] if "start" in given else _first_surface(config, seen, said, box)
     training = _training_voxels(config, given, seen)
     psi = _start_within(_crop(start, box), distance, config, _name_of_start(config, given))
@@ -225,15 +226,6 @@ def _context(
     context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config), partition, around, window))
     # Likelihood learns from --foreground once; with update=yes it refuses it.
     return context, learns or any(term.name == "likelihood" for term in terms)
-
-
-def _clicks_of(config: RunConfig, seen: Seen, has_ids: bool) -> list[Click]:
-    """The clicks that a configuration names, on the image's grid; of several objects those that are in none."""
-    volume, image, window = seen
-    out: list[Click] = []
-    for side in SIDES:
-        out += read_clicks(getattr(config, side), side, volume, image, window=window)
-    return [click._replace(side="inside", id=NO_OBJECT) for click in out] if has_ids else out
 
 
 def _first_surface(config: RunConfig, seen: Seen, clicks: Clicks, box: Box) -> NDArray[np.float32]:

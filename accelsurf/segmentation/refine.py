@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from accelsurf.segmentation.refiner import OnObjectStep, Refiner
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run_state import RunState
-from accelsurf.settings.refinements import refinements_of
+from accelsurf.settings.edits import corrections_of
 
 if TYPE_CHECKING:
     from accelsurf.segmentation.run import Run
@@ -43,7 +43,7 @@ def refine(
     object : int, optional
         Id of the object, where there are several.
     new, size, merge, split, remove : optional
-        Which objects there are, as `accelsurf.settings.refinements.Refinement` has it.
+        Which objects there are, as `accelsurf.settings.edits.Correction` has it.
     on_step : callable, optional
         Called with each `StepRecord` and the id of its object; a true return value ends the correction.
 
@@ -72,7 +72,7 @@ def refine(
     """
     table: dict[str, Any] = {"inside": inside, "outside": outside, "near": near, "object": object}
     table |= {"new": new, "size": size, "merge": tuple(merge), "split": split, "remove": remove}
-    (refinement,), refiner = refinements_of({k: v for k, v in table.items() if v is not None}), Refiner(result)
+    (refinement,), refiner = corrections_of({k: v for k, v in table.items() if v is not None}), Refiner(result)
     refiner.apply(refinement, on_step=on_step)
     return refiner.result()
 

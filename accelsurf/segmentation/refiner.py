@@ -18,7 +18,7 @@ from accelsurf.grid.boxes import Box, box_at, counted_from
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.pyramid import Level
-from accelsurf.initialization.clicks import check_left
+from accelsurf.initialization.clicks import check_left, clicks_of
 from accelsurf.io.memory import available_cores
 from accelsurf.levelset import Workers
 from accelsurf.segmentation import object_changes
@@ -35,7 +35,7 @@ from accelsurf.segmentation.late_growth import still_inside
 from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near
 from accelsurf.segmentation.local_model import basin_of
 from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
-from accelsurf.segmentation.new_clicks import check_object, clicks_of, clicks_on, placed_clicks, refuse_contradictions
+from accelsurf.segmentation.new_clicks import check_object, clicks_on, placed_clicks, refuse_contradictions
 from accelsurf.segmentation.object_models import point_click
 from accelsurf.segmentation.refined_objects import RefinedObjects
 from accelsurf.segmentation.region_totals import RegionTotals
@@ -43,7 +43,7 @@ from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run_setup import setup_of, window_reach
 from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.segmentation.solver_setup import correction_rule, is_maker
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 
 #: What is called with each record and the id of its object; a true value ends the correction.
@@ -125,14 +125,14 @@ class Refiner:
     # -- corrections ---------------------------------------------------------------------------------------
 
     def apply(
-        self, refinement: Refinement, clicks: Sequence[Click] | None = None, on_step: OnObjectStep | None = None
+        self, refinement: Correction, on_step: OnObjectStep | None = None
     ) -> tuple[Change, ...]:
         """Correct the objects that new clicks are about, each in a region around them; or change which objects there
         are.
 
         Parameters
         ----------
-        refinement : Refinement
+        refinement : Correction
         clicks : sequence of Click, optional
             Those of the refinement, on the image's grid; by default they are read from its texts.
         on_step : callable, optional
@@ -164,7 +164,7 @@ class Refiner:
         try:
             self.config = self.config.replace(refine=(*self.config.refine, refinement))
             if refinement.kind in ("clicks", "new"):
-                new = self._new_clicks(refinement, clicks)
+                new = self._new_clicks(refinement)
             objects.has_ids = self._result.has_ids or self.config.has_ids
             began = time.perf_counter()
             threads = self.config.threads
@@ -182,7 +182,7 @@ class Refiner:
             self.undo()
             raise
 
-    def _new_clicks(self, refinement: Refinement, clicks: Sequence[Click] | None) -> tuple[Click, ...]:
+    def _new_clicks(self, refinement: Correction) -> tuple[Click, ...]:
         """The clicks of a refinement on the grid of the region of interest.
 
         Raises
@@ -194,7 +194,8 @@ class Refiner:
         ids = objects.ids
         if refinement.kind == "clicks":
             check_object(refinement, ids if objects.has_ids else None)
-        read = clicks_of(refinement, self._result, objects.has_ids) if clicks is None else clicks
+        base = self._result
+        read = clicks_of(refinement, base.volume, base.image, refinement.target, objects.has_ids)
         new = placed_clicks(read, prepared)
         before = objects.models.clicks
         if refinement.new in ids:  # it begins anew
@@ -215,7 +216,7 @@ class Refiner:
         return tuple(changes)
 
     def _begin_object(
-        self, number: int, refinement: Refinement, new: Sequence[Click], workers: Workers, on_step: OnObjectStep | None
+        self, number: int, refinement: Correction, new: Sequence[Click], workers: Workers, on_step: OnObjectStep | None
     ) -> tuple[Change, ...]:
         """Begin an object beside the others."""
         began, own = time.perf_counter(), refinement.new or 0
@@ -225,11 +226,11 @@ class Refiner:
         )
         return (Change(own, box, voxels, time.perf_counter() - began, one.stop),)
 
-    def _rearrange(self, number: int, refinement: Refinement, workers: Workers) -> tuple[Change, ...]:
+    def _rearrange(self, number: int, refinement: Correction, workers: Workers) -> tuple[Change, ...]:
         """Merge objects, split one, or remove one: no surface moves."""
         began, objects, voxels = time.perf_counter(), self._objects, 0
-        if refinement.remove is not None:
-            voxels = object_changes.remove(objects, refinement.remove)
+        if refinement.removed_id is not None:
+            voxels = object_changes.remove(objects, refinement.removed_id)
             one = objects.surfaces[0]
         elif refinement.merge:
             sizes = {one.id: one.inside for one in objects.surfaces}
@@ -238,7 +239,7 @@ class Refiner:
         else:
             one = object_changes.split(objects, number, refinement, self._result, workers)[1]
             voxels = one.inside
-        own = one.id if refinement.remove is None else refinement.remove
+        own = one.id if refinement.removed_id is None else refinement.removed_id
         return (Change(own, box_at(one.corner, one.psi.shape), voxels, time.perf_counter() - began, one.stop),)
 
     def undo(self) -> None:

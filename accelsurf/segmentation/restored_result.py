@@ -11,10 +11,11 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.volume import Volume
+from accelsurf.initialization.clicks import clicks_of
 from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
 from accelsurf.segmentation.corrected_surface import frozen_settings
 from accelsurf.segmentation.local_model import LocalState, sureness_from
-from accelsurf.segmentation.new_clicks import clicks_of, clicks_on, placed_clicks
+from accelsurf.segmentation.new_clicks import clicks_on, placed_clicks
 from accelsurf.segmentation.object_changes import voxel_of
 from accelsurf.segmentation.object_models import ObjectModels, point_click
 from accelsurf.segmentation.region_of_interest import cropped
@@ -23,7 +24,7 @@ from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
 from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.segmentation.state_file import ObjectFile, StateFile, box_of, masks_of, rests_of, surface_of
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 
 
 def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) -> Result:
@@ -97,7 +98,7 @@ def _replayed(state: StateFile, base: Result) -> tuple[ObjectModels, dict[int, S
 
 def _replay(
     number: int,
-    one: Refinement,
+    one: Correction,
     now: tuple[ObjectModels, dict[int, SegmentedObject]],
     given: tuple[Result, BoxMask | None],
     has_ids: bool,
@@ -107,7 +108,7 @@ def _replay(
     if one.kind in ("clicks", "new"):
         if one.new in known:
             models.remove(one.new or 0)
-        new = placed_clicks(clicks_of(one, base, has_ids), models.prepared)
+        new = placed_clicks(clicks_of(one, base.volume, base.image, one.target, has_ids), models.prepared)
         models.add(new)
     if one.new is not None and one.split is None:
         models.begin_object(number, one, mask)
@@ -122,9 +123,9 @@ def _replay(
         models.merge(one.merge)
         for id in one.merge[1:]:
             del known[id]
-    elif one.remove is not None:
-        models.remove(one.remove)
-        del known[one.remove]
+    elif one.removed_id is not None:
+        models.remove(one.removed_id)
+        del known[one.removed_id]
     else:
         if mask is None or one.split is None or one.object not in known or one.new is None:
             raise InputError(f"the state says nothing of correction {number + 1}", "run accelsurf segment again")

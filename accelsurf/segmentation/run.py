@@ -39,7 +39,7 @@ from accelsurf.segmentation.run_setup import (
 from accelsurf.segmentation.run_start import AROUND, start_of_run
 from accelsurf.segmentation.start_checks import start_checks
 from accelsurf.segmentation.window_input import WindowInput
-from accelsurf.settings.edits import Edit
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 
 __all__ = ["AROUND", "Run"]
@@ -318,7 +318,7 @@ class Run:
         """Number of edits that have been applied."""
         return self._edits_done
 
-    def set_edits(self, edits: tuple[Edit, ...]) -> None:
+    def set_edits(self, edits: tuple[Correction, ...]) -> None:
         """Replace the edits; those that have been applied must stay the same.
 
         Raises
@@ -338,7 +338,7 @@ class Run:
             raise ValueError("an edit that has been applied cannot change: restore a state before it first")
         self.config = config
 
-    def check(self, edit: Edit, ids: Sequence[int] = (), edits: Sequence[Edit] | None = None) -> None:
+    def check(self, edit: Correction, ids: Sequence[int] = (), edits: Sequence[Correction] | None = None) -> None:
         """Refuse an edit that this run cannot apply: see `accelsurf.segmentation.edit_checks.check`.
 
         ``edits`` are all up to this one; those that are in force and this one unless given.

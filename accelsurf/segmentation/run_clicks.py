@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.grid.boxes import Box, whole_box
 from accelsurf.grid.click_bounds import ClickBounds, click_bounds
-from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks
+from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.volume import Volume
-from accelsurf.initialization.clicks import check_contradictions, check_left, read_clicks, voxel_named
+from accelsurf.initialization.clicks import check_contradictions, check_left, clicks_of, voxel_named
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.level_arrays import LevelArrays
-from accelsurf.settings.edits import Edit
+from accelsurf.settings.edits import Correction
 
 
 def placed(
@@ -103,7 +103,7 @@ class RunClicks:
         self._after: dict[tuple[str, ...], Clicks | None] = {(): first}
         self._contexts: dict[tuple[str, ...], tuple[ImageContext, ...]] = {(): tuple(contexts)}
 
-    def after(self, edits: Sequence[Edit]) -> Clicks | None:
+    def after(self, edits: Sequence[Correction]) -> Clicks | None:
         """Return the clicks in force after some edits; None where there are none.
 
         Raises
@@ -114,28 +114,17 @@ class RunClicks:
         key = _key(edits)
         if key not in self._after:
             edits = [edit for edit in edits if edit.has_clicks]
-            before = self.after(edits[:-1])
+            before, edit = self.after(edits[:-1]), edits[-1]
             try:
+                read = clicks_of(edit, self._volume, id=edit.object if self._ids else 1, has_ids=bool(self._ids))
                 self._after[key] = placed(
-                    self._read(edits[-1]), self._volume, self._box, self._mask_distance, before
+                    read, self._volume, self._box, self._mask_distance, before
                 )
             except AccelsurfError as error:
-                raise type(error)(f"edit at step {edits[-1].step}: {error.message}", error.hint) from None
+                raise type(error)(f"edit at step {edit.step}: {error.message}", error.hint) from None
         return self._after[key]
 
-    def _read(self, edit: Edit) -> list[Click]:
-        """The clicks of an edit, on the image's grid."""
-        out: list[Click] = []
-        for side in SIDES:
-            read = read_clicks(getattr(edit, side), side, self._volume, None, 1)
-            if self._ids:
-                own = NO_OBJECT if edit.object is None else edit.object
-                to = "inside" if own == NO_OBJECT else side
-                read = [click._replace(id=own, side=to) for click in read]
-            out += read
-        return out
-
-    def contexts(self, edits: Sequence[Edit]) -> tuple[ImageContext, ...]:
+    def contexts(self, edits: Sequence[Correction]) -> tuple[ImageContext, ...]:
         """Return the context of each object after some edits; the same objects as long as no click is added."""
         key = _key(edits)
         if key not in self._contexts:
@@ -150,7 +139,7 @@ class RunClicks:
         return self._contexts[key]
 
 
-def _key(edits: Sequence[Edit]) -> tuple[str, ...]:
+def _key(edits: Sequence[Correction]) -> tuple[str, ...]:
     return tuple(str(edit) for edit in edits if edit.has_clicks)
 
 

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from accelsurf.settings.edits import FrameCorrections
 from accelsurf.settings.entry import SettingEntry, SettingGroup, setting
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, label_formats
-from accelsurf.settings.frame_corrections import FrameCorrection, corrections_of
 from accelsurf.settings.known_names import OneOf
 from accelsurf.settings.mesh_formats import MESH_FORMATS
 from accelsurf.settings.track_formats import TRACK_FORMATS, track_format_help
@@ -101,7 +101,7 @@ class TrackFields(BaseModel):
         "Whether what appears in later frames, as bright as the tracked objects and about as large, is followed too.",
         entry=SettingEntry(TRACK, metavar="yes|no"),
     )
-    correct: Annotated[tuple[FrameCorrection, ...], BeforeValidator(corrections_of)] = setting(
+    correct: FrameCorrections = setting(
         (),
         "Correction of a frame, from which the tracking goes on: 'frame=12 inside=point:X,Y,Z object=2', or with "
         "outside, new, remove, split or merge, as accelsurf refine takes them; may be repeated.",

@@ -13,7 +13,7 @@ from accelsurf.segmentation.api import segment, segment_objects
 from accelsurf.segmentation.refiner import Refiner
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.tracking.frame_run import Measured, measured
 from accelsurf.tracking.parts import separate_parts
@@ -33,7 +33,7 @@ class FirstObjects(NamedTuple):
 def first_objects(
     channels: Sequence[Volume],
     config: RunConfig,
-    refinements: Sequence[Refinement],
+    refinements: Sequence[Correction],
     divide: bool,
     energy: EnergyLike | None = None,
     objects: ObjectsLike | None = None,
@@ -45,7 +45,7 @@ def first_objects(
     ----------
     channels : sequence of Volume
     config : RunConfig
-    refinements : sequence of Refinement
+    refinements : sequence of Correction
         Corrections of this frame.
     divide : bool
         Whether parts that are no crumbs are objects of their own.

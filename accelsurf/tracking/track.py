@@ -138,7 +138,9 @@ class Tracking:
     def _step(self) -> FrameResult:
         began, (number, before) = time.perf_counter(), self.visits[self.done]
         times = self.sequence.times
-        wanted = tuple(one.refinement for one in self.config.correct if one.frame == number)
+        wanted = tuple(
+            one.model_copy(update={"frame": -1}) for one in self.config.correct if one.frame == number
+        )
         arrival = Arrival(number, before, times[number], times[number] - times[before], self._frame(number), wanted)
         if number == before:
             objects = self._begin_at(arrival)

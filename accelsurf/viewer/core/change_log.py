@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from accelsurf.errors import UsageError
-from accelsurf.settings.edits import Edit
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 
 
@@ -15,7 +14,7 @@ class Moment(NamedTuple):
 
     config: RunConfig
     step: int
-    refinements: tuple[Refinement, ...]
+    refinements: tuple[Correction, ...]
 
 
 class ChangeLine(NamedTuple):
@@ -122,14 +121,16 @@ class ChangeLog:
         )
 
 
-def edits_with(config: RunConfig, edits: tuple[Edit, ...], step: int, settings: dict[str, Any]) -> tuple[Edit, ...]:
+def edits_with(
+    config: RunConfig, edits: tuple[Correction, ...], step: int, settings: dict[str, Any]
+) -> tuple[Correction, ...]:
     """Return edits with a change of settings at a step; several changes at one step are one edit.
 
     Parameters
     ----------
     config : RunConfig
         Of the run.
-    edits : tuple of Edit
+    edits : tuple of Correction
         Up to this step.
     step : int
     settings : dict
@@ -143,7 +144,7 @@ def edits_with(config: RunConfig, edits: tuple[Edit, ...], step: int, settings: 
     is_open = edits and edits[-1].step == step and not (edits[-1].balls or edits[-1].has_clicks)
     last = edits[-1] if is_open else None
     earlier = edits if last is None else edits[:-1]
-    config.replace(edit=(*earlier, Edit(step=step, **settings)))
+    config.replace(edit=(*earlier, Correction(step=step, **settings)))
     before = config.replace(edit=earlier).at(step)
     after = before.replace(**{**(last.settings if last else {}), **settings})
     changed = {
@@ -151,4 +152,4 @@ def edits_with(config: RunConfig, edits: tuple[Edit, ...], step: int, settings: 
     }
     # An edit without settings makes a converged run continue.
     continues = last is not None and not last.settings
-    return (*earlier, Edit(step=step, **changed)) if changed or continues else earlier
+    return (*earlier, Correction(step=step, **changed)) if changed or continues else earlier

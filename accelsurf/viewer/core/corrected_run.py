@@ -20,7 +20,7 @@ from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
 from accelsurf.segmentation.run_state import BoxMask
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 from accelsurf.viewer.core.nearest_object import distance_of, place_of
 from accelsurf.viewer.core.saving import repeating
@@ -49,7 +49,7 @@ class CorrectedRun:
         self._before: list[dict[int, Box | None]] = []
 
     @property
-    def made(self) -> tuple[Refinement, ...]:
+    def made(self) -> tuple[Correction, ...]:
         """The corrections so far, in order."""
         return self._refiner.config.refine
 
@@ -101,7 +101,7 @@ class CorrectedRun:
         """The records of each object, of the run and of its corrections."""
         return tuple(tuple(one.history) for one in self._refiner.surfaces)
 
-    def apply(self, refinement: Refinement, on_step: Callable[[int], None]) -> tuple[Change, ...]:
+    def apply(self, refinement: Correction, on_step: Callable[[int], None]) -> tuple[Change, ...]:
         """Make a correction; ``on_step`` is called with the number of each of its steps.
 
         Raises

@@ -9,7 +9,7 @@ from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_state import BoxMask
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 from accelsurf.viewer.core.corrected_run import CorrectedRun
 from accelsurf.viewer.core.frame import Frame, histories_of_run
 
@@ -19,23 +19,23 @@ class Corrections:
 
     Parameters
     ----------
-    wanted : tuple of Refinement
+    wanted : tuple of Correction
         Those of its configuration, to be made when the run ends.
 
     Attributes
     ----------
-    wanted : tuple of Refinement
+    wanted : tuple of Correction
         Made after the run's end; while it goes on, to be made then.
     progress : callable
         Called with a line while one is being made.
     """
 
-    def __init__(self, wanted: tuple[Refinement, ...]) -> None:
+    def __init__(self, wanted: tuple[Correction, ...]) -> None:
         self.wanted = wanted
         self.progress: Callable[[str], None] = lambda message: None
         self._corrected: CorrectedRun | None = None
 
-    def correct(self, run: Run, refinement: Refinement, said: str) -> str:
+    def correct(self, run: Run, refinement: Correction, said: str) -> str:
         """Make a correction of a run that has ended; returns a line that says what it did.
 
         Raises
@@ -61,7 +61,7 @@ class Corrections:
                 return f"{said} cannot be made again: {error.message}"
         return line
 
-    def go_to(self, run: Run, wanted: tuple[Refinement, ...]) -> bool:
+    def go_to(self, run: Run, wanted: tuple[Correction, ...]) -> bool:
         """Take back corrections and make others, so that these are made; False where it takes another run."""
         now = self.wanted
         if run.stop is None or now == wanted or (self._corrected is None and now):

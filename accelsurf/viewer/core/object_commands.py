@@ -57,7 +57,7 @@ class ObjectCommands:
         ids = {one.id for one in timeline.run.objects}
         for one in timeline.corrections.wanted:
             ids |= {one.new} if one.new is not None else set()
-            ids -= {*one.merge[1:], one.remove}
+            ids -= {*one.merge[1:], one.removed_id}
         return tuple(sorted(own for own in ids if own is not None))
 
     @property

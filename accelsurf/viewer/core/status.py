@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.settings.edits import Edit
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.labels import LabelTable
-from accelsurf.settings.refinements import Refinement
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.change_log import ChangeLine
 from accelsurf.viewer.core.frame import Frame
@@ -35,7 +34,7 @@ class Status(NamedTuple):
         Steps that can be restored at once.
     settings : RunConfig
         In force now, without edits.
-    edits : tuple of Edit
+    edits : tuple of Correction
         All, also those after the present step once the session has gone back.
     stop : Stop or None
         Why the run has ended.
@@ -53,7 +52,7 @@ class Status(NamedTuple):
         Ids of the objects; none for a run of one object without an id.
     redoable : int
         How many undone changes can be made again.
-    refinements : tuple of Refinement
+    refinements : tuple of Correction
         Corrections after the run's end; while it goes on again, those that are made when it ends.
     changes : tuple of ChangeLine
         What was changed, in order, and what of it is undone.
@@ -70,7 +69,7 @@ class Status(NamedTuple):
     step: int
     checkpoints: tuple[int, ...]
     settings: RunConfig
-    edits: tuple[Edit, ...]
+    edits: tuple[Correction, ...]
     stop: Stop | None
     message: str
     failed: bool
@@ -79,7 +78,7 @@ class Status(NamedTuple):
     redoable: int = 0
     labels: LabelTable = LabelTable()
     object_words: Mapping[int, str] = MappingProxyType({})
-    refinements: tuple[Refinement, ...] = ()
+    refinements: tuple[Correction, ...] = ()
     changes: tuple[ChangeLine, ...] = ()
     rests: tuple[int, ...] = ()
     doubts: tuple[Doubt, ...] = ()

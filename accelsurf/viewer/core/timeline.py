@@ -11,7 +11,7 @@ from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.clicks import Side
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.run import Run
-from accelsurf.settings.edits import Edit
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.change_log import ChangeLog, Moment, edits_with
@@ -130,7 +130,7 @@ class Timeline:
         if stop is not None and "max-steps" in self._reasons():
             run.restore(self._present)
         elif stop is not None:
-            self._replace_edits((*self._edits_so_far(), Edit(step=self.step_number)), "runs on")
+            self._replace_edits((*self._edits_so_far(), Correction(step=self.step_number)), "runs on")
         if self.step_number >= run.max_steps:
             run.extend(self.step_number + max(run.config.max_steps, 1))
         if 0 <= last_step <= self.step_number:
@@ -185,7 +185,7 @@ class Timeline:
         changed.pop("seed", None)
         self.pause()
         self._restore(0)
-        edits = (Edit(step=0, **changed),) if changed else ()
+        edits = (Correction(step=0, **changed),) if changed else ()
         if edits != config.edit:
             self._replace_edits(edits, "restart")
         elif before.refinements:
@@ -240,7 +240,7 @@ class Timeline:
             When a setting is not valid; nothing is changed then.
         """
         run, step, edits = self.run, self.step_number, self._edits_so_far()
-        run.check(Edit(step=step, **settings))
+        run.check(Correction(step=step, **settings))
         altered, said = edits_with(run.config, edits, step, settings), in_words(settings)
         if altered != edits:
             self._replace_edits(altered, said)
@@ -366,10 +366,10 @@ class Timeline:
             run.set_edits(config.edit)
         self._catch_up(step)
 
-    def _edits_so_far(self) -> tuple[Edit, ...]:
+    def _edits_so_far(self) -> tuple[Correction, ...]:
         return tuple(edit for edit in self.run.config.edit if edit.step <= self.step_number)
 
-    def _replace_edits(self, edits: tuple[Edit, ...], said: str, joined: bool = False) -> None:
+    def _replace_edits(self, edits: tuple[Correction, ...], said: str, joined: bool = False) -> None:
         """Continue with other edits from the present step; the steps made after it are forgotten."""
         run, step, before = self.run, self.step_number, self._now()
         if edits == before.config.edit and run.stop is None:

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from accelsurf.errors import UsageError
+from accelsurf.settings.edits import MAX_ID
 from accelsurf.settings.labels import MAX_NAME
-from accelsurf.settings.refinements import MAX_ID
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.colors import OBJECT_COLORS
 from accelsurf.viewer.scene.object_styles import ObjectStyle, unnamed
