@@ -9,8 +9,8 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.clicks import NO_OBJECT
 from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization import starts
-from accelsurf.segmentation.balls import BallEdit
 from accelsurf.segmentation.preprocessing import PreprocessedInput
+from accelsurf.segmentation.run_clicks import BallEdit
 from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import energy_settings
 from accelsurf.settings.edits import Correction

@@ -20,9 +20,8 @@ from accelsurf.initialization import large_object_starts
 from accelsurf.initialization.large_object_starts import LabelMap, ManyStarts
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.segmentation.energy_assembly import make_term
-from accelsurf.segmentation.group_run import Boxes, GroupResult, MeetsOthers, check_settings, run_group
+from accelsurf.segmentation.group_run import Boxes, Group, GroupResult, MeetsOthers, check_settings, run_group, united
 from accelsurf.segmentation.image_context import ImageContext, TermInputs
-from accelsurf.segmentation.object_groups import Group, united
 from accelsurf.segmentation.result import SegmentedObject
 from accelsurf.segmentation.run_start import AROUND
 from accelsurf.segmentation.whole_image import Numbers, WholeImage

@@ -49,10 +49,9 @@ from accelsurf.segmentation.object_models import check_id, point_click
 from accelsurf.segmentation.refined_objects import RefinedObjects
 from accelsurf.segmentation.region_of_interest import closed_on, cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
-from accelsurf.segmentation.run_setup import setup_of
+from accelsurf.segmentation.run_setup import half_width, setup_of
 from accelsurf.segmentation.run_start import AROUND
 from accelsurf.segmentation.run_state import BoxMask
-from accelsurf.segmentation.solver_setup import half_width
 from accelsurf.settings.edits import MAX_ID, Correction
 
 #: Voxels of the largest spacing between what the model says of a new object and the border of its box.

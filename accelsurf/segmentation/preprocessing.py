@@ -1,7 +1,8 @@
-"""Preprocessing: from volumes as read to the input of a run, in pure stages that return frozen records."""
+"""Preprocessing: from volumes as read, through filters, to the input of a run, in pure stages."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.errors import AccelsurfError, GeometryError, InputError
+from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
@@ -19,15 +20,14 @@ from accelsurf.grid.volume import Volume, check_image
 from accelsurf.grid.window import Window
 from accelsurf.initialization import starts
 from accelsurf.initialization.clicks import clicks_of
-from accelsurf.segmentation.filters import filtered_volume, filters_of
 from accelsurf.segmentation.image_context import ImageContext, Mask, ModelInputs, Scale
-from accelsurf.segmentation.region_of_interest import cropped
+from accelsurf.segmentation.region_of_interest import cropped, distance_of_mask
 from accelsurf.segmentation.run_clicks import placed
-from accelsurf.segmentation.run_mask import distance_of_mask
 from accelsurf.segmentation.run_setup import thread_count
 from accelsurf.segmentation.window_input import WindowInput, region_in, whole_of, window_of
-from accelsurf.settings import energy_expression
+from accelsurf.settings import budgets, energy_expression
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.value_bounds import bounds_of
 from accelsurf.settings.volumes import volume_mm3
 from accelsurf.settings.wording import shown
 
@@ -353,3 +353,45 @@ def apply(image: NDArray[np.float32], scale: Scale) -> NDArray[np.float32]:
     image -= np.float32(scale.low)
     image *= np.float32(1.0 / scale.width)
     return image
+
+
+def in_mm(length: float | str, geometry: Geometry) -> float:
+    """A length of `RunConfig` in mm: as it is, or ``Nvox`` in voxels of the smallest spacing.
+
+    Examples
+    --------
+    >>> in_mm("1.5vox", Geometry((8, 6, 4), (3.0, 2.0, 2.0)))
+    3.0
+    """
+    if not isinstance(length, str):
+        return length
+    return float(length.removesuffix("vox")) * min(geometry.steps)
+
+
+def filters_of(config: RunConfig, geometry: Geometry) -> ImageFilters:
+    """What a run filters its image by: ``clip``, ``closing`` and ``presmooth``.
+
+    Raises
+    ------
+    UsageError
+        When one of them would take too long.
+    """
+    filters = ImageFilters(bounds_of(config.clip), in_mm(config.closing, geometry), in_mm(config.presmooth, geometry))
+    check_filters(filters, geometry)
+    return filters
+
+
+def check_filters(filters: ImageFilters, geometry: Geometry) -> None:
+    """Refuse a Gaussian or a closing that takes too long."""
+    smallest = min(geometry.steps)
+    budgets.SMOOTHING.check(
+        math.ceil(filters.sigma / smallest), f"presmooth: a sigma of {filters.sigma:g} mm", kind=UsageError
+    )
+    budgets.CLOSING.check(
+        math.floor(filters.closing / smallest), f"closing: a radius of {filters.closing:g} mm", kind=UsageError
+    )
+
+
+def filtered_volume(volume: Volume, filters: ImageFilters) -> NDArray[np.float32]:
+    """The image as float32, filtered."""
+    return filters.of_whole(volume.as_float32(), volume.geometry.spacing)

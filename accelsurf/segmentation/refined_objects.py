@@ -29,8 +29,8 @@ from accelsurf.segmentation.region_of_interest import closed_on, cropped
 from accelsurf.segmentation.region_totals import RegionTotals
 from accelsurf.segmentation.rest_points import on_larger_box
 from accelsurf.segmentation.result import Result, SegmentedObject
+from accelsurf.segmentation.run_setup import half_width
 from accelsurf.segmentation.run_state import RunState
-from accelsurf.segmentation.solver_setup import half_width
 from accelsurf.settings.run_config import RunConfig
 
 

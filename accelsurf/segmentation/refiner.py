@@ -35,14 +35,18 @@ from accelsurf.segmentation.late_growth import still_inside
 from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near
 from accelsurf.segmentation.local_model import basin_of
 from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
-from accelsurf.segmentation.new_clicks import check_object, clicks_on, placed_clicks, refuse_contradictions
-from accelsurf.segmentation.object_models import point_click
+from accelsurf.segmentation.object_models import (
+    check_object,
+    clicks_on,
+    placed_clicks,
+    point_click,
+    refuse_contradictions,
+)
 from accelsurf.segmentation.refined_objects import RefinedObjects
 from accelsurf.segmentation.region_totals import RegionTotals
 from accelsurf.segmentation.result import Result
-from accelsurf.segmentation.run_setup import setup_of, window_reach
+from accelsurf.segmentation.run_setup import correction_rule, is_maker, setup_of, window_reach
 from accelsurf.segmentation.run_state import BoxMask
-from accelsurf.segmentation.solver_setup import correction_rule, is_maker
 from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 

@@ -15,9 +15,8 @@ from accelsurf.initialization.clicks import clicks_of
 from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
 from accelsurf.segmentation.corrected_surface import frozen_settings
 from accelsurf.segmentation.local_model import LocalState, sureness_from
-from accelsurf.segmentation.new_clicks import clicks_on, placed_clicks
 from accelsurf.segmentation.object_changes import voxel_of
-from accelsurf.segmentation.object_models import ObjectModels, point_click
+from accelsurf.segmentation.object_models import ObjectModels, clicks_on, placed_clicks, point_click
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import Run

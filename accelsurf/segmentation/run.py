@@ -21,7 +21,6 @@ from accelsurf.segmentation import edit_checks
 from accelsurf.segmentation.ensemble import Ensemble, overall_stop
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.image_context import ImageContext
-from accelsurf.segmentation.level_arrays import LevelInputs
 from accelsurf.segmentation.object_records import EnergyMaker
 from accelsurf.segmentation.run_checkpoint import RunCheckpoint
 from accelsurf.segmentation.run_clicks import RunClicks
@@ -38,6 +37,7 @@ from accelsurf.segmentation.run_setup import (
 )
 from accelsurf.segmentation.run_start import AROUND, start_of_run
 from accelsurf.segmentation.start_checks import start_checks
+from accelsurf.segmentation.start_pyramid import LevelInputs
 from accelsurf.segmentation.window_input import WindowInput
 from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig

@@ -20,7 +20,7 @@ from accelsurf.segmentation.region_of_interest import closed_on, cropped
 from accelsurf.segmentation.rest_points import rest_points
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import AROUND, Run
-from accelsurf.segmentation.solver_setup import half_width, stop_rule
+from accelsurf.segmentation.run_setup import half_width, stop_rule
 
 
 def result_of(run: Run) -> Result:

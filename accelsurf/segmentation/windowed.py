@@ -20,10 +20,9 @@ from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import GUARD, LeavesWindow, NeedsLevels, Window, aligned, enlarged
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
-from accelsurf.segmentation.filters import filters_of
 from accelsurf.segmentation.first_window import first_box
 from accelsurf.segmentation.memory_need import bytes_text, run_bytes, values_within
-from accelsurf.segmentation.preprocessing import uses_model
+from accelsurf.segmentation.preprocessing import filters_of, uses_model
 from accelsurf.segmentation.refiner import OnObjectStep
 from accelsurf.segmentation.region_of_interest import cropped, region_of_run
 from accelsurf.segmentation.result import Result

@@ -21,7 +21,7 @@ from accelsurf.segmentation.local_model import LocalModel, LocalState, ModelChan
 from accelsurf.segmentation.near_region import rim_width
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.refiner import Refiner
-from accelsurf.segmentation.solver_setup import PATIENCE, correction_rule, half_width
+from accelsurf.segmentation.run_setup import PATIENCE, correction_rule, half_width
 from accelsurf.settings.edits import Correction, corrections_of
 from accelsurf.settings.run_config import RunConfig
 

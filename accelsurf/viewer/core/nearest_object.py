@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box, Corner
 from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization import starts
-from accelsurf.segmentation.balls import BallEdit
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_clicks import BallEdit
 
 
 def nearest_object(run: Run, where: str) -> int:
