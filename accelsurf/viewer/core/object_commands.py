@@ -10,19 +10,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from accelsurf.energies.seeded.appearance import learn
+from accelsurf.energies.seeded.competition import arrival, field_of
+from accelsurf.energies.seeded.model import SMOOTHING
 from accelsurf.errors import UsageError
-from accelsurf.grid.clicks import Side
+from accelsurf.grid.clicks import Clicks, Side
+from accelsurf.grid.smoothing import gaussian_mm
+from accelsurf.initialization.clicks import read_clicks
 from accelsurf.report.label_names import given_of
+from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.settings.labels import colored, named
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.restarted import FROM_CLICKS
-from accelsurf.viewer.core.size_drag import SizeDrag
-from accelsurf.viewer.core.size_press import size_drag_of
+from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
 
 if TYPE_CHECKING:
     from accelsurf.viewer.core.timeline import Timeline
-
 
 class ObjectCommands:
     """The objects of a timeline.
@@ -101,7 +108,7 @@ class ObjectCommands:
         timeline = self._timeline
         if object_id is not None:
             return None if not self.has_ids and self.ids == (object_id,) else object_id
-        nearest = timeline.corrections.nearest(place)
+        nearest = timeline.corrections.nearest(timeline.run, place)
         if nearest is not None or not timeline.run.has_ids:
             return nearest
         return nearest_object(timeline.run, place)
@@ -213,3 +220,48 @@ class ObjectCommands:
                 before = {named(text)[0] if key == "name" else colored(text)[0]: text for text in getattr(config, key)}
                 out[key] = tuple((before | own)[label] for label in sorted(before | own))
         return out
+
+
+def size_drag_of(run: Run, ball: str, voxels: int = FIRST_VOXELS, taken: BoxMask | None = None) -> SizeDrag:
+    """Compute the arrival times from a ball.
+
+    Parameters
+    ----------
+    run : Run
+        Its image and settings are used; it is not changed.
+    ball : str
+        ``ball:X,Y,Z,R``.
+    voxels : int, optional
+        How many are reached.
+    taken : BoxMask, optional
+        Voxels of the region of interest that belong to other objects: the march goes around them.
+
+    Raises
+    ------
+    UsageError, InputError
+        When it is no ball, or lies outside.
+    """
+    if not ball.startswith("ball:"):
+        raise UsageError(f"press: {ball[:40]!r} was given, expected ball:X,Y,Z,R")
+    clicks = read_clicks([ball], "inside", run.volume)
+    geometry, box = run.volume.geometry, run.prepared.box
+    context = run.objects[0].context
+    (click,) = Clicks(tuple(clicks), geometry.shape).on_box(box).clicks or (None,)
+    if click is None:
+        raise UsageError(f"press: {ball} lies outside of the mask")
+    spacing = context.spacing
+    smooth = [gaussian_mm(image, spacing, SMOOTHING * min(spacing)) for image in context.images]
+    shape = smooth[0].shape
+    distance = run.prepared.mask_distance
+    passes = None if distance is None else np.asarray(distance < 0)
+    if taken is not None:
+        passes = np.ones(shape, np.bool_) if passes is None else passes
+        passes[taken.box] &= ~taken.mask
+    field = field_of(smooth, spacing, passes)
+    where = tuple(axis + part.start for axis, part in zip(np.nonzero(click.mask), click.box, strict=True))
+    seeds = np.ravel_multi_index(where, shape).astype(np.int64)
+    tissue = learn(smooth, spacing, click)
+    times, order = arrival(field, tissue, seeds, max_count=voxels)
+    axis = geometry.slice_axis
+    thickness = None if axis is None else geometry.spacing[axis]
+    return SizeDrag(ball, times.reshape(shape), order, run.prepared.first, geometry.voxel_volume, thickness)

@@ -27,7 +27,7 @@ from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.core.saved_kinds import KINDS
+from accelsurf.viewer.core.status import SAVED_KINDS
 
 RUN_FILE = "run.toml"
 
@@ -50,7 +50,7 @@ def save(
     source : Path or None
         The image's file, for the report and the format of the labels.
     what : collection of str
-        Of `saved_kinds.KINDS`.
+        Of `SAVED_KINDS`.
     replaceable : collection of Path or None
         Files that may be replaced; None: all.
     corrected : Result, optional
@@ -71,7 +71,7 @@ def save(
         When a file is there already or cannot be written.
     """
     for kind in what:
-        check_known("save", kind, KINDS)
+        check_known("save", kind, SAVED_KINDS)
     result = corrected or dataclasses.replace(result_of(run), config=repeating(run))
     config = result.config.replace(**(others or {}))
     result = dataclasses.replace(result, config=config)
@@ -101,7 +101,7 @@ def _all_beside_report(report: Path, what: Collection[str]) -> set[str]:
     if result_sets.load_report(report) is None or result_sets.is_failure_report(report):
         return set(what)
     listed = result_sets.kinds_of_outputs(report)
-    return {*what, "report", *(_kind(kind) for kind in listed)} & set(KINDS)
+    return {*what, "report", *(_kind(kind) for kind in listed)} & set(SAVED_KINDS)
 
 
 def _write(
@@ -157,7 +157,7 @@ def _write_report(
 
 
 def _kind(output: str) -> str:
-    """The one of `KINDS` that an output belongs to."""
+    """The one of `SAVED_KINDS` that an output belongs to."""
     kinds = {"labels": "labels", "data": "labels", "sdf": "labels", "objects": "report", "trace": "trace"}
     kinds |= {"preview": "picture", "run": "run", "state": "report", "config": ""}
     return kinds.get(output, "mesh")

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import UsageError
-from accelsurf.viewer.core.saved_kinds import KINDS
-from accelsurf.viewer.core.status import Status
+from accelsurf.viewer.core.status import SAVED_KINDS, Status
 from accelsurf.viewer.workplace.checks import word
 from accelsurf.viewer.workplace.feature import Feature, Key
 
@@ -52,7 +51,7 @@ class FilesFeature(Feature):
 
     def _save(self, *what: Any) -> None:
         workplace = self.workplace
-        kinds = [word(kind, KINDS) for kind in what] or list(KINDS)
+        kinds = [word(kind, SAVED_KINDS) for kind in what] or list(SAVED_KINDS)
         if workplace.folder is None:
             raise UsageError("save: there is no folder to save in", "name one")
         future = workplace.session.save(workplace.folder, kinds, workplace.overwrite)
