@@ -13,6 +13,7 @@ from accelsurf.energies import Energy
 from accelsurf.evolution import energy_budget, lowest, rests
 from accelsurf.evolution.convergence import Reason, Restart, StopRule, stalled, surface_is_gone
 from accelsurf.evolution.records import Step, StepFields, StepRecord, Stop
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.evolution.state import Checkpoint, LoopState
 from accelsurf.flows import Flow, StepInput, StepLimits, StepPlan
 from accelsurf.flows.step_limits import voxel_rates
@@ -89,6 +90,30 @@ class Evolution:
         self._fields = fields
         self._initialized = False
 
+    @classmethod
+    def of(
+        cls,
+        surface: LevelSet,
+        energy: Energy,
+        setup: SolverSetup,
+        max_steps: int,
+        level: int = 0,
+        state: LoopState | None = None,
+        fields: list[np.ndarray] | None = None,
+        corner: tuple[int, int, int] = (0, 0, 0),
+    ) -> Evolution:
+        """Return the evolution of a surface under solver settings; the other parameters are those of the class."""
+        made = cls(
+            surface, energy, setup.flow, setup.limits, max_steps, setup.restart, setup.rule, level, state, fields
+        )
+        made.corner, made.stop_at_rest, made.end = corner, setup.stop_at_rest, setup.end
+        return made
+
+    def use(self, setup: SolverSetup, energy: Energy | None = None) -> None:
+        """Have other solver settings, and another energy unless it is None; a `restore` follows."""
+        self.flow, self.limits, self.restart, self.rule = setup.flow, setup.limits, setup.restart, setup.rule
+        self.energy = energy or self.energy
+
     @property
     def history(self) -> list[StepRecord]:
         """Every step so far, on all levels."""
@@ -156,11 +181,7 @@ class Evolution:
     def edited(
         self,
         energy: Energy | None,
-        flow: Flow,
-        limits: StepLimits,
-        restart: Restart | None,
-        rule: StopRule | None,
-        half_width: float,
+        setup: SolverSetup,
         change_psi: Callable[[LevelSet], None] | None = None,
     ) -> Evolution:
         """Return the evolution that continues from here under other settings, or from a changed surface.
@@ -173,17 +194,13 @@ class Evolution:
         ----------
         energy : Energy or None
             None for no change.
-        flow : Flow
-            Not started yet.
-        limits, restart, rule
-            From here on.
-        half_width : float
-            Of the band, voxels.
+        setup : SolverSetup
+            From here on; its flow is not started yet.
         change_psi : callable, optional
             Changes the dense psi of the surface, which is then made a signed distance again.
         """
         self.initialize()
-        surface, old = self.surface, self.flow
+        surface, old, flow, half_width = self.surface, self.flow, setup.flow, setup.half_width
         fraction, area = surface.fraction_and_area()
         potential = self.energy.value(surface, fraction, area)
         if type(flow) is type(old):
@@ -205,10 +222,10 @@ class Evolution:
         # Potentials of two energies do not compare.
         state.gained_before = 0.0 if energy is not None else self.state.gained
         state.edits, state.fields, state.rests = self.state.edits + 1, self.state.fields, state.rests.anew()
-        following = Evolution(
-            surface, energy or self.energy, flow, limits, self.max_steps, restart, rule, self.level, state, fields
+        setup = setup._replace(stop_at_rest=self.stop_at_rest, end=self.end)
+        following = Evolution.of(
+            surface, energy or self.energy, setup, self.max_steps, self.level, state, fields, self.corner
         )
-        following.corner, following.stop_at_rest, following.end = self.corner, self.stop_at_rest, self.end
         following.initialize()
         state.potential_before = potential - flow.energy(surface.fraction_and_area()[1])
         following._stop_requested = self._stop_requested

@@ -192,6 +192,11 @@ class EvolvingObject:
 
     # -- on a grid -----------------------------------------------------------------------------------------
 
+    @property
+    def _setup_here(self) -> SolverSetup:
+        """Solver settings on the present level."""
+        return self._setup._replace(rule=rule_on_level(self._setup.rule, self.level))
+
     def _surface_of(self, psi: NDArray[np.float32]) -> LevelSet:
         """The surface where ``psi``, on a box of the grid, is 0; the memory of ``psi`` is used."""
         setup = self._setup
@@ -219,15 +224,11 @@ class EvolvingObject:
         energy: Energy | None = None,
     ) -> None:
         """Begin an evolution on a surface, with a new energy for its grid unless one is given."""
-        setup = self._setup
         if energy is None:
             energy = self._energy_on(box_at(self.corner, surface.shape))
-        flow, limits, rule = setup.flow, setup.limits, rule_on_level(setup.rule, self.level)
-        self.evolution = Evolution(
-            surface, energy, flow, limits, self._max_steps, setup.restart, rule, self.level, state, fields
+        self.evolution = Evolution.of(
+            surface, energy, self._setup_here, self._max_steps, self.level, state, fields, self.corner
         )
-        self.evolution.corner, self.evolution.end = self.corner, setup.end
-        self.evolution.stop_at_rest = setup.stop_at_rest
         if self._among_others:
             # Neighbours need its speed and band before its first step.
             self.evolution.initialize()
@@ -339,12 +340,8 @@ class EvolvingObject:
                 self.evolution.history.pop()
         clicked = self.set_up(setup, make_energy, context)
         energy = self._energy_on(box_at(self.corner, self.surface.shape)) if new_energy or clicked else None
-        self.evolution = self.evolution.edited(
-            energy, setup.flow, setup.limits, setup.restart,
-            rule_on_level(setup.rule, self.level),
-            setup.half_width,
-            (lambda surface: self._change_psi(surface, balls)) if balls or clicked else None,
-        )
+        change = (lambda surface: self._change_psi(surface, balls)) if balls or clicked else None
+        self.evolution = self.evolution.edited(energy, self._setup_here, change)
 
     def _make_room(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
         """Make the box large enough for what lies between two voxels."""
@@ -373,17 +370,14 @@ class EvolvingObject:
         """Go back to a state of this level, with the settings that were in force then."""
         new_energy |= self.set_up(setup, make_energy, context)
         self.leaked, self.reactivations, self._stop_requested = checkpoint.leaked, checkpoint.reactivations, False
-        now = self.evolution
-        if (self.corner, now.surface.shape) != (checkpoint.corner, checkpoint.shape):
+        energy = None
+        if (self.corner, self.surface.shape) != (checkpoint.corner, checkpoint.shape):
             self.corner = checkpoint.corner
-            empty = np.ones(checkpoint.shape, np.float32)
-            self._evolve(self._surface_of(empty), None)
-            now = self.evolution
+            self._evolve(self._surface_of(np.ones(checkpoint.shape, np.float32)), None)
         elif new_energy:
-            now.energy = self._energy_on(box_at(self.corner, self.surface.shape))
-        now.flow, now.limits, now.restart = setup.flow, setup.limits, setup.restart
-        now.rule = rule_on_level(setup.rule, self.level)
-        now.restore(checkpoint.evolution)
+            energy = self._energy_on(box_at(self.corner, self.surface.shape))
+        self.evolution.use(self._setup_here, energy)
+        self.evolution.restore(checkpoint.evolution)
 
     def release_to(self, level: int) -> None:
         """Change to a finer level without running there, so that a state of that level can be restored."""

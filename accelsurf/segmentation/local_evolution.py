@@ -91,10 +91,9 @@ def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None 
     # The last record of the run before has the final state, which is not final any more.
     state = LoopState(past[:-1], past[-1].t, edits=1)
     state.first = state.judged_at = state.returned_at = len(past) - 1
-    evolution = Evolution(
-        surface, ClickConstraint(problem.energy, bounds), setup.flow, setup.limits,
-        len(past) - 1 + problem.max_steps, setup.restart, setup.rule, 0, state,
-    )
+    setup = setup._replace(stop_at_rest=False, end="lowest")
+    energy = ClickConstraint(problem.energy, bounds)
+    evolution = Evolution.of(surface, energy, setup, len(past) - 1 + problem.max_steps, 0, state)
     for step in evolution:
         record = _of_whole(step.record, offsets)
         evolution.history[-1] = record

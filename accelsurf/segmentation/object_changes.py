@@ -164,8 +164,7 @@ def _to_rest(
     """Evolve a first surface on its box; ``control`` is the solver's and how many steps there may be."""
     setup, max_steps = control
     surface = LevelSet(psi, spacing, setup.half_width, workers, overwrite=True, extension=setup.extension)
-    evolution = Evolution(surface, energy, setup.flow, setup.limits, max_steps, setup.restart, setup.rule)
-    evolution.end, evolution.stop_at_rest = setup.end, setup.stop_at_rest
+    evolution = Evolution.of(surface, energy, setup, max_steps)
     leaked = False
     for step in evolution:
         leaked = setup.max_volume is not None and step.record.volume_mm3 > setup.max_volume
