@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from accelsurf.grid.boxes import box_at
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
 from accelsurf.segmentation.late_growth import LateGrowth
+from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_checkpoint import (
     CheckpointHeader,
     header_of,
@@ -21,9 +21,6 @@ from accelsurf.segmentation.run_checkpoint import (
 from accelsurf.segmentation.run_setup import needs_seed
 from accelsurf.settings.intervals import interval_of
 from accelsurf.settings.run_config import RunConfig
-
-if TYPE_CHECKING:
-    from accelsurf.segmentation.run import Run
 
 #: As often a run writes its state that is given a file for it and not told how often.
 DEFAULT_INTERVAL = "1min"

@@ -23,6 +23,9 @@ from accelsurf.initialization.clicks import (
 )
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.io import meshes
+from accelsurf.segmentation.run_setup import EnergyLike
+from accelsurf.settings.catalogue import default_of
+from accelsurf.settings.run_config import RunConfig
 
 #: Settings that may be given as arrays, volumes, meshes or lists of balls.
 GIVEN = ("start", "mask", "foreground", "background", "inside", "outside")
@@ -156,3 +159,20 @@ def _numbers_of(value: Any) -> tuple[float, ...]:
     if not isinstance(value, (Sequence, np.ndarray)) or not all(isinstance(one, (Real, np.number)) for one in value):
         return ()
     return tuple(float(one) for one in value)
+
+
+def with_options(
+    config: RunConfig | None, energy: EnergyLike | None, options: dict[str, Any], clicked: bool = False
+) -> tuple[RunConfig, EnergyLike | None]:
+    """The configuration, and the energy if it is not given by name; ``clicked``: voxels inside are given as arrays."""
+    if isinstance(energy, str):
+        options, energy = {**options, "energy": energy}, None
+    config = config or RunConfig()
+    known = config.model_fields_set | options.keys()
+    if energy is not None and (clicked or "inside" in options):
+        # What clicks choose otherwise; the energy of one's own has no model of them.
+        options = {"energy": default_of("energy"), **options}
+    if clicked:
+        defaults = {"energy": "seeded", "start": ("clicks",)}
+        options = {**{key: value for key, value in defaults.items() if key not in known}, **options}
+    return config.replace(**options) if options else config, energy

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,6 @@ from accelsurf.grid.boxes import Corner, widened
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
 from accelsurf.kernels.statistics import sums_by_cube
-
-if TYPE_CHECKING:
-    from accelsurf.segmentation.result import SegmentedObject
 
 #: A place (z, y, x), in voxels.
 Place = tuple[float, float, float]
@@ -185,15 +182,3 @@ def nearest_inside(place: Place | None, inside: NDArray[np.bool_], spacing: Sequ
         if away.size and (away.min() <= (reach - max(spacing)) ** 2 or box == widened(at, inside.shape, inside.shape)):
             z, y, x = (float(i) for i in found[int(np.argmin(away))])
             return z, y, x
-
-
-def still_inside(place: Place | None, objects: Iterable[SegmentedObject]) -> Place | None:
-    """Return a place where an object is there, after corrections; else None."""
-    if place is None:
-        return None
-    voxel = [round(at) for at in place]
-    for one in objects:
-        own = tuple(at - part.start for at, part in zip(voxel, one.box, strict=True))
-        if all(0 <= at < n for at, n in zip(own, one.psi.shape, strict=True)) and one.psi[own] < 0:
-            return place
-    return None

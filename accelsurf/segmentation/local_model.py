@@ -23,7 +23,6 @@ from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
 from accelsurf.energies.seeded.model import later_times
 from accelsurf.energies.seeded.others import going_on
 from accelsurf.energies.seeded.stages import Stage, first_and_last, in_order, mostly_left
-from accelsurf.energies.seeded.sureness import Sureness, sureness_of
 from accelsurf.grid.boxes import (
     Box,
     bounding_box,
@@ -82,13 +81,6 @@ class LocalState(NamedTuple):
         box = bounding_box((model.field != 1.0) | model.start, 0) or whole_box(model.field.shape)
         field, start = model.field[box].copy(), model.start[box].copy()
         return cls(model.clicks, model.images, box, field, start, model.sized, model.proposal, model.stages)
-
-
-def sureness_from(model: SeededModel | LocalState) -> Sureness | None:
-    """How sure a model is of its object; None of a partition."""
-    if not model.stages or model.proposal is None:
-        return None
-    return sureness_of(model.stages[-1].shown, model.clicks, model.proposal, model.stages[-1].corrections)
 
 
 class ModelChange(NamedTuple):

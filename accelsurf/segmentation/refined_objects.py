@@ -22,13 +22,14 @@ from accelsurf.segmentation.corrected_surface import (
     surface_of,
 )
 from accelsurf.segmentation.local_evolution import measures_of
-from accelsurf.segmentation.local_model import LocalModel, ModelChange, sureness_from
+from accelsurf.segmentation.local_model import LocalModel, ModelChange
 from accelsurf.segmentation.near_region import NearRegion
 from accelsurf.segmentation.object_models import ModelsBefore, ObjectModels
 from accelsurf.segmentation.region_of_interest import closed_on, cropped
 from accelsurf.segmentation.region_totals import RegionTotals
 from accelsurf.segmentation.rest_points import on_larger_box
 from accelsurf.segmentation.result import Result, SegmentedObject
+from accelsurf.segmentation.run_result import sureness_from
 from accelsurf.segmentation.run_setup import half_width
 from accelsurf.segmentation.run_state import RunState
 from accelsurf.settings.run_config import RunConfig

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
-from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import Box, box_at, counted_from
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks
@@ -31,7 +31,6 @@ from accelsurf.segmentation.corrected_surface import (
     stop_of_whole,
     wrong_part,
 )
-from accelsurf.segmentation.late_growth import still_inside
 from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near
 from accelsurf.segmentation.local_model import basin_of
 from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
@@ -44,14 +43,13 @@ from accelsurf.segmentation.object_models import (
 )
 from accelsurf.segmentation.refined_objects import RefinedObjects
 from accelsurf.segmentation.region_totals import RegionTotals
-from accelsurf.segmentation.result import Result
+from accelsurf.segmentation.result import Result, SegmentedObject
+from accelsurf.segmentation.run_result import OnObjectStep
 from accelsurf.segmentation.run_setup import correction_rule, is_maker, setup_of, window_reach
 from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 
-#: What is called with each record and the id of its object; a true value ends the correction.
-OnObjectStep = Callable[[StepRecord, int], bool | None]
 #: The surface and its stencils see so many voxels of the largest spacing beyond the region, where they are held.
 MARGIN = 5.0
 
@@ -345,5 +343,19 @@ class Refiner:
         clicks = on_image(models.clicks, self._state.prepared.first, base.geometry.shape)
         return dataclasses.replace(
             base, objects=objects, has_ids=self.has_ids, config=self.config, state=state, seconds=seconds,
-            clicks=clicks, late_growth=still_inside(base.late_growth, objects),
+            clicks=clicks, late_growth=_still_inside(base.late_growth, objects),
         )
+
+
+def _still_inside(
+    place: tuple[float, float, float] | None, objects: Iterable[SegmentedObject]
+) -> tuple[float, float, float] | None:
+    """Return a place where an object is there, after corrections; else None."""
+    if place is None:
+        return None
+    voxel = [round(at) for at in place]
+    for one in objects:
+        own = tuple(at - part.start for at, part in zip(voxel, one.box, strict=True))
+        if all(0 <= at < n for at, n in zip(own, one.psi.shape, strict=True)) and one.psi[own] < 0:
+            return place
+    return None

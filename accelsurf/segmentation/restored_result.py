@@ -14,13 +14,13 @@ from accelsurf.grid.volume import Volume
 from accelsurf.initialization.clicks import clicks_of
 from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
 from accelsurf.segmentation.corrected_surface import frozen_settings
-from accelsurf.segmentation.local_model import LocalState, sureness_from
+from accelsurf.segmentation.local_model import LocalState
 from accelsurf.segmentation.object_changes import voxel_of
 from accelsurf.segmentation.object_models import ObjectModels, clicks_on, placed_clicks, point_click
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_result import result_of
+from accelsurf.segmentation.run_result import result_of, sureness_from
 from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.segmentation.state_file import ObjectFile, StateFile, box_of, masks_of, rests_of, surface_of
 from accelsurf.settings.edits import Correction

@@ -3,24 +3,53 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.seeded import Sureness
+from accelsurf.energies.seeded import Proposal, Sureness
+from accelsurf.energies.seeded.stages import Stage
+from accelsurf.energies.seeded.sureness import sureness_of
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.grid.boxes import Box, box_at, widened
+from accelsurf.grid.boxes import Box, box_at, whole_box, widened
+from accelsurf.grid.clicks import NO_OBJECT, Clicks
+from accelsurf.grid.window import Window
+from accelsurf.segmentation.checkpoint_file import CheckpointFile
 from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
 from accelsurf.segmentation.evolving_object import EvolvingObject
-from accelsurf.segmentation.local_model import sureness_from
+from accelsurf.segmentation.late_growth import LateGrowth, nearest_inside
 from accelsurf.segmentation.preprocessing import uses_model
-from accelsurf.segmentation.refine import state_of
 from accelsurf.segmentation.region_of_interest import closed_on, cropped
 from accelsurf.segmentation.rest_points import rest_points
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import AROUND, Run
 from accelsurf.segmentation.run_setup import half_width, stop_rule
+from accelsurf.segmentation.run_state import RunState
+
+#: Called with each record and the id of its object; a true value ends the run or the correction.
+OnObjectStep = Callable[[StepRecord, int], bool | None]
+
+
+class ClickModel(Protocol):
+    """A model of clicks, of a whole run or of a correction."""
+
+    @property
+    def clicks(self) -> Clicks:
+        """The clicks that it is of."""
+        ...
+
+    @property
+    def proposal(self) -> Proposal | None:
+        """The size that it proposes; None of a partition."""
+        ...
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The model click by click."""
+        ...
 
 
 def result_of(run: Run) -> Result:
@@ -49,7 +78,7 @@ def result_of(run: Run) -> Result:
         edits_done=run.edits_done,
         given=run.given,
         clicks=on_image(run.clicks, run.prepared.first, run.volume.geometry.shape),
-        state=state_of(run),
+        state=None if config.keep_state == "no" else state_at_end(run),
         warnings=run.level_warnings
         + [
             f"{key} was given, but has no effect on flow {config.flow} with energy {run.energy_name}"
@@ -137,3 +166,46 @@ def resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
         "half_width_voxels": half_width(config),
         "levels": levels,
     }
+
+
+def state_at_end(run: Run) -> RunState:
+    """Return the state from which a finished run is corrected, whatever the settings say of keeping it."""
+    contexts = {one.id: one.context for one in run.objects}
+    return RunState(run.prepared, contexts, run.energy_given, run.clicks)
+
+
+def sureness_from(model: ClickModel) -> Sureness | None:
+    """Return the confidence of a model in its object; None of a partition."""
+    if not model.stages or model.proposal is None:
+        return None
+    return sureness_of(model.stages[-1].shown, model.clicks, model.proposal, model.stages[-1].corrections)
+
+
+def finished(
+    run: Run,
+    on_step: OnObjectStep | None,
+    on_warning: Callable[[str], None] | None,
+    checkpoints: CheckpointFile | None = None,
+) -> Result:
+    """Return the result of a run that goes to the end, or until ``on_step`` returns true; no correction is made."""
+    grid = run.volume.geometry
+    growth = LateGrowth(run.window or Window(grid, whole_box(grid.shape)))
+    with run:
+        notes = [] if checkpoints is None else checkpoints.restore(run, growth)
+        if on_warning is not None:
+            for warning in (*run.level_warnings, *notes):
+                on_warning(warning)
+        while made := run.step():
+            asked = False
+            for step in (one for one in made if one.object_id != NO_OBJECT):
+                own = next(one for one in run.objects if one.id == step.object_id)
+                growth.watch(step, run.grid, own.corner, run.prepared.first)
+                if on_step is not None and on_step(step.record, step.object_id):
+                    asked = True
+            if checkpoints is not None:
+                checkpoints.watch(run, growth, at_once=asked)
+            if asked:
+                run.request_stop()
+        result = result_of(run)
+    late = nearest_inside(growth.place(), result.labels > 0, grid.spacing)
+    return replace(result, late_growth=late, warnings=[*result.warnings, *notes])

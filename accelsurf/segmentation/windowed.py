@@ -18,17 +18,18 @@ from accelsurf.grid.boxes import widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import GUARD, LeavesWindow, NeedsLevels, Window, aligned, enlarged
-from accelsurf.io.lazy_volume import LazyVolume
+from accelsurf.io import available_memory
+from accelsurf.io.lazy_volume import LazyVolume, open_with
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
 from accelsurf.segmentation.first_window import first_box
-from accelsurf.segmentation.memory_need import bytes_text, run_bytes, values_within
+from accelsurf.segmentation.given import split_given, with_options
+from accelsurf.segmentation.memory_need import allowed_bytes, bytes_text, run_bytes, values_within
 from accelsurf.segmentation.preprocessing import filters_of, uses_model
-from accelsurf.segmentation.refiner import OnObjectStep
 from accelsurf.segmentation.region_of_interest import cropped, region_of_run
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_result import OnObjectStep, finished
 from accelsurf.segmentation.run_setup import seeded
-from accelsurf.segmentation.to_end import finished
 from accelsurf.segmentation.whole_image import Numbers, WholeImage
 from accelsurf.segmentation.window_input import WindowInput, has_region
 from accelsurf.settings import energy_expression
@@ -112,6 +113,38 @@ def _for_statistics(image: LazyVolume) -> LazyVolume | None:
     while found is not None and math.prod(found.geometry.shape) > MAX_STREAMED:
         found = found.coarser()
     return None if found is image else found
+
+
+def segment_lazily(
+    volume: LazyVolume,
+    config: RunConfig | None,
+    on_step: OnObjectStep | None,
+    on_warning: Callable[[str], None] | None,
+    checkpoint_to: str | Path | None,
+    options: dict[str, Any],
+) -> Result:
+    """Segment one object of an image that is read in parts: `accelsurf.segment` of a `LazyVolume`.
+
+    Raises
+    ------
+    UsageError
+        When something is given as an array, or the energy is one of the user's own.
+    """
+    spacing, channels, energy = (options.pop(key) for key in ("spacing", "channels", "energy"))
+    max_memory = options.pop("max_memory", None)
+    texts, given = split_given(options)
+    wrong = [*given, *(["spacing"] if spacing is not None else [])]
+    wrong += [] if energy is None or isinstance(energy, str) else ["energy"]
+    wrong += [] if all(isinstance(one, LazyVolume) for one in channels) else ["channels"]
+    if wrong:
+        raise UsageError(
+            f"{wrong[0]}: an array or a function was given with an image that is read in parts",
+            "give texts and open_volume(), or read the image with accelsurf.read",
+        )
+    config, _ = with_options(config, energy, texts)
+    others = [*channels, *(open_with(file, config.reading) for file in config.channel)]
+    image = LargeImage.of((volume, *others), allowed_bytes(max_memory, available_memory()))
+    return segment_in_windows(image, config, on_step, on_warning, checkpoint_to=checkpoint_to)
 
 
 def segment_in_windows(

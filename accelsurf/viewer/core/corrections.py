@@ -15,11 +15,10 @@ from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, counted_f
 from accelsurf.report.preview_content import marks_of
 from accelsurf.segmentation.clicked_voxels import on_image
 from accelsurf.segmentation.ensemble import overall_stop
-from accelsurf.segmentation.refine import state_at_end
 from accelsurf.segmentation.refiner import Change, Refiner
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_result import result_of
+from accelsurf.segmentation.run_result import result_of, state_at_end
 from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.settings.edits import Correction
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame, histories_of_run
