@@ -30,6 +30,12 @@ from accelsurf.segmentation.run_clicks import BallEdit, LevelClicks, apply_balls
 from accelsurf.segmentation.start_pyramid import LevelInputs, StartPyramid, finer_box, to_finest
 
 
+def leaked_stop(stop: Stop, setup: SolverSetup) -> Stop:
+    """Return a stop with the reason that the object is larger than allowed."""
+    message = f"the object grew beyond {setup.max_volume:g} mm3, its largest allowed volume"
+    return stop._replace(reason="leaked", message=message)
+
+
 class EvolvingObject:
     """An object that evolves, alone or among others.
 
@@ -108,8 +114,7 @@ class EvolvingObject:
         if stop is None or self.level > 0:
             return None
         if self.leaked and stop.reason == "interrupted":
-            message = f"the object grew beyond {self._setup.max_volume:g} mm3, its largest allowed volume"
-            return stop._replace(reason="leaked", message=message)
+            return leaked_stop(stop, self._setup)
         return stop
 
     @property

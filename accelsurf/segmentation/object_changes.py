@@ -43,7 +43,7 @@ from accelsurf.segmentation.corrected_surface import (
     part_of_image,
     stop_of_whole,
 )
-from accelsurf.segmentation.local_evolution import LocalOutcome, OnStep, measures_of
+from accelsurf.segmentation.local_evolution import LocalOutcome, OnStep, measures_of, to_rest
 from accelsurf.segmentation.near_region import NearRegion
 from accelsurf.segmentation.object_models import check_id, point_click
 from accelsurf.segmentation.refined_objects import RefinedObjects
@@ -101,7 +101,7 @@ def begin_object(
     settings = objects.models.settings_of(own)
     settings = settings.replace(seed=None if base.config.seed is None else base.config.seed + own)
     setup = setup_of(settings, 0, 1, objects.prepared.geometry)
-    outcome = _to_rest(start, objects.spacing, energy, (setup, max_steps), workers, on_step)
+    outcome = _to_rest(start, objects.spacing, energy, setup, max_steps, workers, on_step)
     region = NearRegion(box, np.ones(outcome.psi.shape, np.bool_), 0.0)
     for other in sorted(takes):
         objects.take_from(other, region, outcome.psi, workers)
@@ -159,22 +159,12 @@ def taken_voxels(objects: RefinedObjects, takes: frozenset[int]) -> BoxMask | No
 
 def _to_rest(
     psi: NDArray[np.float32], spacing: tuple[float, float, float], energy: ClickConstraint,
-    control: tuple[SolverSetup, int], workers: Workers, on_step: OnStep | None,
+    setup: SolverSetup, max_steps: int, workers: Workers, on_step: OnStep | None,
 ) -> LocalOutcome:
-    """Evolve a first surface on its box; ``control`` is the solver's and how many steps there may be."""
-    setup, max_steps = control
+    """Evolve a first surface on its box."""
     surface = LevelSet(psi, spacing, setup.half_width, workers, overwrite=True, extension=setup.extension)
     evolution = Evolution.of(surface, energy, setup, max_steps)
-    leaked = False
-    for step in evolution:
-        leaked = setup.max_volume is not None and step.record.volume_mm3 > setup.max_volume
-        if leaked or (on_step is not None and on_step(step.record)):
-            evolution.request_stop()
-    stop = evolution.stop
-    assert stop is not None
-    if leaked:
-        message = f"the object grew beyond {setup.max_volume:g} mm3, its largest allowed volume"
-        stop = stop._replace(reason="leaked", message=message)
+    stop = to_rest(evolution, setup, on_step)
     return LocalOutcome(np.array(surface.psi), list(evolution.history), stop)
 
 

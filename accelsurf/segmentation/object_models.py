@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, corner_of
@@ -26,16 +29,8 @@ from accelsurf.settings.volumes import volume_mm3
 NEW_ENERGY = "seeded"
 
 
-@dataclass(frozen=True)
-class ModelsBefore:
-    """What `ObjectModels.restore` puts back."""
-
-    clicks: Clicks
-    contexts: dict[int, ImageContext]
-    settings: dict[int, RunConfig]
-    masks: dict[int, BoxMask]
-    models: dict[int, LocalModel]
-    states: dict[int, LocalState]
+#: What corrections change of `ObjectModels`; models that clicks change are put back by the caller.
+_CHANGED = ("clicks", "contexts", "settings", "masks", "_models", "_states")
 
 
 class ObjectModels:
@@ -186,18 +181,20 @@ class ObjectModels:
         self._models.pop(id, None)
         self._states.pop(id, None)
 
-    def snapshot(self) -> ModelsBefore:
-        """What is known now; models that clicks change are put back by the caller."""
-        return ModelsBefore(
-            self.clicks, dict(self.contexts), dict(self.settings), dict(self.masks), dict(self._models),
-            dict(self._states),
-        )
+    def snapshot(self) -> dict[str, Any]:
+        """Return what is known now, for `restore`."""
+        return {name: copy.copy(getattr(self, name)) for name in _CHANGED}
 
-    def restore(self, before: ModelsBefore) -> None:
+    def restore(self, before: dict[str, Any]) -> None:
         """Go back to what was known."""
-        self.clicks = before.clicks
-        self.contexts, self.settings, self.masks = dict(before.contexts), dict(before.settings), dict(before.masks)
-        self._models, self._states = dict(before.models), dict(before.states)
+        vars(self).update({name: copy.copy(value) for name, value in before.items()})
+
+    def state(self, totals: Mapping[str, NDArray[np.float64]]) -> RunState:
+        """Return what a later correction goes on from; ``totals`` as of `RunState`."""
+        return replace(
+            self._state, totals=dict(totals), clicks=self.clicks, models=self.made, contexts=dict(self.contexts),
+            settings=dict(self.settings), masks=dict(self.masks),
+        )
 
 
 def point_click(voxel: Sequence[int], id: int) -> Click:

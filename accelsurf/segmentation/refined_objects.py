@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from accelsurf.segmentation.corrected_surface import (
 from accelsurf.segmentation.local_evolution import measures_of
 from accelsurf.segmentation.local_model import LocalModel, ModelChange
 from accelsurf.segmentation.near_region import NearRegion
-from accelsurf.segmentation.object_models import ModelsBefore, ObjectModels
+from accelsurf.segmentation.object_models import ObjectModels
 from accelsurf.segmentation.region_of_interest import closed_on, cropped
 from accelsurf.segmentation.region_totals import RegionTotals
 from accelsurf.segmentation.rest_points import on_larger_box
@@ -50,7 +50,7 @@ class _Correction(NamedTuple):
     has_ids: bool
     objects: tuple[CorrectedSurface, ...]
     known: dict[int, SegmentedObject]
-    models: ModelsBefore
+    models: dict[str, Any]
     surfaces: list[_SurfaceBefore]
     clicked: list[tuple[LocalModel, ModelChange]]
 
@@ -94,9 +94,13 @@ class RefinedObjects:
         return [one.id for one in self.surfaces]
 
     @property
-    def totals(self) -> dict[str, NDArray[np.float64]]:
-        """Of `RunState`."""
-        return dict(self._regional.totals)
+    def state(self) -> RunState:
+        """What a later correction goes on from."""
+        return self.models.state(self._regional.totals)
+
+    def set_ids(self, has_ids: bool) -> None:
+        """Say whether the objects have ids from now on."""
+        self.has_ids = has_ids
 
     def place_of(self, id: int) -> int:
         """Position of an object."""

@@ -167,7 +167,7 @@ class Refiner:
             self.config = self.config.replace(refine=(*self.config.refine, refinement))
             if refinement.kind in ("clicks", "new"):
                 new = self._new_clicks(refinement)
-            objects.has_ids = self._result.has_ids or self.config.has_ids
+            objects.set_ids(self._result.has_ids or self.config.has_ids)
             began = time.perf_counter()
             threads = self.config.threads
             with Workers(available_cores() if threads == "auto" else threads) as workers:
@@ -335,14 +335,10 @@ class Refiner:
         """The present state as a result; later corrections do not change it."""
         base, models = self._result, self._objects.models
         objects = tuple(self._objects.segmented(one) for one in self._objects.surfaces)
-        state = dataclasses.replace(
-            self._state, totals=self._objects.totals, clicks=models.clicks, models=models.made,
-            contexts=dict(models.contexts), settings=dict(models.settings), masks=dict(models.masks),
-        )
         seconds = {**base.seconds, "refine": base.seconds.get("refine", 0.0) + self._seconds}
         clicks = on_image(models.clicks, self._state.prepared.first, base.geometry.shape)
         return dataclasses.replace(
-            base, objects=objects, has_ids=self.has_ids, config=self.config, state=state, seconds=seconds,
+            base, objects=objects, has_ids=self.has_ids, config=self.config, state=self._objects.state, seconds=seconds,
             clicks=clicks, late_growth=_still_inside(base.late_growth, objects),
         )
 

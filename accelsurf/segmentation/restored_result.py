@@ -67,15 +67,7 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
         edits_done=state.edits_done,
         warnings=list(state.warnings),
         late_growth=state.late_growth,
-        state=dataclasses.replace(
-            base.state,
-            totals=dict(state.totals),
-            clicks=clicks,
-            models=made,
-            contexts=dict(models.contexts),
-            settings=dict(models.settings),
-            masks=dict(models.masks),
-        ),
+        state=models.state(state.totals),
     )
 
 
@@ -91,19 +83,20 @@ def _replayed(state: StateFile, base: Result) -> tuple[ObjectModels, dict[int, S
     known = dict(base.by_id)
     for number, one in enumerate(state.config.refine):
         has_ids = base.has_ids or state.config.replace(refine=state.config.refine[:number]).has_ids
-        _replay(number, one, (models, known), (base, masks.get(number)), has_ids)
+        _replay(number, one, models, known, base, masks.get(number), has_ids)
     return models, known
 
 
 def _replay(
     number: int,
     one: Correction,
-    now: tuple[ObjectModels, dict[int, SegmentedObject]],
-    given: tuple[Result, BoxMask | None],
+    models: ObjectModels,
+    known: dict[int, SegmentedObject],
+    base: Result,
+    mask: BoxMask | None,
     has_ids: bool,
 ) -> None:
     """Make one correction again, but for its surfaces."""
-    (models, known), (base, mask) = now, given
     if one.kind in ("clicks", "new"):
         if one.new in known:
             models.remove(one.new or 0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,6 @@ from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.run_setup import EnergyLike
 from accelsurf.settings.run_config import RunConfig
-
-if TYPE_CHECKING:
-    from accelsurf.segmentation.local_model import LocalState
 
 
 class BoxMask(NamedTuple):
@@ -56,7 +53,7 @@ class RunState:
     contexts: Mapping[int, ImageContext] = field(default_factory=dict)
     energy: EnergyLike | None = None
     clicks: Clicks | None = None
-    models: Mapping[int, LocalState] = field(default_factory=dict)
+    models: Mapping[int, Any] = field(default_factory=dict)
     totals: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     settings: Mapping[int, RunConfig] = field(default_factory=dict)
     masks: Mapping[int, BoxMask] = field(default_factory=dict)

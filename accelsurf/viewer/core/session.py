@@ -392,13 +392,13 @@ class Session:
             self.ready.set_exception(error)
             self._reject_commands()
             return
-        self._status = Status.of(timeline, "", False)
+        self._status = timeline.status("", False)
         self.ready.set_result(None)
         try:
             self._carry_out_commands(timeline)
         finally:
             timeline.close()
-            self._status = Status.of(timeline, self._status.message, self._status.failed)
+            self._status = timeline.status(self._status.message, self._status.failed)
 
     def _reject_commands(self) -> None:
         """Answer each command with the error of the preparation, until the session is closed."""
@@ -458,7 +458,7 @@ class Session:
         self._version += 1
         self._doubts.postpone()
         message = timeline.message if error is None else error_line(error)
-        self._status = Status.of(timeline, message, error is not None)
+        self._status = timeline.status(message, error is not None)
 
     def _look_for_doubts(self, timeline: Timeline) -> None:
         """Find where to click next, when it has been quiet for some time."""
@@ -484,7 +484,7 @@ class Session:
             frame, histories = timeline.picture(PLAYING_VOXELS if playing else None)
         except Exception as error:
             self._views.refuse()
-            self._status = Status.of(timeline, error_line(error), True)
+            self._status = timeline.status(error_line(error), True)
             return
         self._views.put(View(frame, histories, self._status), self._version, time.perf_counter() - began)
 

@@ -18,7 +18,6 @@ from accelsurf.viewer.core.frame import Frame
 
 if TYPE_CHECKING:
     from accelsurf.viewer.core.doubts import Doubt
-    from accelsurf.viewer.core.timeline import Timeline
 
 #: What a session can save; ``run`` is the configuration that repeats the run.
 SAVED_KINDS = ("labels", "mesh", "picture", "trace", "report", "run")
@@ -94,30 +93,6 @@ class Status(NamedTuple):
         """The status before the image is prepared, or when it could not be."""
         return cls(False, False, 0, (), config.at(0), config.edit, None, message, failed, 0)
 
-    @classmethod
-    def of(cls, timeline: Timeline, message: str, failed: bool) -> Status:
-        """The status of a session with this timeline."""
-        return cls(
-            ready=True,
-            playing=timeline.is_playing,
-            step=timeline.step_number,
-            checkpoints=timeline.checkpoints.steps,
-            settings=timeline.files.in_force(timeline.run.settings),
-            edits=timeline.run.config.edit,
-            stop=timeline.stop,
-            message=message,
-            failed=failed,
-            undoable=timeline.log.undoable,
-            objects=timeline.objects.ids if timeline.objects.has_ids else (),
-            labels=timeline.objects.labels,
-            object_words=timeline.objects.words,
-            redoable=timeline.log.redoable,
-            refinements=timeline.corrections.wanted,
-            changes=timeline.log.lines,
-            rests=rests_of(timeline),
-            terms=timeline.run.objects[0].made.terms,
-        )
-
     @property
     def word(self) -> str:
         """The state in one word: running, paused, or why the run has ended; empty before it is ready."""
@@ -132,14 +107,6 @@ class View(NamedTuple):
     frame: Frame
     histories: tuple[tuple[StepRecord, ...], ...]
     status: Status
-
-
-def rests_of(timeline: Timeline) -> tuple[int, ...]:
-    """Return the steps in which an object rested before it broke through, also those ahead that were made already."""
-    last = timeline.checkpoints.last
-    watches = [one.evolution.state.rests for one in timeline.run.objects]
-    watches += [one.evolution.loop.rests for one in (last.objects if last is not None else ())]
-    return tuple(sorted({rest.at.step for watch in watches for rest in watch.found}))
 
 
 def error_line(error: BaseException) -> str:

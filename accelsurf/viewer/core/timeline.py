@@ -22,6 +22,7 @@ from accelsurf.viewer.core.corrections import Corrections
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.object_commands import ObjectCommands
 from accelsurf.viewer.core.restarted import restart_message, restarted
+from accelsurf.viewer.core.status import Status
 
 
 class FileSettings:
@@ -221,6 +222,36 @@ class Timeline:
     def picture(self, max_voxels: int | None) -> tuple[Frame, tuple[tuple[StepRecord, ...], ...]]:
         """What is drawn, see `Frame.of_run`, and each object's records up to it."""
         return self.corrections.picture(self.run, max_voxels)
+
+    def status(self, message: str, failed: bool) -> Status:
+        """Return the status of a session with this self."""
+        return Status(
+            ready=True,
+            playing=self.is_playing,
+            step=self.step_number,
+            checkpoints=self.checkpoints.steps,
+            settings=self.files.in_force(self.run.settings),
+            edits=self.run.config.edit,
+            stop=self.stop,
+            message=message,
+            failed=failed,
+            undoable=self.log.undoable,
+            objects=self.objects.ids if self.objects.has_ids else (),
+            labels=self.objects.labels,
+            object_words=self.objects.words,
+            redoable=self.log.redoable,
+            refinements=self.corrections.wanted,
+            changes=self.log.lines,
+            rests=self._rests(),
+            terms=self.run.objects[0].made.terms,
+        )
+
+    def _rests(self) -> tuple[int, ...]:
+        """Return the steps in which an object rested before it broke through, also those ahead that were made."""
+        last = self.checkpoints.last
+        watches = [one.evolution.state.rests for one in self.run.objects]
+        watches += [one.evolution.loop.rests for one in (last.objects if last is not None else ())]
+        return tuple(sorted({rest.at.step for watch in watches for rest in watch.found}))
 
     def close(self) -> None:
         """End the run's threads."""
