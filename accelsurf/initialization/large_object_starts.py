@@ -87,7 +87,7 @@ class BallTable:
     def only(self, places: Sequence[int]) -> BallTable:
         """See `ManyStarts`."""
         part = _at(self, places)
-        part._balls = {own: self._balls[own] for own in part.ids.tolist()}
+        vars(part)["_balls"] = {id: self._balls[id] for id in part.ids.tolist()}
         return part
 
     def made(self, places: Sequence[int]) -> list[ObjectStart]:
@@ -192,7 +192,7 @@ def opened(objects: str, geometry: Geometry, margin: int) -> ManyStarts:
 
 def _at(starts: Some, places: Sequence[int]) -> Some:
     part, here = copy.copy(starts), list(places)
-    part.ids, part.low, part.high = starts.ids[here], starts.low[here], starts.high[here]
+    vars(part).update(ids=starts.ids[here], low=starts.low[here], high=starts.high[here])
     return part
 
 

@@ -5,11 +5,8 @@ Each object has its own small grid, a box of the volume's voxels, so that memory
 
 from __future__ import annotations
 
-import csv
 import math
-import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +21,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.label_values import as_labels
 from accelsurf.grid.volume import Volume, array_on_grid
 from accelsurf.initialization import starts
-from accelsurf.io.files import naming
+from accelsurf.initialization.clicks import read_table
 from accelsurf.settings import budgets
 
 #: Largest id that a label map can hold.
@@ -171,7 +168,9 @@ def read_balls(file: str, geometry: Geometry) -> dict[int, list[tuple[float, flo
         When it cannot be read, or has no row.
     """
     rows: dict[int, list[tuple[float, float, float, float]]] = {}
-    for own, *numbers in _read_table(file, geometry):
+    for own, *numbers in read_table(
+        file, WORLD_COLUMNS, VOXEL_COLUMNS, _FORM, lambda line, number, vox: _read_line(line, number, vox, geometry)
+    ):
         rows.setdefault(int(own), []).append((numbers[0], numbers[1], numbers[2], numbers[3]))
     if not rows:
         raise InputError(f"{file}: it has no row", f"expected {_FORM}")
@@ -190,26 +189,9 @@ def _balls(file: str, geometry: Geometry, margin: int) -> list[ObjectStart]:
     return out
 
 
-def _read_table(file: str, geometry: Geometry) -> list[tuple[float, ...]]:
-    """Rows (id, z, y, x, r) of a table: voxel indices, and r in mm."""
-    with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
-        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
-        try:
-            table = csv.DictReader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
-            columns = tuple(name.strip() for name in table.fieldnames or ())
-            vox = set(VOXEL_COLUMNS) <= set(columns)
-            if not vox and not set(WORLD_COLUMNS) <= set(columns):
-                given = ",".join(columns) or "no line"
-                raise InputError(f"{given} was given as the first line, expected {_FORM}", "as in id,x,y,z,r")
-            table.fieldnames = list(columns)
-            return [_read_line(line, table.line_num, vox, geometry) for line in table]
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise InputError(f"not a table of text ({error})", f"expected {_FORM}") from None
-
-
 def _read_line(line: dict[str, Any], number: int, vox: bool, geometry: Geometry) -> tuple[float, ...]:
     try:
-        own, x, y, z, r = (float(line[name]) for name in (VOXEL_COLUMNS if vox else WORLD_COLUMNS))
+        own, x, y, z, r = (float(line.get(name, "")) for name in (VOXEL_COLUMNS if vox else WORLD_COLUMNS))
     except (TypeError, ValueError):
         own = x = y = z = r = math.nan
     if not all(abs(v) <= starts.MAX_LENGTH for v in (own, x, y, z, r)) or own != int(own) or not 1 <= own <= MAX_ID:

@@ -1,4 +1,4 @@
-"""What a person clicked on the region of interest, on the image's grid: all clicks, and the voxels of an object."""
+"""Clicked voxels of the region of interest, on the image's grid: all clicks, and those of an object."""
 
 from __future__ import annotations
 

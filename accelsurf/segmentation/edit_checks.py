@@ -1,4 +1,4 @@
-"""Whether a run can apply an edit, and which of its balls concern an object."""
+"""Checks of a correction before a step, and the choice of its balls for each object."""
 
 from __future__ import annotations
 

@@ -159,7 +159,7 @@ class Ensemble:
                 one.reactivate()
 
     def summary(self, grid: Level) -> LevelSummary:
-        """What was done on the present level, ``grid``, so far."""
+        """Return the summary of the present level, ``grid``, so far."""
         stops = [one.evolution.stop for one in self._objects]
         ended = [stop for stop in stops if stop is not None]
         reason = overall_stop(ended).reason if len(ended) == len(stops) else None

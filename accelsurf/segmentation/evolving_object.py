@@ -104,7 +104,7 @@ class EvolvingObject:
 
     @property
     def moves(self) -> bool:
-        """Whether it has not stopped on this level."""
+        """True if it has not stopped on this level."""
         return self.evolution.stop is None
 
     @property
@@ -127,7 +127,7 @@ class EvolvingObject:
 
     @property
     def as_neighbour(self) -> Neighbour:
-        """What its neighbours need to know of it."""
+        """The object as its neighbours see it."""
         return Neighbour(self.surface, self.corner, self.contact, self.flow)
 
     def extent(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -145,7 +145,7 @@ class EvolvingObject:
     # -- starts and levels ---------------------------------------------------------------------------------
 
     def start_is_resolved(self) -> bool:
-        """Whether the start has something inside and outside on the present level."""
+        """Return True if the start has something inside and outside on the present level."""
         return self._starts.is_resolved()
 
     def skip_level(self) -> None:
@@ -308,7 +308,7 @@ class EvolvingObject:
 
     @property
     def takes_edits(self) -> bool:
-        """Whether it evolves, or has converged or stalled and can evolve again."""
+        """True if it evolves, or has converged or stalled and can evolve again."""
         stop = self.evolution.stop
         return stop is None or (stop.reason in ("converged", "stalled") and self.surface.size > 0)
 

@@ -63,7 +63,7 @@ def first_box(config: RunConfig, geometry: Geometry) -> Box:
 
 
 def _model_margin(config: RunConfig, geometry: Geometry, clicks: Sequence[Click]) -> list[int]:
-    """How many voxels beyond the clicks their model looks at, as far as it is known before it is made."""
+    """Return the voxels beyond the clicks that their model looks at, as far as known before it is made."""
     spacing, smallest = geometry.spacing, min(geometry.steps)
     flat = geometry.shape[0] == 1
     widest = max(

@@ -45,7 +45,7 @@ def _is_text(value: Any) -> bool:
 
 
 def given_arrays(objects: Any, arrays: Mapping[str, NDArray[np.float32]] | None) -> dict[str, NDArray[Any]]:
-    """What a run was given as arrays, by setting: psi, and the label map of several objects."""
+    """Return the arrays that a run was given, by setting: psi, and the label map of several objects."""
     given: dict[str, NDArray[Any]] = dict(arrays or {})
     if surfaces := surfaces_of(objects):
         for one in surfaces:
@@ -148,7 +148,7 @@ def given_clicks(side: Side, value: Any, volume: Volume) -> list[Click]:
 
 
 def _is_mask(value: Any, geometry: Geometry) -> bool:
-    """Whether an array is a mask, and no table of points or balls."""
+    """Return True if an array is a mask, and no table of points or balls."""
     if not isinstance(value, np.ndarray) or value.ndim < 2:
         return False
     return value.ndim != 2 or value.shape in (geometry.shape, geometry.shape[1:]) or value.shape[1] not in (3, 4)

@@ -39,7 +39,7 @@ _ALONE = "give --roi around them, or let the image be read into memory (more --m
 
 @dataclass(frozen=True, eq=False)
 class GroupResult:
-    """What a run of some objects leaves.
+    """The result of a run of some objects.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ def run_group(
     while True:
         refuse_too_large(window, starts, image)
         try:
-            return _in(window, image, whole, config, (starts, others))
+            return _in(window, image, whole, config, starts, others)
         except LeavesWindow as face:
             most = (image.max_bytes - _fixed_bytes(starts)) // _voxel_bytes(image)
             window = larger(window, face, most)
@@ -170,13 +170,13 @@ def refuse_too_large(window: Window, starts: list[ObjectStart], image: LargeImag
 
 
 def _fixed_bytes(starts: list[ObjectStart]) -> int:
-    """What a run takes whatever its window."""
+    """Return the memory of a run that does not depend on its window, bytes."""
     boxes = sum(math.prod(n + MIN_MARGIN for n in one.psi.shape) for one in starts)
     return PROCESS_BYTES + BOX_BYTES * boxes
 
 
 def _voxel_bytes(image: LargeImage) -> int:
-    """What it takes for each voxel of its window."""
+    """Return the memory of a run for each voxel of its window, bytes."""
     return sum(WINDOW_BYTES + one.dtype.itemsize for one in image.channels)
 
 
@@ -185,10 +185,10 @@ def _in(
     image: LargeImage,
     whole: tuple[WholeImage, ...],
     config: RunConfig,
-    objects: tuple[list[ObjectStart], Boxes],
+    starts: list[ObjectStart],
+    others: Boxes,
 ) -> GroupResult:
     """The run in a window, as far as it goes."""
-    starts, others = objects
     own = tuple(
         one._replace(corner=corner_of(window.local(box_at(one.corner, one.psi.shape)))) for one in starts
     )
@@ -206,7 +206,7 @@ def _in(
 
 
 class VisitedBoxes:
-    """Where each object of a run was at any time, as far as it matters to others.
+    """Boxes in which each object of a run was at any time, as far as it matters to others.
 
     The objects of a run look at each other only where their bands, made larger by `REACH`, overlap; at the end all that
     is not far outside of one counts for the others.

@@ -1,4 +1,4 @@
-"""What the energies of a run need to know of its image: channels, scales, what is learned from which voxels."""
+"""Knowledge of an image that the energies of a run share: channels, scales, training voxels, clicks."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class WholeChannel(Protocol):
 
 
 class TrainingVoxels(NamedTuple):
-    """Where models learn what the object is like.
+    """Voxels from which models learn the object.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class TrainingVoxels(NamedTuple):
 
 
 class ModelInputs(NamedTuple):
-    """What the model of clicks needs besides images and clicks.
+    """Inputs of the model of clicks besides images and clicks.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class ModelInputs(NamedTuple):
 
 
 class ImageContext:
-    """What energies need of an image besides the image on the grid at hand; it is not changed once it is made.
+    """Inputs of energies besides the image on the grid at hand; not changed once it is made.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ class ImageContext:
 
     @property
     def model_inputs(self) -> ModelInputs:
-        """What the model of clicks needs."""
+        """Inputs of the model of clicks."""
         return self._model_inputs
 
     def with_clicks(self, clicks: Clicks, before: ImageContext | None = None) -> ImageContext:

@@ -1,4 +1,4 @@
-"""Where surfaces grew in the last part of a run's growth: the first place to look at for a leak.
+"""Growth of surfaces in the last part of a run: the first place to look at for a leak.
 
 An observer of the run: it reads the speeds of each step, and changes nothing.
 """
@@ -105,7 +105,7 @@ class LateGrowth:
         self._growth[step.object_id].append(grown)
 
     def state(self) -> GrowthState:
-        """What was read so far."""
+        """Return all growth so far."""
         rows = [(id, one) for id, growth in self._growth.items() for one in growth]
         cubes = [one.cubes for _, one in rows]
         return GrowthState(

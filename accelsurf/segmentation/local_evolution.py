@@ -33,7 +33,7 @@ WIN_REACH = 6.0
 
 
 class LocalProblem(NamedTuple):
-    """What moves, and what holds it; arrays on the box of the region.
+    """The moving part of a surface, and the bounds that hold the rest; arrays on the box of the region.
 
     ``psi`` (nz, ny, nx) of the surface before, mm; ``spacing``; ``region`` in which it may move; ``clicks``, the bounds
     of all clicks there; ``won``, voxels (nz, ny, nx) that new clicks win, each with its side; ``sides`` of the new

@@ -75,7 +75,7 @@ class LocalState(NamedTuple):
 
     @classmethod
     def of(cls, model: SeededModel) -> LocalState:
-        """That of a whole model."""
+        """Return the state of a whole model."""
         if not model.stages:
             return cls(model.clicks, model.images, whole_box(model.field.shape), model.field, model.start)
         box = bounding_box((model.field != 1.0) | model.start, 0) or whole_box(model.field.shape)
@@ -84,7 +84,7 @@ class LocalState(NamedTuple):
 
 
 class ModelChange(NamedTuple):
-    """What a click changed: the ``mask`` on a ``box`` of the grid where the model's object has changed; and before."""
+    """The change by a click: the ``mask`` on a ``box`` of the grid where the object has changed; and before."""
 
     box: Box
     mask: Mask
@@ -222,7 +222,7 @@ class LocalModel:
 
 
 def basin_of(click: Click, change: ModelChange, model: LocalModel, one: CorrectedSurface) -> Click:
-    """What a click wins, as a click: its voxels, and those that the model gives to its side and the surface does not.
+    """Return the basin of a click, as a click: its voxels, and those that the model relabels to its side.
 
     Of those, what the model has given because of the click: also what an outside click cuts off, whose field is as it
     was, but which is connected to no inside click any more. Far from the click only pieces thicker than a voxel: any
@@ -301,7 +301,7 @@ def _click_counted_from(click: Click, corner: tuple[int, int, int]) -> Click:
 
 
 def _is_near_border(times: Image, box: Box, shape: Sequence[int]) -> bool:
-    """Whether times on a box are known near a border of the box that is none of the grid's."""
+    """Return True if times on a box are known near a border of the box that is none of the grid's."""
     for axis, (side, n) in enumerate(zip(box, shape, strict=True)):
         ends = (slice(None),) * axis
         if side.start > 0 and np.isfinite(times[(*ends, slice(None, CLEAR))]).any():

@@ -38,7 +38,7 @@ FAR = 8
 
 
 class ObjectOutcome(NamedTuple):
-    """What became of an object: an ``object``, or a ``failure`` that says why there is none."""
+    """The outcome of an object: an ``object``, or a ``failure`` that says why there is none."""
 
     id: int
     object: SegmentedObject | None
@@ -95,7 +95,7 @@ class Groups:
         return [int(place) for place in places]
 
     def starts_of(self, places: Sequence[int]) -> Boxes:
-        """Where some objects begin."""
+        """Return the boxes of the starts of some objects."""
         return Boxes(self._starts.low[list(places)], self._starts.high[list(places)])
 
     def put(self, group: Group, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:

@@ -179,7 +179,7 @@ def _known(
     one: CorrectedSurface, objects: RefinedObjects, base: Result, terms: list[dict[str, Any]],
     learned: tuple[float, float] | None,
 ) -> SegmentedObject:
-    """What results say of an object that has just begun."""
+    """Return the entry in results of an object that has just begun."""
     first = objects.prepared.first
     corner = (one.corner[0] + first[0], one.corner[1] + first[1], one.corner[2] + first[2])
     box = part_of_image(box_at(corner, one.psi.shape), corner, one, objects.prepared)

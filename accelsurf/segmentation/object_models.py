@@ -34,7 +34,7 @@ _CHANGED = ("clicks", "contexts", "settings", "masks", "_models", "_states")
 
 
 class ObjectModels:
-    """What corrections know of each object besides its surface.
+    """Clicks, contexts, settings and models of each object, besides its surface.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class ObjectModels:
         self._forget(id)
 
     def merge(self, ids: Sequence[int]) -> None:
-        """What was clicked of several objects is of the first; where it may be is not bounded by the others."""
+        """Give the clicks of several objects to the first; where it may be is not bounded by the others."""
         first, others = ids[0], ids[1:]
         self.clicks = Clicks(
             tuple(one._replace(id=first) if one.id in others else one for one in self.clicks.clicks), self.clicks.shape
@@ -148,7 +148,7 @@ class ObjectModels:
         self._forget(first)
 
     def split(self, number: int, id: int, new: int, part: BoxMask, click: Click) -> None:
-        """Of what was clicked inside an object, what lies in ``part`` is of the new one, as is the ``click``."""
+        """Give the voxels clicked inside an object that lie in ``part``, and the ``click``, to a new one."""
         out: list[Click] = []
         for one in self.clicks.clicks:
             if (one.side, one.id) != ("inside", id):

@@ -165,7 +165,7 @@ def preprocess(
     del filtered, start
     images, scales = _scaled_channels(values, volumes, filters, box, part)
     del values
-    context, learns = _context(config, volumes, (images, scales), box, psi, training, distance, part)
+    context, learns = _context(config, volumes, images, scales, box, psi, training, distance, part)
     if said.clicks and not has_ids and config.start == (starts.CLICKS,) and uses_model(config):
         context = context.with_clicks(said)
         psi = _start_within(context.model_start(), distance, config, "of the clicks' model")
@@ -188,22 +188,23 @@ def _first_channel(
 
 
 def uses_model(config: RunConfig) -> bool:
-    """Whether a term of the energy is of the clicks' model."""
+    """Return True if a term of the energy is of the clicks' model."""
     return energy_expression.uses_model(config.energy)
 
 
 def _context(
     config: RunConfig,
     volumes: Sequence[Volume],
-    channels: tuple[list[NDArray[np.float32]], list[Scale]],
+    images: list[NDArray[np.float32]],
+    scales: list[Scale],
     box: Box,
     psi: NDArray[np.float32],
-    training: tuple[Mask | None, Mask | None],
+    training: dict[str, Mask],
     distance: NDArray[np.float32] | None,
     part: WindowInput | None,
 ) -> tuple[ImageContext, bool]:
-    """What energies need of the image, and whether a model of the energy is learned once."""
-    (images, scales), (foreground, background) = channels, training
+    """Return the context of the energies, and True if a model of the energy is learned once."""
+    foreground, background = training.get("foreground"), training.get("background")
     terms = energy_expression.parse(config.energy)
     learns = any(energy_expression.learns(term) for term in terms)
     from_start = foreground is None and learns  # fixed models learn from the start where nothing else is given
@@ -274,7 +275,7 @@ def check_channels(volumes: Sequence[Volume]) -> None:
 
 
 def _name_of_start(config: RunConfig, given: Mapping[str, NDArray[np.float32]]) -> str:
-    """What messages call the start."""
+    """Return the name of the start in messages."""
     if config.objects is not None:
         return config.objects
     return "array" if "start" in given else " + ".join(config.start)
@@ -298,21 +299,18 @@ def _start_within(
 
 def _training_voxels(
     config: RunConfig, given: Mapping[str, NDArray[np.float32]], seen: Seen
-) -> tuple[Mask | None, Mask | None]:
-    """Foreground and background, given as arrays or written as starts; an error names the option."""
-
-    def read(name: str) -> Mask | None:
+) -> dict[str, Mask]:
+    """Return foreground and background, as far as they are given as arrays or written; an error names the option."""
+    found = {}
+    for name in ("foreground", "background"):
         if name in given:
-            return np.asarray(given[name] < 0)
-        texts = getattr(config, name)
-        if not texts:
-            return None
-        try:
-            return np.asarray(starts.build(texts, *seen) < 0)
-        except AccelsurfError as error:
-            raise type(error)(error.message.replace("start ", f"{name} ", 1), error.hint) from None
-
-    return read("foreground"), read("background")
+            found[name] = np.asarray(given[name] < 0)
+        elif texts := getattr(config, name):
+            try:
+                found[name] = np.asarray(starts.build(texts, *seen) < 0)
+            except AccelsurfError as error:
+                raise type(error)(error.message.replace("start ", f"{name} ", 1), error.hint) from None
+    return found
 
 
 def _crop(array: NDArray[Any], box: Box) -> NDArray[Any]:
@@ -320,7 +318,7 @@ def _crop(array: NDArray[Any], box: Box) -> NDArray[Any]:
 
 
 def scale_of(image: NDArray[np.float32]) -> Scale:
-    """What maps an image's `SCALE_PERCENTILES` to 0 and 1; its extremes where those two are equal.
+    """Return the scale that maps `SCALE_PERCENTILES` to 0 and 1; of the extremes where those two are equal.
 
     Raises
     ------
@@ -369,7 +367,7 @@ def in_mm(length: float | str, geometry: Geometry) -> float:
 
 
 def filters_of(config: RunConfig, geometry: Geometry) -> ImageFilters:
-    """What a run filters its image by: ``clip``, ``closing`` and ``presmooth``.
+    """Return the filters of a run's image: ``clip``, ``closing`` and ``presmooth``.
 
     Raises
     ------

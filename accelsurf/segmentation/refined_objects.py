@@ -45,7 +45,7 @@ class _SurfaceBefore(NamedTuple):
 
 
 class _Correction(NamedTuple):
-    """What is needed to take a correction back: what there was before it, and what it changed in place, in order."""
+    """The state before a correction, and its changes in place, in order, to take it back."""
 
     has_ids: bool
     objects: tuple[CorrectedSurface, ...]
@@ -95,7 +95,7 @@ class RefinedObjects:
 
     @property
     def state(self) -> RunState:
-        """What a later correction goes on from."""
+        """The state from which a later correction goes on."""
         return self.models.state(self._regional.totals)
 
     def set_ids(self, has_ids: bool) -> None:
@@ -109,7 +109,7 @@ class RefinedObjects:
     # -- corrections, and how they are taken back ----------------------------------------------------------
 
     def begin_correction(self) -> None:
-        """What follows is one correction."""
+        """Begin a correction: all that follows is taken back at once."""
         self._undo.append(
             _Correction(self.has_ids, tuple(self.surfaces), dict(self._known), self.models.snapshot(), [], [])
         )
@@ -148,7 +148,7 @@ class RefinedObjects:
         self._known = {id: known.get(id) or self._known[id] for id in self.ids}
 
     def known(self, id: int) -> SegmentedObject:
-        """What results say of an object, before its corrections."""
+        """Return the entry in results of an object, before its corrections."""
         return self._known[id]
 
     # -- what objects are to each other --------------------------------------------------------------------

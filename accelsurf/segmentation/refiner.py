@@ -31,6 +31,7 @@ from accelsurf.segmentation.corrected_surface import (
     stop_of_whole,
     wrong_part,
 )
+from accelsurf.segmentation.late_growth import Place
 from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near
 from accelsurf.segmentation.local_model import basin_of
 from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
@@ -55,7 +56,7 @@ MARGIN = 5.0
 
 
 class Change(NamedTuple):
-    """What a correction did: voxels of the grid that changed sides, in a ``box`` of it; seconds of the solver."""
+    """The effect of a correction: voxels that changed sides, in a ``box`` of the grid; seconds of the solver."""
 
     object_id: int
     box: Box
@@ -112,7 +113,7 @@ class Refiner:
 
     @property
     def has_ids(self) -> bool:
-        """Whether labels are ids of objects."""
+        """True if labels are ids of objects."""
         return self._objects.has_ids
 
     def taken(self, place: NDArray[np.float64], own: int) -> BoxMask | None:
@@ -277,7 +278,7 @@ class Refiner:
         return Change(one.id, region.box, changed, time.perf_counter() - began, stop)
 
     def _won(self, one: CorrectedSurface, new: Sequence[Click]) -> list[Click]:
-        """What new clicks win of an object: their own voxels and those of their basins, where a side is wrong.
+        """Return the voxels that new clicks relabel: their own and those of their basins, where a side is wrong.
 
         Nothing where all are on their sides already, and the model gives them nothing else.
         """
@@ -294,7 +295,7 @@ class Refiner:
     def _region(
         self, one: CorrectedSurface, new: Sequence[Click], won: Sequence[Click], near: float | str
     ) -> NearRegion:
-        """Where the surface may move for new clicks: within ``near``, or where they win, or by their depth."""
+        """Return the region of motion for new clicks: within ``near``, or where they relabel, or by their depth."""
         rim = rim_width(self._shape, self._spacing)
         margin = max(MARGIN * max(h for h, n in zip(self._spacing, self._shape, strict=True) if n > 1), self._reach)
         if not isinstance(near, str):
@@ -313,7 +314,7 @@ class Refiner:
         totals: RegionTotals,
         takes: frozenset[int],
     ) -> LocalProblem:
-        """What is evolved for a region: energy and clicks on its box."""
+        """Return the evolution of a region: energy and clicks on its box."""
         models = self._objects.models
         settings = models.settings_of(one.id)
         settings = settings.replace(seed=None if self.config.seed is None else self.config.seed + one.id)
@@ -344,8 +345,8 @@ class Refiner:
 
 
 def _still_inside(
-    place: tuple[float, float, float] | None, objects: Iterable[SegmentedObject]
-) -> tuple[float, float, float] | None:
+    place: Place | None, objects: Iterable[SegmentedObject]
+) -> Place | None:
     """Return a place where an object is there, after corrections; else None."""
     if place is None:
         return None

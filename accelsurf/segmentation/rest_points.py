@@ -1,4 +1,4 @@
-"""Where an object rested before it broke through, as a result has it: on the image's grid, with a place in mm."""
+"""Rests of an object's front before it broke through, on the image's grid, with a place in mm."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
 
 
 def _replayed(state: StateFile, base: Result) -> tuple[ObjectModels, dict[int, SegmentedObject]]:
-    """What is known of each object after all corrections, made again without a step; and what results say of it."""
+    """Return models and result entries of each object after all corrections, made again without a step."""
     assert base.state is not None
     try:
         masks = masks_of(state)
@@ -127,7 +127,7 @@ def _replay(
 
 
 def _begun(id: int, base: Result, models: ObjectModels) -> SegmentedObject:
-    """What results say of an object that a correction has begun, but for its surface."""
+    """Return the entry in results of an object that a correction has begun, but for its surface."""
     context, model = models.contexts[id], models.model(id)
     assert model is not None
     made = models.energy_on(id, model.state.box, context, models.prepared.images)

@@ -90,7 +90,7 @@ class SegmentedObject:
 
     @property
     def has_surface(self) -> bool:
-        """Whether something of the grid is inside and something outside."""
+        """True if something of the grid is inside and something outside."""
         return bool(self.labels.any()) and self.stop.reason not in ("vanished", "filled")
 
     @cached_property
@@ -150,7 +150,7 @@ class SegmentedObject:
 
     @cached_property
     def touches_border(self) -> bool:
-        """Whether a voxel of the object lies on the border of its grid (axes with one slice do not count)."""
+        """True if a voxel of the object lies on the border of its grid (axes with one slice do not count)."""
         axes = [axis for axis, n in enumerate(self.labels.shape) if n > 1]
         return any(bool(np.take(self.labels, end, axis=axis).any()) for axis in axes for end in (0, -1))
 
@@ -365,7 +365,7 @@ class Result:
 
     @property
     def touches_border(self) -> bool:
-        """Whether any object lies on the border of its grid."""
+        """True if any object lies on the border of its grid."""
         return any(one.touches_border for one in self.objects)
 
     @property

@@ -77,7 +77,7 @@ _BEGIN = "begin anew without --resume, with --overwrite"
 
 
 class CheckpointHeader(NamedTuple):
-    """What a checkpoint says of its run.
+    """Identity of the run of a checkpoint.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ TYPES: dict[str, type] = {
 
 
 class Source(Protocol):
-    """What identifies a run; see `accelsurf.segmentation.run.Run`."""
+    """Identity of a run; see `accelsurf.segmentation.run.Run`."""
 
     config: RunConfig
     prepared: PreprocessedInput
@@ -124,7 +124,7 @@ class Source(Protocol):
 
 
 def versions() -> dict[str, str]:
-    """What the bytes of a result depend on besides image and settings."""
+    """Return the versions on which the bytes of a result depend besides image and settings."""
     return {
         "accelsurf": __version__,
         "numpy": np.__version__,

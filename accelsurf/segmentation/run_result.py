@@ -1,4 +1,4 @@
-"""What a run leaves as a `Result`: at its end, or between two steps."""
+"""`Result` of a run: at its end, or between two steps."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
 
 
 def _sureness(run: Run, one: EvolvingObject) -> Sureness | None:
-    """How sure the model of an object's clicks is; None where the energy has none."""
+    """Return the confidence of the model of an object's clicks; None where the energy has none."""
     named = run.energy_given is None or isinstance(run.energy_given, str)
     return sureness_from(one.context.seeded_model()) if named and uses_model(run.config) else None
 

@@ -131,7 +131,7 @@ def energy_maker(energy: EnergyLike | None, settings: RunConfig, levels: int, ha
 
 
 def needs_seed(config: RunConfig) -> bool:
-    """Whether a configuration has noise at any time, and no seed."""
+    """Return True if a configuration has noise at any time, and no seed."""
     noisy = config.noise > 0 or any(config.at(edit.step).noise > 0 for edit in config.edit if "noise" in edit.settings)
     return noisy and config.seed is None
 
@@ -168,7 +168,7 @@ def thin_start_warnings(starts: Sequence[ObjectStart], geometry: Geometry, has_i
 
 
 def thread_count(config: RunConfig) -> int:
-    """How many threads a run uses."""
+    """Return the number of threads of a run."""
     return available_cores() if config.threads == "auto" else config.threads
 
 
@@ -196,7 +196,7 @@ def energy_key(config: RunConfig) -> tuple[Any, ...]:
 
 
 def window_reach(settings: RunConfig, geometry: Geometry) -> float:
-    """How far beyond an object the terms of the energy see the image, mm; 0 where none has a window."""
+    """Return the reach of the energy's terms beyond an object, mm; 0 where none has a window."""
     reaches = ((TERMS[term.name].reach, term.settings) for term in energy_expression.parse(settings.energy))
     largest = max(geometry.steps)
     return max((load(reach)(own, largest) for reach, own in reaches if reach is not None), default=0.0)
@@ -263,7 +263,7 @@ def own_energy(
 
 
 def is_maker(energy: Any) -> bool:
-    """Whether an energy of the user's own is a class or function that makes it of ``(image, spacing)``."""
+    """Return True if an energy of the user's own is a class or function that makes it of ``(image, spacing)``."""
     return isinstance(energy, type) or (callable(energy) and not hasattr(energy, "force"))
 
 

@@ -1,4 +1,4 @@
-"""How a run begins: its image, its clicks, and the first surface of each object."""
+"""Start of a run: its image, its clicks, and the first surface of each object."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MODELS_AT_ONCE = 2
 
 @dataclass(frozen=True, eq=False)
 class RunStart:
-    """What a run begins with.
+    """Image, clicks and first surfaces of a run.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a finished run leaves besides its result, from which it can be refined."""
+"""State of a finished run besides its result, from which it can be refined."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class BoxMask(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RunState:
-    """What a refinement needs besides the surfaces and settings of a `Result`.
+    """Inputs of a correction besides the surfaces and settings of a `Result`.
 
     Attributes
     ----------

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,13 @@ OTHER_KIND, BEYOND_KIND = 0.1, 6.0
 MIN_VOXELS, SAMPLES = 20, 1 << 18
 #: The area cannot pull in a start whose curvature it weighs less than this part of the squared contrast.
 SAFE = 0.25
+
+
+class Bounds(NamedTuple):
+    """Values between which the energy takes an object's to be, in the file's unit; None for an open side."""
+
+    low: float | None
+    high: float | None
 
 
 def start_checks(
@@ -82,7 +89,7 @@ def _of_values(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedIn
     for term in one.made.terms:
         if term["term"] != "threshold" or "LO" not in term:
             continue
-        window = (term["LO"], term["HI"])
+        window = Bounds(term["LO"], term["HI"])
         if line := bounds_line(values, window):
             lines.append(line)
         elif line := surroundings_line(low + width * image, inside, start.corner, prepared.geometry, window):
@@ -91,14 +98,14 @@ def _of_values(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedIn
 
 
 def _option(one: EvolvingObject, clicked: bool, has_ids: bool) -> str:
-    """How a ball is given as the start or the click of an object; the ball comes in place of a star."""
+    """Return the option with a ball as the start or click of an object; the ball replaces the star."""
     if has_ids:
         return f"{one.id},*{',inside' if clicked else ''} as a row of --objects TABLE"
     return f"--{'inside' if clicked else 'start'} ball:*"
 
 
 def _of_size(one: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
-    """Whether the stated size is more than there is."""
+    """Check that the stated size is not more than there is."""
     size, geometry = one.context.model_inputs.size_mm3, prepared.geometry
     whole = math.prod(geometry.shape) * geometry.voxel_volume
     if size is None or size < whole:
@@ -110,7 +117,7 @@ def _of_size(one: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
 
 
 def _of_clicks(one: EvolvingObject, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
-    """Whether a click inside has values of two kinds, of which the model learns one."""
+    """Check that no click inside has values of two kinds, of which the model learns one."""
     low, width = prepared.context.scales[0]
     lines = []
     for click in () if one.context.clicks is None else one.context.clicks.clicks:
@@ -121,7 +128,7 @@ def _of_clicks(one: EvolvingObject, prepared: PreprocessedInput, has_ids: bool) 
 
 
 def two_kinds_line(values: NDArray[np.float64], click: Click, geometry: Geometry, option: str) -> list[str]:
-    """Whether a good part of a click is unlike the rest, as a note: the model learns the rest.
+    """Check that no good part of a click is unlike the rest; a note: the model learns the rest.
 
     Parameters
     ----------
@@ -157,12 +164,12 @@ def _deepest_ball(mask: NDArray[np.bool_], corner: Sequence[int], geometry: Geom
     return f"{place_text(geometry.index_to_world(index.tolist()), steps)},{radius:.2g}"
 
 
-def bounds_line(values: NDArray[np.float64], window: tuple[float | None, float | None]) -> str:
-    """Whether nearly all of the start lies beyond the energy's bounds.
+def bounds_line(values: NDArray[np.float64], window: Bounds) -> str:
+    """Check that not nearly all of the start lies beyond the energy's bounds.
 
     Examples
     --------
-    >>> bounds_line(np.array([110.0, 112.0]), (226.0, None))
+    >>> bounds_line(np.array([110.0, 112.0]), Bounds(226.0, None))
     'start: its median is 111, the bound 226: everything will shrink; try --energy threshold:learned,learned'
     """
     low, high = window
@@ -177,7 +184,7 @@ def bounds_line(values: NDArray[np.float64], window: tuple[float | None, float |
     )
 
 
-def _within(values: NDArray[Any], window: tuple[float | None, float | None]) -> NDArray[np.bool_]:
+def _within(values: NDArray[Any], window: Bounds) -> NDArray[np.bool_]:
     low, high = window
     return np.asarray((values >= (-np.inf if low is None else low)) & (values <= (np.inf if high is None else high)))
 
@@ -187,9 +194,9 @@ def surroundings_line(
     inside: NDArray[np.bool_],
     corner: Corner,
     geometry: Geometry,
-    window: tuple[float | None, float | None],
+    window: Bounds,
 ) -> str:
-    """Whether the energy's window takes in most of the surroundings of a start; with a place far from it to click.
+    """Check that the energy's window does not take in the surroundings; with a place to click.
 
     ``corner`` is the first voxel of image and start.
     """
@@ -224,7 +231,7 @@ def surroundings_line(
 def outlier_line(
     values: NDArray[np.float64], inside: NDArray[np.bool_], corner: Corner, geometry: Geometry, option: str
 ) -> list[str]:
-    """Whether a few values in the start are far from the others, and where the farthest is.
+    """Check that no values in the start are far from the others, and find the farthest.
 
     Parameters
     ----------
@@ -279,7 +286,7 @@ def _area_of(terms: Sequence[dict[str, Any]]) -> float:
 
 
 def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
-    """Whether the area weight, of which ``of_terms`` is none of --smoothness, pulls a start in that would grow."""
+    """Check that the area weight, ``of_terms`` of it not of --smoothness, does not pull in a growing start."""
     alpha = evolution.energy.alpha
     surface = evolution.surface
     if not alpha > 0 or surface.size == 0:

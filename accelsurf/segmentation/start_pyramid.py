@@ -39,7 +39,7 @@ class StartPyramid:
         return len(self._starts) - 1
 
     def is_resolved(self) -> bool:
-        """Whether the start has something inside and outside on the present level."""
+        """Return True if the start has something inside and outside on the present level."""
         inside = self._starts[-1][1] < 0
         return bool(inside.any() and not inside.all())
 

@@ -1,4 +1,4 @@
-"""How each term of an energy is made; `accelsurf.settings.energy_terms` names these functions.
+"""Makers of each term of an energy; `accelsurf.settings.energy_terms` names these functions.
 
 Each returns the energy and the settings that it has in the run, also those that were taken from the image; image values
 in the file's unit.
@@ -73,7 +73,7 @@ def local_region(inputs: TermInputs) -> Made:
 
 
 def local_region_reach(settings: Values, largest_spacing: float) -> float:
-    """How far beyond an object the windows of local-region reach, mm.
+    """Return the reach of the windows of local-region beyond an object, mm.
 
     An object cuts windows whose middle is half a width away, and these reach half a width further.
     """

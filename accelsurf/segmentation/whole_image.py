@@ -181,7 +181,7 @@ class WholeImage:
 
     @property
     def statistics(self) -> str:
-        """What the numbers are of: ``exact``, or the coarser image in words."""
+        """Source of the numbers: ``exact``, or the coarser image in words."""
         if self._coarse is None:
             return "exact"
         nz, ny, nx = self._coarse.geometry.shape
@@ -209,7 +209,7 @@ class WholeImage:
 
     @property
     def scale(self) -> Scale:
-        """What maps the image's percentiles to 0 and 1, as `accelsurf.segmentation.preprocessing.scale_of` finds it.
+        """The scale by the image's percentiles, as `accelsurf.segmentation.preprocessing.scale_of` finds it.
 
         Raises
         ------
@@ -221,7 +221,7 @@ class WholeImage:
         return cast("Scale", self._found[_SCALE])
 
     def found(self, make: Callable[..., Any], *args: Any) -> Any:
-        """What ``make(image, *args)`` is of the scaled image.
+        """Return ``make(image, *args)`` of the scaled image.
 
         Parameters
         ----------

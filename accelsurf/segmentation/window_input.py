@@ -19,7 +19,7 @@ from accelsurf.settings.run_config import RunConfig
 
 @dataclass(frozen=True, eq=False)
 class WindowInput:
-    """What a run in a window gets beside the volumes there.
+    """Inputs of a run in a window beside the volumes there.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class WindowInput:
 
 
 def has_region(config: RunConfig) -> bool:
-    """Whether a run is made on a part of the image that the person gave."""
+    """Return True if a run is made on a part of the image that the person gave."""
     return config.roi is not None or config.box is not None
 
 
@@ -63,5 +63,5 @@ def window_of(geometry: Geometry, part: WindowInput | None) -> Window:
 
 
 def whole_of(part: WindowInput | None) -> Sequence[WholeChannel]:
-    """What is needed of whole channels; none where they are at hand."""
+    """Return the numbers of whole channels; none where the channels are at hand."""
     return () if part is None else part.whole

@@ -96,7 +96,7 @@ class LargeImage:
                 )
 
     def whole(self, config: RunConfig, numbers: Sequence[Numbers] = ()) -> tuple[WholeImage, ...]:
-        """What a run needs of each whole channel, which is read through when it is first asked for.
+        """Return the numbers of each whole channel, which is read through when it is first asked for.
 
         ``numbers`` are those of each channel that are known already.
         """

@@ -1,4 +1,4 @@
-"""What the user has changed, change by change, to be undone and made again; and the edits that changes make."""
+"""Changes by the user, one by one, to be undone and made again; and the corrections that they make."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from accelsurf.settings.run_config import RunConfig
 
 
 class Moment(NamedTuple):
-    """What is in force before a change: settings and corrections, and the ``step`` at which the change is made."""
+    """Settings and corrections before a change, and the ``step`` at which the change is made."""
 
     config: RunConfig
     step: int
@@ -47,12 +47,12 @@ class ChangeLog:
 
     @property
     def undoable(self) -> int:
-        """How many changes can be undone."""
+        """Number of changes that can be undone."""
         return len(self._done)
 
     @property
     def redoable(self) -> int:
-        """How many undone changes can be made again."""
+        """Number of undone changes that can be made again."""
         return len(self._undone)
 
     @property

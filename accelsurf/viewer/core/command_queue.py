@@ -37,12 +37,12 @@ class CommandQueue:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing waits to be taken out."""
+        """True if nothing waits to be taken out."""
         return self._queue.empty()
 
     @property
     def is_closed(self) -> bool:
-        """Whether `close` was called and all commands before that were taken out."""
+        """True if `close` was called and all commands before that were taken out."""
         return self._closing and self._queue.empty()
 
     def put(self, work: Callable[..., Any], changes: bool = True) -> Future[Any]:

@@ -51,7 +51,7 @@ class Corrections:
 
     @property
     def wanted(self) -> tuple[Correction, ...]:
-        """Those that are made, or will be when the run ends."""
+        """Corrections that are made, or will be when the run ends."""
         return self._wanted
 
     def want(self, corrections: tuple[Correction, ...]) -> None:

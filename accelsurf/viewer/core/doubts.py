@@ -1,4 +1,4 @@
-"""Where to click next: the places of a finished run whose surface has the least evidence."""
+"""Uncertain places of a finished run, where to click next: those whose surface has the least evidence."""
 
 from __future__ import annotations
 

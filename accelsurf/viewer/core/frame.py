@@ -30,7 +30,7 @@ Index = tuple[int, int, int]
 
 
 class ObjectState(NamedTuple):
-    """What a frame needs to know of an object.
+    """State of an object for a frame.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class BandQuantity(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SurfaceFrame:
-    """What is drawn of one object.
+    """Drawn state of one object.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ class SurfaceFrame:
 
     @property
     def has_surface(self) -> bool:
-        """Whether there is something to draw."""
+        """True if there is something to draw."""
         return self.psi.size > 0
 
     def coarser(self, max_voxels: int) -> SurfaceFrame:
@@ -148,7 +148,7 @@ class SurfaceFrame:
         return replace(self, psi=np.ascontiguousarray(self.psi[part, part, part]), stride=self.stride * step)
 
     def to_image(self, places: ArrayLike) -> Floats:
-        """Where (continuous) indices (z, y, x) of ``psi`` lie in the image, as indices of its voxels, (..., 3)."""
+        """Return indices of the image's voxels, (..., 3), of (continuous) indices (z, y, x) of ``psi``."""
         on_level = np.asarray(self.offset) + self.stride * np.asarray(places, float)
         return np.asarray(on_level * self.level.factors + np.asarray(self.level.first) + np.asarray(self.first))
 
@@ -167,7 +167,7 @@ class SurfaceFrame:
         return self.to_image([np.average(np.arange(len(c)), weights=c) for c in counts])
 
     def contains(self, index: ArrayLike) -> bool:
-        """Whether the voxel of the image at this index (z, y, x) is inside."""
+        """Return True if the voxel of the image at this index (z, y, x) is inside."""
         place = np.rint(self.from_image(index)).astype(int)
         is_there = (place >= 0).all() and (place < self.psi.shape).all()
         return bool(is_there and self.psi[tuple(place)] < 0)
@@ -231,7 +231,7 @@ class SurfaceFrame:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What is drawn of one step; it does not change when the run continues.
+    """Drawn state of one step; it does not change when the run continues.
 
     Attributes
     ----------
@@ -340,7 +340,7 @@ class Frame:
 
     @property
     def has_surface(self) -> bool:
-        """Whether there is something to draw."""
+        """True if there is something to draw."""
         return any(surface.has_surface for surface in self.surfaces)
 
     def middle(self) -> Floats:

@@ -53,7 +53,7 @@ class Measurement:
 
     @property
     def is_complete(self) -> bool:
-        """Whether it has all its points."""
+        """True if it has all its points."""
         return len(self.points) == KINDS[self.kind]
 
     @property

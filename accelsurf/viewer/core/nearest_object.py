@@ -1,4 +1,4 @@
-"""Which object of a run a click is meant for, when the user has not said so."""
+"""The object of a run that a click is meant for, when the user has not said so."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ class ObjectCommands:
 
     @property
     def has_ids(self) -> bool:
-        """Whether labels are ids."""
+        """True if labels are ids."""
         timeline = self._timeline
         return timeline.run.has_ids or timeline.run.config.replace(refine=timeline.corrections.wanted).has_ids
 
@@ -83,7 +83,7 @@ class ObjectCommands:
         return {own: pause if stop is None else stop.reason for own, stop in stops.items()}
 
     def of_run(self, object_id: int | None) -> int | None:
-        """What an edit of the run calls an object: nothing where the run has one without an id.
+        """Return the id of an object in corrections of the run: None where the run has one without an id.
 
         Raises
         ------
@@ -114,7 +114,7 @@ class ObjectCommands:
         return nearest_object(timeline.run, place)
 
     def is_beside(self, object_id: int | None) -> bool:
-        """Whether an object is none of the run itself, but of its corrections."""
+        """Return True if an object is none of the run itself, but of its corrections."""
         return object_id is not None and object_id not in [one.id for one in self._timeline.run.objects]
 
     # -- clicks and sizes ----------------------------------------------------------------------------------

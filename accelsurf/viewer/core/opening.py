@@ -1,4 +1,4 @@
-"""What can be opened in the viewer, and how it is read: an image, one of several in a folder, a phantom."""
+"""Opening in the viewer: an image, one of several in a folder, a phantom; and how it is read."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def of_preset(settings: RunConfig, name: str, has_clicks: bool) -> dict[str, Any
 
 
 def needs_clicks(config: RunConfig) -> bool:
-    """Whether a run begins with what was clicked, or its energy is of it."""
+    """Return True if a run begins with what was clicked, or its energy is of it."""
     return FROM_CLICKS == config.start or uses_model(config.energy)
 
 

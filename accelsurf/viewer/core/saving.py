@@ -1,4 +1,4 @@
-"""What a session saves: the files of `accelsurf segment`, and the run itself as TOML."""
+"""Saving a session: the files of `accelsurf segment`, and the run itself as TOML."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def save(
 
 
 def _all_beside_report(report: Path, what: Collection[str]) -> set[str]:
-    """What is saved: where a report stands, also all that it lists, so that files of one name show one state."""
+    """Return the kinds that are saved; beside a report also all that it lists, to show one state."""
     if result_sets.load_report(report) is None or result_sets.is_failure_report(report):
         return set(what)
     listed = result_sets.kinds_of_outputs(report)

@@ -61,7 +61,7 @@ class SequenceView:
         return words if unit == "frame" else f"{words}, {self.sequence.times[number]:.4g} {unit}"
 
     def frame(self, number: int) -> Frame:
-        """What is drawn of the tracked objects of a frame; without tracks nothing is.
+        """Return the frame of the tracked objects; without tracks it has none.
 
         Raises
         ------

@@ -78,7 +78,7 @@ class ServedFolder:
         return listed[:MAX_ENTRIES], max(len(listed) - MAX_ENTRIES, 0)
 
     def _entry(self, path: Path) -> Entry | None:
-        """What a name is; None for what is no image, or leads out of the folder."""
+        """Return the entry of a name; None for what is no image, or leads out of the folder."""
         try:
             if not path.resolve().is_relative_to(self.root):
                 return None
@@ -90,7 +90,7 @@ class ServedFolder:
             return None
 
     def is_image(self, folder: Path) -> bool:
-        """Whether a folder is an image itself: a scan in DICOM, or slices."""
+        """Return True if a folder is an image itself: a scan in DICOM, or slices."""
         try:
             return bool(format_of(folder).name)
         except (AccelsurfError, OSError):

@@ -46,7 +46,7 @@ class DoubtWatch:
         self._looked_at, self._busy_until = -1, 0.0
 
     def is_wanted(self, version: int, has_ended: bool) -> bool:
-        """Whether this version of the state has not been looked at."""
+        """Return True if this version of the state has not been looked at."""
         return has_ended and self._looked_at != version
 
     def postpone(self) -> None:
@@ -152,12 +152,12 @@ class Session:
 
     @property
     def is_alive(self) -> bool:
-        """Whether commands are carried out, or will be: False once it has been closed."""
+        """True if commands are carried out, or will be: False once it has been closed."""
         return self._thread.is_alive() if self._has_begun else not self._never_begins
 
     @property
     def has_unseen_state(self) -> bool:
-        """Whether the state has changed since the last view was made."""
+        """True if the state has changed since the last view was made."""
         return self._views.version != self._version
 
     def next_view(self, drawing_seconds: float = 0.0) -> View | None:

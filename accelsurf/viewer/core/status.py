@@ -1,4 +1,4 @@
-"""What a session shows to a front end: its status, and the views that are to be drawn."""
+"""State of a session for a front end: its status, and the views that are to be drawn."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class Status(NamedTuple):
 
 
 class View(NamedTuple):
-    """What is to be drawn: the ``frame``, each object's ``histories`` up to it, and the ``status`` at that time."""
+    """A view to be drawn: the ``frame``, each object's ``histories`` up to it, and the ``status`` at that time."""
 
     frame: Frame
     histories: tuple[tuple[StepRecord, ...], ...]
@@ -147,7 +147,7 @@ class ViewSlot:
         return view
 
     def is_due(self, version: int, playing: bool) -> bool:
-        """Whether a view of this version of the state is to be made now."""
+        """Return True if a view of this version of the state is to be made now."""
         return self._wanted and self._version != version and (not playing or time.perf_counter() >= self._next_time)
 
     def put(self, view: View, version: int, seconds: float) -> None:

@@ -202,7 +202,7 @@ class Timeline:
 
     @property
     def is_playing(self) -> bool:
-        """Whether more steps are to be made, by `step`."""
+        """True if more steps are to be made, by `step`."""
         return self._playing
 
     @property
@@ -220,7 +220,7 @@ class Timeline:
         return self.corrections.stop(self.run)
 
     def picture(self, max_voxels: int | None) -> tuple[Frame, tuple[tuple[StepRecord, ...], ...]]:
-        """What is drawn, see `Frame.of_run`, and each object's records up to it."""
+        """Return the frame, see `Frame.of_run`, and each object's records up to it."""
         return self.corrections.picture(self.run, max_voxels)
 
     def status(self, message: str, failed: bool) -> Status:
@@ -503,7 +503,7 @@ class Timeline:
         self._message = f"after change {count}" if count else "before all changes"
 
     def _now(self) -> Moment:
-        """What is in force, before a change at the present step."""
+        """Return settings and corrections in force, before a change at the present step."""
         return Moment(self.run.config, self.step_number, self.corrections.wanted)
 
     def _go_back_to(self, moment: Moment) -> None:
