@@ -139,11 +139,11 @@ def check_contradictions(clicks: Clicks, geometry: Geometry, first: Sequence[int
         With the first such voxel, as index and in mm.
     """
     for id in sorted({click.id for click in clicks.clicks}):
-        own = clicks.of(id)
-        both = own.mask("inside") & own.mask("outside")
+        of_object = clicks.of(id)
+        both = of_object.mask("inside") & of_object.mask("outside")
         if both.any():
             where = voxel_named(np.argwhere(both)[0], geometry, first)
-            of = "" if {one.id for one in clicks.clicks} == {1} else f" of object {id}"
+            of = "" if {other.id for other in clicks.clicks} == {1} else f" of object {id}"
             raise InputError(
                 f"clicks: {where} is clicked both inside and outside{of}", "take one away, or make one smaller"
             )
@@ -158,7 +158,7 @@ def check_left(before: Clicks, after: Clicks) -> None:
         With the object, where there are several.
     """
     for id in sorted(set(before.ids()) - set(after.ids()) - {NO_OBJECT}):
-        of = "" if {one.id for one in before.clicks} == {1} else f" of object {id}"
+        of = "" if {click.id for click in before.clicks} == {1} else f" of object {id}"
         raise InputError(
             f"clicks: nothing would be left that is clicked inside{of}", "click inside elsewhere first, or smaller"
         )

@@ -73,13 +73,13 @@ def has_sides(file: str) -> bool:
 def _click_of_row(line: dict[str, str], number: int, vox: bool, geometry: Geometry) -> Click:
     """The click of a row."""
     try:
-        own = float(line.get("id") or "")
+        number_given = float(line.get("id") or "")
     except ValueError:
-        own = -1.0
-    if not 0 <= own <= MAX_ID or own != int(own):
+        number_given = -1.0
+    if not 0 <= number_given <= MAX_ID or number_given != int(number_given):
         raise InputError(f"line {number}: id {line.get('id')} was given, expected a whole number from 0 on", _FORM)
     side, numbers = one_object.stroke_row(line, number, vox, "inside")
-    name, id = f"line {number}", int(own)
+    name, id = f"line {number}", int(number_given)
     if id == NO_OBJECT and side == "outside":
         raise InputError(f"{name}: id 0 is no object, so nothing is outside of it", "write inside, or an object's id")
     if numbers[3] == 0:

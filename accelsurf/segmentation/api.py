@@ -213,7 +213,7 @@ def _run_of(
 ) -> Run:
     """The run for the arguments of `segment`, `evolve` or `segment_objects`."""
     first = as_volume(volume, spacing)
-    others = [as_channel(one, first) for one in channels]
+    others = [as_channel(channel, first) for channel in channels]
     texts, given = split_given(options)
     clicks = [click for side in SIDES if side in given for click in given_clicks(side, given.pop(side), first)]
     arrays = {key: psi_of(key, value, first.geometry) for key, value in given.items()}

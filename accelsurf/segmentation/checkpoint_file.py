@@ -116,8 +116,8 @@ class CheckpointFile:
 def _differences(header: CheckpointHeader) -> list[str]:
     """A line where a checkpoint was written by other versions, or on another kind of processor."""
     here = versions()
-    other = [f"{name} {header.versions.get(name)}, here {own}" for name, own in here.items()
-             if header.versions.get(name) != own]
+    other = [f"{name} {header.versions.get(name)}, here {version}" for name, version in here.items()
+             if header.versions.get(name) != version]
     if not other:
         return []
     return [f"the checkpoint was written with {'; '.join(other)}: the last bits of the result may differ"]

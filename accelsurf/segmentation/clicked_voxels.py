@@ -30,7 +30,7 @@ def on_image(clicks: Clicks | None, first: Corner, shape: tuple[int, int, int]) 
     return Clicks(tuple(out), shape)
 
 
-def clicked_voxels(clicks: Clicks | None, own: int, first: Corner, box: Box) -> NDArray[np.bool_] | None:
+def clicked_voxels(clicks: Clicks | None, id: int, first: Corner, box: Box) -> NDArray[np.bool_] | None:
     """Voxels that are clicked inside or outside of an object; None without clicks.
 
     Parameters
@@ -48,7 +48,7 @@ def clicked_voxels(clicks: Clicks | None, own: int, first: Corner, box: Box) -> 
         return None
     marked = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
     for click in clicks.clicks:
-        if click.id != own:
+        if click.id != id:
             continue
         z, y, x = (a + b for a, b in zip(corner_of(click.box), first, strict=True))
         mine, theirs = shared(corner_of(box), marked.shape, (z, y, x), click.mask.shape)

@@ -64,7 +64,7 @@ def _check_object(edit: Correction, ids: Sequence[int], where: str) -> None:
     """Refuse an object that does not exist, and balls or clicks without an object where there are several."""
     allowed = {*ids, NO_OBJECT} if ids and edit.inside and not (edit.balls or edit.outside) else set(ids or (1,))
     if edit.object is not None and edit.object not in allowed:
-        known = ", ".join(str(one) for one in ids[:8]) + (", ..." if len(ids) > 8 else "")
+        known = ", ".join(str(id) for id in ids[:8]) + (", ..." if len(ids) > 8 else "")
         raise UsageError(f"{where}: object {edit.object} was given, expected one of {known or '1'}", "as in object=3")
     if edit.object is not None and not (edit.balls or edit.has_clicks):
         raise UsageError(
@@ -85,8 +85,8 @@ def balls_of(edit: Correction, geometry: Geometry) -> tuple[BallEdit, ...]:
     return tuple(BallEdit(kind, *starts.ball_of(text, geometry)) for kind, text in edit.balls)
 
 
-def balls_for(own: int, edit: Correction, balls: Sequence[BallEdit]) -> tuple[BallEdit, ...]:
+def balls_for(id: int, edit: Correction, balls: Sequence[BallEdit]) -> tuple[BallEdit, ...]:
     """The balls of an edit for object ``own`` of several: what one object gains is taken from the others."""
-    if edit.object is None or edit.object == own:
+    if edit.object is None or edit.object == id:
         return tuple(balls)
     return tuple(ball._replace(kind="remove") for ball in balls if ball.kind == "add")

@@ -67,7 +67,7 @@ def _model_margin(config: RunConfig, geometry: Geometry, clicks: Sequence[Click]
     spacing, smallest = geometry.spacing, min(geometry.steps)
     flat = geometry.shape[0] == 1
     widest = max(
-        (radius_of(float(np.count_nonzero(one.mask)), spacing, flat) for one in clicks if one.side == "inside"),
+        (radius_of(float(np.count_nonzero(click.mask)), spacing, flat) for click in clicks if click.side == "inside"),
         default=smallest,
     )
     reach = max(EVEN_REACH * widest, MIN_EVEN_REACH * smallest, 2.0 * WALKS_REACH * widest)
@@ -150,9 +150,13 @@ def _of_label(start: starts.Start, geometry: Geometry) -> Box:
     for planes in slabs(geometry.shape):
         slab: Box = (planes, slice(0, geometry.shape[1]), slice(0, geometry.shape[2]))
         labels = starts.label_box(start.file, Window(geometry, slab), f"start label:{start.file}")
-        own = bounding_box(start.mask_of(labels))
-        if own is not None:
-            here = slice(own[0].start + planes.start, own[0].stop + planes.start), own[1], own[2]
+        found_box = bounding_box(start.mask_of(labels))
+        if found_box is not None:
+            here = (
+                slice(found_box[0].start + planes.start, found_box[0].stop + planes.start),
+                found_box[1],
+                found_box[2],
+            )
             found = here if found is None else enclosing(found, here)
     if found is None:
         raise InputError(

@@ -48,9 +48,9 @@ def given_arrays(objects: Any, arrays: Mapping[str, NDArray[np.float32]] | None)
     """Return the arrays that a run was given, by setting: psi, and the label map of several objects."""
     given: dict[str, NDArray[Any]] = dict(arrays or {})
     if surfaces := surfaces_of(objects):
-        for one in surfaces:
-            given[f"object {one.id}"] = one.psi
-            given[f"corner of object {one.id}"] = np.array(one.corner)
+        for surface in surfaces:
+            given[f"object {surface.id}"] = surface.psi
+            given[f"corner of object {surface.id}"] = np.array(surface.corner)
     elif objects is not None and not isinstance(objects, str):
         given["objects"] = plain_array(objects.array if isinstance(objects, Volume) else objects, "objects")
     return given
@@ -58,9 +58,9 @@ def given_arrays(objects: Any, arrays: Mapping[str, NDArray[np.float32]] | None)
 
 def surfaces_of(objects: Any) -> list[ObjectStart]:
     """First surfaces of several objects where they were given as such, in order of their ids; else none."""
-    if not isinstance(objects, (tuple, list)) or not all(isinstance(one, ObjectStart) for one in objects):
+    if not isinstance(objects, (tuple, list)) or not all(isinstance(segmented, ObjectStart) for segmented in objects):
         return []
-    return sorted(objects, key=lambda one: one.id)
+    return sorted(objects, key=lambda start: start.id)
 
 
 def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
@@ -144,7 +144,7 @@ def given_clicks(side: Side, value: Any, volume: Volume) -> list[Click]:
             f"{side}: a {type(value).__name__} was given, expected a text, a mask, a mesh, a point (x, y, z), a ball "
             "(x, y, z, r), or a list of them", "see accelsurf.segment"
         )
-    return [click for one in value for click in given_clicks(side, one, volume)]
+    return [click for item in value for click in given_clicks(side, item, volume)]
 
 
 def _is_mask(value: Any, geometry: Geometry) -> bool:
@@ -156,9 +156,9 @@ def _is_mask(value: Any, geometry: Geometry) -> bool:
 
 def _numbers_of(value: Any) -> tuple[float, ...]:
     """The numbers of a point or a ball; none where the value is something else."""
-    if not isinstance(value, (Sequence, np.ndarray)) or not all(isinstance(one, (Real, np.number)) for one in value):
+    if not isinstance(value, (Sequence, np.ndarray)) or not all(isinstance(v, (Real, np.number)) for v in value):
         return ()
-    return tuple(float(one) for one in value)
+    return tuple(float(number) for number in value)
 
 
 def with_options(

@@ -144,8 +144,8 @@ def run_group(
 
 def _first_box(starts: list[ObjectStart], geometry: Geometry, reach: float) -> Box:
     """The starts, and around them as much as the largest is wide, and as their energies see (``reach``, mm)."""
-    boxes = [box_at(one.corner, one.psi.shape) for one in starts]
-    widest = max(n for one in starts for n in one.psi.shape)
+    boxes = [box_at(start.corner, start.psi.shape) for start in starts]
+    widest = max(n for start in starts for n in start.psi.shape)
     margin = [max(MIN_MARGIN, widest, math.ceil(reach / h) + MIN_MARGIN // 2) for h in geometry.spacing]
     return widened(functools.reduce(enclosing, boxes), geometry.shape, margin)
 
@@ -171,13 +171,13 @@ def refuse_too_large(window: Window, starts: list[ObjectStart], image: LargeImag
 
 def _fixed_bytes(starts: list[ObjectStart]) -> int:
     """Return the memory of a run that does not depend on its window, bytes."""
-    boxes = sum(math.prod(n + MIN_MARGIN for n in one.psi.shape) for one in starts)
+    boxes = sum(math.prod(n + MIN_MARGIN for n in start.psi.shape) for start in starts)
     return PROCESS_BYTES + BOX_BYTES * boxes
 
 
 def _voxel_bytes(image: LargeImage) -> int:
     """Return the memory of a run for each voxel of its window, bytes."""
-    return sum(WINDOW_BYTES + one.dtype.itemsize for one in image.channels)
+    return sum(WINDOW_BYTES + channel.dtype.itemsize for channel in image.channels)
 
 
 def _in(
@@ -189,10 +189,10 @@ def _in(
     others: Boxes,
 ) -> GroupResult:
     """The run in a window, as far as it goes."""
-    own = tuple(
-        one._replace(corner=corner_of(window.local(box_at(one.corner, one.psi.shape)))) for one in starts
+    local = tuple(
+        start._replace(corner=corner_of(window.local(box_at(start.corner, start.psi.shape)))) for start in starts
     )
-    with run_in(window, whole, image, config, own) as run:
+    with run_in(window, whole, image, config, local) as run:
         visited = VisitedBoxes(run, window.corner)
         visited.refuse_near(others)
         while run.step():
@@ -201,7 +201,7 @@ def _in(
         visited.look_at_ends()
         visited.refuse_near(others)
         result = result_of(run)
-    found = tuple(_on_whole(one, window) for one in result.objects)
+    found = tuple(_on_whole(segmented, window) for segmented in result.objects)
     return GroupResult(found, *visited.boxes, window, result.energy, result.resolved_settings, result.warnings)
 
 
@@ -228,17 +228,17 @@ class VisitedBoxes:
 
     def look(self) -> None:
         """Add where the objects are now."""
-        for place, one in enumerate(self._run.objects):
-            if one.surface.size:
-                low, high = one.extent()
+        for place, evolving in enumerate(self._run.objects):
+            if evolving.surface.size:
+                low, high = evolving.extent()
                 self._add(place, low - REACH, high + REACH)
 
     def look_at_ends(self) -> None:
         """Add what is not far outside of the last surfaces."""
-        for place, one in enumerate(self._run.objects):
-            box = bounding_box(one.surface.psi < one.surface.gamma)
+        for place, evolving in enumerate(self._run.objects):
+            box = bounding_box(evolving.surface.psi < evolving.surface.gamma)
             if box is not None:
-                low = np.array([side.start for side in box], np.int64) + np.array(one.corner, np.int64)
+                low = np.array([side.start for side in box], np.int64) + np.array(evolving.corner, np.int64)
                 self._add(place, low, low + [side.stop - side.start for side in box])
 
     def _add(self, place: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
@@ -269,11 +269,11 @@ class VisitedBoxes:
         return Boxes(np.where(there, self._low, 0), np.where(there, self._high, 0))
 
 
-def _on_whole(one: SegmentedObject, window: Window) -> SegmentedObject:
+def _on_whole(segmented: SegmentedObject, window: Window) -> SegmentedObject:
     """An object of a run in a window, on the whole grid: its places are worked out there, to the last digit."""
-    box = placed_at(one.box, window.corner)
-    rests = tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in one.rests)
-    return replace(one, box=box, geometry=cropped(window.geometry, box), rests=rests)
+    box = placed_at(segmented.box, window.corner)
+    rests = tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in segmented.rests)
+    return replace(segmented, box=box, geometry=cropped(window.geometry, box), rests=rests)
 
 
 #: Positions of objects that are run at once, ascending.
@@ -320,9 +320,11 @@ def united(
 
     there = members[(low[members] < high[members]).all(axis=1)]
     near = meeting(low[there], high[there])
-    overlaps = [(one, int(there[j])) for one, found in zip(there.tolist(), near, strict=True) for j in found]
-    for one, other in (*pairs, *overlaps):
-        first, second = sorted((root(group_of[one]), root(group_of[other])))
+    overlaps = [
+        (first_place, int(there[j])) for first_place, found in zip(there.tolist(), near, strict=True) for j in found
+    ]
+    for first_place, other in (*pairs, *overlaps):
+        first, second = sorted((root(group_of[first_place]), root(group_of[other])))
         parent[second] = first
     joined: dict[int, list[int]] = {}
     for number, group in enumerate(groups):

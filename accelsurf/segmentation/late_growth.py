@@ -106,14 +106,14 @@ class LateGrowth:
 
     def state(self) -> GrowthState:
         """Return all growth so far."""
-        rows = [(id, one) for id, growth in self._growth.items() for one in growth]
-        cubes = [one.cubes for _, one in rows]
+        rows = [(id, grown) for id, growth in self._growth.items() for grown in growth]
+        cubes = [grown.cubes for _, grown in rows]
         return GrowthState(
             np.array([id for id, _ in rows], np.int64),
-            np.array([one.volume for _, one in rows], np.float64),
-            np.array([one.size for one in cubes], np.int64),
+            np.array([grown.volume for _, grown in rows], np.float64),
+            np.array([grown.size for grown in cubes], np.int64),
             np.concatenate([np.zeros(0, np.int64), *cubes]),
-            np.concatenate([np.zeros(0, np.float32), *(one.sums for _, one in rows)]),
+            np.concatenate([np.zeros(0, np.float32), *(grown.sums for _, grown in rows)]),
         )
 
     def restore(self, state: GrowthState) -> None:
@@ -132,15 +132,15 @@ class LateGrowth:
         """
         late = []
         for growth in self._growth.values():
-            volumes = np.array([one.volume for one in growth])
+            volumes = np.array([growth_step.volume for growth_step in growth])
             gained = float(volumes[-1] - volumes[0])
             if gained > 0:
                 below = np.flatnonzero(volumes <= volumes[-1] - LAST_SHARE * gained)
                 late += growth[int(below[-1]) :]
         if not late:
             return None
-        cubes, which = np.unique(np.concatenate([one.cubes for one in late]), return_inverse=True)
-        totals = np.bincount(which, np.concatenate([one.sums for one in late]))
+        cubes, which = np.unique(np.concatenate([growth_step.cubes for growth_step in late]), return_inverse=True)
+        totals = np.bincount(which, np.concatenate([growth_step.sums for growth_step in late]))
         if totals.max() <= 0.0:
             return None
         largest = cubes[int(np.argmax(totals))]

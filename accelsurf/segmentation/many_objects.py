@@ -128,9 +128,9 @@ class Groups:
         """
         if self.waiting:
             raise ValueError(f"{len(self.waiting)} groups have not ended")
-        pairs = [(one, other) for one, other in self._pairs if not self._failed[other]]
+        pairs = [(place, other) for place, other in self._pairs if not self._failed[other]]
         # One that came near nothing but objects which have failed since is run again without them.
-        again = {one for one, _ in self._pairs}
+        again = {place for place, _ in self._pairs}
         before, after = set(self._ended), united(self._ended, self._low, self._high, pairs)
         self.waiting = [group for group in after if group not in before or group[0] in again]
         self._ended = [group for group in after if group not in set(self.waiting)]
@@ -216,14 +216,14 @@ def numbers_needed(whole: Sequence[WholeImage], config: RunConfig) -> tuple[Numb
     inside[tuple(slice(0, max(n // 2, 1)) for n in shape)] = True
     images = [pattern] * len(whole)
     context = ImageContext(
-        images, [one.scale for one in whole], whole[0].geometry.spacing, inside, is_start=True, whole=whole
+        images, [channel.scale for channel in whole], whole[0].geometry.spacing, inside, is_start=True, whole=whole
     )
     context = context.of_object((0, 0, 0), inside)
     for term in energy_expression.parse(config.energy):
         inputs = TermInputs(term.settings, config, pattern, whole[0].geometry.spacing, context)
         with suppress(UsageError):  # bounds that fit the objects need not fit the pattern
             make_term(term, inputs, images)
-    return tuple(one.numbers for one in whole)
+    return tuple(channel.numbers for channel in whole)
 
 
 def many_starts(objects: str | LazyVolume | ManyStarts, image: LargeImage) -> ManyStarts:
@@ -248,4 +248,4 @@ def _outcomes(found: Iterable[tuple[Group, GroupResult | str]], starts: ManyStar
         if isinstance(result, str):
             yield from (ObjectOutcome(int(starts.ids[place]), None, result) for place in group)
         else:
-            yield from (ObjectOutcome(one.id, one) for one in result.objects)
+            yield from (ObjectOutcome(segmented.id, segmented) for segmented in result.objects)

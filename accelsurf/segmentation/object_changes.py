@@ -89,31 +89,31 @@ def begin_object(
     InputError
         When nothing of it is left beside the others.
     """
-    own = refinement.new
-    assert own is not None
-    if own in objects.ids:
-        objects.models.remove(own)
-        objects.replace([one for one in objects.surfaces if one.id != own], {})
+    id = refinement.new
+    assert id is not None
+    if id in objects.ids:
+        objects.models.remove(id)
+        objects.replace([here for here in objects.surfaces if here.id != id], {})
     objects.models.add(new)
     takes = frozenset(objects.holders(new))
     objects.models.begin_object(number, refinement, taken_voxels(objects, takes))
-    start, box, energy, terms = _start(objects, own, new, takes)
-    settings = objects.models.settings_of(own)
-    settings = settings.replace(seed=None if base.config.seed is None else base.config.seed + own)
+    start, box, energy, terms = _start(objects, id, new, takes)
+    settings = objects.models.settings_of(id)
+    settings = settings.replace(seed=None if base.config.seed is None else base.config.seed + id)
     setup = setup_of(settings, 0, 1, objects.prepared.geometry)
     outcome = _to_rest(start, objects.spacing, energy, setup, max_steps, workers, on_step)
     region = NearRegion(box, np.ones(outcome.psi.shape, np.bool_), 0.0)
     for other in sorted(takes):
         objects.take_from(other, region, outcome.psi, workers)
-    surface = _surface(own, corner_of(box), outcome, objects)
-    learned = objects.prepared.learned_by(objects.models.contexts[own])
-    known = {own: _known(surface, objects, base, terms, learned)}
+    surface = _surface(id, corner_of(box), outcome, objects)
+    learned = objects.prepared.learned_by(objects.models.contexts[id])
+    known = {id: _known(surface, objects, base, terms, learned)}
     objects.replace([*objects.surfaces, surface], known)
     return surface, box, surface.inside
 
 
 def _start(
-    objects: RefinedObjects, own: int, new: Sequence[Click], takes: frozenset[int]
+    objects: RefinedObjects, id: int, new: Sequence[Click], takes: frozenset[int]
 ) -> tuple[NDArray[np.float32], Box, ClickConstraint, list[dict[str, Any]]]:
     """First psi of a new object, the box that it is on, its energy there, and the terms of that.
 
@@ -123,37 +123,37 @@ def _start(
         When nothing of it is left beside the others.
     """
     models, spacing = objects.models, objects.spacing
-    model = models.model(own)
+    model = models.model(id)
     assert model is not None
     margin = [math.ceil(MARGIN * max(spacing) / h) for h in spacing]
     box = widened(enclosing(model.state.box, box_around(new)), objects.shape, margin)
-    psi = np.array(models.contexts[own].model_start()[box])
-    bounds = click_bounds(models.clicks.of(own).on_box(box), Level(0, (1, 1, 1), psi.shape, spacing))
-    made = models.energy_on(own, box, models.contexts[own], objects.images)
-    energy, distance = made.energy, objects.bounding(own, box, takes)
+    psi = np.array(models.contexts[id].model_start()[box])
+    bounds = click_bounds(models.clicks.of(id).on_box(box), Level(0, (1, 1, 1), psi.shape, spacing))
+    made = models.energy_on(id, box, models.contexts[id], objects.images)
+    energy, distance = made.energy, objects.bounding(id, box, takes)
     if distance is not None:
         energy, psi = MaskConstraint(energy, distance), np.maximum(psi, distance)
     bounds.apply(psi)
     if not (psi < 0).any():
-        raise InputError(f"refine: nothing of object {own} is beside the others", "click where no object is")
+        raise InputError(f"refine: nothing of object {id} is beside the others", "click where no object is")
     return psi, box, ClickConstraint(energy, bounds), made.terms
 
 
 def taken_voxels(objects: RefinedObjects, takes: frozenset[int]) -> BoxMask | None:
     """Voxels of the objects that a new one takes nothing from."""
     boxes, taken = [], None
-    others = [one for place, one in enumerate(objects.surfaces) if place not in takes]
-    for one in others:
-        inside = bounding_box(one.psi < 0)
+    others = [surface for place, surface in enumerate(objects.surfaces) if place not in takes]
+    for other in others:
+        inside = bounding_box(other.psi < 0)
         if inside is not None:
-            boxes.append(placed_at(inside, one.corner))
+            boxes.append(placed_at(inside, other.corner))
     for box in boxes:
         taken = box if taken is None else enclosing(taken, box)
     if taken is None:
         return None
     mask = np.zeros([s.stop - s.start for s in taken], np.bool_)
-    for one in others:
-        mask |= on_box(one.psi < 0, box_at(one.corner, one.psi.shape), taken, False)
+    for other in others:
+        mask |= on_box(other.psi < 0, box_at(other.corner, other.psi.shape), taken, False)
     return BoxMask(taken, mask)
 
 
@@ -176,16 +176,23 @@ def _surface(id: int, corner: tuple[int, int, int], outcome: LocalOutcome, objec
 
 
 def _known(
-    one: CorrectedSurface, objects: RefinedObjects, base: Result, terms: list[dict[str, Any]],
+    surface: CorrectedSurface, objects: RefinedObjects, base: Result, terms: list[dict[str, Any]],
     learned: tuple[float, float] | None,
 ) -> SegmentedObject:
     """Return the entry in results of an object that has just begun."""
     first = objects.prepared.first
-    corner = (one.corner[0] + first[0], one.corner[1] + first[1], one.corner[2] + first[2])
-    box = part_of_image(box_at(corner, one.psi.shape), corner, one, objects.prepared)
+    corner = (surface.corner[0] + first[0], surface.corner[1] + first[1], surface.corner[2] + first[2])
+    box = part_of_image(box_at(corner, surface.psi.shape), corner, surface, objects.prepared)
     return SegmentedObject(
-        one.id, box, closed_on(one.psi, corner, box), base.image[box], cropped(base.geometry, box), list(one.history),
-        one.stop, terms, learned,
+        surface.id,
+        box,
+        closed_on(surface.psi, corner, box),
+        base.image[box],
+        cropped(base.geometry, box),
+        list(surface.history),
+        surface.stop,
+        terms,
+        learned,
     )
 
 
@@ -201,16 +208,16 @@ def merge(objects: RefinedObjects, ids: Sequence[int], workers: Workers) -> Corr
         check_id(id, objects.ids, "merge")
     parts = [objects.surfaces[objects.place_of(id)] for id in ids]
     box = box_at(parts[0].corner, parts[0].psi.shape)
-    for one in parts[1:]:
-        box = enclosing(box, box_at(one.corner, one.psi.shape))
-    psi = np.full([s.stop - s.start for s in box], max(float(np.abs(one.psi).max()) for one in parts), np.float32)
-    for one in parts:
-        where = counted_from(box_at(one.corner, one.psi.shape), corner_of(box))
-        np.minimum(psi[where], one.psi, out=psi[where])
+    for part in parts[1:]:
+        box = enclosing(box, box_at(part.corner, part.psi.shape))
+    psi = np.full([s.stop - s.start for s in box], max(float(np.abs(part.psi).max()) for part in parts), np.float32)
+    for part in parts:
+        where = counted_from(box_at(part.corner, part.psi.shape), corner_of(box))
+        np.minimum(psi[where], part.psi, out=psi[where])
     first = parts[0]
     merged = _measured(first._replace(corner=corner_of(box), psi=psi), objects, workers)
     objects.models.merge(ids)
-    objects.replace([merged, *(one for one in objects.surfaces if one.id not in ids)], {})
+    objects.replace([merged, *(surface for surface in objects.surfaces if surface.id not in ids)], {})
     return merged
 
 
@@ -244,7 +251,7 @@ def completed(objects: RefinedObjects, refinement: Correction, base: Result) -> 
     """
     assert refinement.split is not None
     voxel = voxel_of(refinement.split, base) - np.array(objects.prepared.first)
-    here = next((one.id for one in objects.surfaces if _contains(one, voxel)), None)
+    here = next((surface.id for surface in objects.surfaces if _contains(surface, voxel)), None)
     if here is None or here != (refinement.object or here):
         where = "no object" if here is None else f"object {here}"
         raise InputError(f"refine: {refinement.split} lies in {where}", "click in the part that is to be split off")
@@ -284,26 +291,28 @@ def split(
     labels, count = ndimage.label(here.psi < 0)
     if count < 2:
         raise InputError(f"refine: object {here.id} is in one piece", "cut it first: outside clicks between the parts")
-    own = np.asarray(labels == labels[tuple(voxel - np.array(here.corner))])
+    split_off = np.asarray(labels == labels[tuple(voxel - np.array(here.corner))])
     away = np.abs(here.psi)
-    part = here._replace(id=new, psi=np.where((labels > 0) & ~own, away, here.psi))
-    rest = here._replace(psi=np.where(own, away, here.psi))
-    tight = bounding_box(own)
+    part = here._replace(id=new, psi=np.where((labels > 0) & ~split_off, away, here.psi))
+    rest = here._replace(psi=np.where(split_off, away, here.psi))
+    tight = bounding_box(split_off)
     assert tight is not None
     objects.models.split(
-        number, here.id, new, BoxMask(placed_at(tight, here.corner), own[tight]), point_click(voxel, new)
+        number, here.id, new, BoxMask(placed_at(tight, here.corner), split_off[tight]), point_click(voxel, new)
     )
     rest, part = _measured(rest, objects, workers), _measured(_on_tight_box(part), objects, workers)
     known = objects.known(here.id)
-    others = [one for one in objects.surfaces if one.id != here.id]
+    others = [surface for surface in objects.surfaces if surface.id != here.id]
     objects.replace([*others, rest, part], {new: _known(part, objects, base, known.terms, known.learned)})
     return rest, part
 
 
-def _on_tight_box(one: CorrectedSurface) -> CorrectedSurface:
+def _on_tight_box(surface: CorrectedSurface) -> CorrectedSurface:
     """A surface on the array that it needs; on its own where it has no voxel."""
-    box = bounding_box(one.psi < 0, AROUND) or whole_box(one.psi.shape)
-    return one._replace(corner=corner_of(placed_at(box, one.corner)), psi=np.ascontiguousarray(one.psi[box]))
+    box = bounding_box(surface.psi < 0, AROUND) or whole_box(surface.psi.shape)
+    return surface._replace(
+        corner=corner_of(placed_at(box, surface.corner)), psi=np.ascontiguousarray(surface.psi[box])
+    )
 
 
 def remove(objects: RefinedObjects, id: int) -> int:
@@ -319,19 +328,19 @@ def remove(objects: RefinedObjects, id: int) -> int:
         raise UsageError(f"refine: object {id} is the only one and cannot be removed", "begin another one first")
     gone = objects.surfaces[objects.place_of(id)]
     objects.models.remove(id)
-    objects.replace([one for one in objects.surfaces if one.id != id], {})
+    objects.replace([surface for surface in objects.surfaces if surface.id != id], {})
     return gone.inside
 
 
-def _contains(one: CorrectedSurface, voxel: NDArray[np.int64]) -> bool:
-    at = voxel - np.array(one.corner)
-    return bool((at >= 0).all() and (at < np.array(one.psi.shape)).all() and one.psi[tuple(at)] < 0)
+def _contains(surface: CorrectedSurface, voxel: NDArray[np.int64]) -> bool:
+    at = voxel - np.array(surface.corner)
+    return bool((at >= 0).all() and (at < np.array(surface.psi.shape)).all() and surface.psi[tuple(at)] < 0)
 
 
-def _measured(one: CorrectedSurface, objects: RefinedObjects, workers: Workers) -> CorrectedSurface:
+def _measured(surface: CorrectedSurface, objects: RefinedObjects, workers: Workers) -> CorrectedSurface:
     """A surface whose voxels have changed without a step: its last record has volume and area of now."""
-    inside, settings = count_inside(one.psi), objects.models.settings_of(one.id)
-    volume, area = measures_of(np.array(one.psi), objects.spacing, half_width(settings), workers)
-    history = [*one.history[:-1], one.history[-1]._replace(volume_mm3=volume, area_mm2=area)]
-    stop = one.stop if inside else stop_of_whole(one.stop, inside, math.prod(objects.shape))
-    return one._replace(psi=np.ascontiguousarray(one.psi), inside=inside, history=history, stop=stop)
+    inside, settings = count_inside(surface.psi), objects.models.settings_of(surface.id)
+    volume, area = measures_of(np.array(surface.psi), objects.spacing, half_width(settings), workers)
+    history = [*surface.history[:-1], surface.history[-1]._replace(volume_mm3=volume, area_mm2=area)]
+    stop = surface.stop if inside else stop_of_whole(surface.stop, inside, math.prod(objects.shape))
+    return surface._replace(psi=np.ascontiguousarray(surface.psi), inside=inside, history=history, stop=stop)

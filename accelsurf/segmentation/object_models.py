@@ -136,7 +136,8 @@ class ObjectModels:
         """Give the clicks of several objects to the first; where it may be is not bounded by the others."""
         first, others = ids[0], ids[1:]
         self.clicks = Clicks(
-            tuple(one._replace(id=first) if one.id in others else one for one in self.clicks.clicks), self.clicks.shape
+            tuple(click._replace(id=first) if click.id in others else click for click in self.clicks.clicks),
+            self.clicks.shape,
         )
         for id in others:
             self._forget_object(id)
@@ -150,25 +151,28 @@ class ObjectModels:
     def split(self, number: int, id: int, new: int, part: BoxMask, click: Click) -> None:
         """Give the voxels clicked inside an object that lie in ``part``, and the ``click``, to a new one."""
         out: list[Click] = []
-        for one in self.clicks.clicks:
-            if (one.side, one.id) != ("inside", id):
-                out.append(one)
+        for click_before in self.clicks.clicks:
+            if (click_before.side, click_before.id) != ("inside", id):
+                out.append(click_before)
                 continue
-            there = Click("inside", part.box, part.mask, new).mask_on(one.box)
-            out += [one._replace(id=own, mask=mask) for own, mask in ((id, one.mask & ~there), (new, one.mask & there))
-                    if mask.any()]
+            there = Click("inside", part.box, part.mask, new).mask_on(click_before.box)
+            out += [
+                click_before._replace(id=owner, mask=mask)
+                for owner, mask in ((id, click_before.mask & ~there), (new, click_before.mask & there))
+                if mask.any()
+            ]
         self.clicks = Clicks((*out, click), self.clicks.shape)
         self.masks[number] = part
         if id in self.settings:
             self.settings[new] = self.settings[id]
         context = self.contexts[id]
-        for own in (id, new):
-            self.contexts[own] = context.with_clicks(self.clicks.of(own))
-            self._forget(own)
+        for owner in (id, new):
+            self.contexts[owner] = context.with_clicks(self.clicks.of(owner))
+            self._forget(owner)
 
     def remove(self, id: int) -> None:
         """Forget an object and what was clicked of it."""
-        self.clicks = Clicks(tuple(one for one in self.clicks.clicks if one.id != id), self.clicks.shape)
+        self.clicks = Clicks(tuple(click for click in self.clicks.clicks if click.id != id), self.clicks.shape)
         self._forget_object(id)
 
     def _forget_object(self, id: int) -> None:
@@ -225,24 +229,24 @@ def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple
         When a voxel clicked inside an object lies outside of the region or the mask.
     """
     geometry, distance = prepared.volumes[0].geometry, prepared.mask_distance
-    own = Clicks(tuple(clicks), geometry.shape).on_box(prepared.box).clicks
-    lost = sum(int(one.mask.sum()) for one in clicks if one.side == "inside" and one.id != NO_OBJECT)
-    for one in own:
-        if one.side == "inside" and one.id != NO_OBJECT:
-            within = one.mask if distance is None else one.mask & (distance[one.box] <= 0)
+    placed = Clicks(tuple(clicks), geometry.shape).on_box(prepared.box).clicks
+    lost = sum(int(click.mask.sum()) for click in clicks if click.side == "inside" and click.id != NO_OBJECT)
+    for click in placed:
+        if click.side == "inside" and click.id != NO_OBJECT:
+            within = click.mask if distance is None else click.mask & (distance[click.box] <= 0)
             lost -= int(within.sum())
     if lost:
         raise InputError(
             f"refine: {lost} voxels are clicked inside that lie outside of the region of interest, the mask or the box",
             "click within them",
         )
-    return own
+    return placed
 
 
 def clicks_on(new: Sequence[Click], id: int) -> tuple[Click, ...]:
     """The new clicks that an object answers to, as it sees them: its own, and those on no object."""
-    own = tuple(click for click in new if click.id in (id, NO_OBJECT))
-    return Clicks(own, (0, 0, 0)).of(id).clicks
+    mine = tuple(click for click in new if click.id in (id, NO_OBJECT))
+    return Clicks(mine, (0, 0, 0)).of(id).clicks
 
 
 def check_object(refinement: Correction, ids: Sequence[int] | None) -> None:
@@ -253,16 +257,16 @@ def check_object(refinement: Correction, ids: Sequence[int] | None) -> None:
     UsageError
         With the ids that there are.
     """
-    own = refinement.object
+    id = refinement.object
     if ids is None:
-        if own not in (None, 1):
-            raise UsageError(f"refine: object {own} was given, but there is a single one", "leave object out")
+        if id not in (None, 1):
+            raise UsageError(f"refine: object {id} was given, but there is a single one", "leave object out")
         return
     there = "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
-    if own is None and refinement.inside:
+    if id is None and refinement.inside:
         raise UsageError("refine: inside was given without object, expected an object's id", there)
-    if own is not None and own not in ids:
-        raise UsageError(f"refine: object {own} was given, expected one that is in the result", there)
+    if id is not None and id not in ids:
+        raise UsageError(f"refine: object {id} was given, expected one that is in the result", there)
 
 
 def refuse_contradictions(
@@ -290,12 +294,12 @@ def refuse_contradictions(
     if len({click.side for click in new}) == 1 and len({click.id for click in new}) == 1:
         return
     for id in ids:
-        own = Clicks(tuple(new), shape).of(id)
-        for one in own.clicks:
-            here = own.on_box(one.box)
+        of_object = Clicks(tuple(new), shape).of(id)
+        for click in of_object.clicks:
+            here = of_object.on_box(click.box)
             both = here.mask("inside") & here.mask("outside")
             if both.any():
-                voxel = np.argwhere(both)[0] + np.array(corner_of(one.box))
+                voxel = np.argwhere(both)[0] + np.array(corner_of(click.box))
                 raise InputError(
                     f"refine: {voxel_named(voxel, geometry, first)} is clicked both inside and outside at once",
                     "make two corrections of it: the later one wins",

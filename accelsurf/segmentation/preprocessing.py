@@ -248,9 +248,9 @@ def _scaled_channels(
     whole = whole_of(part)
     scales: list[Scale] = []
     images: list[NDArray[np.float32]] = []
-    for place, one in enumerate(volumes):
+    for place, channel in enumerate(volumes):
         if place > 0:
-            values = _crop(filtered_volume(one, filters) if part is None else part.filtered[place], box)
+            values = _crop(filtered_volume(channel, filters) if part is None else part.filtered[place], box)
         scales.append(whole[place].scale if whole else scale_of(values))
         images.append(apply(values, scales[-1]))
     return images, scales
@@ -264,12 +264,12 @@ def check_channels(volumes: Sequence[Volume]) -> None:
     InputError
         When one has voxels that are not finite, or is no image; GeometryError when its grid differs from the first's.
     """
-    for one in volumes:
-        check_image(one)
-        if not one.geometry.matches(volumes[0].geometry):
+    for channel in volumes:
+        check_image(channel)
+        if not channel.geometry.matches(volumes[0].geometry):
             raise GeometryError(
-                f"channel {one.source or ''}: on another grid than the image: "
-                f"{one.geometry.difference(volumes[0].geometry)}",
+                f"channel {channel.source or ''}: on another grid than the image: "
+                f"{channel.geometry.difference(volumes[0].geometry)}",
                 "resample it to the image's grid first",
             )
 

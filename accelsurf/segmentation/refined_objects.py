@@ -82,7 +82,7 @@ class RefinedObjects:
         self._base, self._settings, self.prepared = result, settings, state.prepared
         self.images = state.prepared.images
         self.shape, self.spacing = state.prepared.geometry.shape, state.prepared.geometry.spacing
-        self.surfaces = [surface_of(one, state.prepared.box) for one in result.objects]
+        self.surfaces = [surface_of(segmented, state.prepared.box) for segmented in result.objects]
         self.has_ids, self.models = result.has_ids, ObjectModels(state, settings)
         self._known = dict(result.by_id)
         self._regional = RegionTotals(self.images, self.surfaces[0].psi, state.totals)
@@ -91,7 +91,7 @@ class RefinedObjects:
     @property
     def ids(self) -> list[int]:
         """Ids, in order."""
-        return [one.id for one in self.surfaces]
+        return [surface.id for surface in self.surfaces]
 
     @property
     def state(self) -> RunState:
@@ -134,17 +134,17 @@ class RefinedObjects:
 
     def put(self, place: int, box: Box, psi: NDArray[np.float32], after: CorrectedSurface) -> None:
         """Put a changed part of a surface in its place."""
-        one = self.surfaces[place]
-        before = one.psi[box].copy()
-        self._undo[-1].surfaces.append(_SurfaceBefore(one, box, before, dict(self._regional.totals)))
-        one.psi[box] = psi
+        surface = self.surfaces[place]
+        before = surface.psi[box].copy()
+        self._undo[-1].surfaces.append(_SurfaceBefore(surface, box, before, dict(self._regional.totals)))
+        surface.psi[box] = psi
         if not self.has_ids:
             self._regional.change(box, before < 0, psi < 0)
         self.surfaces[place] = after
 
     def replace(self, surfaces: Sequence[CorrectedSurface], known: dict[int, SegmentedObject]) -> None:
         """Have other objects from now on; ``known`` is what results say of those that are new."""
-        self.surfaces = sorted(surfaces, key=lambda one: one.id)
+        self.surfaces = sorted(surfaces, key=lambda surface: surface.id)
         self._known = {id: known.get(id) or self._known[id] for id in self.ids}
 
     def known(self, id: int) -> SegmentedObject:
@@ -153,19 +153,19 @@ class RefinedObjects:
 
     # -- what objects are to each other --------------------------------------------------------------------
 
-    def totals_of(self, one: CorrectedSurface) -> RegionTotals:
+    def totals_of(self, surface: CorrectedSurface) -> RegionTotals:
         """Sums over an object: of several, on its own part of the grid."""
         if not self.has_ids:
             return self._regional
-        domain = box_at(one.corner, one.psi.shape)
-        return RegionTotals([image[domain] for image in self.images], one.psi)
+        domain = box_at(surface.corner, surface.psi.shape)
+        return RegionTotals([image[domain] for image in self.images], surface.psi)
 
     def holders(self, new: Sequence[Click]) -> list[int]:
         """Places of the objects that have voxels of new inside clicks."""
         out = []
-        for place, one in enumerate(self.surfaces):
-            placed = Clicks(tuple(new), self.shape).on_box(box_at(one.corner, one.psi.shape))
-            if any((one.psi[c.box] < 0)[c.mask].any() for c in placed.clicks if c.side == "inside"):
+        for place, surface in enumerate(self.surfaces):
+            placed = Clicks(tuple(new), self.shape).on_box(box_at(surface.corner, surface.psi.shape))
+            if any((surface.psi[c.box] < 0)[c.mask].any() for c in placed.clicks if c.side == "inside"):
                 out.append(place)
         return out
 
@@ -189,56 +189,60 @@ class RefinedObjects:
 
     def take_from(self, place: int, region: NearRegion, winner: NDArray[np.float32], workers: Workers) -> None:
         """Take from an object what another has gained in a region."""
-        one = self.surfaces[place]
-        mine, theirs = shared(corner_of(region.box), winner.shape, one.corner, one.psi.shape)
-        psi = one.psi[theirs].copy()
+        surface = self.surfaces[place]
+        mine, theirs = shared(corner_of(region.box), winner.shape, surface.corner, surface.psi.shape)
+        psi = surface.psi[theirs].copy()
         after = np.where(region.mask[mine], np.maximum(psi, -winner[mine]), psi)
         if not ((after < 0) != (psi < 0)).any():
             return
         width = half_width(self._settings)
         volume, area = (measures_of(part, self.spacing, width, workers) for part in (psi, after))
-        last = one.history[-1]
+        last = surface.history[-1]
         last = last._replace(
             volume_mm3=last.volume_mm3 + area[0] - volume[0], area_mm2=last.area_mm2 + area[1] - volume[1]
         )
-        inside = one.inside + count_inside(after) - count_inside(psi)
-        stop = stop_of_whole(one.stop, inside, math.prod(self.shape))
-        self.put(place, theirs, after, one._replace(inside=inside, history=[*one.history[:-1], last], stop=stop))
+        inside = surface.inside + count_inside(after) - count_inside(psi)
+        stop = stop_of_whole(surface.stop, inside, math.prod(self.shape))
+        self.put(
+            place, theirs, after, surface._replace(inside=inside, history=[*surface.history[:-1], last], stop=stop)
+        )
 
     def grown(self, place: int, box: Box) -> CorrectedSurface:
         """A surface on an array that has a box of the grid."""
-        one = self.surfaces[place]
-        low = np.minimum(one.corner, corner_of(box))
-        high = np.maximum(np.add(one.corner, one.psi.shape), [s.stop for s in box])
+        surface = self.surfaces[place]
+        low = np.minimum(surface.corner, corner_of(box))
+        high = np.maximum(np.add(surface.corner, surface.psi.shape), [s.stop for s in box])
         shape = tuple(int(n) for n in high - low)
-        if shape == one.psi.shape:
-            return one
-        psi = np.full(shape, np.abs(one.psi).max(), np.float32)
+        if shape == surface.psi.shape:
+            return surface
+        psi = np.full(shape, np.abs(surface.psi).max(), np.float32)
         corner = (int(low[0]), int(low[1]), int(low[2]))
-        psi[counted_from(box_at(one.corner, one.psi.shape), corner)] = one.psi
-        self.surfaces[place] = one._replace(corner=corner, psi=psi)
+        psi[counted_from(box_at(surface.corner, surface.psi.shape), corner)] = surface.psi
+        self.surfaces[place] = surface._replace(corner=corner, psi=psi)
         return self.surfaces[place]
 
     # -- result --------------------------------------------------------------------------------------------
 
     def segmented(self, now: CorrectedSurface) -> SegmentedObject:
         """An object as results have it; later corrections do not change it."""
-        one, prepared, base, models = self._known[now.id], self.prepared, self._base, self.models
-        is_same = now.history is one.history
+        segmented, prepared, base, models = self._known[now.id], self.prepared, self._base, self.models
+        is_same = now.history is segmented.history
         z, y, x = (c + first for c, first in zip(now.corner, prepared.first, strict=True))
-        box = one.box if is_same or not self.has_ids else part_of_image(one.box, (z, y, x), now, prepared)
-        clicked = clicked_voxels(models.clicks, one.id, prepared.first, box) if len(models.clicks) else None
-        if one.id in models.made:
-            one = dataclasses.replace(one, sureness=sureness_from(models.made[one.id]))
+        box = segmented.box if is_same or not self.has_ids else part_of_image(segmented.box, (z, y, x), now, prepared)
+        clicked = clicked_voxels(models.clicks, segmented.id, prepared.first, box) if len(models.clicks) else None
+        if segmented.id in models.made:
+            segmented = dataclasses.replace(segmented, sureness=sureness_from(models.made[segmented.id]))
         if is_same:
-            unchanged = clicked is None or (one.clicked is not None and np.array_equal(clicked, one.clicked))
-            return one if unchanged else dataclasses.replace(one, clicked=clicked)
+            unchanged = clicked is None or (
+                segmented.clicked is not None and np.array_equal(clicked, segmented.clicked)
+            )
+            return segmented if unchanged else dataclasses.replace(segmented, clicked=clicked)
         if not self.has_ids:
             psi = prepared.on_whole_grid(now.psi)
             psi = psi.copy() if psi is now.psi else psi
-            return dataclasses.replace(one, psi=psi, history=now.history, stop=now.stop, clicked=clicked)
+            return dataclasses.replace(segmented, psi=psi, history=now.history, stop=now.stop, clicked=clicked)
         return dataclasses.replace(
-            one, box=box, psi=closed_on(now.psi, (z, y, x), box), image=base.image[box],
+            segmented, box=box, psi=closed_on(now.psi, (z, y, x), box), image=base.image[box],
             geometry=cropped(base.geometry, box), history=now.history, stop=now.stop, clicked=clicked,
-            rests=on_larger_box(one.rests, one.box, box),
+            rests=on_larger_box(segmented.rests, segmented.box, box),
         )

@@ -66,7 +66,7 @@ class RunCheckpoint(NamedTuple):
     @property
     def nbytes(self) -> int:
         """Upper bound of its memory, bytes."""
-        return sum(one.nbytes for one in self.objects)
+        return sum(segmented.nbytes for segmented in self.objects)
 
 
 #: Settings that do not change what a run has done up to a step, or only what is written at the end.
@@ -157,7 +157,7 @@ def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: Checkpo
     TypeError
         When the state of an energy of one's own is not made of numbers and arrays.
     """
-    objects = tuple(one._replace(evolution=one.evolution.without_costs) for one in checkpoint.objects)
+    objects = tuple(segmented._replace(evolution=segmented.evolution.without_costs) for segmented in checkpoint.objects)
     settings: Any = checkpoint.settings.model_dump(mode="json")
     state = checkpoint._replace(objects=objects, settings=settings)
     write_bytes(Path(path), to_bytes((header, state), TYPES))
@@ -186,7 +186,7 @@ def read_checkpoint(path: str | Path) -> tuple[CheckpointHeader, RunCheckpoint]:
 
 def _check_header(header: CheckpointHeader) -> None:
     texts = header.versions if isinstance(header.versions, dict) else {"": None}
-    if not all(isinstance(one, str) for one in (header.run, *texts, *texts.values())):
+    if not all(isinstance(text, str) for text in (header.run, *texts, *texts.values())):
         raise ValueError("it does not say of which run it is")
     if not isinstance(header.settings, dict):
         raise ValueError("it has no settings")

@@ -113,11 +113,11 @@ def placed(
         if lost.any():
             voxel = voxel_named(at[int(np.flatnonzero(lost)[0])], geometry)
             raise InputError(f"clicks: {voxel} is clicked inside, and lies outside of {where}", "make one of them fit")
-    own = Clicks(tuple(clicks), geometry.shape).on_box(box)
-    check_contradictions(own, geometry, (box[0].start, box[1].start, box[2].start))
+    here_clicks = Clicks(tuple(clicks), geometry.shape).on_box(box)
+    check_contradictions(here_clicks, geometry, (box[0].start, box[1].start, box[2].start))
     if before is None:
-        return own
-    whole = before.with_later(own.clicks)
+        return here_clicks
+    whole = before.with_later(here_clicks.clicks)
     check_left(before, whole)
     return whole
 
@@ -186,7 +186,7 @@ class RunClicks:
             before = self.contexts(edits[:-1])
             ids = self._ids or (1,)
             self._contexts[key] = tuple(
-                one.with_clicks(clicks.of(id), one) for one, id in zip(before, ids, strict=True)
+                context.with_clicks(clicks.of(id), context) for context, id in zip(before, ids, strict=True)
             )
         return self._contexts[key]
 

@@ -60,7 +60,7 @@ def result_of(run: Run) -> Result:
     config, missed = run.config, run.config.edit[run.edits_done :]
     image = run.prepared.picture()
     objects = _separate_objects(run, image) if run.has_ids else (_single_object(run, image),)
-    steps = max(one.stop.steps for one in objects)
+    steps = max(segmented.stop.steps for segmented in objects)
     summaries = run.summaries()
     return Result(
         objects=objects,
@@ -91,8 +91,8 @@ def result_of(run: Run) -> Result:
 def seconds_by_kernel(run: Run) -> dict[str, float]:
     """Seconds in each kernel so far, over all objects and threads."""
     total = dict(run.workers.seconds)
-    for one in run.objects if run.has_ids else ():
-        for name, seconds in one.workers.seconds.items():
+    for evolving in run.objects if run.has_ids else ():
+        for name, seconds in evolving.workers.seconds.items():
             total[name] = total.get(name, 0.0) + seconds
     return total
 
@@ -100,8 +100,8 @@ def seconds_by_kernel(run: Run) -> dict[str, float]:
 def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
     """History and reason to stop of each object; the present state of one that has not stopped."""
     out = []
-    for one, step in zip(run.objects, run.current(), strict=True):
-        history, stop = list(one.evolution.history), one.stop
+    for evolving, step in zip(run.objects, run.current(), strict=True):
+        history, stop = list(evolving.evolution.history), evolving.stop
         if stop is None:
             record = step.record
             history.append(record)
@@ -110,39 +110,48 @@ def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
     return out
 
 
-def _sureness(run: Run, one: EvolvingObject) -> Sureness | None:
+def _sureness(run: Run, evolving: EvolvingObject) -> Sureness | None:
     """Return the confidence of the model of an object's clicks; None where the energy has none."""
     named = run.energy_given is None or isinstance(run.energy_given, str)
-    return sureness_from(one.context.seeded_model()) if named and uses_model(run.config) else None
+    return sureness_from(evolving.context.seeded_model()) if named and uses_model(run.config) else None
 
 
 def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
     """The object of a run of one, on the whole grid."""
-    (one,), ((history, stop),) = run.objects, _ending(run)
-    psi = run.prepared.on_whole_grid(one.psi_on_finest()[1])
+    (evolving,), ((history, stop),) = run.objects, _ending(run)
+    psi = run.prepared.on_whole_grid(evolving.psi_on_finest()[1])
     box = tuple(slice(0, n) for n in psi.shape)
-    learned = run.prepared.learned_by(one.context)
+    learned = run.prepared.learned_by(evolving.context)
     whole: Box = (box[0], box[1], box[2])
-    rests = rest_points(one.evolution.state.rests.found, run.prepared, whole)
+    rests = rest_points(evolving.evolution.state.rests.found, run.prepared, whole)
     return SegmentedObject(
-        1, whole, psi, image, run.volume.geometry, history, stop, one.made.terms, learned, rests,
-        clicked_voxels(run.clicks, 1, run.prepared.first, whole), _sureness(run, one),
+        1, whole, psi, image, run.volume.geometry, history, stop, evolving.made.terms, learned, rests,
+        clicked_voxels(run.clicks, 1, run.prepared.first, whole), _sureness(run, evolving),
     )
 
 
 def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedObject, ...]:
     """The objects of a run of several, each on a part of the grid a little larger than its own."""
     geometry, objects = run.volume.geometry, []
-    for one, (corner, psi), (history, stop) in zip(run.objects, run.separated(), _ending(run), strict=True):
+    for evolving, (corner, psi), (history, stop) in zip(run.objects, run.separated(), _ending(run), strict=True):
         z, y, x = (c + first for c, first in zip(corner, run.prepared.first, strict=True))
         box = widened(box_at((z, y, x), psi.shape), geometry.shape, (AROUND, AROUND, AROUND))
         around = closed_on(psi, (z, y, x), box)
-        learned = run.prepared.learned_by(one.context)
+        learned = run.prepared.learned_by(evolving.context)
         objects.append(
             SegmentedObject(
-                one.id, box, around, image[box], cropped(geometry, box), history, stop, one.made.terms, learned,
-                rest_points(one.evolution.state.rests.found, run.prepared, box),
-                clicked_voxels(run.clicks, one.id, run.prepared.first, box), _sureness(run, one),
+                evolving.id,
+                box,
+                around,
+                image[box],
+                cropped(geometry, box),
+                history,
+                stop,
+                evolving.made.terms,
+                learned,
+                rest_points(evolving.evolution.state.rests.found, run.prepared, box),
+                clicked_voxels(run.clicks, evolving.id, run.prepared.first, box),
+                _sureness(run, evolving),
             )
         )
     return tuple(objects)
@@ -170,7 +179,7 @@ def resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
 
 def state_at_end(run: Run) -> RunState:
     """Return the state from which a finished run is corrected, whatever the settings say of keeping it."""
-    contexts = {one.id: one.context for one in run.objects}
+    contexts = {evolving.id: evolving.context for evolving in run.objects}
     return RunState(run.prepared, contexts, run.energy_given, run.clicks)
 
 
@@ -198,8 +207,8 @@ def finished(
         while made := run.step():
             asked = False
             for step in (one for one in made if one.object_id != NO_OBJECT):
-                own = next(one for one in run.objects if one.id == step.object_id)
-                growth.watch(step, run.grid, own.corner, run.prepared.first)
+                evolving = next(evolving for evolving in run.objects if evolving.id == step.object_id)
+                growth.watch(step, run.grid, evolving.corner, run.prepared.first)
                 if on_step is not None and on_step(step.record, step.object_id):
                     asked = True
             if checkpoints is not None:

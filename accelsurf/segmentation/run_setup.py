@@ -156,10 +156,10 @@ def thin_start_warnings(starts: Sequence[ObjectStart], geometry: Geometry, has_i
     if steps[axis] < THICK * min(geometry.steps):
         return []
     lines = []
-    for one in starts:
+    for start in starts:
         others = tuple(a for a in range(3) if a != axis)
-        if int((one.psi < 0).any(axis=others).sum()) == 1:
-            name = f"object {one.id}: start" if has_ids else "start"
+        if int((start.psi < 0).any(axis=others).sum()) == 1:
+            name = f"object {start.id}: start" if has_ids else "start"
             lines.append(
                 f"{name}: all of it lies in one slice of {steps[axis]:g} mm; give one that spans two slices, if the "
                 "object does"
@@ -186,8 +186,8 @@ def _own_energy(
     spacing: tuple[float, float, float],
     context: ImageContext,
 ) -> MadeEnergy:
-    own = own_energy(energy, settings, image, spacing)
-    return MadeEnergy(own, own.name, [])
+    checked = own_energy(energy, settings, image, spacing)
+    return MadeEnergy(checked, checked.name, [])
 
 
 def energy_key(config: RunConfig) -> tuple[Any, ...]:
@@ -199,7 +199,7 @@ def window_reach(settings: RunConfig, geometry: Geometry) -> float:
     """Return the reach of the energy's terms beyond an object, mm; 0 where none has a window."""
     reaches = ((TERMS[term.name].reach, term.settings) for term in energy_expression.parse(settings.energy))
     largest = max(geometry.steps)
-    return max((load(reach)(own, largest) for reach, own in reaches if reach is not None), default=0.0)
+    return max((load(reach)(given, largest) for reach, given in reaches if reach is not None), default=0.0)
 
 
 #: Motion in the steps to come, by the trend, that a converged surface may still make, as a share of the tolerance: the

@@ -62,31 +62,31 @@ def start_checks(
         Whether lines name the object.
     """
     lines = []
-    for one, start in zip(objects, starts, strict=True):
+    for segmented, start in zip(objects, starts, strict=True):
         # The seeded model chooses start and weight to go together.
-        seeded = any(term["term"] == "seeded" for term in one.made.terms)
-        found = [*_of_values(one, start, prepared, has_ids)]
-        found += [*_of_size(one, prepared), *_of_clicks(one, prepared, has_ids)] if seeded else _of_area(
-            one, start, prepared
+        seeded = any(term["term"] == "seeded" for term in segmented.made.terms)
+        found = [*_of_values(segmented, start, prepared, has_ids)]
+        found += [*_of_size(segmented, prepared), *_of_clicks(segmented, prepared, has_ids)] if seeded else _of_area(
+            segmented, start, prepared
         )
-        lines += [f"object {one.id}: {line}" if has_ids else line for line in found]
+        lines += [f"object {segmented.id}: {line}" if has_ids else line for line in found]
     return lines
 
 
-def _of_values(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
+def _of_values(evolving: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
     """The checks of the start's values, in the file's unit."""
     inside = start.psi < 0
-    own = bounding_box(inside)
-    if own is None:
+    tight = bounding_box(inside)
+    if tight is None:
         return []
     low, width = prepared.context.scales[0]
     image = prepared.images[0][box_at(start.corner, start.psi.shape)]
-    values = low + width * image[own][inside[own]].astype(np.float64)
+    values = low + width * image[tight][inside[tight]].astype(np.float64)
     lines = []
     if prepared.learns:
-        clicked = one.context.clicks is not None and bool(one.context.clicks.ids())
-        lines = outlier_line(values, inside, start.corner, prepared.geometry, _option(one, clicked, has_ids))
-    for term in one.made.terms:
+        clicked = evolving.context.clicks is not None and bool(evolving.context.clicks.ids())
+        lines = outlier_line(values, inside, start.corner, prepared.geometry, _option(evolving, clicked, has_ids))
+    for term in evolving.made.terms:
         if term["term"] != "threshold" or "LO" not in term:
             continue
         window = Bounds(term["LO"], term["HI"])
@@ -97,16 +97,16 @@ def _of_values(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedIn
     return lines
 
 
-def _option(one: EvolvingObject, clicked: bool, has_ids: bool) -> str:
+def _option(evolving: EvolvingObject, clicked: bool, has_ids: bool) -> str:
     """Return the option with a ball as the start or click of an object; the ball replaces the star."""
     if has_ids:
-        return f"{one.id},*{',inside' if clicked else ''} as a row of --objects TABLE"
+        return f"{evolving.id},*{',inside' if clicked else ''} as a row of --objects TABLE"
     return f"--{'inside' if clicked else 'start'} ball:*"
 
 
-def _of_size(one: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
+def _of_size(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
     """Check that the stated size is not more than there is."""
-    size, geometry = one.context.model_inputs.size_mm3, prepared.geometry
+    size, geometry = evolving.context.model_inputs.size_mm3, prepared.geometry
     whole = math.prod(geometry.shape) * geometry.voxel_volume
     if size is None or size < whole:
         return []
@@ -116,14 +116,14 @@ def _of_size(one: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
     ]
 
 
-def _of_clicks(one: EvolvingObject, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
+def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
     """Check that no click inside has values of two kinds, of which the model learns one."""
     low, width = prepared.context.scales[0]
     lines = []
-    for click in () if one.context.clicks is None else one.context.clicks.clicks:
+    for click in () if evolving.context.clicks is None else evolving.context.clicks.clicks:
         if click.side == "inside":
             values = low + width * prepared.images[0][click.box][click.mask].astype(np.float64)
-            lines += two_kinds_line(values, click, prepared.geometry, _option(one, True, has_ids))
+            lines += two_kinds_line(values, click, prepared.geometry, _option(evolving, True, has_ids))
     return lines
 
 
@@ -200,11 +200,11 @@ def surroundings_line(
 
     ``corner`` is the first voxel of image and start.
     """
-    own, spacing = bounding_box(inside), geometry.spacing
-    assert own is not None
-    radius = 0.5 * max((s.stop - s.start) * h for s, h, n in zip(own, spacing, inside.shape, strict=True) if n > 1)
+    tight, spacing = bounding_box(inside), geometry.spacing
+    assert tight is not None
+    radius = 0.5 * max((s.stop - s.start) * h for s, h, n in zip(tight, spacing, inside.shape, strict=True) if n > 1)
     margins = [int(np.ceil(SHELL[1] * radius / h)) for h in spacing]
-    box = widened(own, inside.shape, (margins[0], margins[1], margins[2]))
+    box = widened(tight, inside.shape, (margins[0], margins[1], margins[2]))
     part = inside[box]
     every = max(1, int(np.ceil((part.size / SAMPLES) ** (1.0 / max(sum(n > 1 for n in part.shape), 1)))))
     thin = tuple(slice(None, None, every if n > 1 else 1) for n in part.shape)
@@ -252,21 +252,21 @@ def outlier_line(
     voxels = np.argwhere(inside)
     farthest = voxels[int(np.argmax(np.abs(values - middle)))] + np.array(corner)
     place = place_text(geometry.index_to_world(farthest.tolist()), geometry.steps)
-    own = bounding_box(inside)
-    assert own is not None
-    rest = inside[own].copy()
-    rest[inside[own]] = ~unlike
-    ball = _deepest_ball(rest, np.add(corner_of(own), corner).tolist(), geometry)
+    tight = bounding_box(inside)
+    assert tight is not None
+    rest = inside[tight].copy()
+    rest[inside[tight]] = ~unlike
+    ball = _deepest_ball(rest, np.add(corner_of(tight), corner).tolist(), geometry)
     return [
         f"start: {unlike.mean():.1%} of it is unlike the rest (standard deviation {spread:.3g}, median-based "
         f"{robust:.3g}), the farthest near {place}; what is learned leaves it out; try {option.replace('*', ball)}"
     ]
 
 
-def _of_area(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput) -> list[str]:
+def _of_area(evolving: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput) -> list[str]:
     """The check of the area weight; of a weight by noise alone only where the start is small, as it needs memory."""
     # The start's psi may be no distance any more: its memory is the surface's.
-    of_terms, alpha = _area_of(one.made.terms), one.evolution.energy.alpha
+    of_terms, alpha = _area_of(evolving.made.terms), evolving.evolution.energy.alpha
     if 0 < alpha <= of_terms * (1.0 + 1e-9):
         inside, image = start.psi < 0, prepared.images[0]
         values = image[box_at(start.corner, start.psi.shape)][inside].astype(np.float64)
@@ -276,7 +276,7 @@ def _of_area(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedInpu
         radius = (0.75 * size / math.pi) ** (1 / 3) if len(steps) == 3 else math.sqrt(size / math.pi)
         if 2.0 * alpha / radius < SAFE * (values.mean() - outside) ** 2:
             return []
-    return area_line(one.evolution, of_terms)
+    return area_line(evolving.evolution, of_terms)
 
 
 def _area_of(terms: Sequence[dict[str, Any]]) -> float:
@@ -293,9 +293,11 @@ def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
         return []
     # On a copy: what a surface has measured of itself is counted with its first step. Where the surface touches a
     # click nothing acts into it; what would act there tells whether all but the clicks vanishes.
-    energy, own = without_clicks(evolution.energy), surface
-    spacing = (own.grid.hz, own.grid.hy, own.grid.hx)
-    surface = LevelSet(np.array(own.psi), spacing, own.requested_half_width, own.workers, overwrite=True)
+    energy, front_surface = without_clicks(evolution.energy), surface
+    spacing = (front_surface.grid.hz, front_surface.grid.hy, front_surface.grid.hx)
+    surface = LevelSet(
+        np.array(front_surface.psi), spacing, front_surface.requested_half_width, front_surface.workers, overwrite=True
+    )
     energy.start(surface)
     fraction, area = surface.fraction_and_area()
     energy.value(surface, fraction, area)
@@ -303,14 +305,14 @@ def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
     variation = surface.area_variation(front, surface.curvature(front))
     there = (area > 0) & front
     if not there.any():
-        evolution.energy.start(own)
+        evolution.energy.start(front_surface)
         return []
     weights = area[there]
     image, both = (
         float(np.average(energy.force(surface, front, part)[there], weights=weights))
         for part in (np.zeros_like(variation), variation)
     )
-    evolution.energy.start(own)
+    evolution.energy.start(front_surface)
     if not image < 0.0 < both:
         return []
     radius = 2.0 * alpha / (both - image)

@@ -176,5 +176,5 @@ class LevelInputs:
 
     def release_coarser(self, level: int) -> None:
         """Release the arrays of levels coarser than ``level``."""
-        for one in (*self._images, *([self._mask_distance] if self._mask_distance is not None else [])):
-            one.release_coarser(level)
+        for image in (*self._images, *([self._mask_distance] if self._mask_distance is not None else [])):
+            image.release_coarser(level)

@@ -115,12 +115,12 @@ def likelihood(inputs: TermInputs) -> Made:
         moments = context.moments_elsewhere(channel)
         return GaussianLikelihood(image, inputs.alpha, None, epsilon, moments, everything, least), used
     # Outliers of a sample of the object are no part of it; the background is of many kinds, which all count.
-    one = robust_gaussian_of(context.sample(channel), least)
+    inside = robust_gaussian_of(context.sample(channel), least)
     other = gaussian_of_sums(RegionMoments(*context.sums_of_background(channel, "moments", moments_of)), least)
     low, width = context.scales[channel]
-    for name, (mean, variance) in (("inside", one), ("outside", other)):
+    for name, (mean, variance) in (("inside", inside), ("outside", other)):
         used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}
-    return GaussianLikelihood(image, inputs.alpha, (one, other), epsilon, whole=everything), used
+    return GaussianLikelihood(image, inputs.alpha, (inside, other), epsilon, whole=everything), used
 
 
 def threshold(inputs: TermInputs) -> Made:

@@ -92,13 +92,13 @@ class ImageSlabs:
             Applied to the filtered values of level 0; may overwrite them.
         """
         top = grids[-1]
-        own = [0] * len(grids)
+        done = [0] * len(grids)
         for planes in self._slices(top.shape[0], max(1, self.planes // top.factors[0])):
             for level, first, values in self._with_finer(grids, planes, mapped):
                 # Blocks share planes with the next ones: what was there before is left out.
                 stop = self._own_stop(grids, planes, level)
-                yield LevelSlab(level, own[level], values[own[level] - first : stop - first])
-                own[level] = stop
+                yield LevelSlab(level, done[level], values[done[level] - first : stop - first])
+                done[level] = stop
 
     def _with_finer(
         self, grids: Sequence[Level], planes: slice, mapped: Callable[[Planes], Planes]
@@ -264,9 +264,9 @@ class WholeImage:
                 self._sum_levels(grids, level, kind, summing)
             else:
                 slabs = (self._scaled(values) for _, values in self._slabs.filtered())
-                one = sum_in_order(summing(plane.ravel()) for values in slabs for plane in values)
+                total = sum_in_order(summing(plane.ravel()) for values in slabs for plane in values)
                 part = np.prod(grids[level].shape, dtype=np.float64) / np.prod(self._coarse.shape, dtype=np.float64)
-                self._sums[kind, level] = one * part
+                self._sums[kind, level] = total * part
         return self._sums[kind, level]
 
     def _sum_levels(self, grids: Sequence[Level], level: int, kind: str, summing: Summing) -> None:
@@ -275,8 +275,8 @@ class WholeImage:
         rows: list[list[NDArray[np.float64]]] = [[] for _ in grids]
         for slab in self._slabs.on_levels(grids, self._scaled):
             rows[slab.level] += [summing(plane.ravel()) for plane in slab.values]
-        for number, one in enumerate(rows):
-            self._sums[kind, number] = sum_in_order(one)
+        for number, row in enumerate(rows):
+            self._sums[kind, number] = sum_in_order(row)
 
     # -- order statistics ------------------------------------------------------------------------------------
 
@@ -316,7 +316,7 @@ class WholeImage:
 
     def _noise(self) -> float:
         places = sample_places(self._slabs.geometry.shape)
-        samples = [np.empty(tuple(len(one) for one in at), np.float32) for at in places]
+        samples = [np.empty(tuple(len(sample) for sample in at), np.float32) for at in places]
         looked_at = np.unique(np.concatenate([z for z, _, _ in places])) if places else np.empty(0, np.int64)
 
         def needed(planes: slice) -> bool:
@@ -326,7 +326,7 @@ class WholeImage:
             for (z, y, x), out in zip(places, samples, strict=True):
                 here = np.flatnonzero((z >= planes.start) & (z < planes.stop))
                 out[here] = values[np.ix_(z[here] - planes.start, y, x)]
-        return noise_of_samples([self._scaled(one) for one in samples])
+        return noise_of_samples([self._scaled(image) for image in samples])
 
     def _otsu_level(self) -> float:
         low, high = self._extremes

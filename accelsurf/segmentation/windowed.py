@@ -73,7 +73,7 @@ class LargeImage:
         InputError
             When a coarser level cannot be read.
         """
-        return cls(tuple(channels), max_bytes, tuple(_for_statistics(one) for one in channels))
+        return cls(tuple(channels), max_bytes, tuple(_for_statistics(channel) for channel in channels))
 
     @property
     def geometry(self) -> Geometry:
@@ -87,11 +87,11 @@ class LargeImage:
         ------
         GeometryError
         """
-        for one in self.channels[1:]:
-            if not one.geometry.matches(self.geometry):
+        for channel in self.channels[1:]:
+            if not channel.geometry.matches(self.geometry):
                 raise GeometryError(
-                    f"channel {one.source or ''}: on another grid than the image: "
-                    f"{one.geometry.difference(self.geometry)}",
+                    f"channel {channel.source or ''}: on another grid than the image: "
+                    f"{channel.geometry.difference(self.geometry)}",
                     "resample it to the image's grid first",
                 )
 
@@ -103,8 +103,8 @@ class LargeImage:
         filters = filters_of(config, self.geometry)
         levels, known = self.statistics or (None,) * len(self.channels), numbers or [{}] * len(self.channels)
         return tuple(
-            WholeImage(one, filters, coarse, numbers=own)
-            for one, coarse, own in zip(self.channels, levels, known, strict=True)
+            WholeImage(channel, filters, coarse, numbers=numbers_of)
+            for channel, coarse, numbers_of in zip(self.channels, levels, known, strict=True)
         )
 
 
@@ -135,7 +135,7 @@ def segment_lazily(
     texts, given = split_given(options)
     wrong = [*given, *(["spacing"] if spacing is not None else [])]
     wrong += [] if energy is None or isinstance(energy, str) else ["energy"]
-    wrong += [] if all(isinstance(one, LazyVolume) for one in channels) else ["channels"]
+    wrong += [] if all(isinstance(channel, LazyVolume) for channel in channels) else ["channels"]
     if wrong:
         raise UsageError(
             f"{wrong[0]}: an array or a function was given with an image that is read in parts",
@@ -236,15 +236,17 @@ def _in(
     run = run_in(window, whole, image, config)
     result = finished(run, on_step, on_warning, checkpoints)
     objects = tuple(
-        replace(one, rests=tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in one.rests))
-        for one in result.objects
+        replace(
+            segmented, rests=tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in segmented.rests)
+        )
+        for segmented in result.objects
     )
     return replace(result, objects=objects, window=window, state=None, warnings=[*result.warnings, *notes_of(whole)])
 
 
 def notes_of(whole: Sequence[WholeImage]) -> list[str]:
     """Return what numbers of the whole image are taken from, where not from all of it."""
-    found = {one.statistics for one in whole} - {"exact"}
+    found = {channel.statistics for channel in whole} - {"exact"}
     return [f"values of the whole image are those of {where}" for where in sorted(found)]
 
 
@@ -269,9 +271,11 @@ def run_in(
         When the window is too small for the model of clicks.
     """
     geometry = cropped(window.geometry, window.box)
-    volumes = [Volume(one.read(window.box), geometry, dict(one.metadata), one.source) for one in image.channels]
+    volumes = [
+        Volume(channel.read(window.box), geometry, dict(channel.metadata), channel.source) for channel in image.channels
+    ]
     channels = whole or image.whole(config)
-    smoothed = tuple(one.window(window.box) for one in channels)
+    smoothed = tuple(channel.window(window.box) for channel in channels)
     return Run(volumes[0], config, channels=volumes[1:], part=WindowInput(window, smoothed, whole, starts))
 
 

@@ -117,9 +117,9 @@ class ChangeLog:
         return now
 
     def _renew(self) -> None:
-        both = [*((one, True) for one in self._done), *((one, False) for one in reversed(self._undone))]
+        both = [*((change, True) for change in self._done), *((change, False) for change in reversed(self._undone))]
         self._lines = tuple(
-            ChangeLine(number, one.moment.step, one.line, done) for number, (one, done) in enumerate(both, 1)
+            ChangeLine(number, change.moment.step, change.line, done) for number, (change, done) in enumerate(both, 1)
         )
 
 

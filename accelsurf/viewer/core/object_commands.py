@@ -61,11 +61,11 @@ class ObjectCommands:
         corrected = timeline.corrections.ids
         if corrected is not None:
             return corrected
-        ids = {one.id for one in timeline.run.objects}
-        for one in timeline.corrections.wanted:
-            ids |= {one.new} if one.new is not None else set()
-            ids -= {*one.merge[1:], one.removed_id}
-        return tuple(sorted(own for own in ids if own is not None))
+        ids = {evolving.id for evolving in timeline.run.objects}
+        for correction in timeline.corrections.wanted:
+            ids |= {correction.new} if correction.new is not None else set()
+            ids -= {*correction.merge[1:], correction.removed_id}
+        return tuple(sorted(id for id in ids if id is not None))
 
     @property
     def has_ids(self) -> bool:
@@ -79,8 +79,8 @@ class ObjectCommands:
         timeline = self._timeline
         known = timeline.corrections.stops(timeline.run)
         pause = "running" if timeline.is_playing else "paused"
-        stops = {own: known.get(own) for own in self.ids}
-        return {own: pause if stop is None else stop.reason for own, stop in stops.items()}
+        stops = {id: known.get(id) for id in self.ids}
+        return {id: pause if stop is None else stop.reason for id, stop in stops.items()}
 
     def of_run(self, object_id: int | None) -> int | None:
         """Return the id of an object in corrections of the run: None where the run has one without an id.
@@ -93,7 +93,7 @@ class ObjectCommands:
         run = self._timeline.run
         if object_id is not None and not run.has_ids and object_id == run.objects[0].id:
             return None
-        if object_id is not None and object_id in self.ids and object_id not in [one.id for one in run.objects]:
+        if object_id in self.ids and self.is_beside(object_id):
             raise UsageError(f"object {object_id} is made again when the run ends", "let the run end first")
         return object_id
 
@@ -115,7 +115,7 @@ class ObjectCommands:
 
     def is_beside(self, object_id: int | None) -> bool:
         """Return True if an object is none of the run itself, but of its corrections."""
-        return object_id is not None and object_id not in [one.id for one in self._timeline.run.objects]
+        return object_id is not None and object_id not in [evolving.id for evolving in self._timeline.run.objects]
 
     # -- clicks and sizes ----------------------------------------------------------------------------------
 
@@ -169,9 +169,9 @@ class ObjectCommands:
             # Who lets go has said all that the object needs, as beside others, where the run goes on too.
             self._timeline.play()
             return self._timeline.say(said)
-        own = object_id or ids[0]
-        said = f"{'object' if own in ids else 'new object'} {own}: {drag.click}, size {size}"
-        return self._timeline.refine({"new": own, "inside": [drag.click], "size": size}, said)
+        id = object_id or ids[0]
+        said = f"{'object' if id in ids else 'new object'} {id}: {drag.click}, size {size}"
+        return self._timeline.refine({"new": id, "inside": [drag.click], "size": size}, said)
 
     # -- merge, split, remove ------------------------------------------------------------------------------
 
@@ -204,8 +204,8 @@ class ObjectCommands:
         UsageError
             When one is no name or no colour; nothing is changed then.
         """
-        names = {own: f"{own}={named(f'{own}={name}')[1]}" for own, (name, _) in said.items()}
-        colors = {own: f"{own}={color}" for own, (_, color) in said.items()}
+        names = {id: f"{id}={named(f'{id}={name}')[1]}" for id, (name, _) in said.items()}
+        colors = {id: f"{id}={color}" for id, (_, color) in said.items()}
         for text in colors.values():
             colored(text)
         self._names, self._colors = self._names | names, self._colors | colors
@@ -215,10 +215,10 @@ class ObjectCommands:
     def named_settings(self, config: RunConfig) -> dict[str, Any]:
         """The settings of names and colours, as they are now; empty where nothing was named here."""
         out: dict[str, Any] = {}
-        for key, own in (("name", self._names), ("color", self._colors)):
-            if own:
+        for key, texts in (("name", self._names), ("color", self._colors)):
+            if texts:
                 before = {named(text)[0] if key == "name" else colored(text)[0]: text for text in getattr(config, key)}
-                out[key] = tuple((before | own)[label] for label in sorted(before | own))
+                out[key] = tuple((before | texts)[label] for label in sorted(before | texts))
         return out
 
 

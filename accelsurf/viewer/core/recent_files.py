@@ -46,7 +46,7 @@ class RecentFiles:
         if self._file is None:
             return
         name = str(path.absolute())
-        names = [name, *(one for one in self._read() if one != name)]
+        names = [name, *(known for known in self._read() if known != name)]
         with contextlib.suppress(OSError, UnicodeError):
             self._file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             handle, draft = tempfile.mkstemp(dir=self._file.parent, prefix=self._file.name)  # for this user alone
@@ -67,7 +67,7 @@ class RecentFiles:
         except (OSError, ValueError, RecursionError):
             return []
         names = found if isinstance(found, list) else []
-        fit = (one for one in names if isinstance(one, str) and 0 < len(one) <= _MAX_LETTERS and one.isprintable())
+        fit = (item for item in names if isinstance(item, str) and 0 < len(item) <= _MAX_LETTERS and item.isprintable())
         return list(dict.fromkeys(fit))[:MAX_RECENT]
 
 

@@ -40,15 +40,17 @@ def restarted(
     UsageError
         When a value is not valid.
     """
-    clicked = [one for one in (*edits, *refinements) if one.inside or one.outside]
-    has_clicks = bool(settings.inside) or any(one.inside for one in clicked)
+    clicked = [correction for correction in (*edits, *refinements) if correction.inside or correction.outside]
+    has_clicks = bool(settings.inside) or any(each.inside for each in clicked)
     if changes.get("preset") is not None:
         changes = {**changes, **of_preset(settings, str(changes["preset"]), has_clicks)}
     config = settings.replace(**changes)
     if needs_clicks(config) and not config.inside and not has_ids:
-        sides = {side: tuple(text for one in clicked for text in getattr(one, side)) for side in ("inside", "outside")}
+        sides = {
+            side: tuple(text for each in clicked for text in getattr(each, side)) for side in ("inside", "outside")
+        }
         return config.replace(inside=sides["inside"], outside=(*config.outside, *sides["outside"]))
-    first = [Correction(step=0, inside=one.inside, outside=one.outside, object=one.object) for one in clicked]
+    first = [Correction(step=0, inside=each.inside, outside=each.outside, object=each.object) for each in clicked]
     return config.replace(edit=tuple(first))
 
 

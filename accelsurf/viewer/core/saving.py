@@ -169,7 +169,7 @@ def repeating(run: Run) -> RunConfig:
     steps = run.step_number if run.stop is None else run.step_number - 1
     edits = tuple(edit for edit in run.config.edit if edit.step <= steps)
     # A run that met its stop rule meets it again; a paused one ends here.
-    reasons = ["interrupted" if one.stop is None else one.stop.reason for one in run.objects]
+    reasons = ["interrupted" if evolving.stop is None else evolving.stop.reason for evolving in run.objects]
     ends = not {"interrupted", "max-steps"} & set(reasons)
     if ends:
         return run.config.replace(edit=edits, max_steps=max(run.config.max_steps, steps + 1))

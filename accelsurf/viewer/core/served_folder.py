@@ -70,10 +70,10 @@ class ServedFolder:
             When the folder cannot be read.
         """
         try:
-            found = [one for one in os.scandir(folder) if not one.name.startswith(".") and one.name.isprintable()]
+            found = [each for each in os.scandir(folder) if not each.name.startswith(".") and each.name.isprintable()]
         except OSError as error:
             raise UsageError(f"{self.shown(folder)}: {error.strerror or error}", "choose another folder") from None
-        listed = [entry for entry in (self._entry(Path(one.path)) for one in found) if entry is not None]
+        listed = [entry for entry in (self._entry(Path(each.path)) for each in found) if entry is not None]
         listed.sort(key=lambda entry: (not entry.is_folder, entry.name.casefold(), entry.name))
         return listed[:MAX_ENTRIES], max(len(listed) - MAX_ENTRIES, 0)
 

@@ -88,10 +88,10 @@ class SizeDrag:
         ndarray or None
             Of the region of interest in this slice; None beside it.
         """
-        own = index - self.first[axis]
-        if not 0 <= own < self.times.shape[axis]:
+        at = index - self.first[axis]
+        if not 0 <= at < self.times.shape[axis]:
             return None
-        return self.signed(np.asarray(self.times.take(own, axis=axis)), volume_mm3)
+        return self.signed(np.asarray(self.times.take(at, axis=axis)), volume_mm3)
 
     def times_at(self, index: tuple[NDArray[np.float64], ...]) -> NDArray[np.float32]:
         """Arrival times at any places, given by indices z, y, x of the region of interest, between voxels too."""

@@ -249,8 +249,8 @@ class Timeline:
     def _rests(self) -> tuple[int, ...]:
         """Return the steps in which an object rested before it broke through, also those ahead that were made."""
         last = self.checkpoints.last
-        watches = [one.evolution.state.rests for one in self.run.objects]
-        watches += [one.evolution.loop.rests for one in (last.objects if last is not None else ())]
+        watches = [evolving.evolution.state.rests for evolving in self.run.objects]
+        watches += [segmented.evolution.loop.rests for segmented in (last.objects if last is not None else ())]
         return tuple(sorted({rest.at.step for watch in watches for rest in watch.found}))
 
     def close(self) -> None:
@@ -300,7 +300,7 @@ class Timeline:
 
     def _reasons(self) -> list[str]:
         """Why the objects that have ended did."""
-        return [one.stop.reason for one in self.run.objects if one.stop is not None]
+        return [evolving.stop.reason for evolving in self.run.objects if evolving.stop is not None]
 
     def single_step(self) -> None:
         """Have one step more made than was asked for; pause after it."""
