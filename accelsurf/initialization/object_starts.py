@@ -214,7 +214,7 @@ def ball_box(
     ----------
     file : str
         Names the table in messages.
-    own : int
+    id : int
         The object's id.
     balls : list of (z, y, x, r)
         Voxel index of the centre, and radius in mm.

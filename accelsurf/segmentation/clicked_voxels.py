@@ -37,7 +37,7 @@ def clicked_voxels(clicks: Clicks | None, id: int, first: Corner, box: Box) -> N
     ----------
     clicks : Clicks or None
         On the grid of the region of interest.
-    own : int
+    id : int
         The object's id.
     first : (z, y, x)
         First voxel of that region in the image.

@@ -237,7 +237,7 @@ def basin_of(click: Click, change: ModelChange, model: LocalModel, surface: Corr
         That it made.
     model : LocalModel
         After the click.
-    one : CorrectedSurface
+    surface : CorrectedSurface
     """
     spacing = model.spacing
     near = automatic_near(surface.psi, [click._replace(box=counted_from(click.box, surface.corner))], spacing)

@@ -119,7 +119,7 @@ class Refiner:
     def taken(self, place: NDArray[np.float64], id: int) -> BoxMask | None:
         """Voxels that an object which begins at a place, an index (z, y, x) of the region, may not have.
 
-        Those of the others (but for the object ``own``, which begins anew), and for one in which the place lies.
+        Those of the others (but for the object ``id``, which begins anew), and for one in which the place lies.
         """
         ids, click = self._objects.ids, point_click(np.rint(place).astype(int).tolist(), id)
         takes = {*self._objects.holders([click]), *([ids.index(id)] if id in ids else [])}

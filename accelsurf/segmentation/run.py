@@ -17,13 +17,12 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import Workers
-from accelsurf.segmentation import edit_checks
 from accelsurf.segmentation.ensemble import Ensemble, overall_stop
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.object_records import EnergyMaker
 from accelsurf.segmentation.run_checkpoint import RunCheckpoint
-from accelsurf.segmentation.run_clicks import RunClicks
+from accelsurf.segmentation.run_clicks import RunClicks, balls_for, balls_of, check_edit
 from accelsurf.segmentation.run_setup import (
     EnergyLike,
     ObjectsLike,
@@ -303,9 +302,9 @@ class Run:
                 settings = settings.replace(**edit.settings, seed=self.config.seed)
             new_energy = energy_key(settings) != energy_key(self.settings)
             contexts = self._clicks.contexts(self.config.edit[: self._edits_done + 1])
-            balls = edit_checks.balls_of(edit, self.geometry)
+            balls = balls_of(edit, self.geometry)
             for place, evolving in enumerate(self._all):
-                mine = balls if not self.has_ids else edit_checks.balls_for(evolving.id, edit, balls)
+                mine = balls if not self.has_ids else balls_for(evolving.id, edit, balls)
                 setup, maker = setup_of(settings, place, self._levels, self.geometry), self._energy_maker(settings)
                 if evolving.takes_edits:
                     evolving.edit(setup, maker, new_energy, mine, contexts[place])
@@ -339,12 +338,13 @@ class Run:
         self.config = config
 
     def check(self, edit: Correction, ids: Sequence[int] = (), edits: Sequence[Correction] | None = None) -> None:
-        """Refuse an edit that this run cannot apply: see `accelsurf.segmentation.edit_checks.check`.
+        """Refuse an edit that this run cannot apply: see `accelsurf.segmentation.run_clicks.check_edit`.
 
         ``edits`` are all up to this one; those that are in force and this one unless given.
         """
         ids = ids or [evolving.id for evolving in self._all]
-        edit_checks.check(edit, self.config, self.prepared, ids if self.has_ids else (), self.energy_given)
+        prepared, ids = self.prepared, ids if self.has_ids else ()
+        check_edit(edit, self.config, prepared.context, prepared.geometry, ids, self.energy_given)
         self._clicks.after((*self.config.edit[: self._edits_done], edit) if edits is None else edits)
 
     @property

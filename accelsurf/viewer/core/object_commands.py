@@ -8,7 +8,7 @@ it goes to its end first.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -24,12 +24,35 @@ from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.settings.labels import colored, named
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.corrections import Corrections
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.restarted import FROM_CLICKS
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
 
-if TYPE_CHECKING:
-    from accelsurf.viewer.core.timeline import Timeline
+
+class Steered(Protocol):
+    """A run that is steered; see `accelsurf.viewer.core.timeline.Timeline`."""
+
+    run: Run
+    corrections: Corrections
+
+    @property
+    def is_playing(self) -> bool:
+        """True if more steps are to be made."""
+        ...
+
+    def say(self, message: str) -> None:
+        """Have another message."""
+
+    def refine(self, correction: dict[str, Any], said: str) -> None:
+        """Make a correction of the run's end."""
+
+    def start_with(self, settings: dict[str, Any], said: str) -> None:
+        """Begin another run with other settings."""
+
+    def play(self, last_step: int = -1) -> None:
+        """Have steps made."""
+
 
 class ObjectCommands:
     """The objects of a timeline.
@@ -46,7 +69,7 @@ class ObjectCommands:
         Names and colours that were given, by id.
     """
 
-    def __init__(self, timeline: Timeline, config: RunConfig) -> None:
+    def __init__(self, timeline: Steered, config: RunConfig) -> None:
         self._timeline = timeline
         self._names, self._colors = dict[int, str](), dict[int, str]()
         self.labels = self._first = given_of(config)

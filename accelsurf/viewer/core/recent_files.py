@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import sys
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
+
+from platformdirs import user_state_path
 
 #: So many are listed.
 MAX_RECENT = 12
@@ -74,15 +75,6 @@ class RecentFiles:
 def recent_file() -> Path:
     """Return where the list is stored: in the folder of this system for what programs note about their use.
 
-    ``XDG_STATE_HOME`` is used where it is set, on every system.
+    ``XDG_STATE_HOME`` is used where it is set.
     """
-    base = os.environ.get("XDG_STATE_HOME", "")
-    if base and Path(base).is_absolute():
-        folder = Path(base)
-    elif sys.platform == "win32":
-        folder = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        folder = Path.home() / "Library" / "Application Support"
-    else:
-        folder = Path.home() / ".local" / "state"
-    return folder / "accelsurf" / "recent.json"
+    return user_state_path("accelsurf", appauthor=False) / "recent.json"
