@@ -134,7 +134,7 @@ class Ensemble:
         meets = [[j for j in near if there[i] and there[j]] for i, near in enumerate(boxes)]
         for evolving, near in zip(self._objects, meets, strict=True):
             others = (self._objects[j] for j in near)
-            evolving.contact.neighbours = [other.as_neighbour for other in others]
+            evolving.contact.set_neighbours([other.as_neighbour for other in others])
         return meets
 
     def _batches(self, meets: list[list[int]]) -> list[list[EvolvingObject]]:
@@ -156,7 +156,7 @@ class Ensemble:
             if stop is None or stop.reason != "converged" or stop.steps >= evolving.evolution.max_steps:
                 continue
             moving = [self._objects[j] for j in meets[i] if self._objects[j].moves]
-            evolving.contact.neighbours = [other.as_neighbour for other in moving]
+            evolving.contact.set_neighbours([other.as_neighbour for other in moving])
             depth = REACTIVATION_DEPTH * (evolving.reactivations + 1) * self._smallest
             if evolving.contact.overlap(evolving.surface) > depth:
                 evolving.reactivate()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -107,7 +108,7 @@ def begin_object(
         objects.take_from(other, region, outcome.psi, workers)
     surface = _surface(id, corner_of(box), outcome, objects)
     learned = objects.prepared.learned_by(objects.models.contexts[id])
-    known = {id: _known(surface, objects, base, terms, learned)}
+    known = {id: replace(_known(surface, objects, base), terms=terms, learned=learned)}
     objects.replace([*objects.surfaces, surface], known)
     return surface, box, surface.inside
 
@@ -175,24 +176,14 @@ def _surface(id: int, corner: tuple[int, int, int], outcome: LocalOutcome, objec
     return _on_tight_box(CorrectedSurface(id, corner, outcome.psi, inside, outcome.history, stop))
 
 
-def _known(
-    surface: CorrectedSurface, objects: RefinedObjects, base: Result, terms: list[dict[str, Any]],
-    learned: tuple[float, float] | None,
-) -> SegmentedObject:
+def _known(surface: CorrectedSurface, objects: RefinedObjects, base: Result) -> SegmentedObject:
     """Return the entry in results of an object that has just begun."""
     first = objects.prepared.first
     corner = (surface.corner[0] + first[0], surface.corner[1] + first[1], surface.corner[2] + first[2])
     box = part_of_image(box_at(corner, surface.psi.shape), corner, surface, objects.prepared)
+    psi, history = closed_on(surface.psi, corner, box), list(surface.history)
     return SegmentedObject(
-        surface.id,
-        box,
-        closed_on(surface.psi, corner, box),
-        base.image[box],
-        cropped(base.geometry, box),
-        list(surface.history),
-        surface.stop,
-        terms,
-        learned,
+        surface.id, box, psi, base.image[box], cropped(base.geometry, box), history, surface.stop
     )
 
 
@@ -303,7 +294,9 @@ def split(
     rest, part = _measured(rest, objects, workers), _measured(_on_tight_box(part), objects, workers)
     known = objects.known(here.id)
     others = [surface for surface in objects.surfaces if surface.id != here.id]
-    objects.replace([*others, rest, part], {new: _known(part, objects, base, known.terms, known.learned)})
+    objects.replace(
+        [*others, rest, part], {new: replace(_known(part, objects, base), terms=known.terms, learned=known.learned)}
+    )
     return rest, part
 
 

@@ -158,14 +158,14 @@ def preprocess(
     read = clicks_of(config, first, filtered, has_ids=has_ids, window=window)
     said = placed([*read, *clicks], first, box, distance, None)
     start = given["start"] if "start" in given else _first_surface(config, seen, said, box)
-    training = _training_voxels(config, given, seen)
+    training = {name: _crop(mask, box) for name, mask in _training_voxels(config, given, seen).items()}
     psi = _start_within(_crop(start, box), distance, config, _name_of_start(config, given))
     around = None if geometry.shape == whole.shape else filtered  # the result shows it
     values = _crop(filtered, box) if around is None else filtered[box].copy()
     del filtered, start
     images, scales = _scaled_channels(values, volumes, filters, box, part)
     del values
-    context, learns = _context(config, volumes, images, scales, box, psi, training, distance, part)
+    context, learns = _context(config, volumes, images, scales, psi, training, distance, part)
     if said.clicks and not has_ids and config.start == (starts.CLICKS,) and uses_model(config):
         context = context.with_clicks(said)
         psi = _start_within(context.model_start(), distance, config, "of the clicks' model")
@@ -197,7 +197,6 @@ def _context(
     volumes: Sequence[Volume],
     images: list[NDArray[np.float32]],
     scales: list[Scale],
-    box: Box,
     psi: NDArray[np.float32],
     training: dict[str, Mask],
     distance: NDArray[np.float32] | None,
@@ -208,10 +207,10 @@ def _context(
     terms = energy_expression.parse(config.energy)
     learns = any(energy_expression.learns(term) for term in terms)
     from_start = foreground is None and learns  # fixed models learn from the start where nothing else is given
-    learned_from = psi < 0 if from_start else None if foreground is None else _crop(foreground, box)
+    learned_from = psi < 0 if from_start else foreground
     context = ImageContext(
         images, scales, volumes[0].geometry.spacing, learned_from,
-        None if background is None else _crop(background, box),
+        background,
         is_start=from_start,
         whole=whole_of(part),
     )

@@ -288,8 +288,8 @@ class Result:
     def run_history(self) -> list[StepRecord]:
         """`history` without corrections, whose potentials are those of their boxes and compare with no others."""
         edits = {edit.step for edit in self.config.edit[: self.edits_done]}
-        kept = [before_corrections(segmented.history, edits) for segmented in self.objects if segmented.history]
-        return combined_history(kept) if self.has_ids else [*kept, []][0]
+        histories = [before_corrections(segmented.history, edits) for segmented in self.objects if segmented.history]
+        return combined_history(histories) if self.has_ids else [*histories, []][0]
 
     @cached_property
     def terms(self) -> list[dict[str, Any]]:
