@@ -8,7 +8,6 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.constraints.mask import mask_distance
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, widened
 from accelsurf.grid.geometry import Geometry
@@ -97,6 +96,9 @@ def distance_of_mask(
     config: RunConfig, given: Mapping[str, NDArray[np.float32]], window: Window, box: Box
 ) -> NDArray[np.float32] | None:
     """Signed distance, mm, of mask and box on the region ``box`` of a window; None without both."""
+    # Not with the module: the viewer reads boxes before it loads the solver.
+    from accelsurf.energies.constraints.mask import mask_distance
+
     if "mask" in given:
         mask = np.asarray(given["mask"] < 0)
     elif config.mask is not None:
