@@ -24,7 +24,7 @@ from accelsurf.analysis import metrics
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization import object_starts
 from accelsurf.report.document import versions
-from accelsurf.segmentation.object_grid import ROOM
+from accelsurf.segmentation.evolving_object import ROOM
 from benchmarks import typed
 from benchmarks.clicks.person import next_click
 from benchmarks.pages import head_of, put_table, row_of

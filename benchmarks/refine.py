@@ -30,7 +30,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.phantoms.recipes import load_recipe, make
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.refiner import Refiner
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 from benchmarks.clicks.objects import chosen, load
 from benchmarks.clicks.own import text_of
@@ -179,7 +179,7 @@ def play(case: Case, clicks: int, threads: int) -> Iterator[dict[str, Any]]:
 def _corrected(
     case: Case, number: int, click: PersonClick, refiners: dict[int, Refiner], threads: int
 ) -> dict[str, Any]:
-    refinement = Refinement(**{click.side: (text_of(click, case.image),)})
+    refinement = Correction(**{click.side: (text_of(click, case.image),)})
     refiner = refiners[threads]
     before = len(refiner.surfaces[0].history)
     refiner.apply(refinement)
@@ -196,7 +196,7 @@ def _corrected(
     return _row(case, number, click, whole, processor, parts, steps) | {"first_step_s": round(first, 4)}
 
 
-def _waited(refiner: Refiner, refinement: Refinement) -> tuple[float, float]:
+def _waited(refiner: Refiner, refinement: Correction) -> tuple[float, float]:
     """Seconds of a correction, and until its first step can be shown."""
     steps: list[float] = []
     began = time.perf_counter()

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from accelsurf.initialization.large_object_starts import ManyStarts
     from accelsurf.report.group_files import GroupRecord
     from accelsurf.segmentation.group_run import Boxes
+    from accelsurf.segmentation.group_run import Group as Places
     from accelsurf.segmentation.many_objects import Groups
-    from accelsurf.segmentation.object_groups import Group as Places
     from accelsurf.segmentation.whole_image import Numbers
     from accelsurf.segmentation.windowed import LargeImage
 

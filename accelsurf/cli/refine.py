@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES, RUN, Display, File, Overwrite, Switch, required
 from accelsurf.errors import InputError, OutputError
-from accelsurf.settings.refinements import Refinement, refinements_of
+from accelsurf.settings.edits import Correction, corrections_of
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Finished, Log, Place
@@ -102,7 +102,7 @@ def refine(
         Exit with 4 when the correction ends before it has converged, with 5 when the result is doubtful.
     """
     given = {"inside": inside, "outside": outside, "near": near, "object": object, **vars(objects or ObjectOptions())}
-    (refinement,) = refinements_of({key: value for key, value in given.items() if value is not None})
+    (refinement,) = corrections_of({key: value for key, value in given.items() if value is not None})
     from accelsurf.cli.case import Place, run_case
     from accelsurf.cli.progress import Watcher
 
@@ -123,7 +123,7 @@ def refine(
 class _Refinement:
     """Computes a corrected result, in place of a run from the start."""
 
-    def __init__(self, source: _Source, refinement: Refinement, in_place: bool) -> None:
+    def __init__(self, source: _Source, refinement: Correction, in_place: bool) -> None:
         self._source, self._refinement, self._in_place = source, refinement, in_place
         self._changes: tuple[Any, ...] = ()
 

@@ -70,7 +70,7 @@ class FirstImage:
         """
         from accelsurf.io import channels, headers, sequences
         from accelsurf.io.files import naming
-        from accelsurf.viewer.core.background import in_background
+        from accelsurf.viewer.core.command_queue import in_background
 
         reading = self.config.reading
         if self.tracks is not None or self.times.frames_from_slices or sequences.is_sequence(self.source, reading):

@@ -13,6 +13,7 @@ from accelsurf.energies import Energy
 from accelsurf.evolution import lowest, rests
 from accelsurf.evolution.convergence import Restart, StopRule, stalled, surface_is_gone
 from accelsurf.evolution.records import Reason, Step, StepFields, StepRecord, Stop
+from accelsurf.evolution.setup import SolverSetup
 from accelsurf.evolution.state import COLUMNS, MASS_COLUMNS, Checkpoint, LoopState
 from accelsurf.flows import Flow, StepInput, StepLimits, StepPlan
 from accelsurf.flows.protocol import voxel_rates
@@ -85,14 +86,36 @@ class Evolution:
         self.level = level
         self.state = state or LoopState()
         self.stop: Stop | None = None
-        self.configure("lowest", False)
+        self.corner: Corner = (0, 0, 0)
+        self.stop_at_rest = False
+        self.end = "lowest"
         self._stop_requested = False
         self._fields = fields
         self._initialized = False
 
-    def configure(self, end: str, stop_at_rest: bool, corner: Corner = (0, 0, 0)) -> None:
-        """Set how the run ends, and the first voxel of the surface's box on the level's grid; see the attributes."""
-        self.end, self.stop_at_rest, self.corner = end, stop_at_rest, corner
+    @classmethod
+    def of(
+        cls,
+        surface: LevelSet,
+        energy: Energy,
+        setup: SolverSetup,
+        max_steps: int,
+        level: int = 0,
+        state: LoopState | None = None,
+        fields: list[np.ndarray] | None = None,
+        corner: Corner = (0, 0, 0),
+    ) -> Evolution:
+        """Return the evolution of a surface under solver settings; the other parameters are those of the class."""
+        made = cls(
+            surface, energy, setup.flow, setup.limits, max_steps, setup.restart, setup.rule, level, state, fields
+        )
+        made.corner, made.stop_at_rest, made.end = corner, setup.stop_at_rest, setup.end
+        return made
+
+    def use(self, setup: SolverSetup, energy: Energy | None = None) -> None:
+        """Have other solver settings, and another energy unless it is None; a `restore` follows."""
+        self.flow, self.limits, self.restart, self.rule = setup.flow, setup.limits, setup.restart, setup.rule
+        self.energy = energy or self.energy
 
     @property
     def history(self) -> list[StepRecord]:
@@ -161,11 +184,7 @@ class Evolution:
     def edited(
         self,
         energy: Energy | None,
-        flow: Flow,
-        limits: StepLimits,
-        restart: Restart | None,
-        rule: StopRule | None,
-        half_width: float,
+        setup: SolverSetup,
         change_psi: Callable[[LevelSet], None] | None = None,
     ) -> Evolution:
         """Return the evolution that continues from here under other settings, or from a changed surface.
@@ -178,17 +197,13 @@ class Evolution:
         ----------
         energy : Energy or None
             None for no change.
-        flow : Flow
-            Not started yet.
-        limits, restart, rule
-            From here on.
-        half_width : float
-            Of the band, voxels.
+        setup : SolverSetup
+            From here on; its flow is not started yet.
         change_psi : callable, optional
             Changes the dense psi of the surface, which is then made a signed distance again.
         """
         self.initialize()
-        surface, old = self.surface, self.flow
+        surface, old, flow, half_width = self.surface, self.flow, setup.flow, setup.half_width
         fraction, area = surface.fraction_and_area()
         potential = self.energy.value(surface, fraction, area)
         if type(flow) is type(old):
@@ -207,10 +222,10 @@ class Evolution:
             here = Level(0, (1, 1, 1), surface.shape, (surface.grid.hz, surface.grid.hy, surface.grid.hx))
             fields = transfer_fields(fields, flow.fill_values, slot, here, surface, here)
         state = self.state.after_edit(compares=energy is None)
-        following = Evolution(
-            surface, energy or self.energy, flow, limits, self.max_steps, restart, rule, self.level, state, fields
+        setup = setup._replace(stop_at_rest=self.stop_at_rest, end=self.end)
+        following = Evolution.of(
+            surface, energy or self.energy, setup, self.max_steps, self.level, state, fields, self.corner
         )
-        following.configure(self.end, self.stop_at_rest, self.corner)
         following.initialize()
         state.expect(potential - flow.energy(surface.fraction_and_area()[1]))
         if self._stop_requested:

@@ -88,8 +88,8 @@ def click_of_path(text: str, side: Side, geometry: Geometry, id: int = 1) -> Cli
     for other, _ in found[1:]:
         box = enclosing(box, other)
     mask = np.zeros([s.stop - s.start for s in box], np.bool_)
-    for own, voxels in found:
-        mask |= on_box(voxels, own, box, False)
+    for part_box, voxels in found:
+        mask |= on_box(voxels, part_box, box, False)
     return Click(side, box, mask, id)
 
 

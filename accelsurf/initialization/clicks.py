@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ KINDS = {"point": "point:X,Y,Z", "path": FORM, "stroke": "stroke:FILE"}
 #: Columns of a stroke: world mm (LPS), or voxel indices; a radius makes balls, a side overrides the option's.
 WORLD_COLUMNS, VOXEL_COLUMNS = ("x", "y", "z"), ("x_vox", "y_vox", "z_vox")
 _FORM = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS) or {','.join(VOXEL_COLUMNS)}, with r and side if wanted"
+Row = TypeVar("Row")
 _LABELS: dict[int, Side] = {1: "inside", 2: "outside"}
 
 
@@ -79,6 +81,46 @@ def read_clicks(
     return out
 
 
+class Clicked(Protocol):
+    """Settings or a correction: clicks in an object, and not in it, as texts."""
+
+    @property
+    def inside(self) -> tuple[str, ...]:
+        """In the object."""
+        ...
+
+    @property
+    def outside(self) -> tuple[str, ...]:
+        """Not in it."""
+        ...
+
+
+def clicks_of(
+    written: Clicked,
+    volume: Volume,
+    image: NDArray[np.float32] | None = None,
+    id: int | None = None,
+    has_ids: bool = False,
+    window: Window | None = None,
+) -> list[Click]:
+    """Read the clicks of settings or of a correction on the image's grid; the only reader of both sides.
+
+    Parameters
+    ----------
+    written : Clicked
+    id : int, optional
+        The object that they are about; without it, and among objects with ids, the clicks are in no object.
+    has_ids : bool
+        True if there are several objects.
+    volume, image, window
+        As of `read_clicks`.
+    """
+    read = [
+        click for side in SIDES for click in read_clicks(getattr(written, side), side, volume, image, id or 1, window)
+    ]
+    return [click._replace(side="inside", id=NO_OBJECT) for click in read] if has_ids and not id else read
+
+
 def check_contradictions(clicks: Clicks, geometry: Geometry, first: Sequence[int] = (0, 0, 0)) -> None:
     """Refuse voxels that are clicked on both sides of an object, or inside two objects.
 
@@ -96,11 +138,11 @@ def check_contradictions(clicks: Clicks, geometry: Geometry, first: Sequence[int
         With the first such voxel, as index and in mm.
     """
     for id in sorted({click.id for click in clicks.clicks}):
-        own = clicks.of(id)
-        both = own.mask("inside") & own.mask("outside")
+        of_object = clicks.of(id)
+        both = of_object.mask("inside") & of_object.mask("outside")
         if both.any():
             where = voxel_named(np.argwhere(both)[0], geometry, first)
-            of = "" if {one.id for one in clicks.clicks} == {1} else f" of object {id}"
+            of = "" if {other.id for other in clicks.clicks} == {1} else f" of object {id}"
             raise InputError(
                 f"clicks: {where} is clicked both inside and outside{of}", "take one away, or make one smaller"
             )
@@ -115,14 +157,14 @@ def check_left(before: Clicks, after: Clicks) -> None:
         With the object, where there are several.
     """
     for id in sorted(set(before.ids()) - set(after.ids()) - {NO_OBJECT}):
-        of = "" if {one.id for one in before.clicks} == {1} else f" of object {id}"
+        of = "" if {click.id for click in before.clicks} == {1} else f" of object {id}"
         raise InputError(
             f"clicks: nothing would be left that is clicked inside{of}", "click inside elsewhere first, or smaller"
         )
 
 
 def voxel_named(index: NDArray[np.int64], geometry: Geometry, first: Sequence[int] = (0, 0, 0)) -> str:
-    """What messages call a voxel (z, y, x): its index x,y,z in the image, and its place in mm."""
+    """Return the name of a voxel (z, y, x) in messages: its index x,y,z in the image, and its place in mm."""
     place = np.asarray(index) + np.asarray(first)
     world = ",".join(f"{value:.4g}" for value in geometry.index_to_world(place.astype(float)))
     voxel = ",".join(str(int(i)) for i in place[::-1])
@@ -238,26 +280,54 @@ def _stroke(text: str, file: str, side: Side, window: Window, id: int) -> list[C
 
 def _stroke_of_points(file: str, side: Side, geometry: Geometry, id: int) -> list[Click]:
     """The clicks of a table: one for the points of each side, and one for each ball."""
+    rows = read_table(
+        file, WORLD_COLUMNS, VOXEL_COLUMNS, _FORM, lambda line, number, vox: (vox, *stroke_row(line, number, vox, side))
+    )
+    if not rows:
+        raise InputError(f"{file}: it has no row", f"expected {_FORM}")
+    vox, out = rows[0][0], list[Click]()
+    for way in SIDES:
+        points = [numbers[:3] for _, row_side, numbers in rows if row_side == way and numbers[3] == 0]
+        if points:
+            out.append(click_of_voxels(way, point_voxels(points, file, way, geometry, vox), id))
+    return out + [click_of_numbers(way, numbers, vox, geometry, id) for _, way, numbers in rows if numbers[3] > 0]
+
+
+def read_table(
+    file: str,
+    world: Sequence[str],
+    voxels: Sequence[str],
+    form: str,
+    read_row: Callable[[dict[str, str], int, bool], Row],
+) -> list[Row]:
+    """Read a CSV table of places in world mm or in voxels; lines that begin with # are left out.
+
+    Parameters
+    ----------
+    file : str
+    world, voxels : sequence of str
+        Columns that a table of either kind has.
+    form : str
+        What is expected, for messages.
+    read_row : callable
+        Called with the values of a row by column, its line number, and True if places are in voxels.
+
+    Raises
+    ------
+    InputError
+        When it is no such table; the message names the file.
+    """
     with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
         budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
         try:
-            table = csv.DictReader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
-            columns = [name.strip() for name in table.fieldnames or ()]
-            vox = set(VOXEL_COLUMNS) <= set(columns)
-            if not vox and not set(WORLD_COLUMNS) <= set(columns):
-                raise InputError(f"{','.join(columns) or 'no line'} was given as the first line, expected {_FORM}", "")
-            table.fieldnames = columns
-            rows = [stroke_row(line, table.line_num, vox, side) for line in table]
+            table = csv.reader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
+            columns = [name.strip() for name in next(table, [])]
+            vox = set(voxels) <= set(columns)
+            if not vox and not set(world) <= set(columns):
+                raise InputError(f"{','.join(columns) or 'no line'} was given as the first line, expected {form}", "")
+            return [read_row(dict(zip(columns, row, strict=False)), table.line_num, vox) for row in table if row]
         except (UnicodeDecodeError, csv.Error) as error:
-            raise InputError(f"not a table of text ({error})", f"expected {_FORM}") from None
-    if not rows:
-        raise InputError(f"{file}: it has no row", f"expected {_FORM}")
-    out: list[Click] = []
-    for way in SIDES:
-        points = [numbers[:3] for one, numbers in rows if one == way and numbers[3] == 0]
-        if points:
-            out.append(click_of_voxels(way, point_voxels(points, file, way, geometry, vox), id))
-    return out + [click_of_numbers(way, numbers, vox, geometry, id) for way, numbers in rows if numbers[3] > 0]
+            raise InputError(f"not a table of text ({error})", f"expected {form}") from None
 
 
 def stroke_row(line: dict[str, str], number: int, vox: bool, side: Side) -> tuple[Side, tuple[float, ...]]:

@@ -79,21 +79,21 @@ class BallTable:
             )
         self._file, self._geometry, self._margin = file, geometry, margin
         self._balls = object_starts.read_balls(file, geometry)
-        boxes = [object_starts.ball_box(file, own, rows, geometry, margin) for own, rows in self._balls.items()]
+        boxes = [object_starts.ball_box(file, id, rows, geometry, margin) for id, rows in self._balls.items()]
         self.ids = np.array(list(self._balls), np.int64)
         self.low, self.high = _ends(boxes)
 
     def only(self, places: Sequence[int]) -> BallTable:
         """See `ManyStarts`."""
         part = _at(self, places)
-        part._balls = {own: self._balls[own] for own in part.ids.tolist()}
+        vars(part)["_balls"] = {id: self._balls[id] for id in part.ids.tolist()}
         return part
 
     def made(self, places: Sequence[int]) -> list[ObjectStart]:
         """See `ManyStarts`."""
         ids = [int(self.ids[place]) for place in places]
         found = [
-            object_starts.ball_start(self._file, own, self._balls[own], self._geometry, self._margin) for own in ids
+            object_starts.ball_start(self._file, id, self._balls[id], self._geometry, self._margin) for id in ids
         ]
         return object_starts.separated(found, self._file, self._geometry)
 
@@ -142,15 +142,15 @@ class LabelMap:
             labels = self._read((planes, slice(0, shape[1]), slice(0, shape[2])))
             found = np.unique(labels[labels > 0])
             places = np.where(labels > 0, np.searchsorted(found, labels) + 1, 0).astype(np.int32)
-            for own, box in zip(found.tolist(), ndimage.find_objects(places), strict=True):
+            for label, box in zip(found.tolist(), ndimage.find_objects(places), strict=True):
                 low = np.array([box[0].start + planes.start, box[1].start, box[2].start])
                 high = np.array([box[0].stop + planes.start, box[1].stop, box[2].stop])
-                if own in boxes:
-                    low, high = np.minimum(boxes[own][0], low), np.maximum(boxes[own][1], high)
-                boxes[own] = low, high
+                if label in boxes:
+                    low, high = np.minimum(boxes[label][0], low), np.maximum(boxes[label][1], high)
+                boxes[label] = low, high
         ids = np.array(sorted(boxes), np.int64)
         object_starts.check_found(self._name, ids)
-        around = [widened(_box(*boxes[own]), shape, (margin, margin, margin)) for own in ids.tolist()]
+        around = [widened(_box(*boxes[id]), shape, (margin, margin, margin)) for id in ids.tolist()]
         return ids, *_ends(around)
 
     def _read(self, box: Box) -> NDArray[np.integer]:
@@ -191,7 +191,7 @@ def opened(objects: str, geometry: Geometry, margin: int) -> ManyStarts:
 
 def _at(starts: Some, places: Sequence[int]) -> Some:
     part, here = copy.copy(starts), list(places)
-    part.ids, part.low, part.high = starts.ids[here], starts.low[here], starts.high[here]
+    vars(part).update(ids=starts.ids[here], low=starts.low[here], high=starts.high[here])
     return part
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from pathlib import Path
 from typing import Any
@@ -38,20 +37,12 @@ def read(objects: Any, geometry: Geometry) -> Clicks | None:
     """
     if not (isinstance(objects, str) and objects.lower().endswith(".csv")):
         return None
-    with naming(Path(objects)), open(objects, encoding="utf-8-sig", newline="") as stream:
-        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
-        try:
-            table = csv.DictReader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
-            columns = [name.strip() for name in table.fieldnames or ()]
-            if "side" not in columns:
-                return None
-            vox = set(one_object.VOXEL_COLUMNS) <= set(columns)
-            if "id" not in columns or not (vox or set(one_object.WORLD_COLUMNS) <= set(columns)):
-                raise InputError(f"{','.join(columns)} was given as the first line, expected {_FORM}", "")
-            table.fieldnames = columns
-            rows = [_click_of_row(line, table.line_num, vox, geometry) for line in table]
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise InputError(f"not a table of text ({error})", f"expected {_FORM}") from None
+    if not has_sides(objects):
+        return None
+    world, voxels = ("id", *one_object.WORLD_COLUMNS), ("id", *one_object.VOXEL_COLUMNS)
+    rows = one_object.read_table(
+        objects, world, voxels, _FORM, lambda line, number, vox: _click_of_row(line, number, vox, geometry)
+    )
     found = Clicks(tuple(rows), geometry.shape)
     if not any(found.ids()):
         raise InputError(f"{objects}: no row is inside an object", "an id from 1 on, and the side inside")
@@ -82,13 +73,13 @@ def has_sides(file: str) -> bool:
 def _click_of_row(line: dict[str, str], number: int, vox: bool, geometry: Geometry) -> Click:
     """The click of a row."""
     try:
-        own = float(line.get("id") or "")
+        number_given = float(line.get("id") or "")
     except ValueError:
-        own = -1.0
-    if not 0 <= own <= MAX_ID or own != int(own):
+        number_given = -1.0
+    if not 0 <= number_given <= MAX_ID or number_given != int(number_given):
         raise InputError(f"line {number}: id {line.get('id')} was given, expected a whole number from 0 on", _FORM)
     side, numbers = one_object.stroke_row(line, number, vox, "inside")
-    name, id = f"line {number}", int(own)
+    name, id = f"line {number}", int(number_given)
     if id == NO_OBJECT and side == "outside":
         raise InputError(f"{name}: id 0 is no object, so nothing is outside of it", "write inside, or an object's id")
     if numbers[3] == 0:

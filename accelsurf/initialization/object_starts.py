@@ -5,11 +5,8 @@ Each object has its own small grid, a box of the volume's voxels, so that memory
 
 from __future__ import annotations
 
-import csv
 import math
-import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +20,7 @@ from accelsurf.grid.geometry import Geometry, ball_distance
 from accelsurf.grid.label_values import as_labels
 from accelsurf.grid.volume import Volume, array_on_grid
 from accelsurf.initialization import starts
-from accelsurf.io.files import naming
+from accelsurf.initialization.clicks import read_table
 from accelsurf.settings import budgets
 
 #: Largest id that a label map can hold.
@@ -86,9 +83,9 @@ def _of_labels(
     boxes = [widened(box, geometry.shape, (margin, margin, margin)) for box in ndimage.find_objects(places)]
     _check_boxes(name, boxes, geometry)
     half, out = np.float32(0.5 * min(geometry.steps)), []
-    for place, (own, grown) in enumerate(zip(found, boxes, strict=True), start=1):
+    for place, (id, grown) in enumerate(zip(found, boxes, strict=True), start=1):
         psi = np.where(places[grown] == place, -half, half)
-        out.append(ObjectStart(int(own), corner_of(grown), psi))
+        out.append(ObjectStart(int(id), corner_of(grown), psi))
     return out
 
 
@@ -170,8 +167,10 @@ def read_balls(file: str, geometry: Geometry) -> dict[int, list[tuple[float, flo
         When it cannot be read, or has no row.
     """
     rows: dict[int, list[tuple[float, float, float, float]]] = {}
-    for own, *numbers in _read_table(file, geometry):
-        rows.setdefault(int(own), []).append((numbers[0], numbers[1], numbers[2], numbers[3]))
+    for id, *numbers in read_table(
+        file, WORLD_COLUMNS, VOXEL_COLUMNS, _FORM, lambda line, number, vox: _read_line(line, number, vox, geometry)
+    ):
+        rows.setdefault(int(id), []).append((numbers[0], numbers[1], numbers[2], numbers[3]))
     if not rows:
         raise InputError(f"{file}: it has no row", f"expected {_FORM}")
     return dict(sorted(rows.items()))
@@ -181,37 +180,20 @@ def _balls(file: str, geometry: Geometry, margin: int) -> list[ObjectStart]:
     """Balls of a table, one start for all balls of an id, in order of their ids."""
     rows = read_balls(file, geometry)
     out: list[ObjectStart] = []
-    for own in rows:
-        out.append(ball_start(file, own, rows[own], geometry, margin))
+    for id in rows:
+        out.append(ball_start(file, id, rows[id], geometry, margin))
         if len(out) % 64 == 0:
-            _check_boxes(file, [box_at(one.corner, one.psi.shape) for one in out], geometry)
-    _check_boxes(file, [box_at(one.corner, one.psi.shape) for one in out], geometry)
+            _check_boxes(file, [box_at(start.corner, start.psi.shape) for start in out], geometry)
+    _check_boxes(file, [box_at(start.corner, start.psi.shape) for start in out], geometry)
     return out
-
-
-def _read_table(file: str, geometry: Geometry) -> list[tuple[float, ...]]:
-    """Rows (id, z, y, x, r) of a table: voxel indices, and r in mm."""
-    with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
-        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
-        try:
-            table = csv.DictReader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
-            columns = tuple(name.strip() for name in table.fieldnames or ())
-            vox = set(VOXEL_COLUMNS) <= set(columns)
-            if not vox and not set(WORLD_COLUMNS) <= set(columns):
-                given = ",".join(columns) or "no line"
-                raise InputError(f"{given} was given as the first line, expected {_FORM}", "as in id,x,y,z,r")
-            table.fieldnames = list(columns)
-            return [_read_line(line, table.line_num, vox, geometry) for line in table]
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise InputError(f"not a table of text ({error})", f"expected {_FORM}") from None
 
 
 def _read_line(line: dict[str, Any], number: int, vox: bool, geometry: Geometry) -> tuple[float, ...]:
     try:
-        own, x, y, z, r = (float(line[name]) for name in (VOXEL_COLUMNS if vox else WORLD_COLUMNS))
+        id, x, y, z, r = (float(line.get(name, "")) for name in (VOXEL_COLUMNS if vox else WORLD_COLUMNS))
     except (TypeError, ValueError):
-        own = x = y = z = r = math.nan
-    if not all(abs(v) <= starts.MAX_LENGTH for v in (own, x, y, z, r)) or own != int(own) or not 1 <= own <= MAX_ID:
+        id = x = y = z = r = math.nan
+    if not all(abs(v) <= starts.MAX_LENGTH for v in (id, x, y, z, r)) or id != int(id) or not 1 <= id <= MAX_ID:
         given = ",".join(str(value) for value in line.values() if isinstance(value, str))
         raise InputError(
             f"line {number}: {given} was given, expected a whole number from 1 on and four numbers", f"{_FORM}"
@@ -219,11 +201,11 @@ def _read_line(line: dict[str, Any], number: int, vox: bool, geometry: Geometry)
     if r <= 0:
         raise InputError(f"line {number}: radius {r:g} was given, expected above 0", f"{_FORM}")
     index = (z, y, x) if vox else tuple(float(v) for v in geometry.world_to_index((x, y, z)))
-    return own, *index, r * (min(geometry.steps) if vox else 1.0)
+    return id, *index, r * (min(geometry.steps) if vox else 1.0)
 
 
 def ball_box(
-    file: str, own: int, balls: list[tuple[float, float, float, float]], geometry: Geometry, margin: int
+    file: str, id: int, balls: list[tuple[float, float, float, float]], geometry: Geometry, margin: int
 ) -> Box:
     """Voxels of a grid around balls, with a margin where the grid has it.
 
@@ -231,7 +213,7 @@ def ball_box(
     ----------
     file : str
         Names the table in messages.
-    own : int
+    id : int
         The object's id.
     balls : list of (z, y, x, r)
         Voxel index of the centre, and radius in mm.
@@ -250,16 +232,16 @@ def ball_box(
     begin = np.clip(np.floor((table[:, :3] - radius).min(axis=0)), 0, n).astype(int)
     end = np.clip(np.ceil((table[:, :3] + radius).max(axis=0)) + 1, 0, n).astype(int)
     if (begin >= end).any():
-        raise InputError(f"{file}: ball {own} lies outside of the volume", _FORM)
+        raise InputError(f"{file}: ball {id} lies outside of the volume", _FORM)
     a, b, c = (slice(int(i), int(j)) for i, j in zip(begin, end, strict=True))
     box = widened((a, b, c), geometry.shape, (margin, margin, margin))
     voxels = math.prod(s.stop - s.start for s in box)
-    budgets.BALLS.check(len(balls) * voxels, f"{file}: {len(balls)} balls of id {own}")
+    budgets.BALLS.check(len(balls) * voxels, f"{file}: {len(balls)} balls of id {id}")
     return box
 
 
 def ball_start(
-    file: str, own: int, balls: list[tuple[float, float, float, float]], geometry: Geometry, margin: int
+    file: str, id: int, balls: list[tuple[float, float, float, float]], geometry: Geometry, margin: int
 ) -> ObjectStart:
     """The union of balls; the parameters are those of `ball_box`.
 
@@ -268,13 +250,13 @@ def ball_start(
     InputError
         As `ball_box`, and when no voxel centre is inside.
     """
-    box = ball_box(file, own, balls, geometry, margin)
+    box = ball_box(file, id, balls, geometry, margin)
     psi = np.full(tuple(s.stop - s.start for s in box), np.inf, np.float32)
     for *centre, r in balls:
         np.minimum(psi, ball_distance(box, geometry.spacing, centre, r), out=psi)
     if not (psi < 0).any():
-        raise InputError(f"{file}: no voxel centre is inside ball {own}", "a larger r, or is the unit the right one?")
-    return ObjectStart(own, corner_of(box), psi)
+        raise InputError(f"{file}: no voxel centre is inside ball {id}", "a larger r, or is the unit the right one?")
+    return ObjectStart(id, corner_of(box), psi)
 
 
 def core_of(psi: NDArray[np.float32], spacing: Sequence[float]) -> NDArray[np.bool_]:
@@ -303,13 +285,13 @@ def apart(objects: Sequence[ObjectStart]) -> list[ObjectStart]:
 
     Of one that lies entirely within others nothing is left.
     """
-    out = [one._replace(psi=one.psi.copy()) for one in objects]
-    low = np.array([one.corner for one in objects])
-    for i, near in enumerate(meeting(low, low + np.array([one.psi.shape for one in objects]))):
+    out = [segmented._replace(psi=segmented.psi.copy()) for segmented in objects]
+    low = np.array([segmented.corner for segmented in objects])
+    for i, near in enumerate(meeting(low, low + np.array([segmented.psi.shape for segmented in objects]))):
         for j in near:
-            one, other = objects[i], objects[j]
-            both = shared(one.corner, one.psi.shape, other.corner, other.psi.shape)
-            mine, theirs = one.psi[both[0]], other.psi[both[1]]
+            segmented, other = objects[i], objects[j]
+            both = shared(segmented.corner, segmented.psi.shape, other.corner, other.psi.shape)
+            mine, theirs = segmented.psi[both[0]], other.psi[both[1]]
             separated = out[i].psi[both[0]]
             np.maximum(separated, 0.5 * (mine - theirs), out=separated)
             # Just off the boundary where both are equally deep.
@@ -326,9 +308,9 @@ def separated(objects: list[ObjectStart], name: str, geometry: Geometry) -> list
         When nothing is left of one.
     """
     out = apart(objects)
-    for one in out:
-        if not (one.psi < 0).any():
+    for start in out:
+        if not (start.psi < 0).any():
             raise InputError(
-                f"objects {name}: all of object {one.id} lies within others", "move them apart, or give smaller ones"
+                f"objects {name}: all of object {start.id} lies within others", "move them apart, or give smaller ones"
             )
     return out

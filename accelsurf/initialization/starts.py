@@ -193,10 +193,10 @@ def build(
     psi: NDArray[np.float32] | None = None
     window = window or Window(volume.geometry, whole_box(volume.geometry.shape))
     for text in starts:
-        one = _build_one(parse(text), text, window, values)
-        if not (one < 0).any():
+        added = _build_one(parse(text), text, window, values)
+        if not (added < 0).any():
             raise InputError(*_nothing_inside(text, window.geometry))
-        psi = one if psi is None else np.minimum(psi, one, out=psi)
+        psi = added if psi is None else np.minimum(psi, added, out=psi)
     if psi is None:
         raise UsageError("start: none was given, expected one at least", f"as in {KINDS['ball']}")
     if (psi < 0).all():

@@ -23,9 +23,8 @@ def named_files(given: RunConfig | TrackConfig) -> list[Path]:
     config, corrections = (given.run, given.correct) if isinstance(given, TrackConfig) else (given, ())
     texts = [text for text in (*(getattr(config, key) for key in _FILES), *config.channel) if text]
     wheres = [text for key in PLACES for text in getattr(config, key)]
-    wheres += [text for edit in config.edit for text in (edit.add, edit.remove, *edit.inside, *edit.outside) if text]
-    refinements = [*config.refine, *(correction.refinement for correction in corrections)]
-    wheres += [text for refinement in refinements for text in (*refinement.inside, *refinement.outside)]
+    for correction in (*config.edit, *config.refine, *corrections):
+        wheres += [*(ball for _, ball in correction.balls), *correction.inside, *correction.outside]
     texts += [text.partition(":")[2] for text in wheres if text.partition(":")[0] in FILE_KINDS]
     found = {}
     for text in texts:

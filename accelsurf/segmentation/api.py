@@ -13,22 +13,23 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord
 from accelsurf.grid.clicks import SIDES
 from accelsurf.grid.volume import Volume, plain_array
-from accelsurf.io import LazyVolume, available_memory
-from accelsurf.io.lazy_volume import open_with
+from accelsurf.io import LazyVolume
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
-from accelsurf.segmentation.given import clicks_of, psi_of, split_given
-from accelsurf.segmentation.memory_need import allowed_bytes
-from accelsurf.segmentation.refiner import OnObjectStep
+from accelsurf.segmentation.given import given_clicks, psi_of, split_given, with_options
+from accelsurf.segmentation.refine import with_refinements
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_result import result_of
+from accelsurf.segmentation.run_result import OnObjectStep, finished, result_of
 from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike
-from accelsurf.segmentation.to_end import finished
-from accelsurf.segmentation.windowed import LargeImage, segment_in_windows
 from accelsurf.settings.catalogue import default_of
+from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
 __all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment", "segment_objects"]
+
+
+#: The function that segments an object of an image that is read in parts; it lies above this room.
+IN_PARTS = "accelsurf.segmentation.windowed:segment_lazily"
 
 
 def segment(
@@ -85,12 +86,14 @@ def segment(
     >>> result.stop.reason, result.components, bool((result.labels == (image > 50)).mean() > 0.99)
     ('converged', 1, True)
     """
+    watch: OnObjectStep | None = None if on_step is None else lambda record, id: on_step(record)
     if isinstance(volume, LazyVolume):
-        large, config = large_of(volume, channels, spacing, config, energy, options)
-        return segment_in_windows(large, config, _without_id(on_step), on_warning, checkpoint_to=checkpoint_to)
-    state = _file_of(checkpoint_to)
-    run = _run_of(volume, spacing, channels, config, energy, options, None, state)
-    return finished(run, _without_id(on_step), on_warning, state)
+        given = {"spacing": spacing, "channels": channels, "energy": energy, **options}
+        result: Result = load(IN_PARTS)(volume, config, watch, on_warning, checkpoint_to, given)
+        return result
+    checkpoints = _file_of(checkpoint_to)
+    run = _run_of(volume, spacing, channels, config, energy, options, None, checkpoints)
+    return with_refinements(finished(run, watch, on_warning, checkpoints), watch)
 
 
 def evolve(
@@ -191,46 +194,11 @@ def segment_objects(
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
     checkpoints = _file_of(checkpoint_to)
     run = _run_of(volume, spacing, channels, config, energy, options, objects, checkpoints)
-    return finished(run, on_step, on_warning, checkpoints)
-
-
-def large_of(
-    volume: LazyVolume,
-    channels: Sequence[Any],
-    spacing: Any,
-    config: RunConfig | None,
-    energy: EnergyLike | None,
-    options: dict[str, Any],
-) -> tuple[LargeImage, RunConfig]:
-    """The image and the settings of a run that reads its image in parts.
-
-    Raises
-    ------
-    UsageError
-        When something is given as an array, or the energy is one of the user's own.
-    """
-    max_memory = options.pop("max_memory", None)
-    texts, given = split_given(options)
-    wrong = [*given, *(["spacing"] if spacing is not None else [])]
-    wrong += [] if energy is None or isinstance(energy, str) else ["energy"]
-    wrong += [] if all(isinstance(one, LazyVolume) for one in channels) else ["channels"]
-    if wrong:
-        raise UsageError(
-            f"{wrong[0]}: an array or a function was given with an image that is read in parts",
-            "give texts and open_volume(), or read the image with accelsurf.read",
-        )
-    config, _ = with_options(config, energy, texts)
-    others = [*channels, *(open_with(file, config.reading) for file in config.channel)]
-    return LargeImage.of((volume, *others), allowed_bytes(max_memory, available_memory())), config
+    return with_refinements(finished(run, on_step, on_warning, checkpoints), on_step)
 
 
 def _file_of(path: str | Path | None) -> CheckpointFile | None:
     return None if path is None else CheckpointFile(Path(path))
-
-
-def _without_id(on_step: Callable[[StepRecord], bool | None] | None) -> OnObjectStep | None:
-    """The same for a run of several objects."""
-    return None if on_step is None else lambda record, own: on_step(record)
 
 
 def _run_of(
@@ -245,9 +213,9 @@ def _run_of(
 ) -> Run:
     """The run for the arguments of `segment`, `evolve` or `segment_objects`."""
     first = as_volume(volume, spacing)
-    others = [as_channel(one, first) for one in channels]
+    others = [as_channel(channel, first) for channel in channels]
     texts, given = split_given(options)
-    clicks = [click for side in SIDES if side in given for click in clicks_of(side, given.pop(side), first)]
+    clicks = [click for side in SIDES if side in given for click in given_clicks(side, given.pop(side), first)]
     arrays = {key: psi_of(key, value, first.geometry) for key, value in given.items()}
     if "start" in arrays:
         texts.setdefault("start", default_of("start"))
@@ -274,20 +242,3 @@ def as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
         return volume
     array = plain_array(volume, "channel")
     return Volume(array[np.newaxis] if array.ndim == 2 else array, first.geometry)
-
-
-def with_options(
-    config: RunConfig | None, energy: EnergyLike | None, options: dict[str, Any], clicked: bool = False
-) -> tuple[RunConfig, EnergyLike | None]:
-    """The configuration, and the energy if it is not given by name; ``clicked``: voxels inside are given as arrays."""
-    if isinstance(energy, str):
-        options, energy = {**options, "energy": energy}, None
-    config = config or RunConfig()
-    known = config.model_fields_set | options.keys()
-    if energy is not None and (clicked or "inside" in options):
-        # What clicks choose otherwise; the energy of one's own has no model of them.
-        options = {"energy": default_of("energy"), **options}
-    if clicked:
-        defaults = {"energy": "seeded", "start": ("clicks",)}
-        options = {**{key: value for key, value in defaults.items() if key not in known}, **options}
-    return config.replace(**options) if options else config, energy

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from accelsurf.grid.boxes import box_at
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
 from accelsurf.segmentation.late_growth import LateGrowth
+from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_checkpoint import (
     CheckpointHeader,
     header_of,
@@ -21,9 +21,6 @@ from accelsurf.segmentation.run_checkpoint import (
 from accelsurf.segmentation.run_setup import needs_seed
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.written_values import interval_of
-
-if TYPE_CHECKING:
-    from accelsurf.segmentation.run import Run
 
 #: As often a run writes its state that is given a file for it and not told how often.
 DEFAULT_INTERVAL = "1min"
@@ -119,8 +116,8 @@ class CheckpointFile:
 def _differences(header: CheckpointHeader) -> list[str]:
     """A line where a checkpoint was written by other versions, or on another kind of processor."""
     here = versions()
-    other = [f"{name} {header.versions.get(name)}, here {own}" for name, own in here.items()
-             if header.versions.get(name) != own]
+    other = [f"{name} {header.versions.get(name)}, here {version}" for name, version in here.items()
+             if header.versions.get(name) != version]
     if not other:
         return []
     return [f"the checkpoint was written with {'; '.join(other)}: the last bits of the result may differ"]

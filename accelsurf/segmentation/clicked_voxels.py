@@ -1,4 +1,4 @@
-"""What a person clicked on the region of interest, on the image's grid: all clicks, and the voxels of an object."""
+"""Clicked voxels of the region of interest, on the image's grid: all clicks, and those of an object."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def on_image(clicks: Clicks | None, first: Corner, shape: tuple[int, int, int]) 
     return Clicks(tuple(out), shape)
 
 
-def clicked_voxels(clicks: Clicks | None, own: int, first: Corner, box: Box) -> NDArray[np.bool_] | None:
+def clicked_voxels(clicks: Clicks | None, id: int, first: Corner, box: Box) -> NDArray[np.bool_] | None:
     """Voxels that are clicked inside or outside of an object; None without clicks.
 
     Parameters
     ----------
     clicks : Clicks or None
         On the grid of the region of interest.
-    own : int
+    id : int
         The object's id.
     first : (z, y, x)
         First voxel of that region in the image.
@@ -48,7 +48,7 @@ def clicked_voxels(clicks: Clicks | None, own: int, first: Corner, box: Box) -> 
         return None
     marked = np.zeros(tuple(s.stop - s.start for s in box), np.bool_)
     for click in clicks.clicks:
-        if click.id != own:
+        if click.id != id:
             continue
         z, y, x = (a + b for a, b in zip(corner_of(click.box), first, strict=True))
         mine, theirs = shared(corner_of(box), marked.shape, (z, y, x), click.mask.shape)

@@ -32,12 +32,14 @@ class CorrectedSurface(NamedTuple):
     stop: Stop
 
 
-def surface_of(one: SegmentedObject, region: Box) -> CorrectedSurface:
+def surface_of(segmented: SegmentedObject, region: Box) -> CorrectedSurface:
     """The surface of an object of a result on the grid of its region of interest, as a copy."""
-    box = tuple(slice(max(s.start, r.start), min(s.stop, r.stop)) for s, r in zip(one.box, region, strict=True))
-    psi = np.array(one.psi[counted_from((box[0], box[1], box[2]), corner_of(one.box))], np.float32, order="C")
+    box = tuple(slice(max(s.start, r.start), min(s.stop, r.stop)) for s, r in zip(segmented.box, region, strict=True))
+    psi = np.array(
+        segmented.psi[counted_from((box[0], box[1], box[2]), corner_of(segmented.box))], np.float32, order="C"
+    )
     z, y, x = (s.start - r.start for s, r in zip(box, region, strict=True))
-    return CorrectedSurface(one.id, (z, y, x), psi, count_inside(psi), one.history, one.stop)
+    return CorrectedSurface(segmented.id, (z, y, x), psi, count_inside(psi), segmented.history, segmented.stop)
 
 
 def frozen_settings(result: Result) -> RunConfig:
@@ -70,12 +72,12 @@ def part_of_image(before: Box, corner: Corner, now: CorrectedSurface, prepared: 
     return out[0], out[1], out[2]
 
 
-def wrong_part(click: Click, one: CorrectedSurface) -> Click | None:
+def wrong_part(click: Click, surface: CorrectedSurface) -> Click | None:
     """The voxels of a click that are not on its side; None where there are none. Beyond its array nothing is inside."""
     inside = np.zeros(click.mask.shape, np.bool_)
-    mine, theirs = shared(corner_of(click.box), inside.shape, one.corner, one.psi.shape)
+    mine, theirs = shared(corner_of(click.box), inside.shape, surface.corner, surface.psi.shape)
     if all(s.start < s.stop for s in mine):
-        inside[mine] = one.psi[theirs] < 0
+        inside[mine] = surface.psi[theirs] < 0
     wrong = click.mask & (inside != (click.side == "inside"))
     tight = bounding_box(wrong)
     if tight is None:

@@ -92,24 +92,26 @@ class Ensemble:
         """
         steps = self._steps(steps_left, reactivate)
         if self._window is not None:
-            for one in self._objects:
-                if one.surface.size:
-                    self._window.check_box(one.seen(), one.grid.factors)
+            for evolving in self._objects:
+                if evolving.surface.size:
+                    self._window.check_box(evolving.seen(), evolving.grid.factors)
         return steps
 
     def _steps(self, steps_left: int, reactivate: bool) -> tuple[Step, ...]:
         if not self._meets:
-            alone = [one.step() for one in self._objects]
+            alone = [evolving.step() for evolving in self._objects]
             return tuple(step for step in alone if step is not None)
-        moving = [one for one in self._objects if one.moves]
+        moving = [evolving for evolving in self._objects if evolving.moves]
         if not moving:
             return ()
-        for one in moving:
-            one.set_max_steps(steps_left + len(one.evolution.history))
+        for evolving in moving:
+            evolving.set_max_steps(steps_left + len(evolving.evolution.history))
         meets = self._meet()
         steps = [step for batch in self._batches(meets) for step in self._each(EvolvingObject.step, batch)]
         # What has vanished needs no room.
-        self._each(EvolvingObject.grow_grid, [one for one in moving if one.moves and one.surface.size])
+        self._each(
+            EvolvingObject.grow_grid, [evolving for evolving in moving if evolving.moves and evolving.surface.size]
+        )
         if reactivate and steps_left > 1:
             self._reactivate(meets)
         return tuple(step for step in steps if step is not None)
@@ -119,27 +121,27 @@ class Ensemble:
         if self._pool is None or len(batch) > 1:
             return list(map(work, batch) if self._pool is None else self._pool.map(work, batch))
         with ExitStack() as stack:
-            for one in batch:
-                stack.enter_context(one.workers.borrowing_threads(self._workers))
-            return [work(one) for one in batch]
+            for evolving in batch:
+                stack.enter_context(evolving.workers.borrowing_threads(self._workers))
+            return [work(evolving) for evolving in batch]
 
     def _meet(self) -> list[list[int]]:
         """Set the neighbours of each object; return their positions in the list of objects."""
-        ends = [np.array(one.corner) + one.surface.extent(inside_only=True) for one in self._objects]
+        ends = [np.array(moving.corner) + moving.surface.extent(inside_only=True) for moving in self._objects]
         low, high = np.array([end[0] for end in ends]), np.array([end[1] for end in ends])
         there = np.all(low < high, axis=1).tolist()
         boxes = meeting(low - NEAR, high + NEAR)
         meets = [[j for j in near if there[i] and there[j]] for i, near in enumerate(boxes)]
-        for one, near in zip(self._objects, meets, strict=True):
+        for evolving, near in zip(self._objects, meets, strict=True):
             others = (self._objects[j] for j in near)
-            one.contact.neighbours = [other.as_neighbour for other in others]
+            evolving.contact.set_neighbours([other.as_neighbour for other in others])
         return meets
 
     def _batches(self, meets: list[list[int]]) -> list[list[EvolvingObject]]:
         """The moving objects in batches without neighbours among them; lower ids come first."""
         batch: dict[int, int] = {}
-        for i, one in enumerate(self._objects):
-            if one.moves:
+        for i, evolving in enumerate(self._objects):
+            if evolving.moves:
                 taken = {batch[j] for j in meets[i] if j in batch}
                 batch[i] = next(k for k in range(len(taken) + 1) if k not in taken)
         out: list[list[EvolvingObject]] = [[] for _ in range(max(batch.values()) + 1)]
@@ -149,35 +151,36 @@ class Ensemble:
 
     def _reactivate(self, meets: list[list[int]]) -> None:
         """Continue converged objects that a neighbour has moved into."""
-        for i, one in enumerate(self._objects):
-            stop = one.evolution.stop
-            if stop is None or stop.reason != "converged" or stop.steps >= one.evolution.max_steps:
+        for i, evolving in enumerate(self._objects):
+            stop = evolving.evolution.stop
+            if stop is None or stop.reason != "converged" or stop.steps >= evolving.evolution.max_steps:
                 continue
             moving = [self._objects[j] for j in meets[i] if self._objects[j].moves]
-            one.contact.neighbours = [other.as_neighbour for other in moving]
-            if one.contact.overlap(one.surface) > REACTIVATION_DEPTH * (one.reactivations + 1) * self._smallest:
-                one.reactivate()
+            evolving.contact.set_neighbours([other.as_neighbour for other in moving])
+            depth = REACTIVATION_DEPTH * (evolving.reactivations + 1) * self._smallest
+            if evolving.contact.overlap(evolving.surface) > depth:
+                evolving.reactivate()
 
     def summary(self, grid: Level) -> LevelSummary:
-        """What was done on the present level, ``grid``, so far."""
-        stops = [one.evolution.stop for one in self._objects]
+        """Return the summary of the present level, ``grid``, so far."""
+        stops = [evolving.evolution.stop for evolving in self._objects]
         ended = [stop for stop in stops if stop is not None]
         reason = overall_stop(ended).reason if len(ended) == len(stops) else None
-        return LevelSummary(grid, max(one.steps_on_level() for one in self._objects), reason)
+        return LevelSummary(grid, max(evolving.steps_on_level() for evolving in self._objects), reason)
 
     def separated(self, mask_distance: NDArray[np.float32] | None) -> list[tuple[Corner, NDArray[np.float32]]]:
         """First voxel and psi of each object on the finest grid, cut where it meets another: none overlap."""
-        parts = [one.psi_on_finest() for one in self._objects]
+        parts = [evolving.psi_on_finest() for evolving in self._objects]
         low = np.array([corner for corner, _ in parts])
         high = low + np.array([psi.shape for _, psi in parts])
         out = []
         for i, near in enumerate(meeting(low, high)):
-            corner, own = parts[i]
-            psi = own.copy()
+            corner, uncut = parts[i]
+            psi = uncut.copy()
             for j in near:
                 at, theirs_psi = parts[j]
-                mine, theirs = shared(corner, own.shape, at, theirs_psi.shape)
-                a, b = own[mine], theirs_psi[theirs]
+                mine, theirs = shared(corner, uncut.shape, at, theirs_psi.shape)
+                a, b = uncut[mine], theirs_psi[theirs]
                 np.maximum(psi[mine], np.float32(0.5) * (a - b), out=psi[mine])
                 # Where both are equally deep the lower id has the voxel.
                 tie = (a == b) & (a < 0)
@@ -191,13 +194,13 @@ class Ensemble:
 def union_of(starts: Sequence[ObjectStart], geometry: Geometry) -> NDArray[np.float32]:
     """Psi of the union of first surfaces on the whole grid."""
     union = np.full(geometry.shape, np.float32(0.5 * min(geometry.steps)), np.float32)
-    for one in starts:
-        box = box_at(one.corner, one.psi.shape)
-        np.minimum(union[box], one.psi, out=union[box])
+    for start in starts:
+        box = box_at(start.corner, start.psi.shape)
+        np.minimum(union[box], start.psi, out=union[box])
     return union
 
 
-def within(one: ObjectStart, prepared: PreprocessedInput) -> ObjectStart:
+def within(start: ObjectStart, prepared: PreprocessedInput) -> ObjectStart:
     """A start on the grid of the region of interest, within the mask.
 
     Raises
@@ -205,19 +208,19 @@ def within(one: ObjectStart, prepared: PreprocessedInput) -> ObjectStart:
     InputError
         When nothing of it lies there.
     """
-    box, roi = box_at(one.corner, one.psi.shape), prepared.box
+    box, roi = box_at(start.corner, start.psi.shape), prepared.box
     a, b, c = (slice(max(s.start, r.start), min(s.stop, r.stop)) for s, r in zip(box, roi, strict=True))
     if all(s.start < s.stop for s in (a, b, c)):
-        psi = one.psi[tuple(slice(s.start - k, s.stop - k) for s, k in zip((a, b, c), one.corner, strict=True))]
+        psi = start.psi[tuple(slice(s.start - k, s.stop - k) for s, k in zip((a, b, c), start.corner, strict=True))]
         at = (a.start - roi[0].start, b.start - roi[1].start, c.start - roi[2].start)
         distance = prepared.mask_distance
         inside = psi
         if distance is not None:
             inside = np.maximum(psi, distance[tuple(slice(k, k + n) for k, n in zip(at, psi.shape, strict=True))])
         if (inside < 0).any():
-            return ObjectStart(one.id, at, psi)
+            return ObjectStart(start.id, at, psi)
     raise InputError(
-        f"object {one.id}: nothing of its start lies in the mask and the region of interest", "start within them"
+        f"object {start.id}: nothing of its start lies in the mask and the region of interest", "start within them"
     )
 
 

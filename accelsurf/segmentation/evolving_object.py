@@ -8,25 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies import Energy
+from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.energies.constraints.contact import Neighbour, NonOverlap
+from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.multilevel import FAILED, prolong_surface, rule_on_level
 from accelsurf.evolution.records import Step, Stop
 from accelsurf.evolution.setup import SolverSetup
 from accelsurf.evolution.state import LoopState
 from accelsurf.flows import Flow
-from accelsurf.grid.boxes import Box, Corner, box_at, corner_of
+from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, shared, widened
+from accelsurf.grid.click_bounds import ClickBounds
+from accelsurf.grid.geometry import farthest
 from accelsurf.grid.pyramid import Level, prolong
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.transfer import shift_fields
-from accelsurf.segmentation.balls import BallEdit, apply_balls
 from accelsurf.segmentation.image_context import ImageContext
-from accelsurf.segmentation.level_arrays import LevelInputs
-from accelsurf.segmentation.object_grid import constrained, larger_box, psi_on_box, roomy_box
 from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy, ObjectCheckpoint
-from accelsurf.segmentation.run_clicks import LevelClicks
-from accelsurf.segmentation.start_pyramid import StartPyramid, finer_box, to_finest
+from accelsurf.segmentation.run_clicks import BallEdit, LevelClicks, apply_balls
+from accelsurf.segmentation.start_pyramid import LevelInputs, StartPyramid, finer_box, to_finest
+
+
+def leaked_stop(stop: Stop, setup: SolverSetup) -> Stop:
+    """Return a stop with the reason that the object is larger than allowed."""
+    message = f"the object grew beyond {setup.max_volume:g} mm3, its largest allowed volume"
+    return stop._replace(reason="leaked", message=message)
 
 
 class EvolvingObject:
@@ -97,7 +104,7 @@ class EvolvingObject:
 
     @property
     def moves(self) -> bool:
-        """Whether it has not stopped on this level."""
+        """True if it has not stopped on this level."""
         return self.evolution.stop is None
 
     @property
@@ -107,8 +114,7 @@ class EvolvingObject:
         if stop is None or self.level > 0:
             return None
         if self.leaked and stop.reason == "interrupted":
-            message = f"the object grew beyond {self._setup.max_volume:g} mm3, its largest allowed volume"
-            return stop._replace(reason="leaked", message=message)
+            return leaked_stop(stop, self._setup)
         return stop
 
     @property
@@ -121,7 +127,7 @@ class EvolvingObject:
 
     @property
     def as_neighbour(self) -> Neighbour:
-        """What its neighbours need to know of it."""
+        """The object as its neighbours see it."""
         return Neighbour(self.surface, self.corner, self.contact, self.flow)
 
     def extent(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -139,7 +145,7 @@ class EvolvingObject:
     # -- starts and levels ---------------------------------------------------------------------------------
 
     def start_is_resolved(self) -> bool:
-        """Whether the start has something inside and outside on the present level."""
+        """Return True if the start has something inside and outside on the present level."""
         return self._starts.is_resolved()
 
     def skip_level(self) -> None:
@@ -191,6 +197,11 @@ class EvolvingObject:
 
     # -- on a grid -----------------------------------------------------------------------------------------
 
+    @property
+    def _setup_here(self) -> SolverSetup:
+        """Solver settings on the present level."""
+        return self._setup._replace(rule=rule_on_level(self._setup.rule, self.level))
+
     def _surface_of(self, psi: NDArray[np.float32]) -> LevelSet:
         """The surface where ``psi``, on a box of the grid, is 0; the memory of ``psi`` is used."""
         setup = self._setup
@@ -218,14 +229,11 @@ class EvolvingObject:
         energy: Energy | None = None,
     ) -> None:
         """Begin an evolution on a surface, with a new energy for its grid unless one is given."""
-        setup = self._setup
         if energy is None:
             energy = self._energy_on(box_at(self.corner, surface.shape))
-        flow, limits, rule = setup.flow, setup.limits, rule_on_level(setup.rule, self.level)
-        self.evolution = Evolution(
-            surface, energy, flow, limits, self._max_steps, setup.restart, rule, self.level, state, fields
+        self.evolution = Evolution.of(
+            surface, energy, self._setup_here, self._max_steps, self.level, state, fields, self.corner
         )
-        self.evolution.configure(setup.end, setup.stop_at_rest, self.corner)
         if self._among_others:
             # Neighbours need its speed and band before its first step.
             self.evolution.initialize()
@@ -300,7 +308,7 @@ class EvolvingObject:
 
     @property
     def takes_edits(self) -> bool:
-        """Whether it evolves, or has converged or stalled and can evolve again."""
+        """True if it evolves, or has converged or stalled and can evolve again."""
         stop = self.evolution.stop
         return stop is None or (stop.reason in ("converged", "stalled") and self.surface.size > 0)
 
@@ -337,12 +345,8 @@ class EvolvingObject:
                 self.evolution.history.pop()
         clicked = self.set_up(setup, make_energy, context)
         energy = self._energy_on(box_at(self.corner, self.surface.shape)) if new_energy or clicked else None
-        self.evolution = self.evolution.edited(
-            energy, setup.flow, setup.limits, setup.restart,
-            rule_on_level(setup.rule, self.level),
-            setup.half_width,
-            (lambda surface: self._change_psi(surface, balls)) if balls or clicked else None,
-        )
+        change = (lambda surface: self._change_psi(surface, balls)) if balls or clicked else None
+        self.evolution = self.evolution.edited(energy, self._setup_here, change)
 
     def _make_room(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
         """Make the box large enough for what lies between two voxels."""
@@ -371,17 +375,14 @@ class EvolvingObject:
         """Go back to a state of this level, with the settings that were in force then."""
         new_energy |= self.set_up(setup, make_energy, context)
         self.leaked, self.reactivations, self._stop_requested = checkpoint.leaked, checkpoint.reactivations, False
-        now = self.evolution
-        if (self.corner, now.surface.shape) != (checkpoint.corner, checkpoint.shape):
+        energy = None
+        if (self.corner, self.surface.shape) != (checkpoint.corner, checkpoint.shape):
             self.corner = checkpoint.corner
-            empty = np.ones(checkpoint.shape, np.float32)
-            self._evolve(self._surface_of(empty), None)
-            now = self.evolution
+            self._evolve(self._surface_of(np.ones(checkpoint.shape, np.float32)), None)
         elif new_energy:
-            now.energy = self._energy_on(box_at(self.corner, self.surface.shape))
-        now.flow, now.limits, now.restart = setup.flow, setup.limits, setup.restart
-        now.rule = rule_on_level(setup.rule, self.level)
-        now.restore(checkpoint.evolution)
+            energy = self._energy_on(box_at(self.corner, self.surface.shape))
+        self.evolution.use(self._setup_here, energy)
+        self.evolution.restore(checkpoint.evolution)
 
     def release_to(self, level: int) -> None:
         """Change to a finer level without running there, so that a state of that level can be restored."""
@@ -397,3 +398,57 @@ class EvolvingObject:
             psi = psi.copy()
             bounds.apply(psi)
         return corner, psi
+
+
+#: Margin of an object's box around the object: at least `ROOM` voxels and the fraction `ROOM_PART` of its extent; the
+#: box is made larger when the band comes within `GUARD` voxels of its edge.
+ROOM, ROOM_PART, GUARD = 10, 0.5, 3
+
+
+def roomy_box(low: NDArray[np.int64], high: NDArray[np.int64], reach: float, grid: Level) -> Box:
+    """Return the box for an object between two voxels: its energy sees there what it sees on the whole grid.
+
+    Parameters
+    ----------
+    low, high : ndarray (3,) of int
+        First voxel of the object, and the one after its last.
+    reach : float
+        How far beyond the object its energy sees the image, mm.
+    grid : Level
+    """
+    a, b, c = (slice(int(i), int(j)) for i, j in zip(low, high, strict=True))
+    needed = [max(ROOM, math.ceil(reach / h) + GUARD) for h in grid.spacing]
+    room = [max(m, math.ceil(ROOM_PART * (j - i))) for m, i, j in zip(needed, low, high, strict=True)]
+    return widened((a, b, c), grid.shape, (room[0], room[1], room[2]))
+
+
+def larger_box(low: NDArray[np.int64], high: NDArray[np.int64], box: Box, reach: float, grid: Level) -> Box | None:
+    """Return a larger box for an object between two voxels that come near the edge of its box; None where they do not.
+
+    Parameters
+    ----------
+    low, high, reach, grid
+        As for `roomy_box`.
+    box : tuple of slice
+        The box now.
+    """
+    first, end = np.array([s.start for s in box]), np.array([s.stop for s in box])
+    near = ((low - first < GUARD) & (first > 0)) | ((end - high < GUARD) & (end < np.array(grid.shape)))
+    if not near.any():
+        return None
+    return roomy_box(np.minimum(low, first + GUARD), np.maximum(high, end - GUARD), reach, grid)
+
+
+def psi_on_box(known: NDArray[np.float32], at: Corner, box: Box) -> NDArray[np.float32]:
+    """Return psi on a box, known from voxel ``at`` on; beyond the known values everything is outside."""
+    psi = np.full(tuple(s.stop - s.start for s in box), farthest(known), np.float32)
+    mine, theirs = shared(corner_of(box), psi.shape, at, known.shape)
+    psi[mine] = np.minimum(known[theirs], psi[mine])
+    return psi
+
+
+def constrained(energy: Energy, mask_distance: NDArray[np.float32] | None, bounds: ClickBounds | None) -> Energy:
+    """Return an energy within a mask and the bounds of clicks, where there are any."""
+    if mask_distance is not None:
+        energy = MaskConstraint(energy, mask_distance)
+    return energy if bounds is None else ClickConstraint(energy, bounds)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from accelsurf.energies.seeded.appearance import EVEN_REACH, MIN_EVEN_REACH, rad
 from accelsurf.energies.seeded.contest import WALKS_REACH
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, enclosing, slabs, whole_box, widened
-from accelsurf.grid.clicks import SIDES, Click
+from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import GUARD, Window
@@ -43,25 +44,29 @@ def first_box(config: RunConfig, geometry: Geometry) -> Box:
     UsageError
         When a start looks at values everywhere; InputError when one lies outside.
     """
-    clicked = [*config.inside, *config.outside]
-    texts = [*config.start, *(config.foreground or ()), *(config.background or ()), *clicked]
+    texts = [*config.start, *(config.foreground or ()), *(config.background or ())]
     boxes = [extent_of(text, geometry) for text in texts if text != starts.CLICKS]
+    clicks = []
+    for side in SIDES:
+        for text in getattr(config, side):
+            found = _clicks_of(text, side, geometry)
+            boxes += [click.box for click in found] or [extent_of(text, geometry)]
+            clicks += found
     if not boxes:
         raise UsageError("start: there is no click inside", "give --inside point:X,Y,Z, or another start")
     box = functools.reduce(enclosing, boxes)
     margin = [max(MIN_MARGIN, max(s.stop - s.start for s in box)) for _ in range(3)]
-    if clicked and uses_model(config):
-        margin = _model_margin(config, geometry, box)
+    if (config.inside or config.outside) and uses_model(config):
+        margin = _model_margin(config, geometry, clicks)
     return widened(box, geometry.shape, margin)
 
 
-def _model_margin(config: RunConfig, geometry: Geometry, box: Box) -> list[int]:
-    """How many voxels beyond the clicks their model looks at, as far as it is known before it is made."""
+def _model_margin(config: RunConfig, geometry: Geometry, clicks: Sequence[Click]) -> list[int]:
+    """Return the voxels beyond the clicks that their model looks at, as far as known before it is made."""
     spacing, smallest = geometry.spacing, min(geometry.steps)
-    clicks = clicks_of(config, geometry)
     flat = geometry.shape[0] == 1
     widest = max(
-        (radius_of(float(np.count_nonzero(one.mask)), spacing, flat) for one in clicks if one.side == "inside"),
+        (radius_of(float(np.count_nonzero(click.mask)), spacing, flat) for click in clicks if click.side == "inside"),
         default=smallest,
     )
     reach = max(EVEN_REACH * widest, MIN_EVEN_REACH * smallest, 2.0 * WALKS_REACH * widest)
@@ -71,15 +76,12 @@ def _model_margin(config: RunConfig, geometry: Geometry, box: Box) -> list[int]:
     return [math.ceil(reach / h) + 2 * GUARD for h in spacing]
 
 
-def clicks_of(config: RunConfig, geometry: Geometry) -> list[Click]:
-    """The clicks of a configuration that are points, strokes or balls, on the whole grid."""
+def _clicks_of(text: str, side: Side, geometry: Geometry) -> list[Click]:
+    """Read a click that is no start but a ball, on the whole grid; none of another start."""
+    if text.partition(":")[0] not in (*KINDS, "ball"):
+        return []
     grid = Volume(np.zeros((1, 1, 1), np.uint8), Geometry((1, 1, 1), (1.0, 1.0, 1.0)))
-    window = Window(geometry, whole_box(geometry.shape))
-    out: list[Click] = []
-    for side in SIDES:
-        texts = [text for text in getattr(config, side) if text.partition(":")[0] in ("point", "stroke", "ball")]
-        out += read_clicks(texts, side, grid, window=window)
-    return out
+    return read_clicks([text], side, grid, window=Window(geometry, whole_box(geometry.shape)))
 
 
 def extent_of(text: str, geometry: Geometry) -> Box:
@@ -101,13 +103,8 @@ def extent_of(text: str, geometry: Geometry) -> Box:
     >>> extent_of("ball:4,4,4,2", Geometry((20, 20, 9), (1.0, 1.0, 1.0)))
     (slice(3, 6, None), slice(3, 6, None), slice(3, 6, None))
     """
-    if text.partition(":")[0] in KINDS or text.startswith("ball:"):
-        grid = Volume(np.zeros((1, 1, 1), np.uint8), Geometry((1, 1, 1), (1.0, 1.0, 1.0)))
-        found = read_clicks([text], "inside", grid, window=Window(geometry, whole_box(geometry.shape)))
-        box = found[0].box
-        for click in found[1:]:
-            box = enclosing(box, click.box)
-        return _at_faces(box, text, geometry)
+    if found := _clicks_of(text, "inside", geometry):
+        return functools.reduce(enclosing, (click.box for click in found))
     start = starts.parse(text)
     if start.kind in starts.BY_VALUES:
         raise UsageError(
@@ -152,9 +149,13 @@ def _of_label(start: starts.Start, geometry: Geometry) -> Box:
     for planes in slabs(geometry.shape):
         slab: Box = (planes, slice(0, geometry.shape[1]), slice(0, geometry.shape[2]))
         labels = starts.label_box(start.file, Window(geometry, slab), f"start label:{start.file}")
-        own = bounding_box(start.mask_of(labels))
-        if own is not None:
-            here = slice(own[0].start + planes.start, own[0].stop + planes.start), own[1], own[2]
+        found_box = bounding_box(start.mask_of(labels))
+        if found_box is not None:
+            here = (
+                slice(found_box[0].start + planes.start, found_box[0].stop + planes.start),
+                found_box[1],
+                found_box[2],
+            )
             found = here if found is None else enclosing(found, here)
     if found is None:
         raise InputError(

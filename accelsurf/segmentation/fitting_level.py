@@ -1,4 +1,4 @@
-"""Which level of an image that is stored as a pyramid fits into the memory."""
+"""The finest level of an image stored as a pyramid that fits into the memory."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class FittingLevel:
 
     @property
     def text(self) -> str:
-        """What a person should know of it."""
+        """A line about the level for the user."""
         size = " x ".join(map(str, self.grid.size))
         place = f"level {self.level} of 0 to {self.levels - 1}"
         return f"{place} is read, the finest that fits into the memory: {size} voxels"

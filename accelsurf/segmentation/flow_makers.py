@@ -1,4 +1,4 @@
-"""How each flow is made of a configuration; `accelsurf.settings.flow_specs` names these functions."""
+"""Makers of each flow from a configuration; `accelsurf.settings.flow_specs` names these functions."""
 
 from __future__ import annotations
 

@@ -23,6 +23,9 @@ from accelsurf.initialization.clicks import (
 )
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.io import meshes
+from accelsurf.segmentation.run_setup import EnergyLike
+from accelsurf.settings.catalogue import default_of
+from accelsurf.settings.run_config import RunConfig
 
 #: Settings that may be given as arrays, volumes, meshes or lists of balls.
 GIVEN = ("start", "mask", "foreground", "background", "inside", "outside")
@@ -42,12 +45,12 @@ def _is_text(value: Any) -> bool:
 
 
 def given_arrays(objects: Any, arrays: Mapping[str, NDArray[np.float32]] | None) -> dict[str, NDArray[Any]]:
-    """What a run was given as arrays, by setting: psi, and the label map of several objects."""
+    """Return the arrays that a run was given, by setting: psi, and the label map of several objects."""
     given: dict[str, NDArray[Any]] = dict(arrays or {})
     if surfaces := surfaces_of(objects):
-        for one in surfaces:
-            given[f"object {one.id}"] = one.psi
-            given[f"corner of object {one.id}"] = np.array(one.corner)
+        for surface in surfaces:
+            given[f"object {surface.id}"] = surface.psi
+            given[f"corner of object {surface.id}"] = np.array(surface.corner)
     elif objects is not None and not isinstance(objects, str):
         given["objects"] = plain_array(objects.array if isinstance(objects, Volume) else objects, "objects")
     return given
@@ -55,9 +58,9 @@ def given_arrays(objects: Any, arrays: Mapping[str, NDArray[np.float32]] | None)
 
 def surfaces_of(objects: Any) -> list[ObjectStart]:
     """First surfaces of several objects where they were given as such, in order of their ids; else none."""
-    if not isinstance(objects, (tuple, list)) or not all(isinstance(one, ObjectStart) for one in objects):
+    if not isinstance(objects, (tuple, list)) or not all(isinstance(segmented, ObjectStart) for segmented in objects):
         return []
-    return sorted(objects, key=lambda one: one.id)
+    return sorted(objects, key=lambda start: start.id)
 
 
 def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
@@ -109,7 +112,7 @@ def _balls(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
     return starts.build(texts, Volume(np.zeros(geometry.shape, np.uint8), geometry))
 
 
-def clicks_of(side: Side, value: Any, volume: Volume) -> list[Click]:
+def given_clicks(side: Side, value: Any, volume: Volume) -> list[Click]:
     """Clicks from the value of ``inside`` or ``outside``: texts, masks, meshes, points (x, y, z), balls (x, y, z, r).
 
     Parameters
@@ -141,11 +144,11 @@ def clicks_of(side: Side, value: Any, volume: Volume) -> list[Click]:
             f"{side}: a {type(value).__name__} was given, expected a text, a mask, a mesh, a point (x, y, z), a ball "
             "(x, y, z, r), or a list of them", "see accelsurf.segment"
         )
-    return [click for one in value for click in clicks_of(side, one, volume)]
+    return [click for item in value for click in given_clicks(side, item, volume)]
 
 
 def _is_mask(value: Any, geometry: Geometry) -> bool:
-    """Whether an array is a mask, and no table of points or balls."""
+    """Return True if an array is a mask, and no table of points or balls."""
     if not isinstance(value, np.ndarray) or value.ndim < 2:
         return False
     return value.ndim != 2 or value.shape in (geometry.shape, geometry.shape[1:]) or value.shape[1] not in (3, 4)
@@ -153,6 +156,23 @@ def _is_mask(value: Any, geometry: Geometry) -> bool:
 
 def _numbers_of(value: Any) -> tuple[float, ...]:
     """The numbers of a point or a ball; none where the value is something else."""
-    if not isinstance(value, (Sequence, np.ndarray)) or not all(isinstance(one, (Real, np.number)) for one in value):
+    if not isinstance(value, (Sequence, np.ndarray)) or not all(isinstance(v, (Real, np.number)) for v in value):
         return ()
-    return tuple(float(one) for one in value)
+    return tuple(float(number) for number in value)
+
+
+def with_options(
+    config: RunConfig | None, energy: EnergyLike | None, options: dict[str, Any], clicked: bool = False
+) -> tuple[RunConfig, EnergyLike | None]:
+    """The configuration, and the energy if it is not given by name; ``clicked``: voxels inside are given as arrays."""
+    if isinstance(energy, str):
+        options, energy = {**options, "energy": energy}, None
+    config = config or RunConfig()
+    known = config.model_fields_set | options.keys()
+    if energy is not None and (clicked or "inside" in options):
+        # What clicks choose otherwise; the energy of one's own has no model of them.
+        options = {"energy": default_of("energy"), **options}
+    if clicked:
+        defaults = {"energy": "seeded", "start": ("clicks",)}
+        options = {**{key: value for key, value in defaults.items() if key not in known}, **options}
+    return config.replace(**options) if options else config, energy

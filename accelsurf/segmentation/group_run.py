@@ -1,4 +1,4 @@
-"""A run of some objects of an image that is read in parts, and how far each of them came."""
+"""A run of some objects of an image that is read in parts: groups that may meet, and how far each object came."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, enclosing, placed_at, widened
+from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, enclosing, meeting, placed_at, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import LeavesWindow, Window
 from accelsurf.initialization.object_starts import ObjectStart
@@ -39,7 +39,7 @@ _ALONE = "give --roi around them, or let the image be read into memory (more --m
 
 @dataclass(frozen=True, eq=False)
 class GroupResult:
-    """What a run of some objects leaves.
+    """The result of a run of some objects.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ def run_group(
     while True:
         refuse_too_large(window, starts, image)
         try:
-            return _in(window, image, whole, config, (starts, others))
+            return _in(window, image, whole, config, starts, others)
         except LeavesWindow as face:
             most = (image.max_bytes - _fixed_bytes(starts)) // _voxel_bytes(image)
             window = larger(window, face, most)
@@ -144,8 +144,8 @@ def run_group(
 
 def _first_box(starts: list[ObjectStart], geometry: Geometry, reach: float) -> Box:
     """The starts, and around them as much as the largest is wide, and as their energies see (``reach``, mm)."""
-    boxes = [box_at(one.corner, one.psi.shape) for one in starts]
-    widest = max(n for one in starts for n in one.psi.shape)
+    boxes = [box_at(start.corner, start.psi.shape) for start in starts]
+    widest = max(n for start in starts for n in start.psi.shape)
     margin = [max(MIN_MARGIN, widest, math.ceil(reach / h) + MIN_MARGIN // 2) for h in geometry.spacing]
     return widened(functools.reduce(enclosing, boxes), geometry.shape, margin)
 
@@ -170,14 +170,14 @@ def refuse_too_large(window: Window, starts: list[ObjectStart], image: LargeImag
 
 
 def _fixed_bytes(starts: list[ObjectStart]) -> int:
-    """What a run takes whatever its window."""
-    boxes = sum(math.prod(n + MIN_MARGIN for n in one.psi.shape) for one in starts)
+    """Return the memory of a run that does not depend on its window, bytes."""
+    boxes = sum(math.prod(n + MIN_MARGIN for n in start.psi.shape) for start in starts)
     return PROCESS_BYTES + BOX_BYTES * boxes
 
 
 def _voxel_bytes(image: LargeImage) -> int:
-    """What it takes for each voxel of its window."""
-    return sum(WINDOW_BYTES + one.dtype.itemsize for one in image.channels)
+    """Return the memory of a run for each voxel of its window, bytes."""
+    return sum(WINDOW_BYTES + channel.dtype.itemsize for channel in image.channels)
 
 
 def _in(
@@ -185,14 +185,14 @@ def _in(
     image: LargeImage,
     whole: tuple[WholeImage, ...],
     config: RunConfig,
-    objects: tuple[list[ObjectStart], Boxes],
+    starts: list[ObjectStart],
+    others: Boxes,
 ) -> GroupResult:
     """The run in a window, as far as it goes."""
-    starts, others = objects
-    own = tuple(
-        one._replace(corner=corner_of(window.local(box_at(one.corner, one.psi.shape)))) for one in starts
+    local = tuple(
+        start._replace(corner=corner_of(window.local(box_at(start.corner, start.psi.shape)))) for start in starts
     )
-    with run_in(window, whole, image, config, own) as run:
+    with run_in(window, whole, image, config, local) as run:
         visited = VisitedBoxes(run, window.corner)
         visited.refuse_near(others)
         while run.step():
@@ -201,12 +201,12 @@ def _in(
         visited.look_at_ends()
         visited.refuse_near(others)
         result = result_of(run)
-    found = tuple(_on_whole(one, window) for one in result.objects)
+    found = tuple(_on_whole(segmented, window) for segmented in result.objects)
     return GroupResult(found, *visited.boxes, window, result.energy, result.resolved_settings, result.warnings)
 
 
 class VisitedBoxes:
-    """Where each object of a run was at any time, as far as it matters to others.
+    """Boxes in which each object of a run was at any time, as far as it matters to others.
 
     The objects of a run look at each other only where their bands, made larger by `REACH`, overlap; at the end all that
     is not far outside of one counts for the others.
@@ -228,17 +228,17 @@ class VisitedBoxes:
 
     def look(self) -> None:
         """Add where the objects are now."""
-        for place, one in enumerate(self._run.objects):
-            if one.surface.size:
-                low, high = one.extent()
+        for place, evolving in enumerate(self._run.objects):
+            if evolving.surface.size:
+                low, high = evolving.extent()
                 self._add(place, low - REACH, high + REACH)
 
     def look_at_ends(self) -> None:
         """Add what is not far outside of the last surfaces."""
-        for place, one in enumerate(self._run.objects):
-            box = bounding_box(one.surface.psi < one.surface.gamma)
+        for place, evolving in enumerate(self._run.objects):
+            box = bounding_box(evolving.surface.psi < evolving.surface.gamma)
             if box is not None:
-                low = np.array([side.start for side in box], np.int64) + np.array(one.corner, np.int64)
+                low = np.array([side.start for side in box], np.int64) + np.array(evolving.corner, np.int64)
                 self._add(place, low, low + [side.stop - side.start for side in box])
 
     def _add(self, place: int, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
@@ -269,8 +269,64 @@ class VisitedBoxes:
         return Boxes(np.where(there, self._low, 0), np.where(there, self._high, 0))
 
 
-def _on_whole(one: SegmentedObject, window: Window) -> SegmentedObject:
+def _on_whole(segmented: SegmentedObject, window: Window) -> SegmentedObject:
     """An object of a run in a window, on the whole grid: its places are worked out there, to the last digit."""
-    box = placed_at(one.box, window.corner)
-    rests = tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in one.rests)
-    return replace(one, box=box, geometry=cropped(window.geometry, box), rests=rests)
+    box = placed_at(segmented.box, window.corner)
+    rests = tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in segmented.rests)
+    return replace(segmented, box=box, geometry=cropped(window.geometry, box), rests=rests)
+
+
+#: Positions of objects that are run at once, ascending.
+Group = tuple[int, ...]
+
+
+def united(
+    groups: Sequence[Group],
+    low: NDArray[np.integer],
+    high: NDArray[np.integer],
+    pairs: Sequence[tuple[int, int]] = (),
+) -> list[Group]:
+    """Return groups of which no two have objects whose boxes overlap; one that need not grow is as it was.
+
+    Parameters
+    ----------
+    groups : sequence of tuple of int
+        Disjoint.
+    low, high : ndarray (n, 3) of int
+        First voxel of the box of each object, and the one after its last. An empty box overlaps none.
+    pairs : sequence of (int, int), optional
+        Objects that belong to one group whatever their boxes are.
+
+    Returns
+    -------
+    list of tuple of int
+        In order of their first objects, whatever the order of ``groups``.
+
+    Examples
+    --------
+    >>> low = np.array([[0, 0, 0], [9, 0, 0], [2, 0, 0], [9, 9, 9]])
+    >>> united([(0,), (1,), (2,), (3,)], low, np.array([[3, 1, 1], [9, 0, 0], [4, 1, 1], [10, 10, 10]]))
+    [(0, 2), (1,), (3,)]
+    """
+    members = np.array(sorted(place for group in groups for place in group), np.int64)
+    group_of = {place: number for number, group in enumerate(groups) for place in group}
+    parent = list(range(len(groups)))
+
+    def root(number: int) -> int:
+        while parent[number] != number:
+            parent[number] = parent[parent[number]]
+            number = parent[number]
+        return number
+
+    there = members[(low[members] < high[members]).all(axis=1)]
+    near = meeting(low[there], high[there])
+    overlaps = [
+        (first_place, int(there[j])) for first_place, found in zip(there.tolist(), near, strict=True) for j in found
+    ]
+    for first_place, other in (*pairs, *overlaps):
+        first, second = sorted((root(group_of[first_place]), root(group_of[other])))
+        parent[second] = first
+    joined: dict[int, list[int]] = {}
+    for number, group in enumerate(groups):
+        joined.setdefault(root(number), []).extend(group)
+    return sorted(tuple(sorted(group)) for group in joined.values())

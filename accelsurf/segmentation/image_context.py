@@ -1,11 +1,11 @@
-"""What the energies of a run need to know of its image: channels, scales, what is learned from which voxels."""
+"""Knowledge of an image that the energies of a run share: channels, scales, training voxels, clicks."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,8 @@ from accelsurf.energies.region_sums import Elsewhere, RegionMoments, Summing, mo
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import Box, box_at
 from accelsurf.grid.clicks import Clicks
-from accelsurf.grid.geometry import axis_steps
-from accelsurf.grid.pyramid import levels
+from accelsurf.grid.geometry import Geometry, axis_steps
+from accelsurf.grid.pyramid import Level, levels
 from accelsurf.grid.window import Window
 from accelsurf.initialization.region_growing import otsu_level
 from accelsurf.segmentation.region_totals import RegionTotals
@@ -27,7 +27,6 @@ from accelsurf.settings.run_config import RunConfig
 if TYPE_CHECKING:
     from accelsurf.energies.seeded.model import SeededModel
     from accelsurf.energies.seeded.partition import BasinsOnce
-    from accelsurf.segmentation.whole_image import WholeImage
 
 #: A learned bound lies so many standard deviations from the mean of the start's values: 98.8 % of a Gaussian lie
 #: between two of them, and ConfidenceConnected of ITK takes as many.
@@ -51,8 +50,27 @@ class Scale(NamedTuple):
     width: float = 1.0
 
 
+class WholeChannel(Protocol):
+    """Numbers of a whole channel of which only a window is in memory."""
+
+    geometry: Geometry
+
+    @property
+    def scale(self) -> Scale:
+        """Scale by the percentiles of the whole channel."""
+        ...
+
+    def found(self, make: Callable[..., Any], *args: Any) -> Any:
+        """Return ``make(image, *args)`` of the scaled channel."""
+        ...
+
+    def sums(self, grids: Sequence[Level], level: int, kind: str, summing: Summing) -> NDArray[np.float64]:
+        """Return sums over the scaled channel on a level, of which ``kind`` is the name."""
+        ...
+
+
 class TrainingVoxels(NamedTuple):
-    """Where models learn what the object is like.
+    """Voxels from which models learn the object.
 
     Attributes
     ----------
@@ -73,7 +91,7 @@ class TrainingVoxels(NamedTuple):
 
 
 class ModelInputs(NamedTuple):
-    """What the model of clicks needs besides images and clicks.
+    """Inputs of the model of clicks besides images and clicks.
 
     Attributes
     ----------
@@ -99,7 +117,7 @@ class ModelInputs(NamedTuple):
 
 
 class ImageContext:
-    """What energies need of an image besides the image on the grid at hand; it is not changed once it is made.
+    """Inputs of energies besides the image on the grid at hand; not changed once it is made.
 
     Parameters
     ----------
@@ -115,7 +133,7 @@ class ImageContext:
         The other channels, after the first, on the grid at hand; by default that of ``images``.
     is_start : bool, optional
         Whether the foreground is the start and nothing else: of several objects, each then learns from its own.
-    whole : sequence of WholeImage, optional
+    whole : sequence of WholeChannel, optional
         Of each channel, where ``images`` are a window of larger ones: what is said of whole channels is then of these.
 
     Notes
@@ -132,7 +150,7 @@ class ImageContext:
         background: Mask | None = None,
         others: Sequence[Image] | None = None,
         is_start: bool = False,
-        whole: Sequence[WholeImage] = (),
+        whole: Sequence[WholeChannel] = (),
     ) -> None:
         self.images, self.scales, self.spacing = list(images), list(scales), spacing
         self.foreground, self.background = foreground, background
@@ -158,10 +176,15 @@ class ImageContext:
         Where models learn from the start, each object learns from its own. Quantities of whole images are shared; sums
         over regions are of the object's box.
         """
+        training = self._training
+        if self._is_start and training is not None:
+            training = training._replace(box=box_at(corner, start.shape), inside=start)
+        return self._with(_has_box=True, _training=training)
+
+    def _with(self, **changed: Any) -> ImageContext:
+        """Return a copy in which some attributes are others."""
         part = copy.copy(self)
-        part._has_box = True
-        if self._is_start and self._training is not None:
-            part._training = self._training._replace(box=box_at(corner, start.shape), inside=start)
+        vars(part).update(changed)
         return part
 
     def with_channels(
@@ -174,15 +197,11 @@ class ImageContext:
 
         ``field`` returns that of the clicks' model there, ``curvature`` the mean curvature of its object, 1/mm.
         """
-        part = copy.copy(self)
-        part.others, part._field, part._model_curvature = tuple(images), field, curvature
-        return part
+        return self._with(others=tuple(images), _field=field, _model_curvature=curvature)
 
     def seeing_elsewhere(self, totals: RegionTotals, box: Box) -> ImageContext:
         """The same context for energies on a box of the image's grid that count the object beyond it too."""
-        part = copy.copy(self)
-        part._totals, part._box = totals, box
-        return part
+        return self._with(_totals=totals, _box=box)
 
     def moments_elsewhere(self, channel: int) -> Elsewhere | None:
         """Sums of a channel over what is not on the grid at hand; None where that is the whole image's."""
@@ -201,13 +220,11 @@ class ImageContext:
 
     def with_model_inputs(self, inputs: ModelInputs) -> ImageContext:
         """The same context with what the model of clicks needs."""
-        part = copy.copy(self)
-        part._model_inputs = inputs
-        return part
+        return self._with(_model_inputs=inputs)
 
     @property
     def model_inputs(self) -> ModelInputs:
-        """What the model of clicks needs."""
+        """Inputs of the model of clicks."""
         return self._model_inputs
 
     def with_clicks(self, clicks: Clicks, before: ImageContext | None = None) -> ImageContext:
@@ -215,9 +232,7 @@ class ImageContext:
 
         ``before`` is its context before the last clicks: the model then changes where these ask for it.
         """
-        part = copy.copy(self)
-        part.clicks, part._before, part._model = clicks, before, []
-        return part
+        return self._with(clicks=clicks, _before=before, _model=[])
 
     def seeded_model(self) -> SeededModel:
         """The model of the clicks on the object, computed once.

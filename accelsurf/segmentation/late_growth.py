@@ -1,4 +1,4 @@
-"""Where surfaces grew in the last part of a run's growth: the first place to look at for a leak.
+"""Growth of surfaces in the last part of a run: the first place to look at for a leak.
 
 An observer of the run: it reads the speeds of each step, and changes nothing.
 """
@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,6 @@ from accelsurf.grid.boxes import Corner, widened
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
 from accelsurf.kernels.statistics import sums_by_cube
-
-if TYPE_CHECKING:
-    from accelsurf.segmentation.result import SegmentedObject
 
 #: A place (z, y, x), in voxels.
 Place = tuple[float, float, float]
@@ -108,15 +105,15 @@ class LateGrowth:
         self._growth[step.object_id].append(grown)
 
     def state(self) -> GrowthState:
-        """What was read so far."""
-        rows = [(id, one) for id, growth in self._growth.items() for one in growth]
-        cubes = [one.cubes for _, one in rows]
+        """Return all growth so far."""
+        rows = [(id, grown) for id, growth in self._growth.items() for grown in growth]
+        cubes = [grown.cubes for _, grown in rows]
         return GrowthState(
             np.array([id for id, _ in rows], np.int64),
-            np.array([one.volume for _, one in rows], np.float64),
-            np.array([one.size for one in cubes], np.int64),
+            np.array([grown.volume for _, grown in rows], np.float64),
+            np.array([grown.size for grown in cubes], np.int64),
             np.concatenate([np.zeros(0, np.int64), *cubes]),
-            np.concatenate([np.zeros(0, np.float32), *(one.sums for _, one in rows)]),
+            np.concatenate([np.zeros(0, np.float32), *(grown.sums for _, grown in rows)]),
         )
 
     def restore(self, state: GrowthState) -> None:
@@ -135,15 +132,15 @@ class LateGrowth:
         """
         late = []
         for growth in self._growth.values():
-            volumes = np.array([one.volume for one in growth])
+            volumes = np.array([growth_step.volume for growth_step in growth])
             gained = float(volumes[-1] - volumes[0])
             if gained > 0:
                 below = np.flatnonzero(volumes <= volumes[-1] - LAST_SHARE * gained)
                 late += growth[int(below[-1]) :]
         if not late:
             return None
-        cubes, which = np.unique(np.concatenate([one.cubes for one in late]), return_inverse=True)
-        totals = np.bincount(which, np.concatenate([one.sums for one in late]))
+        cubes, which = np.unique(np.concatenate([growth_step.cubes for growth_step in late]), return_inverse=True)
+        totals = np.bincount(which, np.concatenate([growth_step.sums for growth_step in late]))
         if totals.max() <= 0.0:
             return None
         largest = cubes[int(np.argmax(totals))]
@@ -185,15 +182,3 @@ def nearest_inside(place: Place | None, inside: NDArray[np.bool_], spacing: Sequ
         if away.size and (away.min() <= (reach - max(spacing)) ** 2 or box == widened(at, inside.shape, inside.shape)):
             z, y, x = (float(i) for i in found[int(np.argmin(away))])
             return z, y, x
-
-
-def still_inside(place: Place | None, objects: Iterable[SegmentedObject]) -> Place | None:
-    """Return a place where an object is there, after corrections; else None."""
-    if place is None:
-        return None
-    voxel = [round(at) for at in place]
-    for one in objects:
-        own = tuple(at - part.start for at, part in zip(voxel, one.box, strict=True))
-        if all(0 <= at < n for at, n in zip(own, one.psi.shape, strict=True)) and one.psi[own] < 0:
-            return place
-    return None

@@ -22,6 +22,7 @@ from accelsurf.grid.geometry import axis_steps
 from accelsurf.kernels.distance import distances_within
 from accelsurf.kernels.grid import Band
 from accelsurf.levelset import LevelSet, Workers
+from accelsurf.segmentation.evolving_object import leaked_stop
 from accelsurf.segmentation.near_region import NearRegion, near_bounds, signed_distance, united
 
 Spacing = tuple[float, float, float]
@@ -32,7 +33,7 @@ WIN_REACH = 6.0
 
 
 class LocalProblem(NamedTuple):
-    """What moves, and what holds it; arrays on the box of the region.
+    """The moving part of a surface, and the bounds that hold the rest; arrays on the box of the region.
 
     ``psi`` (nz, ny, nx) of the surface before, mm; ``spacing``; ``region`` in which it may move; ``clicks``, the bounds
     of all clicks there; ``won``, voxels (nz, ny, nx) that new clicks win, each with its side; ``sides`` of the new
@@ -87,27 +88,33 @@ def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None 
     bounds.apply(dense)
     surface.reinitialize(setup.half_width)
     past = problem.history
-    offsets = (past[-1].volume_mm3 - volume, past[-1].area_mm2 - area)
+    volume_offset, area_offset = past[-1].volume_mm3 - volume, past[-1].area_mm2 - area
     # The last record of the run before has the final state, which is not final any more.
-    state = LoopState(past[:-1], past[-1].t, edits=1)
-    state.first = state.judged_at = state.returned_at = len(past) - 1
-    evolution = Evolution(
-        surface, ClickConstraint(problem.energy, bounds), setup.flow, setup.limits,
-        len(past) - 1 + problem.max_steps, setup.restart, setup.rule, 0, state,
-    )
+    now = len(past) - 1
+    state = LoopState(past[:-1], past[-1].t, edits=1, first=now, judged_at=now, returned_at=now)
+    setup = setup._replace(stop_at_rest=False, end="lowest")
+    energy = ClickConstraint(problem.energy, bounds)
+    evolution = Evolution.of(surface, energy, setup, now + problem.max_steps, 0, state)
+    stop = to_rest(evolution, setup, on_step, volume_offset, area_offset)
+    psi_after = np.where(problem.region.mask, surface.psi, psi)
+    return LocalOutcome(psi_after, list(evolution.history), stop)
+
+
+def to_rest(
+    evolution: Evolution, setup: SolverSetup, on_step: OnStep | None, volume: float = 0.0, area: float = 0.0
+) -> Stop:
+    """Run an evolution to its end; ``volume`` and ``area``, mm3 and mm2, of the object beyond its box are added."""
+    leaked = False
     for step in evolution:
-        record = _of_whole(step.record, offsets)
-        evolution.history[-1] = record
+        record = step.record
+        if volume or area:
+            record = record._replace(volume_mm3=record.volume_mm3 + volume, area_mm2=record.area_mm2 + area)
+            evolution.history[-1] = record
         leaked = setup.max_volume is not None and record.volume_mm3 > setup.max_volume
         if leaked or (on_step is not None and on_step(record)):
             evolution.request_stop()
     assert evolution.stop is not None
-    stop = evolution.stop
-    if setup.max_volume is not None and evolution.history[-1].volume_mm3 > setup.max_volume:
-        message = f"the object grew beyond {setup.max_volume:g} mm3, its largest allowed volume"
-        stop = stop._replace(reason="leaked", message=message)
-    psi_after = np.where(problem.region.mask, surface.psi, psi)
-    return LocalOutcome(psi_after, list(evolution.history), stop)
+    return leaked_stop(evolution.stop, setup) if leaked else evolution.stop
 
 
 def _restore(surface: LevelSet, psi: NDArray[np.float32]) -> None:
@@ -155,9 +162,3 @@ def measures_of(
 ) -> tuple[float, float]:
     """Volume and area of a surface on a box, mm3 and mm2."""
     return _measures(LevelSet(psi, spacing, half_width, workers))
-
-
-def _of_whole(record: StepRecord, offsets: tuple[float, float]) -> StepRecord:
-    """The record with the volume and area of the whole object."""
-    volume, area = offsets
-    return record._replace(volume_mm3=record.volume_mm3 + volume, area_mm2=record.area_mm2 + area)

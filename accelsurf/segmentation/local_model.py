@@ -23,7 +23,6 @@ from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
 from accelsurf.energies.seeded.model import later_times
 from accelsurf.energies.seeded.others import going_on
 from accelsurf.energies.seeded.stages import Stage, first_and_last, in_order, mostly_left
-from accelsurf.energies.seeded.sureness import Sureness, sureness_of
 from accelsurf.grid.boxes import (
     Box,
     bounding_box,
@@ -76,7 +75,7 @@ class LocalState(NamedTuple):
 
     @classmethod
     def of(cls, model: SeededModel) -> LocalState:
-        """That of a whole model."""
+        """Return the state of a whole model."""
         if not model.stages:
             return cls(model.clicks, model.images, whole_box(model.field.shape), model.field, model.start)
         box = bounding_box((model.field != 1.0) | model.start, 0) or whole_box(model.field.shape)
@@ -84,15 +83,8 @@ class LocalState(NamedTuple):
         return cls(model.clicks, model.images, box, field, start, model.sized, model.proposal, model.stages)
 
 
-def sureness_from(model: SeededModel | LocalState) -> Sureness | None:
-    """How sure a model is of its object; None of a partition."""
-    if not model.stages or model.proposal is None:
-        return None
-    return sureness_of(model.stages[-1].shown, model.clicks, model.proposal, model.stages[-1].corrections)
-
-
 class ModelChange(NamedTuple):
-    """What a click changed: the ``mask`` on a ``box`` of the grid where the model's object has changed; and before."""
+    """The change by a click: the ``mask`` on a ``box`` of the grid where the object has changed; and before."""
 
     box: Box
     mask: Mask
@@ -173,14 +165,14 @@ class LocalModel:
             box, field, start = at_edges(stages[-1].shown, *seen, pool, stated_mm3=stated)
         return self.state._replace(clicks=clicks, box=box, field=field, start=start, stages=stages)
 
-    def _stages_after(self, one: Stage, left: Sequence[Click], pool: ThreadPoolExecutor) -> Iterator[Stage]:
+    def _stages_after(self, stage: Stage, left: Sequence[Click], pool: ThreadPoolExecutor) -> Iterator[Stage]:
         """The stages after some more clicks: contests ask for no answers, which are made beside them."""
-        answering = pool.submit(lambda: list(self._answers(one.answer, left)))
-        known = [one.clicks.with_more(left[: i + 1]) for i in range(len(left))]
-        fought = [contest(self._images, self.spacing, it, self._passes, one.answer.count, pool) for it in known]
+        answering = pool.submit(lambda: list(self._answers(stage.answer, left)))
+        known = [stage.clicks.with_more(left[: i + 1]) for i in range(len(left))]
+        fought = [contest(self._images, self.spacing, it, self._passes, stage.answer.count, pool) for it in known]
         for clicks, answer, parts in zip(known, answering.result(), fought, strict=True):
-            one = self._stage_of(one, clicks, answer, parts)
-            yield one
+            stage = self._stage_of(stage, clicks, answer, parts)
+            yield stage
 
     def _stage_beside(
         self, known: Clicks, answer: Answer, left: Sequence[Click], pool: ThreadPoolExecutor
@@ -208,8 +200,8 @@ class LocalModel:
 
     def _answered(self, answer: Answer, click: Click) -> Answer:
         """The answer to one more click, computed on a box that its march does not come near the border of."""
-        blocks, own = answer.blocks, answer.blocks.click(click, answer.clicks)
-        if own is None:
+        blocks, block_click = answer.blocks, answer.blocks.click(click, answer.clicks)
+        if block_click is None:
             return answer
         tissue = learn(self.state.images, self.spacing, click)
         count = FARTHER * BEYOND * blocks.count(answer.count)
@@ -218,8 +210,8 @@ class LocalModel:
         mean = math.prod(blocks.spacing) ** (1.0 / 3.0)
         margin = [math.ceil(reach * mean / h) + CLEAR for h in blocks.spacing]
         while True:
-            box = enclosing(widened(own.box, blocks.shape, margin), answer.box)
-            found = _answer_on_box(answer, own, tissue, box)
+            box = enclosing(widened(block_click.box, blocks.shape, margin), answer.box)
+            found = _answer_on_box(answer, block_click, tissue, box)
             if found is not None:
                 return found
             margin = [2 * m for m in margin]
@@ -229,8 +221,8 @@ class LocalModel:
         self.state = change.before
 
 
-def basin_of(click: Click, change: ModelChange, model: LocalModel, one: CorrectedSurface) -> Click:
-    """What a click wins, as a click: its voxels, and those that the model gives to its side and the surface does not.
+def basin_of(click: Click, change: ModelChange, model: LocalModel, surface: CorrectedSurface) -> Click:
+    """Return the basin of a click, as a click: its voxels, and those that the model relabels to its side.
 
     Of those, what the model has given because of the click: also what an outside click cuts off, whose field is as it
     was, but which is connected to no inside click any more. Far from the click only pieces thicker than a voxel: any
@@ -245,19 +237,24 @@ def basin_of(click: Click, change: ModelChange, model: LocalModel, one: Correcte
         That it made.
     model : LocalModel
         After the click.
-    one : CorrectedSurface
+    surface : CorrectedSurface
     """
     spacing = model.spacing
-    near = automatic_near(one.psi, [click._replace(box=counted_from(click.box, one.corner))], spacing)
+    near = automatic_near(surface.psi, [click._replace(box=counted_from(click.box, surface.corner))], spacing)
     around = around_clicks([click], near, 0.0, model.state.clicks.shape, spacing, 0.0)
     box = enclosing(around.box, change.box)
-    own = on_box(model.state.start, model.state.box, box, False) == (click.side == "inside")
-    changed, near_it = own & on_box(change.mask, change.box, box, False), on_box(around.mask, around.box, box, False)
+    on_side = on_box(model.state.start, model.state.box, box, False) == (click.side == "inside")
+    changed, near_it = (
+        on_side & on_box(change.mask, change.box, box, False),
+        on_box(around.mask, around.box, box, False),
+    )
     changed = connected_to(changed, changed & (near_it | _thicker_than_a_voxel(changed, spacing)))
-    own &= near_it
-    own &= (on_box(one.psi, box_at(one.corner, one.psi.shape), box, 1.0) < 0) != (click.side == "inside")
+    on_side &= near_it
+    on_side &= (on_box(surface.psi, box_at(surface.corner, surface.psi.shape), box, 1.0) < 0) != (
+        click.side == "inside"
+    )
     clicked = click.mask_on(box)
-    return click._replace(box=box, mask=changed | connected_to(own | clicked, clicked))
+    return click._replace(box=box, mask=changed | connected_to(on_side | clicked, clicked))
 
 
 def _thicker_than_a_voxel(mask: Mask, spacing: Spacing) -> Mask:
@@ -294,13 +291,13 @@ def _answer_on_box(answer: Answer, click: Click, tissue: Tissue, box: Box) -> An
     images = [np.ascontiguousarray(image[box]) for image in blocks.images]
     passes = None if blocks.passes is None else blocks.passes[box]
     field, corner = field_of(images, blocks.spacing, passes), corner_of(box)
-    clicks = tuple(_click_counted_from(one, corner) for one in answer.clicks)
+    clicks = tuple(_click_counted_from(earlier, corner) for earlier in answer.clicks)
     here = dataclasses.replace(answer, box=counted_from(answer.box, corner), clicks=clicks)
-    own = _click_counted_from(click, corner)
-    times = later_times(field, tissue, own, here)
+    here_click = _click_counted_from(click, corner)
+    times = later_times(field, tissue, here_click, here)
     if _is_near_border(times.reshape(field.shape), box, blocks.shape):
         return None
-    after = with_click(here, field, own, times)
+    after = with_click(here, field, here_click, times)
     return dataclasses.replace(after, box=placed_at(after.box, corner), clicks=(*answer.clicks, click))
 
 
@@ -309,7 +306,7 @@ def _click_counted_from(click: Click, corner: tuple[int, int, int]) -> Click:
 
 
 def _is_near_border(times: Image, box: Box, shape: Sequence[int]) -> bool:
-    """Whether times on a box are known near a border of the box that is none of the grid's."""
+    """Return True if times on a box are known near a border of the box that is none of the grid's."""
     for axis, (side, n) in enumerate(zip(box, shape, strict=True)):
         ends = (slice(None),) * axis
         if side.start > 0 and np.isfinite(times[(*ends, slice(None, CLEAR))]).any():

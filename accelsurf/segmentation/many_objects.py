@@ -20,9 +20,8 @@ from accelsurf.initialization import large_object_starts
 from accelsurf.initialization.large_object_starts import LabelMap, ManyStarts
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.segmentation.energy_assembly import make_term
-from accelsurf.segmentation.group_run import Boxes, GroupResult, MeetsOthers, check_settings, run_group
+from accelsurf.segmentation.group_run import Boxes, Group, GroupResult, MeetsOthers, check_settings, run_group, united
 from accelsurf.segmentation.image_context import ImageContext, TermInputs
-from accelsurf.segmentation.object_groups import Group, united
 from accelsurf.segmentation.result import SegmentedObject
 from accelsurf.segmentation.run_start import AROUND
 from accelsurf.segmentation.whole_image import Numbers, WholeImage
@@ -39,7 +38,7 @@ FAR = 8
 
 
 class ObjectOutcome(NamedTuple):
-    """What became of an object: an ``object``, or a ``failure`` that says why there is none."""
+    """The outcome of an object: an ``object``, or a ``failure`` that says why there is none."""
 
     id: int
     object: SegmentedObject | None
@@ -96,7 +95,7 @@ class Groups:
         return [int(place) for place in places]
 
     def starts_of(self, places: Sequence[int]) -> Boxes:
-        """Where some objects begin."""
+        """Return the boxes of the starts of some objects."""
         return Boxes(self._starts.low[list(places)], self._starts.high[list(places)])
 
     def put(self, group: Group, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
@@ -129,9 +128,9 @@ class Groups:
         """
         if self.waiting:
             raise ValueError(f"{len(self.waiting)} groups have not ended")
-        pairs = [(one, other) for one, other in self._pairs if not self._failed[other]]
+        pairs = [(place, other) for place, other in self._pairs if not self._failed[other]]
         # One that came near nothing but objects which have failed since is run again without them.
-        again = {one for one, _ in self._pairs}
+        again = {place for place, _ in self._pairs}
         before, after = set(self._ended), united(self._ended, self._low, self._high, pairs)
         self.waiting = [group for group in after if group not in before or group[0] in again]
         self._ended = [group for group in after if group not in set(self.waiting)]
@@ -217,14 +216,14 @@ def numbers_needed(whole: Sequence[WholeImage], config: RunConfig) -> tuple[Numb
     inside[tuple(slice(0, max(n // 2, 1)) for n in shape)] = True
     images = [pattern] * len(whole)
     context = ImageContext(
-        images, [one.scale for one in whole], whole[0].geometry.spacing, inside, is_start=True, whole=whole
+        images, [channel.scale for channel in whole], whole[0].geometry.spacing, inside, is_start=True, whole=whole
     )
     context = context.of_object((0, 0, 0), inside)
     for term in energy_expression.parse(config.energy):
         inputs = TermInputs(term.settings, config, pattern, whole[0].geometry.spacing, context)
         with suppress(UsageError):  # bounds that fit the objects need not fit the pattern
             make_term(term, inputs, images)
-    return tuple(one.numbers for one in whole)
+    return tuple(channel.numbers for channel in whole)
 
 
 def many_starts(objects: str | LazyVolume | ManyStarts, image: LargeImage) -> ManyStarts:
@@ -249,4 +248,4 @@ def _outcomes(found: Iterable[tuple[Group, GroupResult | str]], starts: ManyStar
         if isinstance(result, str):
             yield from (ObjectOutcome(int(starts.ids[place]), None, result) for place in group)
         else:
-            yield from (ObjectOutcome(one.id, one) for one in result.objects)
+            yield from (ObjectOutcome(segmented.id, segmented) for segmented in result.objects)

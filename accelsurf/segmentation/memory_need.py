@@ -1,4 +1,4 @@
-"""How much memory a run takes, by the number of its voxels, and what is said where it is too much."""
+"""Memory that a run takes, by the number of its voxels, and the message where it is too much."""
 
 from __future__ import annotations
 

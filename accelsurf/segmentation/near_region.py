@@ -1,4 +1,4 @@
-"""Where a correction may move the surface: near the new clicks, and less and less towards the rim.
+"""The region in which a correction may move the surface: near the new clicks, less and less towards the rim.
 
 Beyond the region nothing changes. Within the rim, of width L, the surface may leave its old place by
 b(d) = L/4 u^2/(1 - u^2), u = d/L, at the depth d in the region: it leaves it at a tangent, so that there is no crease,
@@ -41,7 +41,7 @@ Spacing = tuple[float, float, float]
 
 
 class NearRegion(NamedTuple):
-    """Where the surface may move: ``mask`` on a ``box`` of the grid, with more voxels around it; ``rim`` in mm."""
+    """The region of motion: ``mask`` on a ``box`` of the grid, with more voxels around it; ``rim`` in mm."""
 
     box: Box
     mask: NDArray[np.bool_]
@@ -92,7 +92,7 @@ def _voxels(clicks: Sequence[Click], box: Box) -> NDArray[np.bool_]:
 
 
 def automatic_near(psi: NDArray[np.float32], clicks: Iterable[Click], spacing: Spacing) -> float:
-    """How far from the clicks a correction goes, mm, without the rim: a click lies in the middle of what is wrong.
+    """Return the reach of a correction from its clicks, mm, without the rim: each lies amid what is wrong.
 
     Parameters
     ----------

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -43,24 +44,23 @@ from accelsurf.segmentation.corrected_surface import (
     part_of_image,
     stop_of_whole,
 )
-from accelsurf.segmentation.local_evolution import LocalOutcome, OnStep, measures_of
+from accelsurf.segmentation.local_evolution import LocalOutcome, OnStep, measures_of, to_rest
 from accelsurf.segmentation.near_region import NearRegion
 from accelsurf.segmentation.object_models import check_id, point_click
 from accelsurf.segmentation.refined_objects import RefinedObjects
 from accelsurf.segmentation.region_of_interest import closed_on, cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
-from accelsurf.segmentation.run_setup import setup_of
+from accelsurf.segmentation.run_setup import half_width, setup_of
 from accelsurf.segmentation.run_start import AROUND
 from accelsurf.segmentation.run_state import BoxMask
-from accelsurf.segmentation.solver_setup import half_width
-from accelsurf.settings.refinements import MAX_ID, Refinement
+from accelsurf.settings.edits import MAX_ID, Correction
 
 #: Voxels of the largest spacing between what the model says of a new object and the border of its box.
 MARGIN = 8.0
 
 
 def begin_object(
-    objects: RefinedObjects, number: int, refinement: Refinement, new: Sequence[Click], base: Result,
+    objects: RefinedObjects, number: int, refinement: Correction, new: Sequence[Click], base: Result,
     workers: Workers, max_steps: int, on_step: OnStep | None,
 ) -> tuple[CorrectedSurface, Box, int]:
     """Begin an object beside the others, and let it come to rest.
@@ -70,7 +70,7 @@ def begin_object(
     objects : RefinedObjects
     number : int
         Of the correction.
-    refinement : Refinement
+    refinement : Correction
         With ``new``: an object that has this id begins anew.
     new : sequence of Click
         Its clicks, on the grid of the region of interest.
@@ -90,31 +90,31 @@ def begin_object(
     InputError
         When nothing of it is left beside the others.
     """
-    own = refinement.new
-    assert own is not None
-    if own in objects.ids:
-        objects.models.remove(own)
-        objects.replace([one for one in objects.surfaces if one.id != own], {})
+    id = refinement.new
+    assert id is not None
+    if id in objects.ids:
+        objects.models.remove(id)
+        objects.replace([here for here in objects.surfaces if here.id != id], {})
     objects.models.add(new)
     takes = frozenset(objects.holders(new))
     objects.models.begin_object(number, refinement, taken_voxels(objects, takes))
-    start, box, energy, terms = _start(objects, own, new, takes)
-    settings = objects.models.settings_of(own)
-    settings = settings.replace(seed=None if base.config.seed is None else base.config.seed + own)
+    start, box, energy, terms = _start(objects, id, new, takes)
+    settings = objects.models.settings_of(id)
+    settings = settings.replace(seed=None if base.config.seed is None else base.config.seed + id)
     setup = setup_of(settings, 0, 1, objects.prepared.geometry)
-    outcome = _to_rest(start, objects.spacing, energy, (setup, max_steps), workers, on_step)
+    outcome = _to_rest(start, objects.spacing, energy, setup, max_steps, workers, on_step)
     region = NearRegion(box, np.ones(outcome.psi.shape, np.bool_), 0.0)
     for other in sorted(takes):
         objects.take_from(other, region, outcome.psi, workers)
-    surface = _surface(own, corner_of(box), outcome, objects)
-    learned = objects.prepared.learned_by(objects.models.contexts[own])
-    known = {own: _known(surface, objects, base, terms, learned)}
+    surface = _surface(id, corner_of(box), outcome, objects)
+    learned = objects.prepared.learned_by(objects.models.contexts[id])
+    known = {id: replace(_known(surface, objects, base), terms=terms, learned=learned)}
     objects.replace([*objects.surfaces, surface], known)
     return surface, box, surface.inside
 
 
 def _start(
-    objects: RefinedObjects, own: int, new: Sequence[Click], takes: frozenset[int]
+    objects: RefinedObjects, id: int, new: Sequence[Click], takes: frozenset[int]
 ) -> tuple[NDArray[np.float32], Box, ClickConstraint, list[dict[str, Any]]]:
     """First psi of a new object, the box that it is on, its energy there, and the terms of that.
 
@@ -124,59 +124,48 @@ def _start(
         When nothing of it is left beside the others.
     """
     models, spacing = objects.models, objects.spacing
-    model = models.model(own)
+    model = models.model(id)
     assert model is not None
     margin = [math.ceil(MARGIN * max(spacing) / h) for h in spacing]
     box = widened(enclosing(model.state.box, box_around(new)), objects.shape, margin)
-    psi = np.array(models.contexts[own].model_start()[box])
-    bounds = click_bounds(models.clicks.of(own).on_box(box), Level(0, (1, 1, 1), psi.shape, spacing))
-    made = models.energy_on(own, box, models.contexts[own], objects.images)
-    energy, distance = made.energy, objects.bounding(own, box, takes)
+    psi = np.array(models.contexts[id].model_start()[box])
+    bounds = click_bounds(models.clicks.of(id).on_box(box), Level(0, (1, 1, 1), psi.shape, spacing))
+    made = models.energy_on(id, box, models.contexts[id], objects.images)
+    energy, distance = made.energy, objects.bounding(id, box, takes)
     if distance is not None:
         energy, psi = MaskConstraint(energy, distance), np.maximum(psi, distance)
     bounds.apply(psi)
     if not (psi < 0).any():
-        raise InputError(f"refine: nothing of object {own} is beside the others", "click where no object is")
+        raise InputError(f"refine: nothing of object {id} is beside the others", "click where no object is")
     return psi, box, ClickConstraint(energy, bounds), made.terms
 
 
 def taken_voxels(objects: RefinedObjects, takes: frozenset[int]) -> BoxMask | None:
     """Voxels of the objects that a new one takes nothing from."""
     boxes, taken = [], None
-    others = [one for place, one in enumerate(objects.surfaces) if place not in takes]
-    for one in others:
-        inside = bounding_box(one.psi < 0)
+    others = [surface for place, surface in enumerate(objects.surfaces) if place not in takes]
+    for other in others:
+        inside = bounding_box(other.psi < 0)
         if inside is not None:
-            boxes.append(placed_at(inside, one.corner))
+            boxes.append(placed_at(inside, other.corner))
     for box in boxes:
         taken = box if taken is None else enclosing(taken, box)
     if taken is None:
         return None
     mask = np.zeros([s.stop - s.start for s in taken], np.bool_)
-    for one in others:
-        mask |= on_box(one.psi < 0, box_at(one.corner, one.psi.shape), taken, False)
+    for other in others:
+        mask |= on_box(other.psi < 0, box_at(other.corner, other.psi.shape), taken, False)
     return BoxMask(taken, mask)
 
 
 def _to_rest(
     psi: NDArray[np.float32], spacing: tuple[float, float, float], energy: ClickConstraint,
-    control: tuple[SolverSetup, int], workers: Workers, on_step: OnStep | None,
+    setup: SolverSetup, max_steps: int, workers: Workers, on_step: OnStep | None,
 ) -> LocalOutcome:
-    """Evolve a first surface on its box; ``control`` is the solver's and how many steps there may be."""
-    setup, max_steps = control
+    """Evolve a first surface on its box."""
     surface = LevelSet(psi, spacing, setup.half_width, workers, overwrite=True, extension=setup.extension)
-    evolution = Evolution(surface, energy, setup.flow, setup.limits, max_steps, setup.restart, setup.rule)
-    evolution.configure(setup.end, setup.stop_at_rest)
-    leaked = False
-    for step in evolution:
-        leaked = setup.max_volume is not None and step.record.volume_mm3 > setup.max_volume
-        if leaked or (on_step is not None and on_step(step.record)):
-            evolution.request_stop()
-    stop = evolution.stop
-    assert stop is not None
-    if leaked:
-        message = f"the object grew beyond {setup.max_volume:g} mm3, its largest allowed volume"
-        stop = stop._replace(reason="leaked", message=message)
+    evolution = Evolution.of(surface, energy, setup, max_steps)
+    stop = to_rest(evolution, setup, on_step)
     return LocalOutcome(np.array(surface.psi), list(evolution.history), stop)
 
 
@@ -187,17 +176,14 @@ def _surface(id: int, corner: tuple[int, int, int], outcome: LocalOutcome, objec
     return _on_tight_box(CorrectedSurface(id, corner, outcome.psi, inside, outcome.history, stop))
 
 
-def _known(
-    one: CorrectedSurface, objects: RefinedObjects, base: Result, terms: list[dict[str, Any]],
-    learned: tuple[float, float] | None,
-) -> SegmentedObject:
-    """What results say of an object that has just begun."""
+def _known(surface: CorrectedSurface, objects: RefinedObjects, base: Result) -> SegmentedObject:
+    """Return the entry in results of an object that has just begun."""
     first = objects.prepared.first
-    corner = (one.corner[0] + first[0], one.corner[1] + first[1], one.corner[2] + first[2])
-    box = part_of_image(box_at(corner, one.psi.shape), corner, one, objects.prepared)
+    corner = (surface.corner[0] + first[0], surface.corner[1] + first[1], surface.corner[2] + first[2])
+    box = part_of_image(box_at(corner, surface.psi.shape), corner, surface, objects.prepared)
+    psi, history = closed_on(surface.psi, corner, box), list(surface.history)
     return SegmentedObject(
-        one.id, box, closed_on(one.psi, corner, box), base.image[box], cropped(base.geometry, box), list(one.history),
-        one.stop, terms, learned,
+        surface.id, box, psi, base.image[box], cropped(base.geometry, box), history, surface.stop
     )
 
 
@@ -213,16 +199,16 @@ def merge(objects: RefinedObjects, ids: Sequence[int], workers: Workers) -> Corr
         check_id(id, objects.ids, "merge")
     parts = [objects.surfaces[objects.place_of(id)] for id in ids]
     box = box_at(parts[0].corner, parts[0].psi.shape)
-    for one in parts[1:]:
-        box = enclosing(box, box_at(one.corner, one.psi.shape))
-    psi = np.full([s.stop - s.start for s in box], max(float(np.abs(one.psi).max()) for one in parts), np.float32)
-    for one in parts:
-        where = counted_from(box_at(one.corner, one.psi.shape), corner_of(box))
-        np.minimum(psi[where], one.psi, out=psi[where])
+    for part in parts[1:]:
+        box = enclosing(box, box_at(part.corner, part.psi.shape))
+    psi = np.full([s.stop - s.start for s in box], max(float(np.abs(part.psi).max()) for part in parts), np.float32)
+    for part in parts:
+        where = counted_from(box_at(part.corner, part.psi.shape), corner_of(box))
+        np.minimum(psi[where], part.psi, out=psi[where])
     first = parts[0]
     merged = _measured(first._replace(corner=corner_of(box), psi=psi), objects, workers)
     objects.models.merge(ids)
-    objects.replace([merged, *(one for one in objects.surfaces if one.id not in ids)], {})
+    objects.replace([merged, *(surface for surface in objects.surfaces if surface.id not in ids)], {})
     return merged
 
 
@@ -244,7 +230,7 @@ def voxel_of(point: str, base: Result) -> NDArray[np.int64]:
     return point_voxels([numbers], point, "split", base.geometry, words.endswith("vox"))[0]
 
 
-def completed(objects: RefinedObjects, refinement: Refinement, base: Result) -> Refinement:
+def completed(objects: RefinedObjects, refinement: Correction, base: Result) -> Correction:
     """A refinement that splits, with the object that is split and the id of its part.
 
     Raises
@@ -256,7 +242,7 @@ def completed(objects: RefinedObjects, refinement: Refinement, base: Result) -> 
     """
     assert refinement.split is not None
     voxel = voxel_of(refinement.split, base) - np.array(objects.prepared.first)
-    here = next((one.id for one in objects.surfaces if _contains(one, voxel)), None)
+    here = next((surface.id for surface in objects.surfaces if _contains(surface, voxel)), None)
     if here is None or here != (refinement.object or here):
         where = "no object" if here is None else f"object {here}"
         raise InputError(f"refine: {refinement.split} lies in {where}", "click in the part that is to be split off")
@@ -267,7 +253,7 @@ def completed(objects: RefinedObjects, refinement: Refinement, base: Result) -> 
 
 
 def split(
-    objects: RefinedObjects, number: int, refinement: Refinement, base: Result, workers: Workers
+    objects: RefinedObjects, number: int, refinement: Correction, base: Result, workers: Workers
 ) -> tuple[CorrectedSurface, CorrectedSurface]:
     """Make what is connected to a point an object of its own; voxels are connected by their faces.
 
@@ -276,7 +262,7 @@ def split(
     objects : RefinedObjects
     number : int
         Of the correction.
-    refinement : Refinement
+    refinement : Correction
         `completed`.
     base : Result
     workers : Workers
@@ -296,26 +282,30 @@ def split(
     labels, count = ndimage.label(here.psi < 0)
     if count < 2:
         raise InputError(f"refine: object {here.id} is in one piece", "cut it first: outside clicks between the parts")
-    own = np.asarray(labels == labels[tuple(voxel - np.array(here.corner))])
+    split_off = np.asarray(labels == labels[tuple(voxel - np.array(here.corner))])
     away = np.abs(here.psi)
-    part = here._replace(id=new, psi=np.where((labels > 0) & ~own, away, here.psi))
-    rest = here._replace(psi=np.where(own, away, here.psi))
-    tight = bounding_box(own)
+    part = here._replace(id=new, psi=np.where((labels > 0) & ~split_off, away, here.psi))
+    rest = here._replace(psi=np.where(split_off, away, here.psi))
+    tight = bounding_box(split_off)
     assert tight is not None
     objects.models.split(
-        number, here.id, new, BoxMask(placed_at(tight, here.corner), own[tight]), point_click(voxel, new)
+        number, here.id, new, BoxMask(placed_at(tight, here.corner), split_off[tight]), point_click(voxel, new)
     )
     rest, part = _measured(rest, objects, workers), _measured(_on_tight_box(part), objects, workers)
     known = objects.known(here.id)
-    others = [one for one in objects.surfaces if one.id != here.id]
-    objects.replace([*others, rest, part], {new: _known(part, objects, base, known.terms, known.learned)})
+    others = [surface for surface in objects.surfaces if surface.id != here.id]
+    objects.replace(
+        [*others, rest, part], {new: replace(_known(part, objects, base), terms=known.terms, learned=known.learned)}
+    )
     return rest, part
 
 
-def _on_tight_box(one: CorrectedSurface) -> CorrectedSurface:
+def _on_tight_box(surface: CorrectedSurface) -> CorrectedSurface:
     """A surface on the array that it needs; on its own where it has no voxel."""
-    box = bounding_box(one.psi < 0, AROUND) or whole_box(one.psi.shape)
-    return one._replace(corner=corner_of(placed_at(box, one.corner)), psi=np.ascontiguousarray(one.psi[box]))
+    box = bounding_box(surface.psi < 0, AROUND) or whole_box(surface.psi.shape)
+    return surface._replace(
+        corner=corner_of(placed_at(box, surface.corner)), psi=np.ascontiguousarray(surface.psi[box])
+    )
 
 
 def remove(objects: RefinedObjects, id: int) -> int:
@@ -331,19 +321,19 @@ def remove(objects: RefinedObjects, id: int) -> int:
         raise UsageError(f"refine: object {id} is the only one and cannot be removed", "begin another one first")
     gone = objects.surfaces[objects.place_of(id)]
     objects.models.remove(id)
-    objects.replace([one for one in objects.surfaces if one.id != id], {})
+    objects.replace([surface for surface in objects.surfaces if surface.id != id], {})
     return gone.inside
 
 
-def _contains(one: CorrectedSurface, voxel: NDArray[np.int64]) -> bool:
-    at = voxel - np.array(one.corner)
-    return bool((at >= 0).all() and (at < np.array(one.psi.shape)).all() and one.psi[tuple(at)] < 0)
+def _contains(surface: CorrectedSurface, voxel: NDArray[np.int64]) -> bool:
+    at = voxel - np.array(surface.corner)
+    return bool((at >= 0).all() and (at < np.array(surface.psi.shape)).all() and surface.psi[tuple(at)] < 0)
 
 
-def _measured(one: CorrectedSurface, objects: RefinedObjects, workers: Workers) -> CorrectedSurface:
+def _measured(surface: CorrectedSurface, objects: RefinedObjects, workers: Workers) -> CorrectedSurface:
     """A surface whose voxels have changed without a step: its last record has volume and area of now."""
-    inside, settings = count_inside(one.psi), objects.models.settings_of(one.id)
-    volume, area = measures_of(np.array(one.psi), objects.spacing, half_width(settings), workers)
-    history = [*one.history[:-1], one.history[-1]._replace(volume_mm3=volume, area_mm2=area)]
-    stop = one.stop if inside else stop_of_whole(one.stop, inside, math.prod(objects.shape))
-    return one._replace(psi=np.ascontiguousarray(one.psi), inside=inside, history=history, stop=stop)
+    inside, settings = count_inside(surface.psi), objects.models.settings_of(surface.id)
+    volume, area = measures_of(np.array(surface.psi), objects.spacing, half_width(settings), workers)
+    history = [*surface.history[:-1], surface.history[-1]._replace(volume_mm3=volume, area_mm2=area)]
+    stop = surface.stop if inside else stop_of_whole(surface.stop, inside, math.prod(objects.shape))
+    return surface._replace(psi=np.ascontiguousarray(surface.psi), inside=inside, history=history, stop=stop)

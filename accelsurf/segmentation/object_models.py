@@ -1,22 +1,27 @@
-"""Clicks, contexts and models of a finished run's objects, correction by correction; knows no surface."""
+"""Clicks, contexts and models of the objects of a finished run, correction by correction; knows no surface."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from accelsurf.errors import UsageError
-from accelsurf.grid.boxes import Box
-from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.boxes import Box, Corner, corner_of
+from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
+from accelsurf.grid.geometry import Geometry
+from accelsurf.initialization.clicks import voxel_named
 from accelsurf.segmentation.image_context import ImageContext, ModelInputs
 from accelsurf.segmentation.local_model import LocalModel, LocalState, local_model
 from accelsurf.segmentation.object_records import MadeEnergy
 from accelsurf.segmentation.preprocessing import PreprocessedInput, uses_model
 from accelsurf.segmentation.run_setup import energy_maker, thread_count
 from accelsurf.segmentation.run_state import BoxMask, RunState
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.written_values import volume_mm3
 
@@ -24,20 +29,12 @@ from accelsurf.settings.written_values import volume_mm3
 NEW_ENERGY = "seeded"
 
 
-@dataclass(frozen=True)
-class ModelsBefore:
-    """What `ObjectModels.restore` puts back."""
-
-    clicks: Clicks
-    contexts: dict[int, ImageContext]
-    settings: dict[int, RunConfig]
-    masks: dict[int, BoxMask]
-    models: dict[int, LocalModel]
-    states: dict[int, LocalState]
+#: What corrections change of `ObjectModels`; models that clicks change are put back by the caller.
+_CHANGED = ("clicks", "contexts", "settings", "masks", "_models", "_states")
 
 
 class ObjectModels:
-    """What corrections know of each object besides its surface.
+    """Clicks, contexts, settings and models of each object, besides its surface.
 
     Parameters
     ----------
@@ -108,14 +105,14 @@ class ObjectModels:
         """Note new clicks."""
         self.clicks = self.clicks.with_later(clicks)
 
-    def begin_object(self, number: int, refinement: Refinement, taken: BoxMask | None) -> None:
+    def begin_object(self, number: int, refinement: Correction, taken: BoxMask | None) -> None:
         """Begin an object at clicks that have been noted.
 
         Parameters
         ----------
         number : int
             Of the correction.
-        refinement : Refinement
+        refinement : Correction
             With ``new``.
         taken : BoxMask or None
             Voxels that it may not have.
@@ -136,10 +133,11 @@ class ObjectModels:
         self._forget(id)
 
     def merge(self, ids: Sequence[int]) -> None:
-        """What was clicked of several objects is of the first; where it may be is not bounded by the others."""
+        """Give the clicks of several objects to the first; where it may be is not bounded by the others."""
         first, others = ids[0], ids[1:]
         self.clicks = Clicks(
-            tuple(one._replace(id=first) if one.id in others else one for one in self.clicks.clicks), self.clicks.shape
+            tuple(click._replace(id=first) if click.id in others else click for click in self.clicks.clicks),
+            self.clicks.shape,
         )
         for id in others:
             self._forget_object(id)
@@ -151,27 +149,30 @@ class ObjectModels:
         self._forget(first)
 
     def split(self, number: int, id: int, new: int, part: BoxMask, click: Click) -> None:
-        """Of what was clicked inside an object, what lies in ``part`` is of the new one, as is the ``click``."""
+        """Give the voxels clicked inside an object that lie in ``part``, and the ``click``, to a new one."""
         out: list[Click] = []
-        for one in self.clicks.clicks:
-            if (one.side, one.id) != ("inside", id):
-                out.append(one)
+        for click_before in self.clicks.clicks:
+            if (click_before.side, click_before.id) != ("inside", id):
+                out.append(click_before)
                 continue
-            there = Click("inside", part.box, part.mask, new).mask_on(one.box)
-            out += [one._replace(id=own, mask=mask) for own, mask in ((id, one.mask & ~there), (new, one.mask & there))
-                    if mask.any()]
+            there = Click("inside", part.box, part.mask, new).mask_on(click_before.box)
+            out += [
+                click_before._replace(id=owner, mask=mask)
+                for owner, mask in ((id, click_before.mask & ~there), (new, click_before.mask & there))
+                if mask.any()
+            ]
         self.clicks = Clicks((*out, click), self.clicks.shape)
         self.masks[number] = part
         if id in self.settings:
             self.settings[new] = self.settings[id]
         context = self.contexts[id]
-        for own in (id, new):
-            self.contexts[own] = context.with_clicks(self.clicks.of(own))
-            self._forget(own)
+        for owner in (id, new):
+            self.contexts[owner] = context.with_clicks(self.clicks.of(owner))
+            self._forget(owner)
 
     def remove(self, id: int) -> None:
         """Forget an object and what was clicked of it."""
-        self.clicks = Clicks(tuple(one for one in self.clicks.clicks if one.id != id), self.clicks.shape)
+        self.clicks = Clicks(tuple(click for click in self.clicks.clicks if click.id != id), self.clicks.shape)
         self._forget_object(id)
 
     def _forget_object(self, id: int) -> None:
@@ -184,18 +185,20 @@ class ObjectModels:
         self._models.pop(id, None)
         self._states.pop(id, None)
 
-    def snapshot(self) -> ModelsBefore:
-        """What is known now; models that clicks change are put back by the caller."""
-        return ModelsBefore(
-            self.clicks, dict(self.contexts), dict(self.settings), dict(self.masks), dict(self._models),
-            dict(self._states),
-        )
+    def snapshot(self) -> dict[str, Any]:
+        """Return what is known now, for `restore`."""
+        return {name: copy.copy(getattr(self, name)) for name in _CHANGED}
 
-    def restore(self, before: ModelsBefore) -> None:
+    def restore(self, before: dict[str, Any]) -> None:
         """Go back to what was known."""
-        self.clicks = before.clicks
-        self.contexts, self.settings, self.masks = dict(before.contexts), dict(before.settings), dict(before.masks)
-        self._models, self._states = dict(before.models), dict(before.states)
+        vars(self).update({name: copy.copy(value) for name, value in before.items()})
+
+    def state(self, totals: Mapping[str, NDArray[np.float64]]) -> RunState:
+        """Return what a later correction goes on from; ``totals`` as of `RunState`."""
+        return replace(
+            self._state, totals=dict(totals), clicks=self.clicks, models=self.made, contexts=dict(self.contexts),
+            settings=dict(self.settings), masks=dict(self.masks),
+        )
 
 
 def point_click(voxel: Sequence[int], id: int) -> Click:
@@ -215,3 +218,89 @@ def check_id(id: int, ids: Sequence[int], what: str) -> None:
     if id not in ids:
         there = "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
         raise UsageError(f"refine: {what} {id} was given, expected one that is in the result", there)
+
+
+def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple[Click, ...]:
+    """Clicks of the image's grid on that of the region of interest.
+
+    Raises
+    ------
+    InputError
+        When a voxel clicked inside an object lies outside of the region or the mask.
+    """
+    geometry, distance = prepared.volumes[0].geometry, prepared.mask_distance
+    placed = Clicks(tuple(clicks), geometry.shape).on_box(prepared.box).clicks
+    lost = sum(int(click.mask.sum()) for click in clicks if click.side == "inside" and click.id != NO_OBJECT)
+    for click in placed:
+        if click.side == "inside" and click.id != NO_OBJECT:
+            within = click.mask if distance is None else click.mask & (distance[click.box] <= 0)
+            lost -= int(within.sum())
+    if lost:
+        raise InputError(
+            f"refine: {lost} voxels are clicked inside that lie outside of the region of interest, the mask or the box",
+            "click within them",
+        )
+    return placed
+
+
+def clicks_on(new: Sequence[Click], id: int) -> tuple[Click, ...]:
+    """The new clicks that an object answers to, as it sees them: its own, and those on no object."""
+    mine = tuple(click for click in new if click.id in (id, NO_OBJECT))
+    return Clicks(mine, (0, 0, 0)).of(id).clicks
+
+
+def check_object(refinement: Correction, ids: Sequence[int] | None) -> None:
+    """Refuse a correction of an object that there is not; ``ids`` is None where there is one without an id.
+
+    Raises
+    ------
+    UsageError
+        With the ids that there are.
+    """
+    id = refinement.object
+    if ids is None:
+        if id not in (None, 1):
+            raise UsageError(f"refine: object {id} was given, but there is a single one", "leave object out")
+        return
+    there = "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
+    if id is None and refinement.inside:
+        raise UsageError("refine: inside was given without object, expected an object's id", there)
+    if id is not None and id not in ids:
+        raise UsageError(f"refine: object {id} was given, expected one that is in the result", there)
+
+
+def refuse_contradictions(
+    new: Sequence[Click], shape: tuple[int, int, int], ids: Sequence[int], geometry: Geometry, first: Corner
+) -> None:
+    """Refuse clicks of one correction that put a voxel on both sides of an object; costs no more than their boxes.
+
+    Parameters
+    ----------
+    new : sequence of Click
+    shape : (nz, ny, nx)
+        Of their grid.
+    ids : sequence of int
+        Of the objects.
+    geometry : Geometry
+        Of their grid.
+    first : (z, y, x)
+        Index in the image of its first voxel.
+
+    Raises
+    ------
+    InputError
+        With the voxel.
+    """
+    if len({click.side for click in new}) == 1 and len({click.id for click in new}) == 1:
+        return
+    for id in ids:
+        of_object = Clicks(tuple(new), shape).of(id)
+        for click in of_object.clicks:
+            here = of_object.on_box(click.box)
+            both = here.mask("inside") & here.mask("outside")
+            if both.any():
+                voxel = np.argwhere(both)[0] + np.array(corner_of(click.box))
+                raise InputError(
+                    f"refine: {voxel_named(voxel, geometry, first)} is clicked both inside and outside at once",
+                    "make two corrections of it: the later one wins",
+                )

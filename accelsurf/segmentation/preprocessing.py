@@ -1,7 +1,8 @@
-"""Preprocessing: from volumes as read to the input of a run, in pure stages that return frozen records."""
+"""Preprocessing: from volumes as read, through filters, to the input of a run, in pure stages."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,27 +10,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.errors import AccelsurfError, GeometryError, InputError
+from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box
-from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks
+from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.image_check import MIN_RANGE
 from accelsurf.grid.image_filters import ImageFilters
 from accelsurf.grid.volume import Volume, check_image
 from accelsurf.grid.window import Window
 from accelsurf.initialization import starts
-from accelsurf.initialization.clicks import read_clicks
-from accelsurf.segmentation.filters import filtered_volume, filters_of
+from accelsurf.initialization.clicks import clicks_of
 from accelsurf.segmentation.image_context import ImageContext, Mask, ModelInputs, Scale
-from accelsurf.segmentation.region_of_interest import cropped
+from accelsurf.segmentation.region_of_interest import cropped, distance_of_mask
 from accelsurf.segmentation.run_clicks import placed
-from accelsurf.segmentation.run_mask import distance_of_mask
 from accelsurf.segmentation.run_setup import thread_count
 from accelsurf.segmentation.window_input import WindowInput, region_in, whole_of, window_of
-from accelsurf.settings import energy_expression
+from accelsurf.settings import budgets, energy_expression
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
-from accelsurf.settings.written_values import volume_mm3
+from accelsurf.settings.written_values import bounds_of, volume_mm3
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)
@@ -155,16 +154,17 @@ def preprocess(
     filtered = _first_channel(volumes, filters, part)
     distance = distance_of_mask(config, given, window, box)
     seen = first, filtered, window
-    said = placed([*_clicks_of(config, seen, has_ids), *clicks], first, box, distance, None)
+    read = clicks_of(config, first, filtered, has_ids=has_ids, window=window)
+    said = placed([*read, *clicks], first, box, distance, None)
     start = given["start"] if "start" in given else _first_surface(config, seen, said, box)
-    training = _training_voxels(config, given, seen)
+    training = {name: _crop(mask, box) for name, mask in _training_voxels(config, given, seen).items()}
     psi = _start_within(_crop(start, box), distance, config, _name_of_start(config, given))
     around = None if geometry.shape == whole.shape else filtered  # the result shows it
     values = _crop(filtered, box) if around is None else filtered[box].copy()
     del filtered, start
     images, scales = _scaled_channels(values, volumes, filters, box, part)
     del values
-    context, learns = _context(config, volumes, (images, scales), box, psi, training, distance, part)
+    context, learns = _context(config, volumes, images, scales, psi, training, distance, part)
     if said.clicks and not has_ids and config.start == (starts.CLICKS,) and uses_model(config):
         context = context.with_clicks(said)
         psi = _start_within(context.model_start(), distance, config, "of the clicks' model")
@@ -187,29 +187,29 @@ def _first_channel(
 
 
 def uses_model(config: RunConfig) -> bool:
-    """Whether a term of the energy is of the clicks' model."""
+    """Return True if a term of the energy is of the clicks' model."""
     return energy_expression.uses_model(config.energy)
 
 
 def _context(
     config: RunConfig,
     volumes: Sequence[Volume],
-    channels: tuple[list[NDArray[np.float32]], list[Scale]],
-    box: Box,
+    images: list[NDArray[np.float32]],
+    scales: list[Scale],
     psi: NDArray[np.float32],
-    training: tuple[Mask | None, Mask | None],
+    training: dict[str, Mask],
     distance: NDArray[np.float32] | None,
     part: WindowInput | None,
 ) -> tuple[ImageContext, bool]:
-    """What energies need of the image, and whether a model of the energy is learned once."""
-    (images, scales), (foreground, background) = channels, training
+    """Return the context of the energies, and True if a model of the energy is learned once."""
+    foreground, background = training.get("foreground"), training.get("background")
     terms = energy_expression.parse(config.energy)
     learns = any(energy_expression.learns(term) for term in terms)
     from_start = foreground is None and learns  # fixed models learn from the start where nothing else is given
-    learned_from = psi < 0 if from_start else None if foreground is None else _crop(foreground, box)
+    learned_from = psi < 0 if from_start else foreground
     context = ImageContext(
         images, scales, volumes[0].geometry.spacing, learned_from,
-        None if background is None else _crop(background, box),
+        background,
         is_start=from_start,
         whole=whole_of(part),
     )
@@ -225,15 +225,6 @@ def _context(
     context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config), partition, around, window))
     # Likelihood learns from --foreground once; with update=yes it refuses it.
     return context, learns or any(term.name == "likelihood" for term in terms)
-
-
-def _clicks_of(config: RunConfig, seen: Seen, has_ids: bool) -> list[Click]:
-    """The clicks that a configuration names, on the image's grid; of several objects those that are in none."""
-    volume, image, window = seen
-    out: list[Click] = []
-    for side in SIDES:
-        out += read_clicks(getattr(config, side), side, volume, image, window=window)
-    return [click._replace(side="inside", id=NO_OBJECT) for click in out] if has_ids else out
 
 
 def _first_surface(config: RunConfig, seen: Seen, clicks: Clicks, box: Box) -> NDArray[np.float32]:
@@ -255,9 +246,9 @@ def _scaled_channels(
     whole = whole_of(part)
     scales: list[Scale] = []
     images: list[NDArray[np.float32]] = []
-    for place, one in enumerate(volumes):
+    for place, channel in enumerate(volumes):
         if place > 0:
-            values = _crop(filtered_volume(one, filters) if part is None else part.filtered[place], box)
+            values = _crop(filtered_volume(channel, filters) if part is None else part.filtered[place], box)
         scales.append(whole[place].scale if whole else scale_of(values))
         images.append(apply(values, scales[-1]))
     return images, scales
@@ -271,18 +262,18 @@ def check_channels(volumes: Sequence[Volume]) -> None:
     InputError
         When one has voxels that are not finite, or is no image; GeometryError when its grid differs from the first's.
     """
-    for one in volumes:
-        check_image(one)
-        if not one.geometry.matches(volumes[0].geometry):
+    for channel in volumes:
+        check_image(channel)
+        if not channel.geometry.matches(volumes[0].geometry):
             raise GeometryError(
-                f"channel {one.source or ''}: on another grid than the image: "
-                f"{one.geometry.difference(volumes[0].geometry)}",
+                f"channel {channel.source or ''}: on another grid than the image: "
+                f"{channel.geometry.difference(volumes[0].geometry)}",
                 "resample it to the image's grid first",
             )
 
 
 def _name_of_start(config: RunConfig, given: Mapping[str, NDArray[np.float32]]) -> str:
-    """What messages call the start."""
+    """Return the name of the start in messages."""
     if config.objects is not None:
         return config.objects
     return "array" if "start" in given else " + ".join(config.start)
@@ -306,21 +297,18 @@ def _start_within(
 
 def _training_voxels(
     config: RunConfig, given: Mapping[str, NDArray[np.float32]], seen: Seen
-) -> tuple[Mask | None, Mask | None]:
-    """Foreground and background, given as arrays or written as starts; an error names the option."""
-
-    def read(name: str) -> Mask | None:
+) -> dict[str, Mask]:
+    """Return foreground and background, as far as they are given as arrays or written; an error names the option."""
+    found = {}
+    for name in ("foreground", "background"):
         if name in given:
-            return np.asarray(given[name] < 0)
-        texts = getattr(config, name)
-        if not texts:
-            return None
-        try:
-            return np.asarray(starts.build(texts, *seen) < 0)
-        except AccelsurfError as error:
-            raise type(error)(error.message.replace("start ", f"{name} ", 1), error.hint) from None
-
-    return read("foreground"), read("background")
+            found[name] = np.asarray(given[name] < 0)
+        elif texts := getattr(config, name):
+            try:
+                found[name] = np.asarray(starts.build(texts, *seen) < 0)
+            except AccelsurfError as error:
+                raise type(error)(error.message.replace("start ", f"{name} ", 1), error.hint) from None
+    return found
 
 
 def _crop(array: NDArray[Any], box: Box) -> NDArray[Any]:
@@ -328,7 +316,7 @@ def _crop(array: NDArray[Any], box: Box) -> NDArray[Any]:
 
 
 def scale_of(image: NDArray[np.float32]) -> Scale:
-    """What maps an image's `SCALE_PERCENTILES` to 0 and 1; its extremes where those two are equal.
+    """Return the scale that maps `SCALE_PERCENTILES` to 0 and 1; of the extremes where those two are equal.
 
     Raises
     ------
@@ -361,3 +349,45 @@ def apply(image: NDArray[np.float32], scale: Scale) -> NDArray[np.float32]:
     image -= np.float32(scale.low)
     image *= np.float32(1.0 / scale.width)
     return image
+
+
+def in_mm(length: float | str, geometry: Geometry) -> float:
+    """A length of `RunConfig` in mm: as it is, or ``Nvox`` in voxels of the smallest spacing.
+
+    Examples
+    --------
+    >>> in_mm("1.5vox", Geometry((8, 6, 4), (3.0, 2.0, 2.0)))
+    3.0
+    """
+    if not isinstance(length, str):
+        return length
+    return float(length.removesuffix("vox")) * min(geometry.steps)
+
+
+def filters_of(config: RunConfig, geometry: Geometry) -> ImageFilters:
+    """Return the filters of a run's image: ``clip``, ``closing`` and ``presmooth``.
+
+    Raises
+    ------
+    UsageError
+        When one of them would take too long.
+    """
+    filters = ImageFilters(bounds_of(config.clip), in_mm(config.closing, geometry), in_mm(config.presmooth, geometry))
+    check_filters(filters, geometry)
+    return filters
+
+
+def check_filters(filters: ImageFilters, geometry: Geometry) -> None:
+    """Refuse a Gaussian or a closing that takes too long."""
+    smallest = min(geometry.steps)
+    budgets.SMOOTHING.check(
+        math.ceil(filters.sigma / smallest), f"presmooth: a sigma of {filters.sigma:g} mm", kind=UsageError
+    )
+    budgets.CLOSING.check(
+        math.floor(filters.closing / smallest), f"closing: a radius of {filters.closing:g} mm", kind=UsageError
+    )
+
+
+def filtered_volume(volume: Volume, filters: ImageFilters) -> NDArray[np.float32]:
+    """The image as float32, filtered."""
+    return filters.of_whole(volume.as_float32(), volume.geometry.spacing)

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-from accelsurf.segmentation.refiner import OnObjectStep, Refiner
+from accelsurf.segmentation.refiner import Refiner
 from accelsurf.segmentation.result import Result
-from accelsurf.segmentation.run_state import RunState
-from accelsurf.settings.refinements import refinements_of
-
-if TYPE_CHECKING:
-    from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_result import OnObjectStep
+from accelsurf.settings.edits import corrections_of
 
 
 def refine(
@@ -43,7 +40,7 @@ def refine(
     object : int, optional
         Id of the object, where there are several.
     new, size, merge, split, remove : optional
-        Which objects there are, as `accelsurf.settings.refinements.Refinement` has it.
+        Which objects there are, as `accelsurf.settings.edits.Correction` has it.
     on_step : callable, optional
         Called with each `StepRecord` and the id of its object; a true return value ends the correction.
 
@@ -72,7 +69,7 @@ def refine(
     """
     table: dict[str, Any] = {"inside": inside, "outside": outside, "near": near, "object": object}
     table |= {"new": new, "size": size, "merge": tuple(merge), "split": split, "remove": remove}
-    (refinement,), refiner = refinements_of({k: v for k, v in table.items() if v is not None}), Refiner(result)
+    (refinement,), refiner = corrections_of({k: v for k, v in table.items() if v is not None}), Refiner(result)
     refiner.apply(refinement, on_step=on_step)
     return refiner.result()
 
@@ -90,14 +87,3 @@ def with_refinements(result: Result, on_step: OnObjectStep | None = None) -> Res
     for refinement in wanted:
         refiner.apply(refinement, on_step=on_step)
     return refiner.result()
-
-
-def state_of(run: Run) -> RunState | None:
-    """What a finished run leaves to be refined from; None where the settings say so."""
-    return None if run.config.keep_state == "no" else state_at_end(run)
-
-
-def state_at_end(run: Run) -> RunState:
-    """The same whatever the settings say, as for a run that stays in memory."""
-    contexts = {one.id: one.context for one in run.objects}
-    return RunState(run.prepared, contexts, run.energy_given, run.clicks)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +22,16 @@ from accelsurf.segmentation.corrected_surface import (
     surface_of,
 )
 from accelsurf.segmentation.local_evolution import measures_of
-from accelsurf.segmentation.local_model import LocalModel, ModelChange, sureness_from
+from accelsurf.segmentation.local_model import LocalModel, ModelChange
 from accelsurf.segmentation.near_region import NearRegion
-from accelsurf.segmentation.object_models import ModelsBefore, ObjectModels
+from accelsurf.segmentation.object_models import ObjectModels
 from accelsurf.segmentation.region_of_interest import closed_on, cropped
 from accelsurf.segmentation.region_totals import RegionTotals
 from accelsurf.segmentation.rest_points import on_larger_box
 from accelsurf.segmentation.result import Result, SegmentedObject
+from accelsurf.segmentation.run_result import sureness_from
+from accelsurf.segmentation.run_setup import half_width
 from accelsurf.segmentation.run_state import RunState
-from accelsurf.segmentation.solver_setup import half_width
 from accelsurf.settings.run_config import RunConfig
 
 
@@ -44,12 +45,12 @@ class _SurfaceBefore(NamedTuple):
 
 
 class _Correction(NamedTuple):
-    """What is needed to take a correction back: what there was before it, and what it changed in place, in order."""
+    """The state before a correction, and its changes in place, in order, to take it back."""
 
     has_ids: bool
     objects: tuple[CorrectedSurface, ...]
     known: dict[int, SegmentedObject]
-    models: ModelsBefore
+    models: dict[str, Any]
     surfaces: list[_SurfaceBefore]
     clicked: list[tuple[LocalModel, ModelChange]]
 
@@ -81,7 +82,7 @@ class RefinedObjects:
         self._base, self._settings, self.prepared = result, settings, state.prepared
         self.images = state.prepared.images
         self.shape, self.spacing = state.prepared.geometry.shape, state.prepared.geometry.spacing
-        self.surfaces = [surface_of(one, state.prepared.box) for one in result.objects]
+        self.surfaces = [surface_of(segmented, state.prepared.box) for segmented in result.objects]
         self.has_ids, self.models = result.has_ids, ObjectModels(state, settings)
         self._known = dict(result.by_id)
         self._regional = RegionTotals(self.images, self.surfaces[0].psi, state.totals)
@@ -90,12 +91,16 @@ class RefinedObjects:
     @property
     def ids(self) -> list[int]:
         """Ids, in order."""
-        return [one.id for one in self.surfaces]
+        return [surface.id for surface in self.surfaces]
 
     @property
-    def totals(self) -> dict[str, NDArray[np.float64]]:
-        """Of `RunState`."""
-        return dict(self._regional.totals)
+    def state(self) -> RunState:
+        """The state from which a later correction goes on."""
+        return self.models.state(self._regional.totals)
+
+    def set_ids(self, has_ids: bool) -> None:
+        """Say whether the objects have ids from now on."""
+        self.has_ids = has_ids
 
     def place_of(self, id: int) -> int:
         """Position of an object."""
@@ -104,7 +109,7 @@ class RefinedObjects:
     # -- corrections, and how they are taken back ----------------------------------------------------------
 
     def begin_correction(self) -> None:
-        """What follows is one correction."""
+        """Begin a correction: all that follows is taken back at once."""
         self._undo.append(
             _Correction(self.has_ids, tuple(self.surfaces), dict(self._known), self.models.snapshot(), [], [])
         )
@@ -129,38 +134,38 @@ class RefinedObjects:
 
     def put(self, place: int, box: Box, psi: NDArray[np.float32], after: CorrectedSurface) -> None:
         """Put a changed part of a surface in its place."""
-        one = self.surfaces[place]
-        before = one.psi[box].copy()
-        self._undo[-1].surfaces.append(_SurfaceBefore(one, box, before, dict(self._regional.totals)))
-        one.psi[box] = psi
+        surface = self.surfaces[place]
+        before = surface.psi[box].copy()
+        self._undo[-1].surfaces.append(_SurfaceBefore(surface, box, before, dict(self._regional.totals)))
+        surface.psi[box] = psi
         if not self.has_ids:
             self._regional.change(box, before < 0, psi < 0)
         self.surfaces[place] = after
 
     def replace(self, surfaces: Sequence[CorrectedSurface], known: dict[int, SegmentedObject]) -> None:
         """Have other objects from now on; ``known`` is what results say of those that are new."""
-        self.surfaces = sorted(surfaces, key=lambda one: one.id)
+        self.surfaces = sorted(surfaces, key=lambda surface: surface.id)
         self._known = {id: known.get(id) or self._known[id] for id in self.ids}
 
     def known(self, id: int) -> SegmentedObject:
-        """What results say of an object, before its corrections."""
+        """Return the entry in results of an object, before its corrections."""
         return self._known[id]
 
     # -- what objects are to each other --------------------------------------------------------------------
 
-    def totals_of(self, one: CorrectedSurface) -> RegionTotals:
+    def totals_of(self, surface: CorrectedSurface) -> RegionTotals:
         """Sums over an object: of several, on its own part of the grid."""
         if not self.has_ids:
             return self._regional
-        domain = box_at(one.corner, one.psi.shape)
-        return RegionTotals([image[domain] for image in self.images], one.psi)
+        domain = box_at(surface.corner, surface.psi.shape)
+        return RegionTotals([image[domain] for image in self.images], surface.psi)
 
     def holders(self, new: Sequence[Click]) -> list[int]:
         """Places of the objects that have voxels of new inside clicks."""
         out = []
-        for place, one in enumerate(self.surfaces):
-            placed = Clicks(tuple(new), self.shape).on_box(box_at(one.corner, one.psi.shape))
-            if any((one.psi[c.box] < 0)[c.mask].any() for c in placed.clicks if c.side == "inside"):
+        for place, surface in enumerate(self.surfaces):
+            placed = Clicks(tuple(new), self.shape).on_box(box_at(surface.corner, surface.psi.shape))
+            if any((surface.psi[c.box] < 0)[c.mask].any() for c in placed.clicks if c.side == "inside"):
                 out.append(place)
         return out
 
@@ -184,56 +189,60 @@ class RefinedObjects:
 
     def take_from(self, place: int, region: NearRegion, winner: NDArray[np.float32], workers: Workers) -> None:
         """Take from an object what another has gained in a region."""
-        one = self.surfaces[place]
-        mine, theirs = shared(corner_of(region.box), winner.shape, one.corner, one.psi.shape)
-        psi = one.psi[theirs].copy()
+        surface = self.surfaces[place]
+        mine, theirs = shared(corner_of(region.box), winner.shape, surface.corner, surface.psi.shape)
+        psi = surface.psi[theirs].copy()
         after = np.where(region.mask[mine], np.maximum(psi, -winner[mine]), psi)
         if not ((after < 0) != (psi < 0)).any():
             return
         width = half_width(self._settings)
         volume, area = (measures_of(part, self.spacing, width, workers) for part in (psi, after))
-        last = one.history[-1]
+        last = surface.history[-1]
         last = last._replace(
             volume_mm3=last.volume_mm3 + area[0] - volume[0], area_mm2=last.area_mm2 + area[1] - volume[1]
         )
-        inside = one.inside + count_inside(after) - count_inside(psi)
-        stop = stop_of_whole(one.stop, inside, math.prod(self.shape))
-        self.put(place, theirs, after, one._replace(inside=inside, history=[*one.history[:-1], last], stop=stop))
+        inside = surface.inside + count_inside(after) - count_inside(psi)
+        stop = stop_of_whole(surface.stop, inside, math.prod(self.shape))
+        self.put(
+            place, theirs, after, surface._replace(inside=inside, history=[*surface.history[:-1], last], stop=stop)
+        )
 
     def grown(self, place: int, box: Box) -> CorrectedSurface:
         """A surface on an array that has a box of the grid."""
-        one = self.surfaces[place]
-        low = np.minimum(one.corner, corner_of(box))
-        high = np.maximum(np.add(one.corner, one.psi.shape), [s.stop for s in box])
+        surface = self.surfaces[place]
+        low = np.minimum(surface.corner, corner_of(box))
+        high = np.maximum(np.add(surface.corner, surface.psi.shape), [s.stop for s in box])
         shape = tuple(int(n) for n in high - low)
-        if shape == one.psi.shape:
-            return one
-        psi = np.full(shape, np.abs(one.psi).max(), np.float32)
+        if shape == surface.psi.shape:
+            return surface
+        psi = np.full(shape, np.abs(surface.psi).max(), np.float32)
         corner = (int(low[0]), int(low[1]), int(low[2]))
-        psi[counted_from(box_at(one.corner, one.psi.shape), corner)] = one.psi
-        self.surfaces[place] = one._replace(corner=corner, psi=psi)
+        psi[counted_from(box_at(surface.corner, surface.psi.shape), corner)] = surface.psi
+        self.surfaces[place] = surface._replace(corner=corner, psi=psi)
         return self.surfaces[place]
 
     # -- result --------------------------------------------------------------------------------------------
 
     def segmented(self, now: CorrectedSurface) -> SegmentedObject:
         """An object as results have it; later corrections do not change it."""
-        one, prepared, base, models = self._known[now.id], self.prepared, self._base, self.models
-        is_same = now.history is one.history
+        segmented, prepared, base, models = self._known[now.id], self.prepared, self._base, self.models
+        is_same = now.history is segmented.history
         z, y, x = (c + first for c, first in zip(now.corner, prepared.first, strict=True))
-        box = one.box if is_same or not self.has_ids else part_of_image(one.box, (z, y, x), now, prepared)
-        clicked = clicked_voxels(models.clicks, one.id, prepared.first, box) if len(models.clicks) else None
-        if one.id in models.made:
-            one = dataclasses.replace(one, sureness=sureness_from(models.made[one.id]))
+        box = segmented.box if is_same or not self.has_ids else part_of_image(segmented.box, (z, y, x), now, prepared)
+        clicked = clicked_voxels(models.clicks, segmented.id, prepared.first, box) if len(models.clicks) else None
+        if segmented.id in models.made:
+            segmented = dataclasses.replace(segmented, sureness=sureness_from(models.made[segmented.id]))
         if is_same:
-            unchanged = clicked is None or (one.clicked is not None and np.array_equal(clicked, one.clicked))
-            return one if unchanged else dataclasses.replace(one, clicked=clicked)
+            unchanged = clicked is None or (
+                segmented.clicked is not None and np.array_equal(clicked, segmented.clicked)
+            )
+            return segmented if unchanged else dataclasses.replace(segmented, clicked=clicked)
         if not self.has_ids:
             psi = prepared.on_whole_grid(now.psi)
             psi = psi.copy() if psi is now.psi else psi
-            return dataclasses.replace(one, psi=psi, history=now.history, stop=now.stop, clicked=clicked)
+            return dataclasses.replace(segmented, psi=psi, history=now.history, stop=now.stop, clicked=clicked)
         return dataclasses.replace(
-            one, box=box, psi=closed_on(now.psi, (z, y, x), box), image=base.image[box],
+            segmented, box=box, psi=closed_on(now.psi, (z, y, x), box), image=base.image[box],
             geometry=cropped(base.geometry, box), history=now.history, stop=now.stop, clicked=clicked,
-            rests=on_larger_box(one.rests, one.box, box),
+            rests=on_larger_box(segmented.rests, segmented.box, box),
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
-from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import Box, box_at, counted_from
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.pyramid import Level
-from accelsurf.initialization.clicks import check_left
+from accelsurf.initialization.clicks import check_left, clicks_of
 from accelsurf.io.memory import available_cores
 from accelsurf.levelset import Workers
 from accelsurf.segmentation import object_changes
@@ -31,29 +31,32 @@ from accelsurf.segmentation.corrected_surface import (
     stop_of_whole,
     wrong_part,
 )
-from accelsurf.segmentation.late_growth import still_inside
+from accelsurf.segmentation.late_growth import Place
 from accelsurf.segmentation.local_evolution import LocalProblem, evolve_near
 from accelsurf.segmentation.local_model import basin_of
 from accelsurf.segmentation.near_region import NearRegion, around_clicks, automatic_near, rim_width
-from accelsurf.segmentation.new_clicks import check_object, clicks_of, clicks_on, placed_clicks, refuse_contradictions
-from accelsurf.segmentation.object_models import point_click
+from accelsurf.segmentation.object_models import (
+    check_object,
+    clicks_on,
+    placed_clicks,
+    point_click,
+    refuse_contradictions,
+)
 from accelsurf.segmentation.refined_objects import RefinedObjects
 from accelsurf.segmentation.region_totals import RegionTotals
-from accelsurf.segmentation.result import Result
-from accelsurf.segmentation.run_setup import setup_of, window_reach
+from accelsurf.segmentation.result import Result, SegmentedObject
+from accelsurf.segmentation.run_result import OnObjectStep
+from accelsurf.segmentation.run_setup import correction_rule, is_maker, setup_of, window_reach
 from accelsurf.segmentation.run_state import BoxMask
-from accelsurf.segmentation.solver_setup import correction_rule, is_maker
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 
-#: What is called with each record and the id of its object; a true value ends the correction.
-OnObjectStep = Callable[[StepRecord, int], bool | None]
 #: The surface and its stencils see so many voxels of the largest spacing beyond the region, where they are held.
 MARGIN = 5.0
 
 
 class Change(NamedTuple):
-    """What a correction did: voxels of the grid that changed sides, in a ``box`` of it; seconds of the solver."""
+    """The effect of a correction: voxels that changed sides, in a ``box`` of the grid; seconds of the solver."""
 
     object_id: int
     box: Box
@@ -110,29 +113,29 @@ class Refiner:
 
     @property
     def has_ids(self) -> bool:
-        """Whether labels are ids of objects."""
+        """True if labels are ids of objects."""
         return self._objects.has_ids
 
-    def taken(self, place: NDArray[np.float64], own: int) -> BoxMask | None:
+    def taken(self, place: NDArray[np.float64], id: int) -> BoxMask | None:
         """Voxels that an object which begins at a place, an index (z, y, x) of the region, may not have.
 
-        Those of the others (but for the object ``own``, which begins anew), and for one in which the place lies.
+        Those of the others (but for the object ``id``, which begins anew), and for one in which the place lies.
         """
-        ids, click = self._objects.ids, point_click(np.rint(place).astype(int).tolist(), own)
-        takes = {*self._objects.holders([click]), *([ids.index(own)] if own in ids else [])}
+        ids, click = self._objects.ids, point_click(np.rint(place).astype(int).tolist(), id)
+        takes = {*self._objects.holders([click]), *([ids.index(id)] if id in ids else [])}
         return object_changes.taken_voxels(self._objects, frozenset(takes))
 
     # -- corrections ---------------------------------------------------------------------------------------
 
     def apply(
-        self, refinement: Refinement, clicks: Sequence[Click] | None = None, on_step: OnObjectStep | None = None
+        self, refinement: Correction, on_step: OnObjectStep | None = None
     ) -> tuple[Change, ...]:
         """Correct the objects that new clicks are about, each in a region around them; or change which objects there
         are.
 
         Parameters
         ----------
-        refinement : Refinement
+        refinement : Correction
         clicks : sequence of Click, optional
             Those of the refinement, on the image's grid; by default they are read from its texts.
         on_step : callable, optional
@@ -164,8 +167,8 @@ class Refiner:
         try:
             self.config = self.config.replace(refine=(*self.config.refine, refinement))
             if refinement.kind in ("clicks", "new"):
-                new = self._new_clicks(refinement, clicks)
-            objects.has_ids = self._result.has_ids or self.config.has_ids
+                new = self._new_clicks(refinement)
+            objects.set_ids(self._result.has_ids or self.config.has_ids)
             began = time.perf_counter()
             threads = self.config.threads
             with Workers(available_cores() if threads == "auto" else threads) as workers:
@@ -182,7 +185,7 @@ class Refiner:
             self.undo()
             raise
 
-    def _new_clicks(self, refinement: Refinement, clicks: Sequence[Click] | None) -> tuple[Click, ...]:
+    def _new_clicks(self, refinement: Correction) -> tuple[Click, ...]:
         """The clicks of a refinement on the grid of the region of interest.
 
         Raises
@@ -194,11 +197,12 @@ class Refiner:
         ids = objects.ids
         if refinement.kind == "clicks":
             check_object(refinement, ids if objects.has_ids else None)
-        read = clicks_of(refinement, self._result, objects.has_ids) if clicks is None else clicks
+        base = self._result
+        read = clicks_of(refinement, base.volume, base.image, refinement.target, objects.has_ids)
         new = placed_clicks(read, prepared)
         before = objects.models.clicks
         if refinement.new in ids:  # it begins anew
-            before = Clicks(tuple(one for one in before.clicks if one.id != refinement.new), before.shape)
+            before = Clicks(tuple(click for click in before.clicks if click.id != refinement.new), before.shape)
         known = sorted({*ids, refinement.new or ids[0]})
         refuse_contradictions(new, self._shape, known, prepared.geometry, prepared.first)
         check_left(before, before.with_later(new))
@@ -215,31 +219,33 @@ class Refiner:
         return tuple(changes)
 
     def _begin_object(
-        self, number: int, refinement: Refinement, new: Sequence[Click], workers: Workers, on_step: OnObjectStep | None
+        self, number: int, refinement: Correction, new: Sequence[Click], workers: Workers, on_step: OnObjectStep | None
     ) -> tuple[Change, ...]:
         """Begin an object beside the others."""
-        began, own = time.perf_counter(), refinement.new or 0
-        report = None if on_step is None else lambda record: on_step(record, own)
-        one, box, voxels = object_changes.begin_object(
+        began, id = time.perf_counter(), refinement.new or 0
+        report = None if on_step is None else lambda record: on_step(record, id)
+        evolving, box, voxels = object_changes.begin_object(
             self._objects, number, refinement, new, self._result, workers, self.config.max_steps, report
         )
-        return (Change(own, box, voxels, time.perf_counter() - began, one.stop),)
+        return (Change(id, box, voxels, time.perf_counter() - began, evolving.stop),)
 
-    def _rearrange(self, number: int, refinement: Refinement, workers: Workers) -> tuple[Change, ...]:
+    def _rearrange(self, number: int, refinement: Correction, workers: Workers) -> tuple[Change, ...]:
         """Merge objects, split one, or remove one: no surface moves."""
         began, objects, voxels = time.perf_counter(), self._objects, 0
-        if refinement.remove is not None:
-            voxels = object_changes.remove(objects, refinement.remove)
-            one = objects.surfaces[0]
+        if refinement.removed_id is not None:
+            voxels = object_changes.remove(objects, refinement.removed_id)
+            surface = objects.surfaces[0]
         elif refinement.merge:
-            sizes = {one.id: one.inside for one in objects.surfaces}
-            one = object_changes.merge(objects, refinement.merge, workers)
-            voxels = one.inside - sizes[one.id]
+            sizes = {before.id: before.inside for before in objects.surfaces}
+            surface = object_changes.merge(objects, refinement.merge, workers)
+            voxels = surface.inside - sizes[surface.id]
         else:
-            one = object_changes.split(objects, number, refinement, self._result, workers)[1]
-            voxels = one.inside
-        own = one.id if refinement.remove is None else refinement.remove
-        return (Change(own, box_at(one.corner, one.psi.shape), voxels, time.perf_counter() - began, one.stop),)
+            surface = object_changes.split(objects, number, refinement, self._result, workers)[1]
+            voxels = surface.inside
+        id = surface.id if refinement.removed_id is None else refinement.removed_id
+        return (
+            Change(id, box_at(surface.corner, surface.psi.shape), voxels, time.perf_counter() - began, surface.stop),
+        )
 
     def undo(self) -> None:
         """Go back to the state before the last correction that was made; with none nothing happens."""
@@ -251,79 +257,79 @@ class Refiner:
     ) -> Change:
         """Correct one object, of which ``new`` are clicks on the grid of the region of interest."""
         began = time.perf_counter()
-        one = self._objects.grown(place, box_around(new))
-        won = self._won(one, new)
+        surface = self._objects.grown(place, box_around(new))
+        won = self._won(surface, new)
         if not won:
-            return Change(one.id, box_at((0, 0, 0), (0, 0, 0)), 0, time.perf_counter() - began, one.stop)
+            return Change(surface.id, box_at((0, 0, 0), (0, 0, 0)), 0, time.perf_counter() - began, surface.stop)
         takes = frozenset(self._objects.holders(new)) - {place}
-        region = self._region(one, new, won, near)
-        one = self._objects.grown(place, region.box)
-        box = counted_from(region.box, one.corner)
-        psi = one.psi[box].copy()
-        totals = self._objects.totals_of(one)
-        problem = self._problem(one, region, psi, totals, takes)._replace(
+        region = self._region(surface, new, won, near)
+        surface = self._objects.grown(place, region.box)
+        box = counted_from(region.box, surface.corner)
+        psi = surface.psi[box].copy()
+        totals = self._objects.totals_of(surface)
+        problem = self._problem(surface, region, psi, totals, takes)._replace(
             won=[(click.side, click.mask_on(region.box)) for click in won], sides=frozenset(click.side for click in new)
         )
-        outcome = evolve_near(problem, workers, None if on_step is None else lambda record: on_step(record, one.id))
-        inside = one.inside + count_inside(outcome.psi) - count_inside(psi)
+        outcome = evolve_near(problem, workers, None if on_step is None else lambda record: on_step(record, surface.id))
+        inside = surface.inside + count_inside(outcome.psi) - count_inside(psi)
         stop = stop_of_whole(outcome.stop, inside, math.prod(self._shape))
-        self._objects.put(place, box, outcome.psi, one._replace(inside=inside, history=outcome.history, stop=stop))
+        self._objects.put(place, box, outcome.psi, surface._replace(inside=inside, history=outcome.history, stop=stop))
         for other in sorted(takes):
             self._objects.take_from(other, region, outcome.psi, workers)
         changed = int(np.count_nonzero((outcome.psi < 0) != (psi < 0)))
-        return Change(one.id, region.box, changed, time.perf_counter() - began, stop)
+        return Change(surface.id, region.box, changed, time.perf_counter() - began, stop)
 
-    def _won(self, one: CorrectedSurface, new: Sequence[Click]) -> list[Click]:
-        """What new clicks win of an object: their own voxels and those of their basins, where a side is wrong.
+    def _won(self, surface: CorrectedSurface, new: Sequence[Click]) -> list[Click]:
+        """Return the voxels that new clicks relabel: their own and those of their basins, where a side is wrong.
 
         Nothing where all are on their sides already, and the model gives them nothing else.
         """
-        won, model = list(new), self._objects.models.model(one.id)
+        won, model = list(new), self._objects.models.model(surface.id)
         if model is not None:
             won = []
             for click in new:
                 change = model.add(click)
                 self._objects.note_click(model, change)
-                won.append(basin_of(click, change, model, one))
-        wrong = [wrong_part(click, one) for click in won]
+                won.append(basin_of(click, change, model, surface))
+        wrong = [wrong_part(click, surface) for click in won]
         return [click for click in wrong if click is not None]
 
     def _region(
-        self, one: CorrectedSurface, new: Sequence[Click], won: Sequence[Click], near: float | str
+        self, surface: CorrectedSurface, new: Sequence[Click], won: Sequence[Click], near: float | str
     ) -> NearRegion:
-        """Where the surface may move for new clicks: within ``near``, or where they win, or by their depth."""
+        """Return the region of motion for new clicks: within ``near``, or where they relabel, or by their depth."""
         rim = rim_width(self._shape, self._spacing)
         margin = max(MARGIN * max(h for h, n in zip(self._spacing, self._shape, strict=True) if n > 1), self._reach)
         if not isinstance(near, str):
             return around_clicks(new, near, min(rim, 0.5 * near), self._shape, self._spacing, margin)
-        if self._objects.models.model(one.id) is not None:
+        if self._objects.models.model(surface.id) is not None:
             return around_clicks([*new, *won], rim, rim, self._shape, self._spacing, margin)
-        placed = Clicks(tuple(new), self._shape).on_box(box_at(one.corner, one.psi.shape)).clicks
-        near = automatic_near(one.psi, placed, self._spacing) + rim
+        placed = Clicks(tuple(new), self._shape).on_box(box_at(surface.corner, surface.psi.shape)).clicks
+        near = automatic_near(surface.psi, placed, self._spacing) + rim
         return around_clicks(new, near, rim, self._shape, self._spacing, margin)
 
     def _problem(
         self,
-        one: CorrectedSurface,
+        surface: CorrectedSurface,
         region: NearRegion,
         psi: NDArray[np.float32],
         totals: RegionTotals,
         takes: frozenset[int],
     ) -> LocalProblem:
-        """What is evolved for a region: energy and clicks on its box."""
+        """Return the evolution of a region: energy and clicks on its box."""
         models = self._objects.models
-        settings = models.settings_of(one.id)
-        settings = settings.replace(seed=None if self.config.seed is None else self.config.seed + one.id)
-        context = models.contexts[one.id].seeing_elsewhere(totals, counted_from(region.box, one.corner))
-        energy = models.energy_on(one.id, region.box, context, self._images).energy
-        distance = self._objects.bounding(one.id, region.box, takes)
+        settings = models.settings_of(surface.id)
+        settings = settings.replace(seed=None if self.config.seed is None else self.config.seed + surface.id)
+        context = models.contexts[surface.id].seeing_elsewhere(totals, counted_from(region.box, surface.corner))
+        energy = models.energy_on(surface.id, region.box, context, self._images).energy
+        distance = self._objects.bounding(surface.id, region.box, takes)
         if distance is not None:
             energy = MaskConstraint(energy, distance)
-        clicks = models.clicks.of(one.id).on_box(region.box)
+        clicks = models.clicks.of(surface.id).on_box(region.box)
         bounds = click_bounds(clicks, Level(0, (1, 1, 1), psi.shape, self._spacing))
         setup = setup_of(settings, 0, 1, self._state.prepared.geometry)._replace(rule=correction_rule(settings))
         return LocalProblem(
-            psi, self._spacing, region, bounds, [], frozenset(), energy, setup, self.config.max_steps, one.history
+            psi, self._spacing, region, bounds, [], frozenset(), energy, setup, self.config.max_steps, surface.history
         )
 
     # -- result --------------------------------------------------------------------------------------------
@@ -331,14 +337,24 @@ class Refiner:
     def result(self) -> Result:
         """The present state as a result; later corrections do not change it."""
         base, models = self._result, self._objects.models
-        objects = tuple(self._objects.segmented(one) for one in self._objects.surfaces)
-        state = dataclasses.replace(
-            self._state, totals=self._objects.totals, clicks=models.clicks, models=models.made,
-            contexts=dict(models.contexts), settings=dict(models.settings), masks=dict(models.masks),
-        )
+        objects = tuple(self._objects.segmented(surface) for surface in self._objects.surfaces)
         seconds = {**base.seconds, "refine": base.seconds.get("refine", 0.0) + self._seconds}
         clicks = on_image(models.clicks, self._state.prepared.first, base.geometry.shape)
         return dataclasses.replace(
-            base, objects=objects, has_ids=self.has_ids, config=self.config, state=state, seconds=seconds,
-            clicks=clicks, late_growth=still_inside(base.late_growth, objects),
+            base, objects=objects, has_ids=self.has_ids, config=self.config, state=self._objects.state, seconds=seconds,
+            clicks=clicks, late_growth=_still_inside(base.late_growth, objects),
         )
+
+
+def _still_inside(
+    place: Place | None, objects: Iterable[SegmentedObject]
+) -> Place | None:
+    """Return a place where an object is there, after corrections; else None."""
+    if place is None:
+        return None
+    voxel = [round(at) for at in place]
+    for segmented in objects:
+        index = tuple(at - part.start for at, part in zip(voxel, segmented.box, strict=True))
+        if all(0 <= at < n for at, n in zip(index, segmented.psi.shape, strict=True)) and segmented.psi[index] < 0:
+            return place
+    return None

@@ -1,8 +1,9 @@
-"""Where a run is made: region of interest, box around the object."""
+"""Region of interest of a run, box around the object, and mask: the voxels where the surface may be."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, widened
 from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.window import Window
 from accelsurf.initialization import starts
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
@@ -88,3 +90,41 @@ def region_of_run(config: RunConfig, geometry: Geometry) -> Box:
     box = region_of_interest(config.box, geometry, "box")
     margin = [max(AROUND_BOX, math.ceil(0.5 * (s.stop - s.start))) for s in box]
     return widened(box, geometry.shape, margin)
+
+
+def distance_of_mask(
+    config: RunConfig, given: Mapping[str, NDArray[np.float32]], window: Window, box: Box
+) -> NDArray[np.float32] | None:
+    """Signed distance, mm, of mask and box on the region ``box`` of a window; None without both."""
+    # Not with the module: the viewer reads boxes before it loads the solver.
+    from accelsurf.energies.constraints.mask import mask_distance
+
+    if "mask" in given:
+        mask = np.asarray(given["mask"] < 0)
+    elif config.mask is not None:
+        mask = read_mask(config.mask, window)
+    elif config.box is not None:
+        mask = np.ones(window.shape, np.bool_)
+    else:
+        return None
+    if config.box is not None:
+        within = np.zeros(window.shape, np.bool_)
+        part = window.local(region_of_interest(config.box, window.geometry, "box"))
+        within[part] = mask[part]
+        mask = within
+    return mask_distance(np.ascontiguousarray(mask[box]), window.geometry.spacing)
+
+
+def read_mask(file: str, window: Window) -> NDArray[np.bool_]:
+    """Voxels above 0 of a label map on the image's grid, in a window of it.
+
+    Raises
+    ------
+    InputError
+        When there is none, or the file cannot be read; GeometryError when it lies on another grid.
+    """
+    mask = np.asarray(starts.label_box(file, window, f"mask {file}") > 0)
+    if not mask.any():
+        there = "" if window.is_whole else " there"
+        raise InputError(f"mask {file}: it is empty{there}", "give one with voxels above 0, where the surface may be")
+    return mask

@@ -1,4 +1,4 @@
-"""Where an object rested before it broke through, as a result has it: on the image's grid, with a place in mm."""
+"""Rests of an object's front before it broke through, on the image's grid, with a place in mm."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ def _point(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> RestPoint:
     corner, psi = to_finest(at.corner, psi_of(at.surface, at.shape, far), at.level, grids)
     labels = np.zeros(tuple(s.stop - s.start for s in box), np.uint8)
     first = prepared.first
-    own = (corner[0] + first[0], corner[1] + first[1], corner[2] + first[2])
-    mine, theirs = shared((box[0].start, box[1].start, box[2].start), labels.shape, own, psi.shape)
+    on_image = (corner[0] + first[0], corner[1] + first[1], corner[2] + first[2])
+    mine, theirs = shared((box[0].start, box[1].start, box[2].start), labels.shape, on_image, psi.shape)
     labels[mine] = psi[theirs] < 0
     return RestPoint(at.step, at.volume_mm3, rest.left_at, _place(rest, grids[at.level], geometry), labels)
 

@@ -11,19 +11,19 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.volume import Volume
+from accelsurf.initialization.clicks import clicks_of
 from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
 from accelsurf.segmentation.corrected_surface import frozen_settings
-from accelsurf.segmentation.local_model import LocalState, sureness_from
-from accelsurf.segmentation.new_clicks import clicks_of, clicks_on, placed_clicks
+from accelsurf.segmentation.local_model import LocalState
 from accelsurf.segmentation.object_changes import voxel_of
-from accelsurf.segmentation.object_models import ObjectModels, point_click
+from accelsurf.segmentation.object_models import ObjectModels, clicks_on, placed_clicks, point_click
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_result import result_of
+from accelsurf.segmentation.run_result import result_of, sureness_from
 from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.segmentation.state_file import ObjectFile, StateFile, box_of, masks_of, rests_of, surface_of
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 
 
 def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) -> Result:
@@ -51,12 +51,12 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
     assert base.state is not None
     prepared, has_ids = base.state.prepared, base.has_ids or state.config.has_ids
     models, known = _replayed(state, base)
-    if sorted(known) != [one.id for one in state.objects]:
+    if sorted(known) != [segmented.id for segmented in state.objects]:
         raise InputError("the state has other objects than its settings name", "run accelsurf segment again")
-    objects = tuple(_object(one, known[one.id], base, has_ids) for one in state.objects)
+    objects = tuple(_object(segmented, known[segmented.id], base, has_ids) for segmented in state.objects)
     made, clicks = models.made, models.clicks
     said = clicks if clicks.clicks else None
-    objects = tuple(_with_clicks(one, said, made.get(one.id), prepared.first) for one in objects)
+    objects = tuple(_with_clicks(segmented, said, made.get(segmented.id), prepared.first) for segmented in objects)
     return dataclasses.replace(
         base,
         objects=objects,
@@ -67,20 +67,12 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
         edits_done=state.edits_done,
         warnings=list(state.warnings),
         late_growth=state.late_growth,
-        state=dataclasses.replace(
-            base.state,
-            totals=dict(state.totals),
-            clicks=clicks,
-            models=made,
-            contexts=dict(models.contexts),
-            settings=dict(models.settings),
-            masks=dict(models.masks),
-        ),
+        state=models.state(state.totals),
     )
 
 
 def _replayed(state: StateFile, base: Result) -> tuple[ObjectModels, dict[int, SegmentedObject]]:
-    """What is known of each object after all corrections, made again without a step; and what results say of it."""
+    """Return models and result entries of each object after all corrections, made again without a step."""
     assert base.state is not None
     try:
         masks = masks_of(state)
@@ -89,52 +81,53 @@ def _replayed(state: StateFile, base: Result) -> tuple[ObjectModels, dict[int, S
     ended = dataclasses.replace(base, config=state.config, edits_done=state.edits_done)
     models = ObjectModels(base.state, frozen_settings(ended))
     known = dict(base.by_id)
-    for number, one in enumerate(state.config.refine):
+    for number, correction in enumerate(state.config.refine):
         has_ids = base.has_ids or state.config.replace(refine=state.config.refine[:number]).has_ids
-        _replay(number, one, (models, known), (base, masks.get(number)), has_ids)
+        _replay(number, correction, models, known, base, masks.get(number), has_ids)
     return models, known
 
 
 def _replay(
     number: int,
-    one: Refinement,
-    now: tuple[ObjectModels, dict[int, SegmentedObject]],
-    given: tuple[Result, BoxMask | None],
+    correction: Correction,
+    models: ObjectModels,
+    known: dict[int, SegmentedObject],
+    base: Result,
+    mask: BoxMask | None,
     has_ids: bool,
 ) -> None:
     """Make one correction again, but for its surfaces."""
-    (models, known), (base, mask) = now, given
-    if one.kind in ("clicks", "new"):
-        if one.new in known:
-            models.remove(one.new or 0)
-        new = placed_clicks(clicks_of(one, base, has_ids), models.prepared)
+    if correction.kind in ("clicks", "new"):
+        if correction.new in known:
+            models.remove(correction.new or 0)
+        new = placed_clicks(clicks_of(correction, base.volume, base.image, correction.target, has_ids), models.prepared)
         models.add(new)
-    if one.new is not None and one.split is None:
-        models.begin_object(number, one, mask)
-        known[one.new] = _begun(one.new, base, models)
-    elif one.kind == "clicks":
+    if correction.new is not None and correction.split is None:
+        models.begin_object(number, correction, mask)
+        known[correction.new] = _begun(correction.new, base, models)
+    elif correction.kind == "clicks":
         for id in known:
             model = models.model(id) if (mine := clicks_on(new, id)) else None
             if model is not None:
                 for click in mine:
                     model.add(click)
-    elif one.merge:
-        models.merge(one.merge)
-        for id in one.merge[1:]:
+    elif correction.merge:
+        models.merge(correction.merge)
+        for id in correction.merge[1:]:
             del known[id]
-    elif one.remove is not None:
-        models.remove(one.remove)
-        del known[one.remove]
+    elif correction.removed_id is not None:
+        models.remove(correction.removed_id)
+        del known[correction.removed_id]
     else:
-        if mask is None or one.split is None or one.object not in known or one.new is None:
+        if mask is None or correction.split is None or correction.object not in known or correction.new is None:
             raise InputError(f"the state says nothing of correction {number + 1}", "run accelsurf segment again")
-        voxel = voxel_of(one.split, base) - np.array(models.prepared.first)
-        models.split(number, one.object, one.new, mask, point_click(voxel, one.new))
-        known[one.new] = dataclasses.replace(known[one.object], id=one.new, rests=())
+        voxel = voxel_of(correction.split, base) - np.array(models.prepared.first)
+        models.split(number, correction.object, correction.new, mask, point_click(voxel, correction.new))
+        known[correction.new] = dataclasses.replace(known[correction.object], id=correction.new, rests=())
 
 
 def _begun(id: int, base: Result, models: ObjectModels) -> SegmentedObject:
-    """What results say of an object that a correction has begun, but for its surface."""
+    """Return the entry in results of an object that a correction has begun, but for its surface."""
     context, model = models.contexts[id], models.model(id)
     assert model is not None
     made = models.energy_on(id, model.state.box, context, models.prepared.images)
@@ -144,22 +137,26 @@ def _begun(id: int, base: Result, models: ObjectModels) -> SegmentedObject:
     )
 
 
-def _with_clicks(one: SegmentedObject, said: Clicks | None, model: LocalState | None, first: Corner) -> SegmentedObject:
+def _with_clicks(
+    segmented: SegmentedObject, said: Clicks | None, model: LocalState | None, first: Corner
+) -> SegmentedObject:
     """An object with all that was clicked on the region of interest, whose first voxel is ``first``."""
-    sureness = one.sureness if model is None else sureness_from(model)
-    return dataclasses.replace(one, clicked=clicked_voxels(said, one.id, first, one.box), sureness=sureness)
+    sureness = segmented.sureness if model is None else sureness_from(model)
+    return dataclasses.replace(
+        segmented, clicked=clicked_voxels(said, segmented.id, first, segmented.box), sureness=sureness
+    )
 
 
-def _object(one: ObjectFile, known: SegmentedObject, base: Result, has_ids: bool) -> SegmentedObject:
+def _object(stored: ObjectFile, known: SegmentedObject, base: Result, has_ids: bool) -> SegmentedObject:
     """An object as the state has it; what it shows of the image is that of the run."""
     try:
-        psi, rests = surface_of(one), rests_of(one)
+        psi, rests = surface_of(stored), rests_of(stored)
     except (ValueError, TypeError) as error:
         raise InputError(f"the state is damaged ({error})", "run accelsurf segment again") from None
-    box = box_of(one)
+    box = box_of(stored)
     if not has_ids:
-        return dataclasses.replace(known, psi=psi, history=list(one.history), stop=one.stop, rests=rests)
+        return dataclasses.replace(known, psi=psi, history=list(stored.history), stop=stored.stop, rests=rests)
     return dataclasses.replace(
         known, box=box, psi=psi, image=base.image[box], geometry=cropped(base.geometry, box),
-        history=list(one.history), stop=one.stop, rests=rests,
+        history=list(stored.history), stop=stored.stop, rests=rests,
     )

@@ -1,7 +1,8 @@
-"""What a run leaves: one result with an object or several, each with its surface, measures and quality."""
+"""Result of a run: an object or several, each with its surface, measures and quality."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -25,7 +26,6 @@ from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import Window
-from accelsurf.segmentation.combined_objects import before_corrections, combined_history, common_terms
 from accelsurf.segmentation.ensemble import overall_stop
 from accelsurf.segmentation.rest_points import RestPoint
 from accelsurf.segmentation.run_state import RunState
@@ -90,7 +90,7 @@ class SegmentedObject:
 
     @property
     def has_surface(self) -> bool:
-        """Whether something of the grid is inside and something outside."""
+        """True if something of the grid is inside and something outside."""
         return bool(self.labels.any()) and self.stop.reason not in ("vanished", "filled")
 
     @cached_property
@@ -150,14 +150,14 @@ class SegmentedObject:
 
     @cached_property
     def touches_border(self) -> bool:
-        """Whether a voxel of the object lies on the border of its grid (axes with one slice do not count)."""
+        """True if a voxel of the object lies on the border of its grid (axes with one slice do not count)."""
         axes = [axis for axis, n in enumerate(self.labels.shape) if n > 1]
         return any(bool(np.take(self.labels, end, axis=axis).any()) for axis in axes for end in (0, -1))
 
     @cached_property
     def quality(self) -> Quality:
         """Measures of quality that need no reference."""
-        rests = [RestNote(one.step, one.volume_mm3, one.left_at, one.place) for one in self.rests]
+        rests = [RestNote(rest.step, rest.volume_mm3, rest.left_at, rest.place) for rest in self.rests]
         seen = self.labels, self.image, self.geometry, self.history, self.stop
         learned = None if self.learned is None else ValueRange(*self.learned)
         return assess(*seen, learned, rests, self.clicked, self.sureness)
@@ -243,7 +243,7 @@ class Result:
     @cached_property
     def by_id(self) -> Mapping[int, SegmentedObject]:
         """The objects by their ids."""
-        return {one.id: one for one in self.objects}
+        return {segmented.id: segmented for segmented in self.objects}
 
     @cached_property
     def labels(self) -> NDArray[np.unsignedinteger[Any]]:
@@ -253,8 +253,8 @@ class Result:
         largest = self.objects[-1].id
         kind = next(t for t in (np.uint8, np.uint16, np.uint32) if largest <= np.iinfo(t).max)
         labels = np.zeros(self.geometry.shape, kind)
-        for one in self.objects:
-            labels[one.box][one.labels > 0] = one.id
+        for segmented in self.objects:
+            labels[segmented.box][segmented.labels > 0] = segmented.id
         return labels
 
     @cached_property
@@ -262,10 +262,10 @@ class Result:
         """The smallest psi of all objects, mm, negative inside of any; a constant away from all."""
         if not self.has_ids:
             return self._one.psi
-        far = max(float(np.abs(one.psi).max()) for one in self.objects)
+        far = max(float(np.abs(segmented.psi).max()) for segmented in self.objects)
         out = np.full(self.geometry.shape, far, np.float32)
-        for one in self.objects:
-            np.minimum(out[one.box], one.psi, out=out[one.box])
+        for segmented in self.objects:
+            np.minimum(out[segmented.box], segmented.psi, out=out[segmented.box])
         return out
 
     @cached_property
@@ -273,29 +273,29 @@ class Result:
         """Why the run ended; of several objects ``converged`` if all that remain did, ``vanished`` if none remains,
         else the worst reason.
         """
-        return overall_stop([one.stop for one in self.objects]) if self.has_ids else self._one.stop
+        return overall_stop([segmented.stop for segmented in self.objects]) if self.has_ids else self._one.stop
 
     @cached_property
     def history(self) -> list[StepRecord]:
         """The record of each step; of several objects, sums and largest values over them.
 
-        See `accelsurf.segmentation.combined_objects.combined_history`.
+        See `accelsurf.segmentation.result.combined_history`.
         """
         if not self.has_ids:
             return self._one.history
-        return combined_history([one.history for one in self.objects if one.history])
+        return combined_history([segmented.history for segmented in self.objects if segmented.history])
 
     @cached_property
     def run_history(self) -> list[StepRecord]:
         """`history` without corrections, whose potentials are those of their boxes and compare with no others."""
         edits = {edit.step for edit in self.config.edit[: self.edits_done]}
-        own = [before_corrections(one.history, edits) for one in self.objects if one.history]
-        return combined_history(own) if self.has_ids else [*own, []][0]
+        histories = [before_corrections(segmented.history, edits) for segmented in self.objects if segmented.history]
+        return combined_history(histories) if self.has_ids else [*histories, []][0]
 
     @cached_property
     def terms(self) -> list[dict[str, Any]]:
         """The terms of the energy with their settings; "by object" where they differ between objects."""
-        return common_terms([one.terms for one in self.objects]) if self.has_ids else self._one.terms
+        return common_terms([segmented.terms for segmented in self.objects]) if self.has_ids else self._one.terms
 
     @property
     def learned(self) -> tuple[float, float] | None:
@@ -313,7 +313,7 @@ class Result:
         """
         if not self.has_ids:
             return self._one.surface
-        meshes = [one.surface for one in self.objects if one.has_surface]
+        meshes = [segmented.surface for segmented in self.objects if segmented.has_surface]
         if not meshes:
             raise InputError("no object is left, so there is no surface", "start closer to the objects")
         first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
@@ -331,7 +331,9 @@ class Result:
         """
         if not self.has_ids:
             return self._one.contours
-        return Contours(tuple(loop for one in self.objects if one.has_surface for loop in one.contours.loops))
+        return Contours(
+            tuple(loop for segmented in self.objects if segmented.has_surface for loop in segmented.contours.loops)
+        )
 
     def labels_volume(self) -> Volume:
         """The labels on the input's grid with its header."""
@@ -340,34 +342,34 @@ class Result:
     @property
     def volume_mm3(self) -> float:
         """Volume of all objects, mm3, sub-voxel."""
-        return sum(one.volume_mm3 for one in self.objects)
+        return sum(segmented.volume_mm3 for segmented in self.objects)
 
     @property
     def area_mm2(self) -> float:
         """Area of their surfaces, mm2; where two touch, it counts for both."""
-        return sum(one.area_mm2 for one in self.objects)
+        return sum(segmented.area_mm2 for segmented in self.objects)
 
     @property
     def enclosed_mm2(self) -> float | None:
         """Area of all objects in an image of one slice, mm2; None for a volume."""
         is_2d = self.geometry.slice_axis is not None
-        return sum(one.enclosed_mm2 or 0.0 for one in self.objects) if is_2d else None
+        return sum(segmented.enclosed_mm2 or 0.0 for segmented in self.objects) if is_2d else None
 
     @property
     def length_mm(self) -> float | None:
         """Length of all contours in an image of one slice, mm; None for a volume."""
         is_2d = self.geometry.slice_axis is not None
-        return sum(one.length_mm or 0.0 for one in self.objects) if is_2d else None
+        return sum(segmented.length_mm or 0.0 for segmented in self.objects) if is_2d else None
 
     @property
     def components(self) -> int:
         """Number of 6-connected parts of all objects."""
-        return sum(one.components for one in self.objects)
+        return sum(segmented.components for segmented in self.objects)
 
     @property
     def touches_border(self) -> bool:
-        """Whether any object lies on the border of its grid."""
-        return any(one.touches_border for one in self.objects)
+        """True if any object lies on the border of its grid."""
+        return any(segmented.touches_border for segmented in self.objects)
 
     @property
     def quality(self) -> Quality | None:
@@ -398,3 +400,60 @@ class Result:
 
 #: Public name of a result of several objects: it is a `Result`.
 ObjectsResult = Result
+
+#: Columns of the history that are summed over objects, and those of which the largest counts.
+SUMMED = (
+    "potential", "kinetic", "mass_potential", "friction_work", "smoothing_work", "noise_work", "mass", "volume_mm3",
+    "area_mm2", "band_cells", "cells_visited", "seconds",
+)
+LARGEST = ("mass_correction", "clamped_fraction", "motion_voxels", "limited_fraction")
+
+
+def combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
+    """The history of several objects together, by step.
+
+    Energies, mass, volume and area are summed; the columns of `LARGEST` have the largest value of any object; the other
+    columns are those of the first. An object that has stopped counts with its last record.
+    """
+    records = []
+    for step in range(max(map(len, histories))):
+        now = [history[min(step, len(history) - 1)] for history in histories]
+        sums = {key: sum(getattr(record, key) for record in now) for key in SUMMED}
+        largest = {key: max((getattr(record, key) for record in now), key=abs) for key in LARGEST}
+        records.append(now[0]._replace(step=step, restarted=False, **sums, **largest))
+    return records
+
+
+def before_corrections(history: list[StepRecord], edits: set[int]) -> list[StepRecord]:
+    """The records of a run without those of corrections after it; ``edits`` are the steps of edits of the run itself.
+
+    A correction counts as an edit before its first step, and replaces the record of the final state.
+    """
+    begun = [n for n, row in enumerate(history) if n and row.edits and row.step not in edits]
+    return history[: begun[0]] if begun else history
+
+
+def common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """The terms of all objects; "by object" where a setting differs. Objects that began later may have other terms.
+
+    Examples
+    --------
+    >>> common_terms([[{"term": "threshold", "LO": 3}], [{"term": "threshold", "LO": 4}]])
+    [{'term': 'threshold', 'LO': 'by object'}]
+    >>> common_terms([[{"term": "chan-vese"}], [{"term": "seeded"}]])
+    [{'term': 'chan-vese'}, {'term': 'seeded'}]
+    """
+    same: dict[tuple[Any, int], list[dict[str, Any]]] = {}
+    for of_object in terms:
+        counts = Counter[Any]()
+        for term in of_object:
+            name = term.get("term")
+            same.setdefault((name, counts[name]), []).append(term)
+            counts[name] += 1
+    return [
+        {
+            key: value if all(other.get(key) == value for other in alike) else "by object"
+            for key, value in alike[0].items()
+        }
+        for alike in same.values()
+    ]

@@ -17,14 +17,12 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import Workers
-from accelsurf.segmentation import edit_checks
 from accelsurf.segmentation.ensemble import Ensemble, overall_stop
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.image_context import ImageContext
-from accelsurf.segmentation.level_arrays import LevelInputs
 from accelsurf.segmentation.object_records import EnergyMaker
 from accelsurf.segmentation.run_checkpoint import RunCheckpoint
-from accelsurf.segmentation.run_clicks import RunClicks
+from accelsurf.segmentation.run_clicks import RunClicks, balls_for, balls_of, check_edit
 from accelsurf.segmentation.run_setup import (
     EnergyLike,
     ObjectsLike,
@@ -38,8 +36,9 @@ from accelsurf.segmentation.run_setup import (
 )
 from accelsurf.segmentation.run_start import AROUND, start_of_run
 from accelsurf.segmentation.start_checks import start_checks
+from accelsurf.segmentation.start_pyramid import LevelInputs
 from accelsurf.segmentation.window_input import WindowInput
-from accelsurf.settings.edits import Edit
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 
 __all__ = ["AROUND", "Run"]
@@ -110,7 +109,7 @@ class Run:
         self.settings, self._edits_done = config.model_copy(update={"edit": ()}), 0
         self.has_ids, self.given, self.given_digest = begin.has_ids, begin.given, begin.given_digest
         self.prepared, starts, contexts = begin.prepared, begin.starts, begin.contexts
-        ids = [one.id for one in starts] if self.has_ids else []
+        ids = [start.id for start in starts] if self.has_ids else []
         distance, first = self.prepared.mask_distance, self.prepared.clicks
         self._clicks = RunClicks(volume, self.prepared.box, distance, first, contexts, ids)
         for number, edit in enumerate(config.edit, start=1):
@@ -125,8 +124,8 @@ class Run:
         self.level_warnings = thin_start_warnings(starts, self.geometry, self.has_ids)
         del begin
         self._max_steps = config.max_steps
-        self._all = tuple(self._object(place, *one) for place, one in enumerate(zip(starts, contexts, strict=True)))
-        self.objects = tuple(one for one in self._all if one.id != NO_OBJECT)
+        self._all = tuple(self._object(place, *start) for place, start in enumerate(zip(starts, contexts, strict=True)))
+        self.objects = tuple(evolving for evolving in self._all if evolving.id != NO_OBJECT)
         self.level_summaries: list[LevelSummary] = []
         self.level = self._levels - 1
         self._ensemble = Ensemble(self._all, self.workers, self.geometry.steps, self.has_ids, beyond)
@@ -170,7 +169,7 @@ class Run:
     @property
     def stop(self) -> Stop | None:
         """Why the run ended; None while it goes on."""
-        stops = [one.stop for one in self.objects]
+        stops = [segmented.stop for segmented in self.objects]
         ended = [stop for stop in stops if stop is not None]
         if len(ended) < len(stops):
             return None
@@ -196,14 +195,14 @@ class Run:
     def extend(self, max_steps: int) -> None:
         """Set the limit of the steps."""
         self._max_steps = max_steps
-        for one in self._all:
-            one.set_max_steps(max_steps)
+        for evolving in self._all:
+            evolving.set_max_steps(max_steps)
 
     def request_stop(self) -> None:
         """End the run after the present step, with the reason ``interrupted`` (safe from any thread)."""
         self._stop_requested = True
-        for one in self._all:
-            one.request_stop()
+        for evolving in self._all:
+            evolving.request_stop()
 
     def close(self) -> None:
         """End the run's threads."""
@@ -247,38 +246,38 @@ class Run:
     def current(self) -> tuple[Step, ...]:
         """The present state of each object: its last record once it has ended, else a record without motion."""
         steps = []
-        for one in self.objects:
-            now = one.evolution
-            ended = one.stop is not None
+        for segmented in self.objects:
+            now = segmented.evolution
+            ended = segmented.stop is not None
             step = Step(now.history[-1], now.surface, now.state.fields) if ended else now.current()
-            steps.append(step._replace(object_id=one.id))
+            steps.append(step._replace(object_id=segmented.id))
         return tuple(steps)
 
     # -- levels --------------------------------------------------------------------------------------------
 
     def _begin_first_level(self) -> None:
         """Begin on the coarsest level whose grid has voxels inside and outside of each start."""
-        while self.level > 0 and not all(one.start_is_resolved() for one in self._all):
+        while self.level > 0 and not all(evolving.start_is_resolved() for evolving in self._all):
             self._warn("the start is not resolved there", "began")
             self.level_summaries.append(LevelSummary(self.grid, 0, None))
             self.level -= 1
-            for one in self._all:
-                one.skip_level()
+            for evolving in self._all:
+                evolving.skip_level()
         self._inputs.release_coarser(self.level)
-        for one in self._all:
-            one.start_level()
+        for evolving in self._all:
+            evolving.start_level()
 
     def _next_level(self) -> None:
         """Continue every object on the next finer level: from its surface, or from its start if the level failed."""
-        for one in self._all:
-            if (failed := one.failed_on_level()) is not None:
-                name = f"object {one.id}: " if self.has_ids else ""
+        for evolving in self._all:
+            if (failed := evolving.failed_on_level()) is not None:
+                name = f"object {evolving.id}: " if self.has_ids else ""
                 self._warn(f"{name}{failed.message}", "went on from the start")
         self.level_summaries.append(self._ensemble.summary(self.grid))
         self.level -= 1
         self._inputs.release_coarser(self.level)
-        for one in self._all:
-            one.next_level()
+        for evolving in self._all:
+            evolving.next_level()
 
     def summaries(self) -> list[LevelSummary]:
         """The levels so far, coarsest first."""
@@ -303,14 +302,14 @@ class Run:
                 settings = settings.replace(**edit.settings, seed=self.config.seed)
             new_energy = energy_key(settings) != energy_key(self.settings)
             contexts = self._clicks.contexts(self.config.edit[: self._edits_done + 1])
-            balls = edit_checks.balls_of(edit, self.geometry)
-            for place, one in enumerate(self._all):
-                own = balls if not self.has_ids else edit_checks.balls_for(one.id, edit, balls)
+            balls = balls_of(edit, self.geometry)
+            for place, evolving in enumerate(self._all):
+                mine = balls if not self.has_ids else balls_for(evolving.id, edit, balls)
                 setup, maker = setup_of(settings, place, self._levels, self.geometry), self._energy_maker(settings)
-                if one.takes_edits:
-                    one.edit(setup, maker, new_energy, own, contexts[place])
+                if evolving.takes_edits:
+                    evolving.edit(setup, maker, new_energy, mine, contexts[place])
                 else:
-                    one.set_up(setup, maker, contexts[place])
+                    evolving.set_up(setup, maker, contexts[place])
             self.settings, self._edits_done = settings, self._edits_done + 1
 
     @property
@@ -318,7 +317,7 @@ class Run:
         """Number of edits that have been applied."""
         return self._edits_done
 
-    def set_edits(self, edits: tuple[Edit, ...]) -> None:
+    def set_edits(self, edits: tuple[Correction, ...]) -> None:
         """Replace the edits; those that have been applied must stay the same.
 
         Raises
@@ -338,13 +337,14 @@ class Run:
             raise ValueError("an edit that has been applied cannot change: restore a state before it first")
         self.config = config
 
-    def check(self, edit: Edit, ids: Sequence[int] = (), edits: Sequence[Edit] | None = None) -> None:
-        """Refuse an edit that this run cannot apply: see `accelsurf.segmentation.edit_checks.check`.
+    def check(self, edit: Correction, ids: Sequence[int] = (), edits: Sequence[Correction] | None = None) -> None:
+        """Refuse an edit that this run cannot apply: see `accelsurf.segmentation.run_clicks.check_edit`.
 
         ``edits`` are all up to this one; those that are in force and this one unless given.
         """
-        ids = ids or [one.id for one in self._all]
-        edit_checks.check(edit, self.config, self.prepared, ids if self.has_ids else (), self.energy_given)
+        ids = ids or [evolving.id for evolving in self._all]
+        prepared, ids = self.prepared, ids if self.has_ids else ()
+        check_edit(edit, self.config, prepared.context, prepared.geometry, ids, self.energy_given)
         self._clicks.after((*self.config.edit[: self._edits_done], edit) if edits is None else edits)
 
     @property
@@ -361,7 +361,7 @@ class Run:
             self.settings,
             self._edits_done,
             self.level,
-            tuple(one.checkpoint() for one in self._all),
+            tuple(evolving.checkpoint() for evolving in self._all),
             tuple(self.level_summaries),
             tuple(self.level_warnings),
         )
@@ -380,13 +380,13 @@ class Run:
         if checkpoint.level < self.level:
             self.level = checkpoint.level
             self._inputs.release_coarser(self.level)
-            for one in self._all:
-                one.release_to(self.level)
+            for evolving in self._all:
+                evolving.release_to(self.level)
         contexts = self._clicks.contexts(self.config.edit[: checkpoint.edits_done])
-        for place, (one, state) in enumerate(zip(self._all, checkpoint.objects, strict=True)):
+        for place, (evolving, state) in enumerate(zip(self._all, checkpoint.objects, strict=True)):
             settings = checkpoint.settings
             setup = setup_of(settings, place, self._levels, self.geometry)
-            one.restore(state, setup, self._energy_maker(settings), changed, contexts[place])
+            evolving.restore(state, setup, self._energy_maker(settings), changed, contexts[place])
         self._stop_requested = False
         self.settings, self._edits_done = checkpoint.settings, checkpoint.edits_done
         self._steps_made = checkpoint.step
@@ -396,4 +396,4 @@ class Run:
     def separated(self) -> list[tuple[Corner, NDArray[np.float32]]]:
         """First voxel and psi of each object on the finest grid, cut where it meets another: none overlap."""
         parts = self._ensemble.separated(self.prepared.mask_distance)
-        return [part for one, part in zip(self._all, parts, strict=True) if one.id != NO_OBJECT]
+        return [part for evolving, part in zip(self._all, parts, strict=True) if evolving.id != NO_OBJECT]

@@ -65,7 +65,7 @@ class RunCheckpoint(NamedTuple):
     @property
     def nbytes(self) -> int:
         """Upper bound of its memory, bytes."""
-        return sum(one.nbytes for one in self.objects)
+        return sum(segmented.nbytes for segmented in self.objects)
 
 
 #: Settings that do not change what a run has done up to a step, or only what is written at the end.
@@ -76,7 +76,7 @@ _BEGIN = "begin anew without --resume, with --overwrite"
 
 
 class CheckpointHeader(NamedTuple):
-    """What a checkpoint says of its run.
+    """Identity of the run of a checkpoint.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ TYPES: dict[str, type] = {
 
 
 class Source(Protocol):
-    """What identifies a run; see `accelsurf.segmentation.run.Run`."""
+    """Identity of a run; see `accelsurf.segmentation.run.Run`."""
 
     config: RunConfig
     prepared: PreprocessedInput
@@ -123,7 +123,7 @@ class Source(Protocol):
 
 
 def versions() -> dict[str, str]:
-    """What the bytes of a result depend on besides image and settings."""
+    """Return the versions on which the bytes of a result depend besides image and settings."""
     return {
         "accelsurf": __version__,
         "numpy": np.__version__,
@@ -156,7 +156,7 @@ def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: Checkpo
     TypeError
         When the state of an energy of one's own is not made of numbers and arrays.
     """
-    objects = tuple(one._replace(evolution=one.evolution.without_costs) for one in checkpoint.objects)
+    objects = tuple(segmented._replace(evolution=segmented.evolution.without_costs) for segmented in checkpoint.objects)
     settings: Any = checkpoint.settings.model_dump(mode="json")
     state = checkpoint._replace(objects=objects, settings=settings)
     write_bytes(Path(path), to_bytes((header, state), TYPES))
@@ -185,7 +185,7 @@ def read_checkpoint(path: str | Path) -> tuple[CheckpointHeader, RunCheckpoint]:
 
 def _check_header(header: CheckpointHeader) -> None:
     texts = header.versions if isinstance(header.versions, dict) else {"": None}
-    if not all(isinstance(one, str) for one in (header.run, *texts, *texts.values())):
+    if not all(isinstance(text, str) for text in (header.run, *texts, *texts.values())):
         raise ValueError("it does not say of which run it is")
     if not isinstance(header.settings, dict):
         raise ValueError("it has no settings")

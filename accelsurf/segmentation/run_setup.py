@@ -1,4 +1,4 @@
-"""Levels, solver settings and makers of energies of a run under given settings."""
+"""Levels, flow, stop rule, band and makers of energies of a run under given settings."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies import Energy
+from accelsurf.energies import CheckedEnergy, Energy
 from accelsurf.errors import UsageError
-from accelsurf.evolution.convergence import Restart
+from accelsurf.evolution.convergence import Restart, StopRule
 from accelsurf.evolution.setup import SolverSetup
-from accelsurf.flows import StepLimits
+from accelsurf.flows import Flow, StepLimits
 from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.resolved_levels import AUTO_MIN_VOXELS, count_resolved_levels
@@ -25,10 +25,10 @@ from accelsurf.io.memory import available_cores
 from accelsurf.segmentation.energy_assembly import make_energy
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy
-from accelsurf.segmentation.solver_setup import half_width, is_maker, make_flow, own_energy, stop_rule
 from accelsurf.settings import energy_expression
-from accelsurf.settings.catalogue import energy_settings
+from accelsurf.settings.catalogue import default_of, energy_settings
 from accelsurf.settings.energy_terms import TERMS
+from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
@@ -131,7 +131,7 @@ def energy_maker(energy: EnergyLike | None, settings: RunConfig, levels: int, ha
 
 
 def needs_seed(config: RunConfig) -> bool:
-    """Whether a configuration has noise at any time, and no seed."""
+    """Return True if a configuration has noise at any time, and no seed."""
     noisy = config.noise > 0 or any(config.at(edit.step).noise > 0 for edit in config.edit if "noise" in edit.settings)
     return noisy and config.seed is None
 
@@ -156,10 +156,10 @@ def thin_start_warnings(starts: Sequence[ObjectStart], geometry: Geometry, has_i
     if steps[axis] < THICK * min(geometry.steps):
         return []
     lines = []
-    for one in starts:
+    for start in starts:
         others = tuple(a for a in range(3) if a != axis)
-        if int((one.psi < 0).any(axis=others).sum()) == 1:
-            name = f"object {one.id}: start" if has_ids else "start"
+        if int((start.psi < 0).any(axis=others).sum()) == 1:
+            name = f"object {start.id}: start" if has_ids else "start"
             lines.append(
                 f"{name}: all of it lies in one slice of {steps[axis]:g} mm; give one that spans two slices, if the "
                 "object does"
@@ -168,7 +168,7 @@ def thin_start_warnings(starts: Sequence[ObjectStart], geometry: Geometry, has_i
 
 
 def thread_count(config: RunConfig) -> int:
-    """How many threads a run uses."""
+    """Return the number of threads of a run."""
     return available_cores() if config.threads == "auto" else config.threads
 
 
@@ -186,8 +186,8 @@ def _own_energy(
     spacing: tuple[float, float, float],
     context: ImageContext,
 ) -> MadeEnergy:
-    own = own_energy(energy, settings, image, spacing)
-    return MadeEnergy(own, own.name, [])
+    checked = own_energy(energy, settings, image, spacing)
+    return MadeEnergy(checked, checked.name, [])
 
 
 def energy_key(config: RunConfig) -> tuple[Any, ...]:
@@ -196,7 +196,78 @@ def energy_key(config: RunConfig) -> tuple[Any, ...]:
 
 
 def window_reach(settings: RunConfig, geometry: Geometry) -> float:
-    """How far beyond an object the terms of the energy see the image, mm; 0 where none has a window."""
+    """Return the reach of the energy's terms beyond an object, mm; 0 where none has a window."""
     reaches = ((TERMS[term.name].reach, term.settings) for term in energy_expression.parse(settings.energy))
     largest = max(geometry.steps)
-    return max((load(reach)(own, largest) for reach, own in reaches if reach is not None), default=0.0)
+    return max((load(reach)(given, largest) for reach, given in reaches if reach is not None), default=0.0)
+
+
+#: Motion in the steps to come, by the trend, that a converged surface may still make, as a share of the tolerance: the
+#: trend tells it too low by up to this.
+FURTHER = 0.7
+#: Flows whose surface moves slowly also where it has not converged, and the share of the tolerance that it then moves.
+SHORT_STEPS, SLOW = ("flowable-mass", "region-mass", "sobolev"), 0.4
+#: A correction has converged when so many steps have found no lower energy: an oscillation from step to step finds it
+#: in two.
+PATIENCE = 3
+
+
+def stop_rule(config: RunConfig, levels: int) -> StopRule:
+    """When a run on so many levels has converged on the finest one.
+
+    After a coarser level, and where objects part the space between them, whose start has the boundaries of the model,
+    the run begins near its end and is checked more often. The window has an even number of
+    steps, so that an oscillation from step to step cancels. The waves of flowable-mass and region-mass keep their steps
+    short, and the Sobolev gradient is small where forces are uneven: there a slow surface has not converged yet.
+    """
+    further = FURTHER * config.tolerance
+    slow = SLOW * config.tolerance
+    if levels == 1 and not energy_expression.parts_space(config.energy):
+        waves = config.flow in ("flowable-mass", "region-mass")
+        return StopRule(motion=slow if waves else config.tolerance, further=further)
+    if config.flow in SHORT_STEPS:
+        return StopRule(10, slow, further=further)
+    return StopRule(6, config.tolerance, further=further)
+
+
+def correction_rule(config: RunConfig) -> StopRule:
+    """When a correction has converged: it begins near its end, as a run does after a coarser level."""
+    rule = stop_rule(config, 2)
+    return rule if config.flow in SHORT_STEPS else rule._replace(patience=PATIENCE)
+
+
+def half_width(config: RunConfig) -> float:
+    """Half width of the band in voxels; ``auto`` is the one that the flow needs."""
+    if config.half_width == "auto":
+        return float(FLOWS[config.flow].half_width)
+    return float(config.half_width)
+
+
+def own_energy(
+    energy: Any, config: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float]
+) -> CheckedEnergy:
+    """An energy of the user's own, made of image and spacing if a class or function is given, with checks.
+
+    Raises
+    ------
+    UsageError
+        When it is incomplete, or a setting was given that it would ignore.
+    """
+    for key in energy_settings():
+        if getattr(config, key) != default_of(key):
+            raise UsageError(
+                f"{key}: {getattr(config, key)} was given, but the energy is one of your own and would ignore it",
+                "give it to the energy itself",
+            )
+    return CheckedEnergy(energy(image, spacing) if is_maker(energy) else energy)
+
+
+def is_maker(energy: Any) -> bool:
+    """Return True if an energy of the user's own is a class or function that makes it of ``(image, spacing)``."""
+    return isinstance(energy, type) or (callable(energy) and not hasattr(energy, "force"))
+
+
+def make_flow(config: RunConfig) -> Flow:
+    """The flow of a configuration."""
+    flow: Flow = load(FLOWS[config.flow].make)(config)
+    return flow

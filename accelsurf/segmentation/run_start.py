@@ -1,4 +1,4 @@
-"""How a run begins: its image, its clicks, and the first surface of each object."""
+"""Start of a run: its image, its clicks, and the first surface of each object."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MODELS_AT_ONCE = 2
 
 @dataclass(frozen=True, eq=False)
 class RunStart:
-    """What a run begins with.
+    """Image, clicks and first surfaces of a run.
 
     Attributes
     ----------
@@ -106,25 +106,25 @@ def start_of_run(
     else:
         if not several or several[0].id != NO_OBJECT:
             several = _no_object(prepared, config) + several
-        starts = [within(one, prepared) for one in several]
-        contexts = [_context_of(one, prepared, bool(surfaces)) for one in starts]
+        starts = [within(start, prepared) for start in several]
+        contexts = [_context_of(start, prepared, bool(surfaces)) for start in starts]
         if table is not None and uses_model(config):
             starts = _of_models(starts, contexts, prepared.geometry)
     return RunStart(config, has_ids, tuple(by_array), digest_of(by_array), prepared, starts, contexts)
 
 
-def _context_of(one: ObjectStart, prepared: PreprocessedInput, is_surface: bool) -> ImageContext:
+def _context_of(start: ObjectStart, prepared: PreprocessedInput, is_surface: bool) -> ImageContext:
     """The context of one of several objects.
 
     Of a first surface that was given, a prediction, the rim may be wrong: models learn from its core, and that of the
     clicks takes its size for the object's.
     """
     spacing = prepared.geometry.spacing
-    context = prepared.context.of_object(one.corner, core_of(one.psi, spacing) if is_surface else one.psi < 0)
+    context = prepared.context.of_object(start.corner, core_of(start.psi, spacing) if is_surface else start.psi < 0)
     if is_surface and context.model_inputs.size_mm3 is None:
-        size = float(np.count_nonzero(one.psi < 0)) * prepared.geometry.voxel_volume
+        size = float(np.count_nonzero(start.psi < 0)) * prepared.geometry.voxel_volume
         context = context.with_model_inputs(context.model_inputs._replace(size_mm3=size))
-    return _with_clicks(context, prepared.clicks, one.id)
+    return _with_clicks(context, prepared.clicks, start.id)
 
 
 def _masks_of(clicks: Sequence[Click], geometry: Geometry) -> dict[str, NDArray[Any]]:
@@ -144,7 +144,7 @@ def _several(
         return object_starts.read(labels, geometry, AROUND)
     # With a model the competition is in the force: what is no object needs no surface.
     starts = object_clicks.starts_of(table, geometry, AROUND)
-    return [one for one in starts if one.id != NO_OBJECT or not uses_model(config)]
+    return [start for start in starts if start.id != NO_OBJECT or not uses_model(config)]
 
 
 def _no_object(prepared: PreprocessedInput, config: RunConfig) -> list[ObjectStart]:
@@ -156,11 +156,11 @@ def _no_object(prepared: PreprocessedInput, config: RunConfig) -> list[ObjectSta
     )
     found = object_clicks.starts_of(whole, prepared.geometry, AROUND)
     first = prepared.first
-    return [one._replace(corner=_plus(one.corner, first)) for one in found]
+    return [start._replace(corner=_plus(start.corner, first)) for start in found]
 
 
-def _plus(one: tuple[int, int, int], other: tuple[int, int, int]) -> tuple[int, int, int]:
-    return one[0] + other[0], one[1] + other[1], one[2] + other[2]
+def _plus(first: tuple[int, int, int], other: tuple[int, int, int]) -> tuple[int, int, int]:
+    return first[0] + other[0], first[1] + other[1], first[2] + other[2]
 
 
 def _with_clicks(context: ImageContext, clicks: Clicks | None, id: int) -> ImageContext:
@@ -184,14 +184,14 @@ def _of_models(starts: list[ObjectStart], contexts: list[ImageContext], geometry
     _make_models(contexts)
     out = []
     taken = np.zeros(geometry.shape, np.bool_)
-    for one, context in zip(starts, contexts, strict=True):
+    for start, context in zip(starts, contexts, strict=True):
         psi = context.model_start()
         inside = (psi < 0) & ~taken
         tight = bounding_box(inside)
         if tight is None:
-            out.append(one)
+            out.append(start)
             continue
         taken |= inside
         box = widened(tight, geometry.shape, (AROUND, AROUND, AROUND))
-        out.append(ObjectStart(one.id, corner_of(box), np.where(inside[box], psi[box], np.abs(psi[box]))))
+        out.append(ObjectStart(start.id, corner_of(box), np.where(inside[box], psi[box], np.abs(psi[box]))))
     return out

@@ -1,10 +1,10 @@
-"""What a finished run leaves besides its result, from which it can be refined."""
+"""State of a finished run besides its result, from which it can be refined."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,6 @@ from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.segmentation.run_setup import EnergyLike
 from accelsurf.settings.run_config import RunConfig
 
-if TYPE_CHECKING:
-    from accelsurf.segmentation.local_model import LocalState
-
 
 class BoxMask(NamedTuple):
     """Voxels: a ``mask`` of bool on a ``box`` of the grid."""
@@ -29,7 +26,7 @@ class BoxMask(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RunState:
-    """What a refinement needs besides the surfaces and settings of a `Result`.
+    """Inputs of a correction besides the surfaces and settings of a `Result`.
 
     Attributes
     ----------
@@ -56,7 +53,7 @@ class RunState:
     contexts: Mapping[int, ImageContext] = field(default_factory=dict)
     energy: EnergyLike | None = None
     clicks: Clicks | None = None
-    models: Mapping[int, LocalState] = field(default_factory=dict)
+    models: Mapping[int, Any] = field(default_factory=dict)
     totals: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     settings: Mapping[int, RunConfig] = field(default_factory=dict)
     masks: Mapping[int, BoxMask] = field(default_factory=dict)

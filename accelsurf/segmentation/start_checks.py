@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,13 @@ MIN_VOXELS, SAMPLES = 20, 1 << 18
 SAFE = 0.25
 
 
+class Bounds(NamedTuple):
+    """Values between which the energy takes an object's to be, in the file's unit; None for an open side."""
+
+    low: float | None
+    high: float | None
+
+
 def start_checks(
     objects: Sequence[EvolvingObject], starts: Sequence[ObjectStart], prepared: PreprocessedInput, has_ids: bool
 ) -> list[str]:
@@ -55,34 +62,34 @@ def start_checks(
         Whether lines name the object.
     """
     lines = []
-    for one, start in zip(objects, starts, strict=True):
+    for segmented, start in zip(objects, starts, strict=True):
         # The seeded model chooses start and weight to go together.
-        seeded = any(term["term"] == "seeded" for term in one.made.terms)
-        found = [*_of_values(one, start, prepared, has_ids)]
-        found += [*_of_size(one, prepared), *_of_clicks(one, prepared, has_ids)] if seeded else _of_area(
-            one, start, prepared
+        seeded = any(term["term"] == "seeded" for term in segmented.made.terms)
+        found = [*_of_values(segmented, start, prepared, has_ids)]
+        found += [*_of_size(segmented, prepared), *_of_clicks(segmented, prepared, has_ids)] if seeded else _of_area(
+            segmented, start, prepared
         )
-        lines += [f"object {one.id}: {line}" if has_ids else line for line in found]
+        lines += [f"object {segmented.id}: {line}" if has_ids else line for line in found]
     return lines
 
 
-def _of_values(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
+def _of_values(evolving: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
     """The checks of the start's values, in the file's unit."""
     inside = start.psi < 0
-    own = bounding_box(inside)
-    if own is None:
+    tight = bounding_box(inside)
+    if tight is None:
         return []
     low, width = prepared.context.scales[0]
     image = prepared.images[0][box_at(start.corner, start.psi.shape)]
-    values = low + width * image[own][inside[own]].astype(np.float64)
+    values = low + width * image[tight][inside[tight]].astype(np.float64)
     lines = []
     if prepared.learns:
-        clicked = one.context.clicks is not None and bool(one.context.clicks.ids())
-        lines = outlier_line(values, inside, start.corner, prepared.geometry, _option(one, clicked, has_ids))
-    for term in one.made.terms:
+        clicked = evolving.context.clicks is not None and bool(evolving.context.clicks.ids())
+        lines = outlier_line(values, inside, start.corner, prepared.geometry, _option(evolving, clicked, has_ids))
+    for term in evolving.made.terms:
         if term["term"] != "threshold" or "LO" not in term:
             continue
-        window = (term["LO"], term["HI"])
+        window = Bounds(term["LO"], term["HI"])
         if line := bounds_line(values, window):
             lines.append(line)
         elif line := surroundings_line(low + width * image, inside, start.corner, prepared.geometry, window):
@@ -90,16 +97,16 @@ def _of_values(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedIn
     return lines
 
 
-def _option(one: EvolvingObject, clicked: bool, has_ids: bool) -> str:
-    """How a ball is given as the start or the click of an object; the ball comes in place of a star."""
+def _option(evolving: EvolvingObject, clicked: bool, has_ids: bool) -> str:
+    """Return the option with a ball as the start or click of an object; the ball replaces the star."""
     if has_ids:
-        return f"{one.id},*{',inside' if clicked else ''} as a row of --objects TABLE"
+        return f"{evolving.id},*{',inside' if clicked else ''} as a row of --objects TABLE"
     return f"--{'inside' if clicked else 'start'} ball:*"
 
 
-def _of_size(one: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
-    """Whether the stated size is more than there is."""
-    size, geometry = one.context.model_inputs.size_mm3, prepared.geometry
+def _of_size(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
+    """Check that the stated size is not more than there is."""
+    size, geometry = evolving.context.model_inputs.size_mm3, prepared.geometry
     whole = math.prod(geometry.shape) * geometry.voxel_volume
     if size is None or size < whole:
         return []
@@ -109,19 +116,19 @@ def _of_size(one: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
     ]
 
 
-def _of_clicks(one: EvolvingObject, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
-    """Whether a click inside has values of two kinds, of which the model learns one."""
+def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
+    """Check that no click inside has values of two kinds, of which the model learns one."""
     low, width = prepared.context.scales[0]
     lines = []
-    for click in () if one.context.clicks is None else one.context.clicks.clicks:
+    for click in () if evolving.context.clicks is None else evolving.context.clicks.clicks:
         if click.side == "inside":
             values = low + width * prepared.images[0][click.box][click.mask].astype(np.float64)
-            lines += two_kinds_line(values, click, prepared.geometry, _option(one, True, has_ids))
+            lines += two_kinds_line(values, click, prepared.geometry, _option(evolving, True, has_ids))
     return lines
 
 
 def two_kinds_line(values: NDArray[np.float64], click: Click, geometry: Geometry, option: str) -> list[str]:
-    """Whether a good part of a click is unlike the rest, as a note: the model learns the rest.
+    """Check that no good part of a click is unlike the rest; a note: the model learns the rest.
 
     Parameters
     ----------
@@ -157,12 +164,12 @@ def _deepest_ball(mask: NDArray[np.bool_], corner: Sequence[int], geometry: Geom
     return f"{place_text(geometry.index_to_world(index.tolist()), steps)},{radius:.2g}"
 
 
-def bounds_line(values: NDArray[np.float64], window: tuple[float | None, float | None]) -> str:
-    """Whether nearly all of the start lies beyond the energy's bounds.
+def bounds_line(values: NDArray[np.float64], window: Bounds) -> str:
+    """Check that not nearly all of the start lies beyond the energy's bounds.
 
     Examples
     --------
-    >>> bounds_line(np.array([110.0, 112.0]), (226.0, None))
+    >>> bounds_line(np.array([110.0, 112.0]), Bounds(226.0, None))
     'start: its median is 111, the bound 226: everything will shrink; try --energy threshold:learned,learned'
     """
     low, high = window
@@ -177,7 +184,7 @@ def bounds_line(values: NDArray[np.float64], window: tuple[float | None, float |
     )
 
 
-def _within(values: NDArray[Any], window: tuple[float | None, float | None]) -> NDArray[np.bool_]:
+def _within(values: NDArray[Any], window: Bounds) -> NDArray[np.bool_]:
     low, high = window
     return np.asarray((values >= (-np.inf if low is None else low)) & (values <= (np.inf if high is None else high)))
 
@@ -187,17 +194,17 @@ def surroundings_line(
     inside: NDArray[np.bool_],
     corner: Corner,
     geometry: Geometry,
-    window: tuple[float | None, float | None],
+    window: Bounds,
 ) -> str:
-    """Whether the energy's window takes in most of the surroundings of a start; with a place far from it to click.
+    """Check that the energy's window does not take in the surroundings; with a place to click.
 
     ``corner`` is the first voxel of image and start.
     """
-    own, spacing = bounding_box(inside), geometry.spacing
-    assert own is not None
-    radius = 0.5 * max((s.stop - s.start) * h for s, h, n in zip(own, spacing, inside.shape, strict=True) if n > 1)
+    tight, spacing = bounding_box(inside), geometry.spacing
+    assert tight is not None
+    radius = 0.5 * max((s.stop - s.start) * h for s, h, n in zip(tight, spacing, inside.shape, strict=True) if n > 1)
     margins = [int(np.ceil(SHELL[1] * radius / h)) for h in spacing]
-    box = widened(own, inside.shape, (margins[0], margins[1], margins[2]))
+    box = widened(tight, inside.shape, (margins[0], margins[1], margins[2]))
     part = inside[box]
     every = max(1, int(np.ceil((part.size / SAMPLES) ** (1.0 / max(sum(n > 1 for n in part.shape), 1)))))
     thin = tuple(slice(None, None, every if n > 1 else 1) for n in part.shape)
@@ -224,7 +231,7 @@ def surroundings_line(
 def outlier_line(
     values: NDArray[np.float64], inside: NDArray[np.bool_], corner: Corner, geometry: Geometry, option: str
 ) -> list[str]:
-    """Whether a few values in the start are far from the others, and where the farthest is.
+    """Check that no values in the start are far from the others, and find the farthest.
 
     Parameters
     ----------
@@ -245,21 +252,21 @@ def outlier_line(
     voxels = np.argwhere(inside)
     farthest = voxels[int(np.argmax(np.abs(values - middle)))] + np.array(corner)
     place = place_text(geometry.index_to_world(farthest.tolist()), geometry.steps)
-    own = bounding_box(inside)
-    assert own is not None
-    rest = inside[own].copy()
-    rest[inside[own]] = ~unlike
-    ball = _deepest_ball(rest, np.add(corner_of(own), corner).tolist(), geometry)
+    tight = bounding_box(inside)
+    assert tight is not None
+    rest = inside[tight].copy()
+    rest[inside[tight]] = ~unlike
+    ball = _deepest_ball(rest, np.add(corner_of(tight), corner).tolist(), geometry)
     return [
         f"start: {unlike.mean():.1%} of it is unlike the rest (standard deviation {spread:.3g}, median-based "
         f"{robust:.3g}), the farthest near {place}; what is learned leaves it out; try {option.replace('*', ball)}"
     ]
 
 
-def _of_area(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput) -> list[str]:
+def _of_area(evolving: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput) -> list[str]:
     """The check of the area weight; of a weight by noise alone only where the start is small, as it needs memory."""
     # The start's psi may be no distance any more: its memory is the surface's.
-    of_terms, alpha = _area_of(one.made.terms), one.evolution.energy.alpha
+    of_terms, alpha = _area_of(evolving.made.terms), evolving.evolution.energy.alpha
     if 0 < alpha <= of_terms * (1.0 + 1e-9):
         inside, image = start.psi < 0, prepared.images[0]
         values = image[box_at(start.corner, start.psi.shape)][inside].astype(np.float64)
@@ -269,7 +276,7 @@ def _of_area(one: EvolvingObject, start: ObjectStart, prepared: PreprocessedInpu
         radius = (0.75 * size / math.pi) ** (1 / 3) if len(steps) == 3 else math.sqrt(size / math.pi)
         if 2.0 * alpha / radius < SAFE * (values.mean() - outside) ** 2:
             return []
-    return area_line(one.evolution, of_terms)
+    return area_line(evolving.evolution, of_terms)
 
 
 def _area_of(terms: Sequence[dict[str, Any]]) -> float:
@@ -279,16 +286,18 @@ def _area_of(terms: Sequence[dict[str, Any]]) -> float:
 
 
 def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
-    """Whether the area weight, of which ``of_terms`` is none of --smoothness, pulls a start in that would grow."""
+    """Check that the area weight, ``of_terms`` of it not of --smoothness, does not pull in a growing start."""
     alpha = evolution.energy.alpha
     surface = evolution.surface
     if not alpha > 0 or surface.size == 0:
         return []
     # On a copy: what a surface has measured of itself is counted with its first step. Where the surface touches a
     # click nothing acts into it; what would act there tells whether all but the clicks vanishes.
-    energy, own = without_clicks(evolution.energy), surface
-    spacing = (own.grid.hz, own.grid.hy, own.grid.hx)
-    surface = LevelSet(np.array(own.psi), spacing, own.requested_half_width, own.workers, overwrite=True)
+    energy, front_surface = without_clicks(evolution.energy), surface
+    spacing = (front_surface.grid.hz, front_surface.grid.hy, front_surface.grid.hx)
+    surface = LevelSet(
+        np.array(front_surface.psi), spacing, front_surface.requested_half_width, front_surface.workers, overwrite=True
+    )
     energy.start(surface)
     fraction, area = surface.fraction_and_area()
     energy.value(surface, fraction, area)
@@ -296,14 +305,14 @@ def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
     variation = surface.area_variation(front, surface.curvature(front))
     there = (area > 0) & front
     if not there.any():
-        evolution.energy.start(own)
+        evolution.energy.start(front_surface)
         return []
     weights = area[there]
     image, both = (
         float(np.average(energy.force(surface, front, part)[there], weights=weights))
         for part in (np.zeros_like(variation), variation)
     )
-    evolution.energy.start(own)
+    evolution.energy.start(front_surface)
     if not image < 0.0 < both:
         return []
     radius = 2.0 * alpha / (both - image)

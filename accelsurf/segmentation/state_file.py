@@ -134,13 +134,16 @@ def state_bytes(result: Result, image: str) -> bytes:
     assert result.state is not None
     objects = tuple(
         ObjectFile(
-            one.id, _packed_surface(one.psi, corner_of(one.box)), tuple(without_costs(one.history)),
-            one.stop, tuple(RestFile(*rest[:-1], _packed(rest.labels > 0)) for rest in one.rests),
+            segmented.id,
+            _packed_surface(segmented.psi, corner_of(segmented.box)),
+            tuple(without_costs(segmented.history)),
+            segmented.stop,
+            tuple(RestFile(*rest[:-1], _packed(rest.labels > 0)) for rest in segmented.rests),
         )
-        for one in result.objects
+        for segmented in result.objects
     )
     masks = tuple(
-        MaskFile(number, corner_of(one.box), _packed(one.mask)) for number, one in result.state.masks.items()
+        MaskFile(number, corner_of(array.box), _packed(array.mask)) for number, array in result.state.masks.items()
     )
     config = result.config.model_dump(mode="json")
     state = StateFile(
@@ -183,12 +186,12 @@ def _check(state: StateFile) -> None:
         raise ValueError("its grid has no size")
     if not isinstance(state.image, str) or not isinstance(state.config, Mapping):
         raise ValueError("it names no image")
-    for one in state.objects:
-        corner, box = one.surface.corner, one.surface.in_band.shape
+    for segmented in state.objects:
+        corner, box = segmented.surface.corner, segmented.surface.in_band.shape
         if len(box) != 3 or any(c < 0 or n < 1 or c + n > m for c, n, m in zip(corner, box, shape, strict=True)):
-            raise ValueError(f"the surface of object {one.id} lies beyond the image")
-        if not one.history:
-            raise ValueError(f"object {one.id} has no history")
+            raise ValueError(f"the surface of object {segmented.id} lies beyond the image")
+        if not segmented.history:
+            raise ValueError(f"object {segmented.id} has no history")
 
 
 def _packed_surface(psi: NDArray[np.float32], corner: Corner) -> SurfaceFile:
@@ -201,7 +204,7 @@ def _packed_surface(psi: NDArray[np.float32], corner: Corner) -> SurfaceFile:
     )
 
 
-def surface_of(one: ObjectFile) -> NDArray[np.float32]:
+def surface_of(segmented: ObjectFile) -> NDArray[np.float32]:
     """Psi (nz, ny, nx) of an object on its box, the same bytes as it had.
 
     Raises
@@ -209,14 +212,14 @@ def surface_of(one: ObjectFile) -> NDArray[np.float32]:
     ValueError
         When the file is damaged.
     """
-    stored = one.surface
+    stored = segmented.surface
     in_band, inside = _unpacked(stored.in_band), _unpacked(stored.inside)
     if in_band.dtype != np.bool_ or in_band.shape != inside.shape or inside.dtype != np.bool_:
-        raise ValueError(f"the surface of object {one.id} does not fit its box")
+        raise ValueError(f"the surface of object {segmented.id} does not fit its box")
     psi = np.where(inside, np.float32(-stored.far), np.float32(stored.far))
     values = _unpacked(stored.values)
     if values.dtype != np.float32 or values.shape != (int(np.count_nonzero(in_band)),):
-        raise ValueError(f"the band of object {one.id} does not fit its values")
+        raise ValueError(f"the band of object {segmented.id} does not fit its values")
     psi[in_band] = values
     return psi
 
@@ -230,18 +233,18 @@ def masks_of(state: StateFile) -> dict[int, BoxMask]:
         When the file is damaged.
     """
     out = {}
-    for one in state.masks:
-        mask = _unpacked(one.inside)
+    for image in state.masks:
+        mask = _unpacked(image.inside)
         if mask.dtype != np.bool_ or mask.ndim != 3:
-            raise ValueError(f"the mask of correction {one.number} is none")
-        box = box_at(one.corner, mask.shape)
+            raise ValueError(f"the mask of correction {image.number} is none")
+        box = box_at(image.corner, mask.shape)
         if any(s.start < 0 or s.stop > n for s, n in zip(box, state.shape, strict=True)):
-            raise ValueError(f"the mask of correction {one.number} lies beyond the image")
-        out[one.number] = BoxMask(box, mask)
+            raise ValueError(f"the mask of correction {image.number} lies beyond the image")
+        out[image.number] = BoxMask(box, mask)
     return out
 
 
-def rests_of(one: ObjectFile) -> tuple[RestPoint, ...]:
+def rests_of(stored: ObjectFile) -> tuple[RestPoint, ...]:
     """The rests of an object, on its box.
 
     Raises
@@ -250,17 +253,17 @@ def rests_of(one: ObjectFile) -> tuple[RestPoint, ...]:
         When the file is damaged.
     """
     out = []
-    for rest in one.rests:
+    for rest in stored.rests:
         inside = _unpacked(rest.inside)
-        if inside.dtype != np.bool_ or inside.shape != one.surface.in_band.shape:
-            raise ValueError(f"a rest of object {one.id} does not fit its box")
+        if inside.dtype != np.bool_ or inside.shape != stored.surface.in_band.shape:
+            raise ValueError(f"a rest of object {stored.id} does not fit its box")
         out.append(RestPoint(*rest[:-1], inside.view(np.uint8)))
     return tuple(out)
 
 
-def box_of(one: ObjectFile) -> tuple[slice, slice, slice]:
+def box_of(stored: ObjectFile) -> tuple[slice, slice, slice]:
     """The part of the image's grid that an object lies on."""
-    return box_at(one.surface.corner, one.surface.in_band.shape)
+    return box_at(stored.surface.corner, stored.surface.in_band.shape)
 
 
 def _packed(array: NDArray[Any]) -> PackedArray:

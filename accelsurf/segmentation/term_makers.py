@@ -1,4 +1,4 @@
-"""How each term of an energy is made; `accelsurf.settings.energy_terms` names these functions.
+"""Makers of each term of an energy; `accelsurf.settings.energy_terms` names these functions.
 
 Each returns the energy and the settings that it has in the run, also those that were taken from the image; image values
 in the file's unit.
@@ -79,7 +79,7 @@ def local_region(inputs: TermInputs) -> Made:
 
 
 def local_region_reach(settings: Values, largest_spacing: float) -> float:
-    """How far beyond an object the windows of local-region reach, mm.
+    """Return the reach of the windows of local-region beyond an object, mm.
 
     An object cuts windows whose middle is half a width away, and these reach half a width further.
     """
@@ -121,12 +121,12 @@ def likelihood(inputs: TermInputs) -> Made:
         moments = context.moments_elsewhere(channel)
         return GaussianLikelihood(image, inputs.alpha, None, epsilon, moments, everything, least), used
     # Outliers of a sample of the object are no part of it; the background is of many kinds, which all count.
-    one = robust_gaussian_of(context.sample(channel), least)
+    inside = robust_gaussian_of(context.sample(channel), least)
     other = gaussian_of_sums(RegionMoments(*context.sums_of_background(channel, "moments", moments_of)), least)
     low, width = context.scales[channel]
-    for name, (mean, variance) in (("inside", one), ("outside", other)):
+    for name, (mean, variance) in (("inside", inside), ("outside", other)):
         used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}
-    return GaussianLikelihood(image, inputs.alpha, TwoGaussians(one, other), epsilon, whole=everything), used
+    return GaussianLikelihood(image, inputs.alpha, TwoGaussians(inside, other), epsilon, whole=everything), used
 
 
 def threshold(inputs: TermInputs) -> Made:

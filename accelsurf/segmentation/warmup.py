@@ -77,9 +77,9 @@ def _flat() -> Volume:
 
 def _measured(result: Result) -> Result:
     """Compute what a command writes."""
-    for one in result.objects:
-        if one.has_surface:
-            _ = one.quality, one.contours if result.geometry.slice_axis is not None else one.surface
+    for segmented in result.objects:
+        if segmented.has_surface:
+            _ = segmented.quality, segmented.contours if result.geometry.slice_axis is not None else segmented.surface
     return result
 
 

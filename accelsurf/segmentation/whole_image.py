@@ -1,10 +1,11 @@
-"""What a run in a window needs of the whole image, found without holding it."""
+"""Numbers of a whole large image for a run in a window, and the image itself by boxes or slabs, never held whole."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,16 +16,120 @@ from accelsurf.energies.image_noise import noise_of, noise_of_samples, sample_pl
 from accelsurf.energies.likelihood import END_PERCENTILES, least_variance
 from accelsurf.energies.region_sums import RegionMoments, Summing, moments_of
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import Box, corner_of, sum_in_order
+from accelsurf.grid.boxes import Box, corner_of, sum_in_order, whole_box
 from accelsurf.grid.image_check import ImageCheck, Places
 from accelsurf.grid.image_filters import NO_FILTERS, ImageFilters
 from accelsurf.grid.order_statistics import FloatCounts, IntegerCounts, OrderStatistics
-from accelsurf.grid.pyramid import Level
+from accelsurf.grid.pyramid import Level, planes_of_blocks, restrict
 from accelsurf.initialization.region_growing import between_means, otsu_level, sums_beside
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.segmentation.image_context import Scale
-from accelsurf.segmentation.image_slabs import SLAB_BYTES, ImageSlabs, Planes
-from accelsurf.segmentation.preprocessing import SCALE_PERCENTILES, apply, scale_between
+from accelsurf.segmentation.preprocessing import SCALE_PERCENTILES, apply, check_filters, scale_between
+
+#: Bytes of the float32 voxels of a slab.
+SLAB_BYTES = 1 << 27
+
+Planes = NDArray[np.float32]
+
+
+class LevelSlab(NamedTuple):
+    """Planes of a level of the pyramid, from number ``first`` on."""
+
+    level: int
+    first: int
+    values: Planes
+
+
+class ImageSlabs:
+    """An image that is read in parts and filtered with what lies around them: the bytes of the whole, filtered.
+
+    Parameters
+    ----------
+    source : LazyVolume
+    filters : ImageFilters
+    slab_bytes : int
+        Bytes of a slab as float32; at least a plane is read. About two and a half times as many are held at once,
+        also of the halo, which is four standard deviations and two radii of a closing on
+        either side.
+
+    Raises
+    ------
+    UsageError
+        When a filter is so wide that it takes too long.
+    """
+
+    def __init__(self, source: LazyVolume, filters: ImageFilters, slab_bytes: int = SLAB_BYTES) -> None:
+        check_filters(filters, source.geometry)
+        self.source, self.filters, self.geometry = source, filters, source.geometry
+        self.planes = max(1, slab_bytes // (4 * math.prod(self.geometry.shape[1:])))
+
+    def window(self, box: Box) -> Planes:
+        """The filtered image on a box, a new array."""
+        return self.filters.on_box(self.source.read, self.geometry.shape, self.geometry.spacing, box)
+
+    def raw(self) -> Iterator[NDArray[Any]]:
+        """Slabs of the image as it is, of its own dtype."""
+        for planes in self._slices(self.geometry.shape[0], self.planes):
+            yield self.source.read(self._box(planes))
+
+    def filtered(self, needed: Callable[[slice], bool] = lambda planes: True) -> Iterator[tuple[slice, Planes]]:
+        """The planes of a slab and its filtered values, of those slabs that are ``needed``."""
+        for planes in self._slices(self.geometry.shape[0], self.planes):
+            if needed(planes):
+                yield planes, self.window(self._box(planes))
+
+    def on_levels(
+        self, grids: Sequence[Level], mapped: Callable[[Planes], Planes] = lambda values: values
+    ) -> Iterator[LevelSlab]:
+        """All planes of all levels, each once and those of a level in order; the image is read about once.
+
+        Parameters
+        ----------
+        grids : sequence of Level
+            Finest first; the image is on the first.
+        mapped : callable
+            Applied to the filtered values of level 0; may overwrite them.
+        """
+        top = grids[-1]
+        done = [0] * len(grids)
+        for planes in self._slices(top.shape[0], max(1, self.planes // top.factors[0])):
+            for level, first, values in self._with_finer(grids, planes, mapped):
+                # Blocks share planes with the next ones: what was there before is left out.
+                stop = self._own_stop(grids, planes, level)
+                yield LevelSlab(level, done[level], values[done[level] - first : stop - first])
+                done[level] = stop
+
+    def _with_finer(
+        self, grids: Sequence[Level], planes: slice, mapped: Callable[[Planes], Planes]
+    ) -> list[LevelSlab]:
+        """Planes of the last of ``grids``, and all planes that they are made of on the finer ones."""
+        number = len(grids) - 1
+        if number == 0:
+            return [LevelSlab(0, planes.start, mapped(self.window(self._box(planes))))]
+        fine, coarse = grids[number - 1], grids[number]
+        finer = self._with_finer(grids[:-1], planes_of_blocks(planes, fine, coarse), mapped)
+        source = fine.on_box((finer[-1].first, 0, 0), finer[-1].values.shape)
+        target = coarse.on_box((planes.start, 0, 0), (planes.stop - planes.start, *coarse.shape[1:]))
+        return [*finer, LevelSlab(number, planes.start, restrict(finer[-1].values, source, target))]
+
+    def _own_stop(self, grids: Sequence[Level], planes: slice, level: int) -> int:
+        """The plane of a level from which on the next slab counts; ``planes`` are of the coarsest."""
+        stop = planes.stop
+        for number in range(len(grids) - 1, level, -1):
+            if stop == grids[number].shape[0]:
+                return grids[level].shape[0]
+            stop = planes_of_blocks(slice(stop, stop + 1), grids[number - 1], grids[number]).start
+        return stop
+
+    def _box(self, planes: slice) -> Box:
+        _, y, x = whole_box(self.geometry.shape)
+        return planes, y, x
+
+    @staticmethod
+    def _slices(count: int, planes: int) -> Iterator[slice]:
+        for start in range(0, count, planes):
+            yield slice(start, min(start + planes, count))
+
 
 #: Bins of the histogram of Otsu's threshold, as scikit-image has them.
 OTSU_BINS = 256
@@ -75,7 +180,7 @@ class WholeImage:
 
     @property
     def statistics(self) -> str:
-        """What the numbers are of: ``exact``, or the coarser image in words."""
+        """Source of the numbers: ``exact``, or the coarser image in words."""
         if self._coarse is None:
             return "exact"
         nz, ny, nx = self._coarse.geometry.shape
@@ -103,7 +208,7 @@ class WholeImage:
 
     @property
     def scale(self) -> Scale:
-        """What maps the image's percentiles to 0 and 1, as `accelsurf.segmentation.preprocessing.scale_of` finds it.
+        """The scale by the image's percentiles, as `accelsurf.segmentation.preprocessing.scale_of` finds it.
 
         Raises
         ------
@@ -115,7 +220,7 @@ class WholeImage:
         return cast("Scale", self._found[_SCALE])
 
     def found(self, make: Callable[..., Any], *args: Any) -> Any:
-        """What ``make(image, *args)`` is of the scaled image.
+        """Return ``make(image, *args)`` of the scaled image.
 
         Parameters
         ----------
@@ -158,9 +263,9 @@ class WholeImage:
                 self._sum_levels(grids, level, kind, summing)
             else:
                 slabs = (self._scaled(values) for _, values in self._slabs.filtered())
-                one = sum_in_order(summing(plane.ravel()) for values in slabs for plane in values)
+                total = sum_in_order(summing(plane.ravel()) for values in slabs for plane in values)
                 part = np.prod(grids[level].shape, dtype=np.float64) / np.prod(self._coarse.shape, dtype=np.float64)
-                self._sums[kind, level] = one * part
+                self._sums[kind, level] = total * part
         return self._sums[kind, level]
 
     def _sum_levels(self, grids: Sequence[Level], level: int, kind: str, summing: Summing) -> None:
@@ -169,8 +274,8 @@ class WholeImage:
         rows: list[list[NDArray[np.float64]]] = [[] for _ in grids]
         for slab in self._slabs.on_levels(grids, self._scaled):
             rows[slab.level] += [summing(plane.ravel()) for plane in slab.values]
-        for number, one in enumerate(rows):
-            self._sums[kind, number] = sum_in_order(one)
+        for number, row in enumerate(rows):
+            self._sums[kind, number] = sum_in_order(row)
 
     # -- order statistics ------------------------------------------------------------------------------------
 
@@ -210,7 +315,7 @@ class WholeImage:
 
     def _noise(self) -> float:
         places = sample_places(self._slabs.geometry.shape)
-        samples = [np.empty(tuple(len(one) for one in at), np.float32) for at in places]
+        samples = [np.empty(tuple(len(sample) for sample in at), np.float32) for at in places]
         looked_at = np.unique(np.concatenate([z for z, _, _ in places])) if places else np.empty(0, np.int64)
 
         def needed(planes: slice) -> bool:
@@ -220,7 +325,7 @@ class WholeImage:
             for (z, y, x), out in zip(places, samples, strict=True):
                 here = np.flatnonzero((z >= planes.start) & (z < planes.stop))
                 out[here] = values[np.ix_(z[here] - planes.start, y, x)]
-        return noise_of_samples([self._scaled(one) for one in samples])
+        return noise_of_samples([self._scaled(image) for image in samples])
 
     def _otsu_level(self) -> float:
         low, high = self._extremes

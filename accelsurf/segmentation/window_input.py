@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,23 +12,21 @@ from accelsurf.grid.boxes import Box, whole_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
 from accelsurf.initialization.object_starts import ObjectStart
+from accelsurf.segmentation.image_context import WholeChannel
 from accelsurf.segmentation.region_of_interest import region_of_run
 from accelsurf.settings.run_config import RunConfig
-
-if TYPE_CHECKING:
-    from accelsurf.segmentation.whole_image import WholeImage
 
 
 @dataclass(frozen=True, eq=False)
 class WindowInput:
-    """What a run in a window gets beside the volumes there.
+    """Inputs of a run in a window beside the volumes there.
 
     Attributes
     ----------
     window : Window
     filtered : tuple of ndarray, shape of the window, float32
         Each channel, filtered with what lies around the window; the run uses their memory.
-    whole : tuple of WholeImage
+    whole : tuple of WholeChannel
         What is needed of each whole channel; empty with a region of interest, which is scaled by its own values.
     starts : tuple of ObjectStart or None
         First surfaces of several objects, counted from the window's first voxel; None for a single object.
@@ -37,7 +34,7 @@ class WindowInput:
 
     window: Window
     filtered: tuple[NDArray[np.float32], ...]
-    whole: tuple[WholeImage, ...] = ()
+    whole: tuple[WholeChannel, ...] = ()
     starts: tuple[ObjectStart, ...] | None = None
 
     @property
@@ -47,7 +44,7 @@ class WindowInput:
 
 
 def has_region(config: RunConfig) -> bool:
-    """Whether a run is made on a part of the image that the person gave."""
+    """Return True if a run is made on a part of the image that the person gave."""
     return config.roi is not None or config.box is not None
 
 
@@ -65,6 +62,6 @@ def window_of(geometry: Geometry, part: WindowInput | None) -> Window:
     return Window(geometry, whole_box(geometry.shape)) if part is None else part.window
 
 
-def whole_of(part: WindowInput | None) -> Sequence[WholeImage]:
-    """What is needed of whole channels; none where they are at hand."""
+def whole_of(part: WindowInput | None) -> Sequence[WholeChannel]:
+    """Return the numbers of whole channels; none where the channels are at hand."""
     return () if part is None else part.whole

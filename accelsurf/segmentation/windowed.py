@@ -18,18 +18,18 @@ from accelsurf.grid.boxes import widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import GUARD, LeavesWindow, NeedsLevels, Window, aligned, enlarged
-from accelsurf.io.lazy_volume import LazyVolume
+from accelsurf.io import available_memory
+from accelsurf.io.lazy_volume import LazyVolume, open_with
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
-from accelsurf.segmentation.filters import filters_of
 from accelsurf.segmentation.first_window import first_box
-from accelsurf.segmentation.memory_need import bytes_text, run_bytes, values_within
-from accelsurf.segmentation.preprocessing import uses_model
-from accelsurf.segmentation.refiner import OnObjectStep
+from accelsurf.segmentation.given import split_given, with_options
+from accelsurf.segmentation.memory_need import allowed_bytes, bytes_text, run_bytes, values_within
+from accelsurf.segmentation.preprocessing import filters_of, uses_model
 from accelsurf.segmentation.region_of_interest import cropped, region_of_run
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_result import OnObjectStep, finished
 from accelsurf.segmentation.run_setup import seeded
-from accelsurf.segmentation.to_end import finished
 from accelsurf.segmentation.whole_image import Numbers, WholeImage
 from accelsurf.segmentation.window_input import WindowInput, has_region
 from accelsurf.settings import energy_expression
@@ -73,7 +73,7 @@ class LargeImage:
         InputError
             When a coarser level cannot be read.
         """
-        return cls(tuple(channels), max_bytes, tuple(_for_statistics(one) for one in channels))
+        return cls(tuple(channels), max_bytes, tuple(_for_statistics(channel) for channel in channels))
 
     @property
     def geometry(self) -> Geometry:
@@ -87,24 +87,24 @@ class LargeImage:
         ------
         GeometryError
         """
-        for one in self.channels[1:]:
-            if not one.geometry.matches(self.geometry):
+        for channel in self.channels[1:]:
+            if not channel.geometry.matches(self.geometry):
                 raise GeometryError(
-                    f"channel {one.source or ''}: on another grid than the image: "
-                    f"{one.geometry.difference(self.geometry)}",
+                    f"channel {channel.source or ''}: on another grid than the image: "
+                    f"{channel.geometry.difference(self.geometry)}",
                     "resample it to the image's grid first",
                 )
 
     def whole(self, config: RunConfig, numbers: Sequence[Numbers] = ()) -> tuple[WholeImage, ...]:
-        """What a run needs of each whole channel, which is read through when it is first asked for.
+        """Return the numbers of each whole channel, which is read through when it is first asked for.
 
         ``numbers`` are those of each channel that are known already.
         """
         filters = filters_of(config, self.geometry)
         levels, known = self.statistics or (None,) * len(self.channels), numbers or [{}] * len(self.channels)
         return tuple(
-            WholeImage(one, filters, coarse, numbers=own)
-            for one, coarse, own in zip(self.channels, levels, known, strict=True)
+            WholeImage(channel, filters, coarse, numbers=numbers_of)
+            for channel, coarse, numbers_of in zip(self.channels, levels, known, strict=True)
         )
 
 
@@ -113,6 +113,38 @@ def _for_statistics(image: LazyVolume) -> LazyVolume | None:
     while found is not None and math.prod(found.geometry.shape) > MAX_STREAMED:
         found = found.coarser()
     return None if found is image else found
+
+
+def segment_lazily(
+    volume: LazyVolume,
+    config: RunConfig | None,
+    on_step: OnObjectStep | None,
+    on_warning: Callable[[str], None] | None,
+    checkpoint_to: str | Path | None,
+    options: dict[str, Any],
+) -> Result:
+    """Segment one object of an image that is read in parts: `accelsurf.segment` of a `LazyVolume`.
+
+    Raises
+    ------
+    UsageError
+        When something is given as an array, or the energy is one of the user's own.
+    """
+    spacing, channels, energy = (options.pop(key) for key in ("spacing", "channels", "energy"))
+    max_memory = options.pop("max_memory", None)
+    texts, given = split_given(options)
+    wrong = [*given, *(["spacing"] if spacing is not None else [])]
+    wrong += [] if energy is None or isinstance(energy, str) else ["energy"]
+    wrong += [] if all(isinstance(channel, LazyVolume) for channel in channels) else ["channels"]
+    if wrong:
+        raise UsageError(
+            f"{wrong[0]}: an array or a function was given with an image that is read in parts",
+            "give texts and open_volume(), or read the image with accelsurf.read",
+        )
+    config, _ = with_options(config, energy, texts)
+    others = [*channels, *(open_with(file, config.reading) for file in config.channel)]
+    image = LargeImage.of((volume, *others), allowed_bytes(max_memory, available_memory()))
+    return segment_in_windows(image, config, on_step, on_warning, checkpoint_to=checkpoint_to)
 
 
 def segment_in_windows(
@@ -204,15 +236,17 @@ def _in(
     run = run_in(window, whole, image, config)
     result = finished(run, on_step, on_warning, checkpoints)
     objects = tuple(
-        replace(one, rests=tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in one.rests))
-        for one in result.objects
+        replace(
+            segmented, rests=tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in segmented.rests)
+        )
+        for segmented in result.objects
     )
     return replace(result, objects=objects, window=window, state=None, warnings=[*result.warnings, *notes_of(whole)])
 
 
 def notes_of(whole: Sequence[WholeImage]) -> list[str]:
     """Return what numbers of the whole image are taken from, where not from all of it."""
-    found = {one.statistics for one in whole} - {"exact"}
+    found = {channel.statistics for channel in whole} - {"exact"}
     return [f"values of the whole image are those of {where}" for where in sorted(found)]
 
 
@@ -237,9 +271,11 @@ def run_in(
         When the window is too small for the model of clicks.
     """
     geometry = cropped(window.geometry, window.box)
-    volumes = [Volume(one.read(window.box), geometry, dict(one.metadata), one.source) for one in image.channels]
+    volumes = [
+        Volume(channel.read(window.box), geometry, dict(channel.metadata), channel.source) for channel in image.channels
+    ]
     channels = whole or image.whole(config)
-    smoothed = tuple(one.window(window.box) for one in channels)
+    smoothed = tuple(channel.window(window.box) for channel in channels)
     return Run(volumes[0], config, channels=volumes[1:], part=WindowInput(window, smoothed, whole, starts))
 
 

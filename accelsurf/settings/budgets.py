@@ -1,4 +1,4 @@
-"""What a file or a text may make the program spend: every limit on bytes, counts and lengths, in one place.
+"""Limits on bytes, counts and lengths that a file or a text may make the program spend, in one place.
 
 A small file can claim, repeat or pack so much that reading it would fill the memory or take hours. Each reader asks
 here before it allocates or begins. The reference page of limits is written from these entries.

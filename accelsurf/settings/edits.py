@@ -1,66 +1,122 @@
-"""Changes of a run while it runs: settings, clicks, and balls added to or removed from an object, each before a step.
-
-A run that a person changed by hand is repeated when its edits are given to it: viewer, command line and Python apply
-them in one place, `accelsurf.segmentation.run.Run`.
-"""
+"""Corrections of a run: clicks, balls, settings and objects that change before a step, after the end, or at a frame."""
 
 from __future__ import annotations
 
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, model_serializer
+from pydantic import BaseModel, BeforeValidator, ConfigDict, model_serializer
 from pydantic.fields import FieldInfo
 
 from accelsurf.errors import UsageError
 from accelsurf.settings import budgets
 from accelsurf.settings.entry import entry_of
 from accelsurf.settings.wording import did_you_mean, shown
+from accelsurf.settings.written_values import VOLUME, checked_volume
 
 _WHOLE = re.compile(r"[0-9]{1,18}")
+#: Largest id of an object.
+MAX_ID = 2**32 - 1
 _CLICKS = ("inside", "outside")
-FORM = 'step=30 smoothness=0.5 add=ball:X,Y,Z,R, or in TOML a table [[edit]] with step = 30 and so on'
+#: Keys that are read only in corrections of a finished run: the key that says what is done, and what it may be given
+#: with.
+_KINDS: dict[str, tuple[str, ...]] = {
+    "merge": (), "remove": (), "split": ("new", "object"), "new": ("inside", "outside", "size"),
+    "": ("inside", "outside", "near", "object"),
+}
+_AFTER_END = ("inside", "outside", "near", "object", "new", "size", "merge", "split", "remove")
 
 
-class Edit(BaseModel):
-    """One change before a step.
+class _Setting(NamedTuple):
+    """A setting with corrections: the key that says ``when`` they are made, its ``form``, and an example of a word."""
+
+    when: str
+    form: str
+    example: str
+
+
+#: The settings of the run and of tracking that have corrections.
+_SETTINGS = {
+    "edit": _Setting(
+        "step", "step=30 smoothness=0.5 add=ball:X,Y,Z,R, or in TOML a table [[edit]] with step = 30 and so on",
+        "step=30",
+    ),
+    "refine": _Setting(
+        "", "inside=point:X,Y,Z near=10; new=ID inside=ball:X,Y,Z,R size=4ml; merge=ID,ID; split=point:X,Y,Z; or "
+        "remove=ID; in TOML a table [[refine]] with inside = [\"point:X,Y,Z\"] and so on", "inside=point:X,Y,Z",
+    ),
+    "correct": _Setting(
+        "frame", "frame=12 inside=point:X,Y,Z object=2; frame=12 new=3 inside=ball:X,Y,Z,R; frame=12 remove=2; and all "
+        "else that accelsurf refine takes, after the frame", "frame=12",
+    ),
+}
+SettingName = Literal["edit", "refine", "correct"]
+
+
+class Correction(BaseModel):
+    """One correction: before a step of a run, after the end of a run, or at a frame of a sequence.
 
     Parameters
     ----------
     step : int
-        Number of the step, as in the history, before which it happens; 0 is the start.
-    add, remove : str, optional
-        A ball, ``ball:X,Y,Z,R`` as a start: added to the object, or removed from it.
-    inside, outside : tuple of str, optional
-        Clicks, as ``--inside`` and ``--outside`` take them; they hold from this step on.
+        Number of the step, as in the history, before which it is made; 0 is the start. -1 after the end of the run.
+    frame : int
+        Number of the frame, from 0, that is corrected; -1 without a sequence.
+    inside, outside : tuple of str
+        Clicks: voxels in the object, and not in it, as the settings of these names; they hold from then on.
     object : int, optional
-        Id of the object that the ball or the clicks are for, where there are several; what one gains is taken from the
-        others. 0 is no object.
+        Id of the object that the clicks or the ball are for, where there are several; what one gains is taken from the
+        others. 0, before a step, is no object.
+    near : float or "auto"
+        How far from the clicks the surface may move after the end, mm; beyond it every byte stays. auto is what the
+        clicks are about.
+    new : int, optional
+        Id of an object that begins at the clicks, beside the others; one that has this id already begins anew. With
+        ``split``: of what is split off.
+    size : str, optional
+        About how large the new object is, as the setting of this name.
+    merge : tuple of int
+        Ids of objects that become the first of them.
+    split : str, optional
+        A point, ``point:X,Y,Z``: what is connected to it becomes an object, without the rest of its former one
+        (``object``; by default that in which the point lies).
+    add : str, optional
+        A ball, ``ball:X,Y,Z,R``, that is added to the object before a step.
+    remove : str or int, optional
+        Before a step: a ball that is removed from the object. Else the id of an object that is not wanted.
     **settings
-        Fields of RunConfig that are in force from this step on, but for those that are fixed while a run runs. A ball
+        Fields of RunConfig that are in force from the step on, but for those that are fixed while a run runs. A ball
         comes after them.
 
     Notes
     -----
-    With neither, the run continues: the stop rule begins anew at this step.
+    A step alone lets the run continue: the stop rule begins anew there.
 
     Examples
     --------
-    >>> edit = Edit(step=30, smoothness=0.5, add="ball:10,10,10,4")
-    >>> edit.settings, edit.balls
+    >>> correction = Correction(step=30, smoothness=0.5, add="ball:10,10,10,4")
+    >>> correction.settings, correction.balls
     ({'smoothness': 0.5}, (('add', 'ball:10,10,10,4'),))
+    >>> str(Correction(inside=("point:1,2,3",), near=4.0)), str(Correction(merge=(1, 3)))
+    ('inside=point:1,2,3 near=4.0', 'merge=1,3')
     """
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
-    step: int
-    add: str | None = None
-    remove: str | None = None
+    step: int = -1
+    frame: int = -1
     inside: tuple[str, ...] = ()
     outside: tuple[str, ...] = ()
     object: int | None = None
+    near: float | Literal["auto"] = "auto"
+    new: int | None = None
+    size: str | None = None
+    merge: tuple[int, ...] = ()
+    split: str | None = None
+    add: str | None = None
+    remove: str | int | None = None
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -69,114 +125,241 @@ class Edit(BaseModel):
 
     @property
     def balls(self) -> tuple[tuple[str, str], ...]:
-        """("add" or "remove", ball), in the order in which they happen."""
+        """("add" or "remove", ball), in the order in which they are made."""
         both = (("add", self.add), ("remove", self.remove))
-        return tuple((kind, ball) for kind, ball in both if ball is not None)
+        return tuple((kind, ball) for kind, ball in both if isinstance(ball, str))
 
     @property
     def has_clicks(self) -> bool:
-        """Whether it has clicks."""
+        """True if there are clicks."""
         return bool(self.inside or self.outside)
+
+    @property
+    def target(self) -> int | None:
+        """The object that the clicks are about: one that begins, or one that is there; None if none is named."""
+        return self.object if self.new is None else self.new
+
+    @property
+    def kind(self) -> Literal["clicks", "new", "merge", "split", "remove"]:
+        """The change of a finished run."""
+        if self.merge:
+            return "merge"
+        if self.split is not None:
+            return "split"
+        if self.remove is not None:
+            return "remove"
+        return "clicks" if self.new is None else "new"
+
+    @property
+    def removed_id(self) -> int | None:
+        """The object that is taken away from a finished run; None if none is."""
+        return self.remove if isinstance(self.remove, int) else None
 
     @model_serializer
     def _table(self) -> dict[str, Any]:
-        given = {"step": self.step, **self.settings, "add": self.add, "remove": self.remove}
+        given: dict[str, Any] = {key: number for key in ("frame", "step") if (number := getattr(self, key)) >= 0}
+        given |= {**self.settings, "add": self.add}
+        given |= {"remove": self.remove} if isinstance(self.remove, str) else {}
         given |= {"inside": list(self.inside) or None, "outside": list(self.outside) or None, "object": self.object}
+        given |= {"new": self.new, "size": self.size, "merge": self.merge or None, "split": self.split}
+        given |= {"remove": self.remove, "near": None if self.near == "auto" else self.near}
         return {key: value for key, value in given.items() if value is not None}
 
     def __str__(self) -> str:
-        words = ((key, one) for key, value in self._table().items() for one in _each(value))
-        return " ".join(f"{key}={shlex.quote(str(value))}" for key, value in words)
+        words = ((key, word) for key, value in self._table().items() for word in _words_of(value))
+        return " ".join(f"{key}={shlex.quote(word)}" for key, word in words)
 
 
-def _each(value: Any) -> Sequence[Any]:
-    return value if isinstance(value, list) else (value,)
+def _words_of(value: Any) -> Sequence[str]:
+    if isinstance(value, list):
+        return [str(item) for item in value]
+    return [",".join(map(str, value)) if isinstance(value, tuple) else str(value)]
 
 
-def edits_of(value: Any) -> Any:
-    """Return edits from the value of a configuration file, an option or an argument: tables, texts, or edits.
+def corrections_of(value: Any, name: SettingName = "refine") -> tuple[Correction, ...]:
+    """Read corrections from the value of a configuration file, an option or an argument: tables, texts or corrections.
 
     Parameters
     ----------
-    value : Edit, mapping, str, or a list or tuple of them
+    value : anything
+        One correction or several.
+    name : {"edit", "refine", "correct"}
+        The setting: before steps, after the end, or at frames.
 
     Returns
     -------
-    tuple of Edit
-        By step; those of one step in the order given.
+    tuple of Correction
+        In the order given; those of steps by their steps.
 
     Raises
     ------
     UsageError
-        When one has no step or a negative one, or a ball is no text.
+        When one is none.
 
     Examples
     --------
-    >>> [str(edit) for edit in edits_of(["step=9 flow=gradient", {"step": 3, "add": "ball:1,2,3,4"}])]
-    ['step=3 add=ball:1,2,3,4', 'step=9 flow=gradient']
+    >>> [str(edit) for edit in corrections_of(["step=9 add=ball:1,2,3,4", {"step": 2, "cfl": 0.3}], "edit")]
+    ['step=2 cfl=0.3', 'step=9 add=ball:1,2,3,4']
+    >>> [correction.near for correction in corrections_of(["inside=point:1,2,3 near=5", {"outside": "point:4,5,6"}])]
+    [5.0, 'auto']
+    >>> corrections_of("frame=2 new=5 inside=ball:1,2,3,2", "correct")[0].frame
+    2
     """
     many = value if isinstance(value, (list, tuple)) else [value]
-    budgets.EDITS.check(len(many), "edit", kind=UsageError)
-    return tuple(sorted((_edit(one) for one in many), key=lambda edit: edit.step))
+    budgets.EDITS.check(len(many), name, kind=UsageError)
+    found = [_correction(item, name) for item in many]
+    return tuple(sorted(found, key=lambda correction: correction.step) if name == "edit" else found)
 
 
-def _edit(value: Any) -> Edit:
-    if isinstance(value, Edit):
+#: The types of the settings in which they are given.
+Edits = Annotated[tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "edit"))]
+Refinements = Annotated[tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "refine"))]
+FrameCorrections = Annotated[tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "correct"))]
+
+
+def _correction(value: Any, name: SettingName) -> Correction:
+    if isinstance(value, Correction):
         value = value.model_dump()
-    table = _words(value) if isinstance(value, str) else value
+    when, form, _ = _SETTINGS[name]
+    table = _words(value, name) if isinstance(value, str) else value
     if not isinstance(table, Mapping):
-        raise UsageError(f"edit: {shown(value)} was given, expected a step and what changes before it", FORM)
-    step = table.get("step")
-    if isinstance(step, str) and _WHOLE.fullmatch(step):
-        step = int(step)
-    if not isinstance(step, int) or isinstance(step, bool) or step < 0:
-        given = "no step" if step is None else f"step {shown(step)}"
-        raise UsageError(f"edit: {given} was given, expected a whole number at least 0", FORM)
+        expected = "a step and what changes before it" if when == "step" else "clicks"
+        raise UsageError(f"{name}: {shown(value)} was given, expected {expected}", form)
+    fields: dict[str, Any] = dict(table)
+    where: str = name
+    if when:
+        number = _whole(table.get(when), 0, 10**18)
+        if number is None:
+            given = f"no {when}" if table.get(when) is None else f"{when} {shown(table[when])}"
+            raise UsageError(f"{name}: {given} was given, expected a whole number at least 0", form)
+        fields[when] = number
+        where = f"edit at step {number}" if when == "step" else name
+    fields |= {side: _clicks(side, table.get(side, ()), where, form) for side in _CLICKS}
+    if when == "step":
+        return Correction(**{**fields, **_before_step(table, where, form)})
+    return Correction(**{**fields, **_after_end(table, name, form)})
+
+
+def _before_step(table: Mapping[str, Any], where: str, form: str) -> dict[str, Any]:
+    """Return the fields of a correction before a step that need a check."""
+    for key in ("frame", "near", "new", "size", "merge", "split"):
+        if key in table:
+            raise UsageError(f"{where}: {key} cannot change while a run runs", "give it to refine, after the end")
     for key in ("add", "remove"):
         ball = table.get(key)
         if ball is not None and not (isinstance(ball, str) and ball.startswith("ball:")):
-            raise UsageError(f"edit at step {step}: {key} {shown(ball)} was given, expected ball:X,Y,Z,R", FORM)
-    clicks = {side: _texts(table.get(side, ()), side, step) for side in _CLICKS}
-    own = table.get("object")
-    if isinstance(own, str) and _WHOLE.fullmatch(own):
-        own = int(own)
-    if own is not None and (not isinstance(own, int) or isinstance(own, bool) or own < 0):
-        raise UsageError(f"edit at step {step}: object {shown(own)} was given, expected an object's id", FORM)
-    return Edit(**{**table, **clicks, "step": step, "object": own})
+            raise UsageError(f"{where}: {key} {shown(ball)} was given, expected ball:X,Y,Z,R", form)
+    return {"object": _id("object", table.get("object"), where, form, least=0)}
 
 
-def _texts(value: Any, side: str, step: int) -> tuple[str, ...]:
-    """The clicks of one side of an edit."""
+def _after_end(table: Mapping[str, Any], name: SettingName, form: str) -> dict[str, Any]:
+    """Return the fields of a correction after the end that need a check."""
+    valid = [*([_SETTINGS[name].when] if name == "correct" else []), *_AFTER_END]
+    for key in table:
+        if key not in valid:
+            hint = f"{did_you_mean(str(key), valid)}Valid are {', '.join(valid)}"
+            raise UsageError(f"{name}: {shown(key)}: there is no such setting", hint)
+    given = {key for key, value in table.items() if key in _AFTER_END and value not in (None, (), [], "", "auto")}
+    _refuse_mixed(given, name, form)
+    size, split = checked_volume(table.get("size")), table.get("split")
+    if size is not None and (not isinstance(size, str) or not re.fullmatch(VOLUME, size)):
+        raise UsageError(f"{name}: size {shown(size)} was given, expected a volume with its unit", form)
+    if split is not None and not (isinstance(split, str) and split.startswith("point:")):
+        raise UsageError(f"{name}: split {shown(split)} was given, expected point:X,Y,Z", form)
+    near, merge = _near(table.get("near", "auto"), name, form), _ids(table.get("merge", ()), name, form)
+    ids = {key: _id(key, table.get(key), name, form) for key in ("object", "new", "remove")}
+    return {"near": near, "size": size, "split": split, "merge": merge, **ids}
+
+
+def _refuse_mixed(given: set[str], name: str, form: str) -> None:
+    """Refuse a correction that says nothing, or two things at once."""
+    kind = next(key for key in _KINDS if key in given or not key)
+    if kind in ("", "new") and not given & ({"inside"} if kind else set(_CLICKS)):
+        raise UsageError(f"{name}: no click was given, expected inside{'' if kind else ' or outside'}", form)
+    others = sorted(given - {kind, *_KINDS[kind]})
+    if others:
+        raise UsageError(f"{name}: {others[0]} was given with {kind or 'clicks'}, expected one thing at a time", form)
+
+
+def _clicks(side: str, value: Any, where: str, form: str) -> tuple[str, ...]:
     texts = (value,) if isinstance(value, str) else value
     if not isinstance(texts, (list, tuple)) or not all(isinstance(text, str) and text for text in texts):
-        raise UsageError(
-            f"edit at step {step}: {side} {shown(value)} was given, expected clicks such as point:X,Y,Z", FORM
-        )
+        raise UsageError(f"{where}: {side} {shown(value)} was given, expected clicks such as point:X,Y,Z", form)
     return tuple(texts)
 
 
-def _words(text: str) -> dict[str, Any]:
-    budgets.EXPRESSION.check(len(text), "edit", kind=UsageError)
+def _ids(value: Any, name: str, form: str) -> tuple[int, ...]:
+    """Return the ids of objects that are merged."""
+    many = value.split(",") if isinstance(value, str) else value
+    if not isinstance(many, (list, tuple)):
+        raise UsageError(f"{name}: merge {shown(value)} was given, expected ids of objects", form)
+    ids = tuple(_id("merge", item, name, form) or 0 for item in many)
+    if many and (len(set(ids)) < len(ids) or len(ids) < 2):
+        raise UsageError(f"{name}: merge {shown(value)} was given, expected at least two different ids", form)
+    return ids
+
+
+def _near(value: Any, name: str, form: str) -> float | Literal["auto"]:
+    if value == "auto":
+        return "auto"
+    try:
+        near = float(value) if not isinstance(value, bool) else -1.0
+    except (TypeError, ValueError):
+        near = -1.0
+    if not 0 < near <= 1e9:
+        raise UsageError(f"{name}: near {shown(value)} was given, expected a length above 0 in mm, or auto", form)
+    return near
+
+
+def _whole(value: Any, least: int, most: int) -> int | None:
+    """Return a whole number, also one that is written as text; None for anything else."""
+    if isinstance(value, str) and _WHOLE.fullmatch(value):
+        value = int(value)
+    return value if isinstance(value, int) and not isinstance(value, bool) and least <= value <= most else None
+
+
+def _id(key: str, value: Any, where: str, form: str, least: int = 1) -> int | None:
+    number = _whole(value, least, MAX_ID)
+    if value is not None and number is None:
+        raise UsageError(f"{where}: {key} {shown(value)} was given, expected an object's id", form)
+    return number
+
+
+def _words(text: str, name: SettingName) -> dict[str, Any]:
+    """Read the words KEY=VALUE of a correction; clicks may be repeated."""
+    budgets.EXPRESSION.check(len(text), name, kind=UsageError)
+    form = _SETTINGS[name].form
     try:
         pairs = [word.partition("=") for word in shlex.split(text)]
     except ValueError:
         pairs = [(text, "", "")]
     if not pairs or not all(sign and key and value for key, sign, value in pairs):
-        raise UsageError(f"edit: {shown(text)} was given, expected words like step=30", FORM)
-    table: dict[str, Any] = {key: value for key, _, value in pairs}
-    return table | {side: [v for k, _, v in pairs if k == side] for side in _CLICKS if side in table}
+        raise UsageError(f"{name}: {shown(text)} was given, expected words like {_SETTINGS[name].example}", form)
+    table: dict[str, Any] = {}
+    for key, _, value in pairs:
+        if key in table and key not in _CLICKS:
+            raise UsageError(f"{name}: {shown(key)} was given twice", form)
+        table[key] = (*table.get(key, ()), value) if key in _CLICKS else value
+    return table
 
 
-def refuse_unknown(edit: Edit, known: Mapping[str, FieldInfo]) -> None:
+def refuse_unknown(edit: Correction, known: Mapping[str, FieldInfo]) -> None:
     """Refuse settings that do not exist, or that cannot change while a run runs.
+
+    Parameters
+    ----------
+    edit : Correction
+        Before a step.
+    known : mapping
+        Fields of `RunConfig` by name.
 
     Raises
     ------
     UsageError
-        With the nearest valid name.
+        With the nearest setting that exists.
     """
-    own = ("add", "remove", *_CLICKS)
     possible = [key for key, field in known.items() if not entry_of(field).fixed]
+    valid = ["add", "remove", *_CLICKS, *possible]
     for key in edit.settings:
         if key in possible:
             continue
@@ -186,5 +369,5 @@ def refuse_unknown(edit: Edit, known: Mapping[str, FieldInfo]) -> None:
             )
         raise UsageError(
             f"edit at step {edit.step}: {shown(key)}: there is no such setting",
-            f"{did_you_mean(key, [*own, *possible])}Valid are {', '.join([*own, *possible])}",
+            f"{did_you_mean(key, valid)}Valid are {', '.join(valid)}",
         )

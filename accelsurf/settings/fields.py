@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from accelsurf.grid.grey_window import AUTO, checked_window
-from accelsurf.settings.edits import Edit, edits_of
+from accelsurf.settings.edits import Edits, Refinements
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.entry import OneOf, SettingEntry, SettingGroup, Slider, setting
 from accelsurf.settings.file_formats import label_formats, label_help
@@ -20,7 +20,6 @@ from accelsurf.settings.labels import checked_colors, checked_names
 from accelsurf.settings.mesh_formats import MESH_FORMATS, also_help, also_names, mesh_help
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.reading import ReadOptions, spacing_of
-from accelsurf.settings.refinements import Refinement, refinements_of
 from accelsurf.settings.written_values import (
     INTERVAL,
     MESH_SIZE,
@@ -347,7 +346,7 @@ class SettingFields(BaseModel):
         "Number of threads; auto: one for each core. The result does not depend on it.",
         entry=SettingEntry(RUN, metavar="N", fixed=True),
     )
-    edit: Annotated[tuple[Edit, ...], BeforeValidator(edits_of)] = setting(
+    edit: Edits = setting(
         (),
         "Changes while it runs, each before a step: 'step=30 smoothness=0.5', 'step=40 add=ball:X,Y,Z,R' "
         "(or remove=), 'step=40 inside=point:X,Y,Z' (or outside=, repeated; with object=ID "
@@ -359,7 +358,7 @@ class SettingFields(BaseModel):
         "End the run where the surface first comes to rest, before it breaks through to something else.",
         entry=SettingEntry(RUN, fixed=True),
     )
-    refine: Annotated[tuple[Refinement, ...], BeforeValidator(refinements_of)] = setting(
+    refine: Refinements = setting(
         (),
         "Corrections of the finished run, one after another: 'inside=point:X,Y,Z outside=WHERE near=MM' (with "
         "object=ID among several objects), 'new=ID inside=WHERE size=VOLUME' (a further object), 'merge=ID,ID', "

@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from accelsurf.settings.edits import FrameCorrections
 from accelsurf.settings.entry import OneOf, SettingEntry, SettingGroup, setting
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, Function, label_formats
-from accelsurf.settings.frame_corrections import FrameCorrection, corrections_of
 from accelsurf.settings.mesh_formats import MESH_FORMATS
 from accelsurf.settings.registry import Registry
 from accelsurf.settings.written_values import all_split, checked_expression
@@ -63,8 +63,8 @@ TRACK_FORMATS: Registry[TrackFormat] = Registry(
     ),
     TrackFormat("trackmate", "XML file of TrackMate", "trackmate.xml", "accelsurf.report.trackmate_file:write"),
     TrackFormat(
-        "mp4", "movie of slices, prediction beside correction", "movie.mp4", "accelsurf.report.track_slices:write_movie",
-        "accelsurf.report.track_slices:check_mp4",
+        "mp4", "movie of slices, prediction beside correction", "movie.mp4",
+        "accelsurf.report.track_slices:write_movie", "accelsurf.report.track_slices:check_mp4",
     ),
     TrackFormat("gif", "the same as GIF", "movie.gif", "accelsurf.report.track_slices:write_movie"),
     TrackFormat(
@@ -162,7 +162,7 @@ class TrackFields(BaseModel):
         "Whether what appears in later frames, as bright as the tracked objects and about as large, is followed too.",
         entry=SettingEntry(TRACK, metavar="yes|no"),
     )
-    correct: Annotated[tuple[FrameCorrection, ...], BeforeValidator(corrections_of)] = setting(
+    correct: FrameCorrections = setting(
         (),
         "Correction of a frame, from which the tracking goes on: 'frame=12 inside=point:X,Y,Z object=2', or with "
         "outside, new, remove, split or merge, as accelsurf refine takes them; may be repeated.",

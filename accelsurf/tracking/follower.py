@@ -16,7 +16,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.run_setup import EnergyLike
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.tracking import evidence
@@ -41,7 +41,7 @@ class Arrival:
     time, duration : float
         Of the frame, and since the one before; below 0 in falling order.
     channels : list of Volume
-    refinements : tuple of Refinement
+    refinements : tuple of Correction
         Corrections of the frame.
     """
 
@@ -50,7 +50,7 @@ class Arrival:
     time: float
     duration: float
     channels: list[Volume]
-    refinements: tuple[Refinement, ...] = ()
+    refinements: tuple[Correction, ...] = ()
 
 
 class Follower:

@@ -23,7 +23,7 @@ from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
 from accelsurf.segmentation.run_setup import EnergyLike, window_reach
 from accelsurf.settings.catalogue import default_of
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.tracking.records import SurfacePiece
 
@@ -80,7 +80,7 @@ def measure(
     starts: Sequence[ObjectStart],
     config: RunConfig,
     energy: EnergyLike | None = None,
-    refinements: Sequence[Refinement] = (),
+    refinements: Sequence[Correction] = (),
     occupied: Sequence[SurfacePiece] = (),
 ) -> dict[int, Measured]:
     """Run from predictions on the part of a frame where they are.
@@ -95,7 +95,7 @@ def measure(
         As `following_settings` returns it.
     energy : Energy or callable, optional
         One of the user's own.
-    refinements : sequence of Refinement
+    refinements : sequence of Correction
         Corrections of the frame; the run then sees all of it.
     occupied : sequence of SurfacePiece
         Where no object may go; of a prediction that lies in it entirely nothing is run.
@@ -122,7 +122,7 @@ def measure(
     for start in result.objects:
         found[start.id] = measured(start, box)
     for refinement in refinements:
-        for id in (*refinement.merge[1:], *([refinement.remove] if refinement.remove is not None else [])):
+        for id in (*refinement.merge[1:], *([refinement.removed_id] if refinement.removed_id is not None else [])):
             found.pop(id, None)
     return found
 
@@ -156,7 +156,7 @@ def _result(
     starts: Sequence[ObjectStart],
     config: RunConfig,
     energy: EnergyLike | None,
-    refinements: Sequence[Refinement],
+    refinements: Sequence[Correction],
     occupied: Sequence[SurfacePiece],
 ) -> Result:
     """The run on a box of the frame."""

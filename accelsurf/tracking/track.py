@@ -20,7 +20,7 @@ from accelsurf.segmentation.api import segment, segment_objects
 from accelsurf.segmentation.refiner import Refiner
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike, seeded, thread_count
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.tracking import track_state
@@ -46,7 +46,7 @@ class FirstObjects(NamedTuple):
 def first_objects(
     channels: Sequence[Volume],
     config: RunConfig,
-    refinements: Sequence[Refinement],
+    refinements: Sequence[Correction],
     divide: bool,
     energy: EnergyLike | None = None,
     objects: ObjectsLike | None = None,
@@ -58,7 +58,7 @@ def first_objects(
     ----------
     channels : sequence of Volume
     config : RunConfig
-    refinements : sequence of Refinement
+    refinements : sequence of Correction
         Corrections of this frame.
     divide : bool
         Whether parts that are no crumbs are objects of their own.
@@ -238,7 +238,11 @@ class Tracking:
     def _step(self) -> FrameResult:
         began, (number, before) = time.perf_counter(), self.visits[self.done]
         times = self.sequence.times
-        wanted = tuple(correction.refinement for correction in self.config.correct if correction.frame == number)
+        wanted = tuple(
+            correction.model_copy(update={"frame": -1})
+            for correction in self.config.correct
+            if correction.frame == number
+        )
         arrival = Arrival(number, before, times[number], times[number] - times[before], self._frame(number), wanted)
         if number == before:
             objects = self._begin_at(arrival)

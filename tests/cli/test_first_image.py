@@ -15,7 +15,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io import channels, headers
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.viewer.core.background import in_background
+from accelsurf.viewer.core.command_queue import in_background
 from accelsurf.viewer.frontends import display
 from accelsurf.viewer.scene.headless import GraphicsError
 

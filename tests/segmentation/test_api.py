@@ -8,8 +8,7 @@ from accelsurf.grid.image_filters import ImageFilters
 from accelsurf.grid.volume import Volume
 from accelsurf.phantoms.recipes import distance_at, make, recipe_from
 from accelsurf.segmentation.api import evolve, segment
-from accelsurf.segmentation.filters import filtered_volume
-from accelsurf.segmentation.preprocessing import apply, scale_of
+from accelsurf.segmentation.preprocessing import apply, filtered_volume, scale_of
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig
 

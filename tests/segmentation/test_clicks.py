@@ -11,7 +11,7 @@ from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.api import evolve, result_of, segment, segment_objects
-from accelsurf.segmentation.given import clicks_of, psi_of
+from accelsurf.segmentation.given import given_clicks, psi_of
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.flow_specs import FLOWS
@@ -101,9 +101,8 @@ def test_every_clicked_voxel_is_on_its_side(flow, energy, grid, levels):
         **{"start": "clicks", "energy": energy, "flow": flow, "levels": levels, "threads": 1, **options},
         max_steps=int(rng.choice([2, 8])),
     )
-    clicks = [*clicks_of("inside", inside, volume), *clicks_of("outside", outside, volume)] if outside else clicks_of(
-        "inside", inside, volume
-    )
+    clicks = given_clicks("inside", inside, volume)
+    clicks += given_clicks("outside", outside, volume) if outside else []
     seen = set()
     with Run(volume, config, arrays={} if allowed.all() else {"mask": psi_of("mask", allowed, volume.geometry)},
              clicks=clicks) as run:
@@ -154,10 +153,10 @@ def test_clicks_in_python_are_texts_masks_meshes_points_and_balls():
     ball = (11.5, 10.5, 9.5, 2.0)
     mask = Volume(core.astype(np.uint8), volume.geometry)
     for inside in (core, mask, [core], ball, [ball], np.array([ball]), ["ball:11.5,10.5,9.5,2"]):
-        clicks = Clicks(tuple(clicks_of("inside", inside, volume)), core.shape)
+        clicks = Clicks(tuple(given_clicks("inside", inside, volume)), core.shape)
         np.testing.assert_array_equal(clicks.mask("inside"), core)
     for outside in ((2, 3, 4), [(2, 3, 4)], np.array([2.0, 3.0, 4.0])):
-        clicks = Clicks(tuple(clicks_of("outside", outside, volume)), core.shape)
+        clicks = Clicks(tuple(given_clicks("outside", outside, volume)), core.shape)
         assert np.argwhere(clicks.mask("outside")).tolist() == [[4, 3, 2]]
     by_array = segment(volume, inside=core, outside=(2, 3, 4), threads=1)
     np.testing.assert_array_equal(by_array.psi, one.psi)

@@ -11,9 +11,8 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.energy_assembly import make_energy
-from accelsurf.segmentation.filters import filtered_volume
 from accelsurf.segmentation.image_context import ImageContext
-from accelsurf.segmentation.preprocessing import apply, scale_of
+from accelsurf.segmentation.preprocessing import apply, filtered_volume, scale_of
 from accelsurf.segmentation.whole_image import WholeImage
 from accelsurf.settings.run_config import RunConfig
 

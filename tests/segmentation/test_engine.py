@@ -22,7 +22,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation import run_checkpoint
 from accelsurf.segmentation.api import result_of, segment, segment_objects
-from accelsurf.segmentation.object_grid import roomy_box
+from accelsurf.segmentation.evolving_object import roomy_box
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_checkpoint import header_of, load_checkpoint, save_checkpoint
 from accelsurf.settings.run_config import RunConfig

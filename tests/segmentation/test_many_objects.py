@@ -10,10 +10,9 @@ from accelsurf.grid.volume import Volume
 from accelsurf.io import LazyVolume
 from accelsurf.segmentation import group_run, many_objects
 from accelsurf.segmentation.api import segment_objects
-from accelsurf.segmentation.group_run import Boxes, MeetsOthers, VisitedBoxes
+from accelsurf.segmentation.group_run import Boxes, MeetsOthers, VisitedBoxes, united
 from accelsurf.segmentation.many_objects import Groups, segment_many_objects
 from accelsurf.segmentation.memory_need import PROCESS_BYTES
-from accelsurf.segmentation.object_groups import united
 from accelsurf.segmentation.windowed import LargeImage
 from tests.support.many_balls import BALLS, GEOMETRY, SHAPE, label_map, scene, write_table
 

@@ -12,7 +12,7 @@ from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.local_evolution import WIN_REACH, _restore, _win
 from accelsurf.segmentation.near_region import NearRegion, near_bounds, united
 from accelsurf.segmentation.refiner import Refiner
-from accelsurf.settings.refinements import Refinement
+from accelsurf.settings.edits import Correction
 from tests.segmentation.test_refine import first_run, two_balls, world
 
 SHAPE, SPACING = (20, 24, 50), (1.0, 1.0, 1.0)
@@ -110,7 +110,7 @@ def test_a_piece_won_far_from_the_surface_comes_to_rest_without_gaining_energy()
     image, _, other = two_balls()
     refiner = Refiner(first_run(image, "seeded"))
     before = len(refiner.surfaces[0].history)
-    (change,) = refiner.apply(Refinement(inside=(f"ball:{world(12, 14, 48)},3",)))
+    (change,) = refiner.apply(Correction(inside=(f"ball:{world(12, 14, 48)},3",)))
     after = refiner.surfaces[0].history[before - 1 :]
     assert change.stop.reason == "converged" and len(after) <= 40
     first = after[0].potential
@@ -123,7 +123,7 @@ def test_a_correction_has_the_same_bytes_with_any_number_of_threads():
     result, found = first_run(image, "seeded"), []
     for threads in (1, 3):
         refiner = Refiner(dataclasses.replace(result, config=result.config.replace(threads=threads)))
-        refiner.apply(Refinement(inside=(f"ball:{world(12, 14, 48)},3",)))
-        refiner.apply(Refinement(outside=(f"ball:{world(12, 14, 21)},1.5",)))
+        refiner.apply(Correction(inside=(f"ball:{world(12, 14, 48)},3",)))
+        refiner.apply(Correction(outside=(f"ball:{world(12, 14, 21)},1.5",)))
         found.append(refiner.surfaces[0].psi.tobytes())
     assert found[0] == found[1]

@@ -11,7 +11,7 @@ from accelsurf import cli, io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.refiner import Refiner
-from accelsurf.settings.refinements import refinements_of
+from accelsurf.settings.edits import corrections_of
 from accelsurf.settings.run_config import RunConfig
 
 SHAPE, SPACING = (24, 30, 66), (1.5, 1.0, 1.0)
@@ -154,7 +154,7 @@ def test_undo_brings_back_every_byte(first):
     refiner = Refiner(first)
     states = [refiner.result()]
     for text in STEPS:
-        refiner.apply(refinements_of(text)[0])
+        refiner.apply(corrections_of(text)[0])
         states.append(refiner.result())
     for before in states[-2::-1]:
         refiner.undo()
@@ -166,7 +166,7 @@ def test_undo_brings_back_every_byte(first):
             assert one.psi.tobytes() == other.psi.tobytes() and one.history == other.history
         assert [len(click.mask) for click in (now.clicks.clicks)] == [len(c.mask) for c in before.clicks.clicks]
     for text, after in zip(STEPS, states[1:], strict=True):
-        refiner.apply(refinements_of(text)[0])
+        refiner.apply(corrections_of(text)[0])
         assert refiner.result().labels.tobytes() == after.labels.tobytes()
 
 
@@ -211,7 +211,7 @@ def test_what_cannot_be_is_refused_and_changes_nothing(three, text, said):
     refiner = Refiner(three)
     before = refiner.result()
     with pytest.raises((UsageError, InputError), match=said):
-        refiner.apply(refinements_of(text)[0])
+        refiner.apply(corrections_of(text)[0])
     after = refiner.result()
     assert after.config == before.config and after.labels.tobytes() == before.labels.tobytes()
     assert [one.psi.tobytes() for one in after.objects] == [one.psi.tobytes() for one in before.objects]

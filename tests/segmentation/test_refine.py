@@ -21,8 +21,8 @@ from accelsurf.segmentation.local_model import LocalModel, LocalState, ModelChan
 from accelsurf.segmentation.near_region import rim_width
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.refiner import Refiner
-from accelsurf.segmentation.solver_setup import PATIENCE, correction_rule, half_width
-from accelsurf.settings.refinements import Refinement, refinements_of
+from accelsurf.segmentation.run_setup import PATIENCE, correction_rule, half_width
+from accelsurf.settings.edits import Correction, corrections_of
 from accelsurf.settings.run_config import RunConfig
 
 SHAPE, SPACING = (26, 30, 64), (1.5, 1.0, 1.0)
@@ -94,7 +94,7 @@ def test_beyond_the_automatic_region_every_byte_stays(image, energy, click):
     before = refiner.result()
     for side in ("outside", "inside"):
         psi = refiner.result().psi.copy()
-        refiner.apply(*refinements_of({side: click}))
+        refiner.apply(*corrections_of({side: click}))
         after = refiner.result()
         assert after.config.refine[-1].near == "auto" and len(regions) == 1
         (region,), beyond = regions, np.ones(SHAPE, bool)
@@ -166,7 +166,7 @@ def test_the_means_count_the_whole_object(image):
         refiner = Refiner(before)
         original = refiner._problem
         refiner._problem = lambda *args, make=original, near=near: found.setdefault(near, make(*args))
-        refiner.apply(*refinements_of({**click, "near": near}))
+        refiner.apply(*corrections_of({**click, "near": near}))
     # 200 mm is the whole image.
     assert found[200].region.box == box_at((0, 0, 0), SHAPE) != found[9].region.box
     assert found[9].energy.means == pytest.approx(found[200].energy.means, abs=0.004)
@@ -183,7 +183,7 @@ def test_the_field_of_the_clicks_on_a_box_is_that_on_the_whole_image(image):
         refiner = Refiner(before)
         original = refiner._problem
         refiner._problem = lambda *args, make=original, near=near: found.setdefault(near, make(*args))
-        refiner.apply(*refinements_of({"outside": f"ball:{world(12, 14, 22)},1.5", "near": near}))
+        refiner.apply(*corrections_of({"outside": f"ball:{world(12, 14, 22)},1.5", "near": near}))
     part = found[9].region.box
     assert found[200].region.box == box_at((0, 0, 0), SHAPE) != part
     own, whole = (found[near].energy.sums.image.reshape(found[near].psi.shape) for near in (9, 200))
@@ -195,9 +195,9 @@ def test_undo_brings_back_every_byte(image):
     for energy in ("chan-vese", "seeded"):
         before = first_run(image, energy)
         refiner = Refiner(before)
-        first = refiner.apply(*refinements_of({"inside": f"ball:{world(12, 14, 48)},3"}))
+        first = refiner.apply(*corrections_of({"inside": f"ball:{world(12, 14, 48)},3"}))
         middle = refiner.result()
-        refiner.apply(*refinements_of({"outside": f"ball:{world(12, 14, 21)},2", "near": 6}))
+        refiner.apply(*corrections_of({"outside": f"ball:{world(12, 14, 21)},2", "near": 6}))
         refiner.undo()
         again = refiner.result()
         assert again.psi.tobytes() == middle.psi.tobytes() and again.config == middle.config
@@ -205,7 +205,7 @@ def test_undo_brings_back_every_byte(image):
         assert refiner.result().psi.tobytes() == before.psi.tobytes()
         assert first[0].voxels > 0
         # What follows is the same as if the undone had never been.
-        refiner.apply(*refinements_of({"outside": f"ball:{world(12, 14, 21)},2", "near": 6}))
+        refiner.apply(*corrections_of({"outside": f"ball:{world(12, 14, 21)},2", "near": 6}))
         direct = refine(before, outside=f"ball:{world(12, 14, 21)},2", near=6)
         assert refiner.result().psi.tobytes() == direct.psi.tobytes()
 
@@ -292,9 +292,9 @@ def test_a_later_stroke_takes_the_voxels_of_an_earlier_one(result):
     """For every energy; undo gives the earlier stroke back, and made at once the two make the same bytes."""
     refiner = Refiner(result)
     first, later = {"inside": f"ball:{world(12, 14, 24)},3"}, {"outside": f"ball:{world(12, 14, 25)},2.5"}
-    refiner.apply(*refinements_of(first))
+    refiner.apply(*corrections_of(first))
     before = refiner.result()
-    refiner.apply(*refinements_of(later))
+    refiner.apply(*corrections_of(later))
     after = refiner.result()
     taken, left = refiner.clicks.mask("outside"), refiner.clicks.mask("inside")
     assert taken.any() and left.any() and not (taken & left).any()
@@ -312,13 +312,13 @@ def test_a_later_stroke_takes_the_voxels_of_an_earlier_one(result):
 
 def test_what_contradicts_itself_or_leaves_nothing_is_refused_and_changes_nothing(result):
     refiner = Refiner(result)
-    refiner.apply(*refinements_of({"inside": f"point:{world(12, 14, 24)}", "near": 5}))
+    refiner.apply(*corrections_of({"inside": f"point:{world(12, 14, 24)}", "near": 5}))
     psi, config = refiner.result().psi, refiner.config
     here = f"point:{world(12, 14, 24)}"
     with pytest.raises(InputError, match=r"voxel 24,14,12 .* both inside and outside at once"):
-        refiner.apply(*refinements_of({"outside": here, "inside": here}))
+        refiner.apply(*corrections_of({"outside": here, "inside": here}))
     with pytest.raises(InputError, match="nothing would be left that is clicked inside"):
-        refiner.apply(*refinements_of({"outside": f"ball:{world(12, 14, 18)},12"}))
+        refiner.apply(*corrections_of({"outside": f"ball:{world(12, 14, 18)},12"}))
     assert refiner.result().psi.tobytes() == psi.tobytes() and refiner.config == config
     # What was refused is no correction: undo takes back the one before it.
     refiner.undo()
@@ -328,14 +328,14 @@ def test_what_contradicts_itself_or_leaves_nothing_is_refused_and_changes_nothin
 def test_a_correction_that_fails_leaves_nothing_behind(result):
     """All or nothing: the objects corrected before the failure go back too."""
     refiner = Refiner(result)
-    refiner.apply(*refinements_of({"inside": f"point:{world(12, 14, 24)}", "near": 5}))
+    refiner.apply(*corrections_of({"inside": f"point:{world(12, 14, 24)}", "near": 5}))
     before = refiner.result()
 
     def fail(record, own):
         raise RuntimeError("stopped")
 
     with pytest.raises(RuntimeError, match="stopped"):
-        refiner.apply(*refinements_of({"outside": f"ball:{world(12, 14, 6)},2", "near": 6}), on_step=fail)
+        refiner.apply(*corrections_of({"outside": f"ball:{world(12, 14, 6)},2", "near": 6}), on_step=fail)
     now = refiner.result()
     assert now.psi.tobytes() == before.psi.tobytes() and now.config == before.config
     assert len(now.clicks) == len(before.clicks) == 1
@@ -408,7 +408,7 @@ def test_random_clicks_after_random_corrections_hold(image, result, energy, thic
             continue
         near = float(rng.uniform(3, 12))
         before = refiner.result().psi
-        refiner.apply(*refinements_of({side: f"point:{world(*at, spacing=spacing)}", "near": near}))
+        refiner.apply(*corrections_of({side: f"point:{world(*at, spacing=spacing)}", "near": near}))
         said[at] = side
         after = refiner.result()
         far = far_from([at], near, shape, spacing)
@@ -423,11 +423,11 @@ def test_random_clicks_after_random_corrections_hold(image, result, energy, thic
 
 
 def test_refinements_are_read_from_texts_and_tables():
-    (one,) = refinements_of("inside=point:1,2,3 inside=point:4,5,6 outside=ball:1,1,1,2 near=7 object=2")
-    assert one == Refinement(inside=("point:1,2,3", "point:4,5,6"), outside=("ball:1,1,1,2",), near=7.0, object=2)
-    assert refinements_of(str(one)) == (one,)
+    (one,) = corrections_of("inside=point:1,2,3 inside=point:4,5,6 outside=ball:1,1,1,2 near=7 object=2")
+    assert one == Correction(inside=("point:1,2,3", "point:4,5,6"), outside=("ball:1,1,1,2",), near=7.0, object=2)
+    assert corrections_of(str(one)) == (one,)
     for text in ("inside=ball:1,1,1,2 new=3 size=4ml", "merge=1,3,2", "new=5 split=point:1,2,3", "remove=4"):
-        assert [str(one) for one in refinements_of(text)] == [text] and refinements_of(text)[0].kind in text
+        assert [str(one) for one in corrections_of(text)] == [text] and corrections_of(text)[0].kind in text
     for wrong, said in (
         ("merge=1", "at least two"),
         ("merge=2,2", "at least two"),
@@ -449,7 +449,7 @@ def test_refinements_are_read_from_texts_and_tables():
         (7, "expected clicks"),
     ):
         with pytest.raises(UsageError, match=said):
-            refinements_of(wrong)
+            corrections_of(wrong)
 
 
 def test_the_mesh_of_the_result_is_that_of_its_psi(result):

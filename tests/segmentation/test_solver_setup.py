@@ -10,7 +10,7 @@ import pytest
 from accelsurf.analysis.metrics import dice
 from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev
 from accelsurf.segmentation.api import segment
-from accelsurf.segmentation.solver_setup import half_width, make_flow, stop_rule
+from accelsurf.segmentation.run_setup import half_width, make_flow, stop_rule
 from accelsurf.settings.energy_terms import image_terms
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig

@@ -9,7 +9,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.volume import Volume
 from accelsurf.io import LazyVolume
-from accelsurf.segmentation.api import with_options
+from accelsurf.segmentation.given import with_options
 from accelsurf.segmentation.memory_need import run_bytes
 from accelsurf.segmentation.windowed import LargeImage, segment_in_windows
 

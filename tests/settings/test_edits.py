@@ -10,7 +10,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.levelset import LevelSet, checkpoint_surface, restore_surface
 from accelsurf.segmentation.api import result_of, segment
 from accelsurf.segmentation.run import Run
-from accelsurf.settings.edits import Edit, edits_of
+from accelsurf.settings.edits import Correction, corrections_of
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig
 from tests.support.level_set_checks import check_level_set
@@ -194,7 +194,7 @@ def test_edits_from_the_start_and_while_it_runs_are_the_same(flow):
     given = Run(volume(), config.replace(edit=EDITS))
     live = Run(volume(), config)
     stepped(given, 26)
-    edits = edits_of(EDITS)
+    edits = corrections_of(EDITS, "edit")
     while live.step_number < 26:
         live.set_edits(tuple(edit for edit in edits if edit.step <= live.step_number))
         live.step()
@@ -251,10 +251,10 @@ def test_an_edit_begins_the_stop_rule_anew():
     options = {"start": "ball:17,15,16,6", "levels": 1}
     plain = segment(volume(), **options)
     assert plain.stop.reason == "converged"
-    on = segment(volume(), **options, edit=[Edit(step=plain.stop.steps)])
+    on = segment(volume(), **options, edit=[Correction(step=plain.stop.steps)])
     # One window more, or two where the trend needs them.
     assert on.stop.reason == "converged" and on.stop.steps - plain.stop.steps in (20, 40)
-    missed = segment(volume(), **options, edit=[Edit(step=plain.stop.steps + 1, smoothness=1)])
+    missed = segment(volume(), **options, edit=[Correction(step=plain.stop.steps + 1, smoothness=1)])
     assert missed.labels.tobytes() == plain.labels.tobytes()
     assert [w for w in missed.warnings if "was not made" in w] and missed.edits_done == 0
     assert missed.report["edits"] == [{"step": plain.stop.steps + 1, "smoothness": 1, "done": False}]
@@ -318,7 +318,7 @@ def test_nonsense_is_one_clear_line(edit, message):
 )
 def test_a_bad_ball_is_refused_before_anything_is_computed(ball, message):
     with pytest.raises((UsageError, InputError), match="edit at step 4") as caught:
-        Run(volume(), RunConfig(start="ball:17,15,16,6", edit=[Edit(step=4, remove=ball)]))
+        Run(volume(), RunConfig(start="ball:17,15,16,6", edit=[Correction(step=4, remove=ball)]))
     assert message in str(caught.value)
 
 

@@ -14,7 +14,7 @@ from accelsurf.grid.volume import Volume
 from accelsurf.report.document import describe_quality, to_json
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.refiner import Refiner
-from accelsurf.settings.refinements import refinements_of
+from accelsurf.settings.edits import corrections_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.legend import caption
@@ -76,8 +76,8 @@ def test_command_python_session_and_configuration_make_the_same_bytes(energy, im
     keys = {"inside": here(FIRST)} if energy == "seeded" else {"start": start}
     run = accelsurf.segment(volume, config=RunConfig(**keys, levels=1, threads=1, keep_state="yes"))
     refiner = Refiner(run)
-    refiner.apply(*refinements_of({"inside": here(OTHER)}))
-    refiner.apply(*refinements_of({"outside": [here(ball) for ball in STROKE]}))
+    refiner.apply(*corrections_of({"inside": here(OTHER)}))
+    refiner.apply(*corrections_of({"outside": [here(ball) for ball in STROKE]}))
     result = refiner.result()
     assert (result.labels != run.labels).sum() > 50
 

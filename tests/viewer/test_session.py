@@ -17,8 +17,8 @@ from accelsurf.segmentation.run import Run
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame
-from accelsurf.viewer.core.history import CheckpointHistory
 from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.core.timeline import CheckpointHistory
 from tests.support.steering import at, labels_of, views
 
 

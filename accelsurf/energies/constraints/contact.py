@@ -70,6 +70,10 @@ class NonOverlap(ConstrainedEnergy):
         # Raster order in the object's grid; only of the front.
         self._cells, self._forces = np.empty(0, np.int64), np.empty(0, np.float32)
 
+    def set_neighbours(self, neighbours: Sequence[Neighbour]) -> None:
+        """Have other neighbours from now on."""
+        self.neighbours = neighbours
+
     @property
     def is_disturbed(self) -> bool:
         """Test if there are neighbours, which may push the surface, or lie where it was before."""

@@ -1,21 +1,22 @@
-"""What the user has changed, change by change, to be undone and made again; and the edits that changes make."""
+"""Changes by the user, one by one, to be undone and made again; and the corrections that they make."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from accelsurf.errors import UsageError
-from accelsurf.settings.edits import Edit
-from accelsurf.settings.refinements import Refinement
+from accelsurf.grid.clicks import Side
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.run_config import RunConfig
 
 
 class Moment(NamedTuple):
-    """What is in force before a change: settings and corrections, and the ``step`` at which the change is made."""
+    """Settings and corrections before a change, and the ``step`` at which the change is made."""
 
     config: RunConfig
     step: int
-    refinements: tuple[Refinement, ...]
+    refinements: tuple[Correction, ...]
 
 
 class ChangeLine(NamedTuple):
@@ -46,12 +47,12 @@ class ChangeLog:
 
     @property
     def undoable(self) -> int:
-        """How many changes can be undone."""
+        """Number of changes that can be undone."""
         return len(self._done)
 
     @property
     def redoable(self) -> int:
-        """How many undone changes can be made again."""
+        """Number of undone changes that can be made again."""
         return len(self._undone)
 
     @property
@@ -116,20 +117,22 @@ class ChangeLog:
         return now
 
     def _renew(self) -> None:
-        both = [*((one, True) for one in self._done), *((one, False) for one in reversed(self._undone))]
+        both = [*((change, True) for change in self._done), *((change, False) for change in reversed(self._undone))]
         self._lines = tuple(
-            ChangeLine(number, one.moment.step, one.line, done) for number, (one, done) in enumerate(both, 1)
+            ChangeLine(number, change.moment.step, change.line, done) for number, (change, done) in enumerate(both, 1)
         )
 
 
-def edits_with(config: RunConfig, edits: tuple[Edit, ...], step: int, settings: dict[str, Any]) -> tuple[Edit, ...]:
+def edits_with(
+    config: RunConfig, edits: tuple[Correction, ...], step: int, settings: dict[str, Any]
+) -> tuple[Correction, ...]:
     """Return edits with a change of settings at a step; several changes at one step are one edit.
 
     Parameters
     ----------
     config : RunConfig
         Of the run.
-    edits : tuple of Edit
+    edits : tuple of Correction
         Up to this step.
     step : int
     settings : dict
@@ -143,7 +146,7 @@ def edits_with(config: RunConfig, edits: tuple[Edit, ...], step: int, settings: 
     is_open = edits and edits[-1].step == step and not (edits[-1].balls or edits[-1].has_clicks)
     last = edits[-1] if is_open else None
     earlier = edits if last is None else edits[:-1]
-    config.replace(edit=(*earlier, Edit(step=step, **settings)))
+    config.replace(edit=(*earlier, Correction(step=step, **settings)))
     before = config.replace(edit=earlier).at(step)
     after = before.replace(**{**(last.settings if last else {}), **settings})
     changed = {
@@ -151,4 +154,53 @@ def edits_with(config: RunConfig, edits: tuple[Edit, ...], step: int, settings: 
     }
     # An edit without settings makes a converged run continue.
     continues = last is not None and not last.settings
-    return (*earlier, Edit(step=step, **changed)) if changed or continues else earlier
+    return (*earlier, Correction(step=step, **changed)) if changed or continues else earlier
+
+
+def in_words(settings: Mapping[str, Any]) -> str:
+    """Return changed settings in words.
+
+    Examples
+    --------
+    >>> in_words({"smoothness": 0.5, "flow": "gradient"})
+    'smoothness 0.5, flow gradient'
+    >>> in_words({"mesh": ("stl", "vtp"), "also": ()})
+    'mesh stl,vtp, also none'
+    """
+    return ", ".join(f"{key} {_word(value)}" for key, value in settings.items())
+
+
+def _word(value: Any) -> Any:
+    return (",".join(map(str, value)) or "none") if isinstance(value, tuple | list) else value
+
+
+def clicks_in_words(side: Side, where: Sequence[str], object_id: int | None = None) -> str:
+    """Return the clicks of one stroke in words.
+
+    Examples
+    --------
+    >>> clicks_in_words("inside", ["ball:1,2,3,4"])
+    'inside: ball:1,2,3,4'
+    >>> clicks_in_words("outside", ["path:1,2,3,4;5,6,7,4"], 2)
+    'outside: stroke of 2 places, object 2'
+    """
+    whose = "" if object_id is None else f", object {object_id}"
+    if len(where) == 1 and where[0].startswith("path:"):
+        return f"{side}: stroke of {where[0].count(';') + 1} places{whose}"
+    more = f" and {len(where) - 1} more" if len(where) > 1 else ""
+    return f"{side}: {where[0]}{more}{whose}"
+
+
+def balls_in_words(kind: str, balls: Sequence[str], object_id: int | None = None) -> str:
+    """Return balls that were added or removed in words.
+
+    Examples
+    --------
+    >>> balls_in_words("add", ["ball:1,2,3,4"], 3)
+    'added ball:1,2,3,4 to object 3'
+    >>> balls_in_words("remove", ["ball:1,2,3,4", "ball:2,2,3,4"])
+    'removed a stroke of 2 balls'
+    """
+    whose = "" if object_id is None else f" {'to' if kind == 'add' else 'from'} object {object_id}"
+    what = balls[0] if len(balls) == 1 else f"a stroke of {len(balls)} balls"
+    return f"{'added' if kind == 'add' else 'removed'} {what}{whose}"

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextvars
 import queue
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 
 class Command(NamedTuple):
@@ -36,12 +37,12 @@ class CommandQueue:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing waits to be taken out."""
+        """True if nothing waits to be taken out."""
         return self._queue.empty()
 
     @property
     def is_closed(self) -> bool:
-        """Whether `close` was called and all commands before that were taken out."""
+        """True if `close` was called and all commands before that were taken out."""
         return self._closing and self._queue.empty()
 
     def put(self, work: Callable[..., Any], changes: bool = True) -> Future[Any]:
@@ -100,3 +101,39 @@ class CommandQueue:
         """Wait until a condition is true, looked at after each `notify`; False when the time was not enough."""
         with self._condition:
             return self._condition.wait_for(condition, timeout)
+
+
+T = TypeVar("T")
+
+
+def in_background(work: Callable[[], T], name: str) -> Future[T]:
+    """Begin work in a thread that ends with the process.
+
+    Parameters
+    ----------
+    work : callable
+        Sees the variables of the present context: `accelsurf.io.headers.outside_data_allowed` holds in it.
+    name : str
+        Of the thread.
+
+    Returns
+    -------
+    Future
+        Has the result, or the error.
+
+    Examples
+    --------
+    >>> in_background(lambda: 6 * 7, "example").result()
+    42
+    """
+    future: Future[T] = Future()
+    context = contextvars.copy_context()
+
+    def carry_out() -> None:
+        try:
+            future.set_result(context.run(work))
+        except BaseException as error:
+            future.set_exception(error)
+
+    threading.Thread(target=carry_out, name=name, daemon=True).start()
+    return future

@@ -1,122 +1,222 @@
-"""The corrections of a session: made after the run's end, and made again when it has gone on and ends once more."""
+"""Corrections of a session: each as `accelsurf refine` makes it, at once and near the click, once the run has ended."""
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, counted_from, enclosing, placed_at
+from accelsurf.report.preview_content import marks_of
+from accelsurf.segmentation.clicked_voxels import on_image
+from accelsurf.segmentation.ensemble import overall_stop
+from accelsurf.segmentation.refiner import Change, Refiner
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_result import result_of, state_at_end
 from accelsurf.segmentation.run_state import BoxMask
-from accelsurf.settings.refinements import Refinement
-from accelsurf.viewer.core.corrected_run import CorrectedRun
-from accelsurf.viewer.core.frame import Frame, histories_of_run
+from accelsurf.settings.edits import Correction
+from accelsurf.viewer.core.frame import Frame, SurfaceFrame, histories_of_run
+from accelsurf.viewer.core.nearest_object import distance_of, place_of
+from accelsurf.viewer.core.saving import repeating
+
+#: Voxels around an object that a frame has.
+AROUND = 2
 
 
 class Corrections:
-    """The corrections of a session.
+    """Corrections of a run; made again when the run has gone on and ends once more.
 
     Parameters
     ----------
-    wanted : tuple of Refinement
-        Those of its configuration, to be made when the run ends.
-
-    Attributes
-    ----------
-    wanted : tuple of Refinement
-        Made after the run's end; while it goes on, to be made then.
-    progress : callable
-        Called with a line while one is being made.
+    wanted : tuple of Correction
+        Those to be made when the run ends.
+    on_progress : callable, optional
+        Called with a line while a correction is made; it must return soon.
     """
 
-    def __init__(self, wanted: tuple[Refinement, ...]) -> None:
-        self.wanted = wanted
-        self.progress: Callable[[str], None] = lambda message: None
-        self._corrected: CorrectedRun | None = None
+    def __init__(self, wanted: tuple[Correction, ...], on_progress: Callable[[str], None] | None = None) -> None:
+        self._wanted = wanted
+        self._progress = on_progress or (lambda message: None)
+        self._refiner: Refiner | None = None
+        #: Where each object has been inside, on the grid of the region of interest; before each correction too.
+        self._boxes: dict[int, Box | None] = {}
+        self._before: list[dict[int, Box | None]] = []
+        self._last_step = 0
 
-    def correct(self, run: Run, refinement: Refinement, said: str) -> str:
-        """Make a correction of a run that has ended; returns a line that says what it did.
+    @property
+    def wanted(self) -> tuple[Correction, ...]:
+        """Corrections that are made, or will be when the run ends."""
+        return self._wanted
+
+    def want(self, corrections: tuple[Correction, ...]) -> None:
+        """Have other corrections made when the run ends."""
+        self._wanted = corrections
+
+    def _begun(self, run: Run) -> Refiner:
+        """Return what corrects a run that has ended."""
+        if self._refiner is None:
+            result = dataclasses.replace(result_of(run), config=repeating(run), state=state_at_end(run))
+            self._refiner, self._before = Refiner(result), []
+            surfaces = self._refiner.surfaces
+            self._last_step = max(surface.history[-1].step for surface in surfaces)
+            self._boxes = {surface.id: _box_of_inside(surface.psi < 0, surface.corner) for surface in surfaces}
+        return self._refiner
+
+    def correct(self, run: Run, correction: Correction, said: str) -> str:
+        """Make a correction of a run that has ended; return a line that says what it did.
 
         Raises
         ------
-        UsageError, InputError
-            When it cannot be made; nothing is changed then.
+        AccelsurfError
+            When it cannot be made; then nothing has changed.
         """
-        self.progress(f"{said}: correcting")
-        corrected = self._corrected or CorrectedRun(run)
-        changes = corrected.apply(refinement, lambda step: self.progress(f"{said}: correcting, step {step}"))
-        self._corrected, self.wanted = corrected, corrected.made
-        moved, seconds = sum(one.voxels for one in changes), sum(one.seconds for one in changes)
+        self._progress(f"{said}: correcting")
+        refiner = self._begun(run)
+        changes = refiner.apply(
+            correction, on_step=lambda record, id: self._progress(f"{said}: correcting, step {record.step}")
+        )
+        self._follow(refiner, correction, changes)
+        self._wanted = refiner.config.refine
+        moved, seconds = sum(change.voxels for change in changes), sum(change.seconds for change in changes)
         return f"{said}: " + (f"moved {moved} voxels in {seconds:.2f} s" if moved else "nothing changed")
 
+    def _follow(self, refiner: Refiner, correction: Correction, changes: tuple[Change, ...]) -> None:
+        """Note where the objects are after a correction."""
+        self._before.append(self._boxes)
+        moved = [change.box for change in changes if change.voxels]  # the object gained or lost, others lost there
+        changed = {change.object_id for change in changes}
+        boxes = {}
+        for surface in refiner.surfaces:
+            if correction.kind == "clicks":
+                boxes[surface.id] = functools.reduce(_around, moved, self._boxes[surface.id])
+            elif surface.id in changed:
+                boxes[surface.id] = _box_of_inside(surface.psi < 0, surface.corner)
+            else:
+                boxes[surface.id] = self._boxes.get(surface.id)
+        self._boxes = boxes
+
     def correct_again(self, run: Run) -> str:
-        """Make those that are wanted of a run that has ended; the first that does not fit ends them. Returns a line."""
-        wanted, self.wanted, line = self.wanted, (), ""
-        for number, refinement in enumerate(wanted, 1):
+        """Make those that are wanted of a run that has ended; the first that does not fit ends them. Return a line."""
+        wanted, self._wanted, line = self._wanted, (), ""
+        for number, correction in enumerate(wanted, 1):
             said = f"correction {number} of {len(wanted)}"
             try:
-                line = self.correct(run, refinement, said)
+                line = self.correct(run, correction, said)
             except AccelsurfError as error:
                 return f"{said} cannot be made again: {error.message}"
         return line
 
-    def go_to(self, run: Run, wanted: tuple[Refinement, ...]) -> bool:
+    def go_to(self, run: Run, wanted: tuple[Correction, ...]) -> bool:
         """Take back corrections and make others, so that these are made; False where it takes another run."""
-        now = self.wanted
-        if run.stop is None or now == wanted or (self._corrected is None and now):
+        now = self._wanted
+        if run.stop is None or now == wanted or (self._refiner is None and now):
             return False
         pairs = enumerate(zip(now, wanted, strict=False))
         common = next((n for n, (a, b) in pairs if a != b), min(len(now), len(wanted)))
         for _ in now[common:]:
-            assert self._corrected is not None
-            self._corrected.undo()
-        self.wanted = now[:common]
-        for number, refinement in enumerate(wanted[common:], 1):
-            self.correct(run, refinement, f"made again, {number} of {len(wanted) - common}")
+            assert self._refiner is not None
+            self._refiner.undo()
+            self._boxes = self._before.pop()
+        self._wanted = now[:common]
+        for number, correction in enumerate(wanted[common:], 1):
+            self.correct(run, correction, f"made again, {number} of {len(wanted) - common}")
         return True
 
     def leave(self) -> None:
-        """The run goes on: what was corrected is made again when it ends."""
-        self._corrected = None
+        """Let the run go on: what was corrected is made again when it ends."""
+        self._refiner = None
 
-    # -- what there is now --------------------------------------------------------------------------------
-
-    def stop(self, run: Run) -> Stop | None:
-        """Why the run, or the last correction, ended; None while it goes on."""
-        return run.stop if self._corrected is None else self._corrected.stop
+    # -- present state ------------------------------------------------------------------------------------
 
     def stops(self, run: Run) -> dict[int, Stop | None]:
-        """Why each object, or its last correction, ended."""
-        return {one.id: one.stop for one in run.objects} if self._corrected is None else {**self._corrected.stops}
+        """Return why each object, or its last correction, ended."""
+        return {each.id: each.stop for each in (run.objects if self._refiner is None else self._refiner.surfaces)}
+
+    def stop(self, run: Run) -> Stop | None:
+        """Return why the run, or the last correction, ended; None while it goes on."""
+        if self._refiner is None:
+            return run.stop
+        stops = [surface.stop for surface in self._refiner.surfaces]
+        return overall_stop(stops) if self._refiner.has_ids else stops[0]
 
     @property
     def ids(self) -> tuple[int, ...] | None:
         """Ids of the objects after the corrections; None where none was made."""
-        return None if self._corrected is None else self._corrected.ids
+        return None if self._refiner is None else tuple(surface.id for surface in self._refiner.surfaces)
 
-    def nearest(self, place: str) -> int | None:
-        """The object that is nearest to a ball's centre after the corrections; None where none was made, or there is
-        one without an id.
-        """
-        return None if self._corrected is None or not self._corrected.has_ids else self._corrected.nearest(place)
+    def nearest(self, run: Run, place: str) -> int | None:
+        """Return the object nearest to a place, or that contains it; None without corrections, or without ids."""
+        if self._refiner is None or not self._refiner.has_ids:
+            return None
+        geometry = run.geometry
+        centre = place_of(place, geometry)
+        distances = {
+            surface.id: distance_of(surface.psi, surface.corner, self._boxes[surface.id], centre, geometry.spacing)
+            for surface in self._refiner.surfaces
+        }
+        return min(distances, key=lambda id: distances[id])
 
     def taken(self, run: Run, ball: str, object_id: int) -> BoxMask | None:
-        """Voxels of the region of interest that an object which is pressed at a ball may not have."""
+        """Return the voxels that an object which is pressed at a ball may not have: those of the others.
+
+        The other in which the ball lies loses them to it, as `Refiner.taken` says; None where there is no such voxel.
+        """
         if run.stop is None:
             return None
-        if self._corrected is None and not run.has_ids and object_id == run.objects[0].id:
+        if self._refiner is None and not run.has_ids and object_id == run.objects[0].id:
             return None
-        corrected = self._corrected = self._corrected or CorrectedRun(run)
-        return corrected.taken(ball, object_id)
+        return self._begun(run).taken(place_of(ball, run.geometry), object_id)
 
     def result(self) -> Result | None:
-        """The corrected result; None where no correction was made."""
-        return None if self._corrected is None else self._corrected.result()
+        """Return the corrected result, whose settings repeat run and corrections; None where none was made."""
+        return None if self._refiner is None else self._refiner.result()
 
     def picture(self, run: Run, max_voxels: int | None) -> tuple[Frame, tuple[tuple[StepRecord, ...], ...]]:
-        """What is drawn, see `Frame.of_run`, and each object's records up to it."""
-        if self._corrected is not None:
-            return self._corrected.frame(), self._corrected.histories
+        """Return what is drawn, see `Frame.of_run`, and each object's records up to it."""
+        if self._refiner is not None:
+            return self._frame(run, self._refiner), tuple(tuple(each.history) for each in self._refiner.surfaces)
         records = [step.record for step in run.current()]
         return Frame.of_run(run, records, max_voxels), histories_of_run(run, records)
+
+    def _frame(self, run: Run, refiner: Refiner) -> Frame:
+        """Return what is drawn: of each object a copy of the box in which it is."""
+        prepared, surfaces = run.prepared, []
+        for surface in refiner.surfaces:
+            box, corner, shape = self._boxes[surface.id], surface.corner, surface.psi.shape
+            part = None if box is None else _within(counted_from(box, corner), shape)
+            psi = surface.psi[:0, :0, :0] if part is None or not surface.inside else surface.psi[part]
+            z, y, x = corner if part is None else (a + b for a, b in zip(corner, corner_of(part), strict=True))
+            surfaces.append(
+                SurfaceFrame(
+                    surface.id, surface.history[-1], run.grid, psi.copy(), (z, y, x), 1, corner, shape, {},
+                    prepared.first,
+                )
+            )
+        clicks = on_image(refiner.clicks, prepared.first, prepared.volumes[0].geometry.shape)
+        marks = () if clicks is None else marks_of(clicks.clicks, run.geometry.spacing)
+        return Frame(tuple(surfaces), marks, corrected_at=self._last_step if refiner.config.refine else None)
+
+
+def _box_of_inside(inside: NDArray[np.bool_], corner: Corner) -> Box | None:
+    """Return the box around what is inside, on the grid of the region of interest."""
+    box = bounding_box(inside)
+    return None if box is None else placed_at(box, corner)
+
+
+def _around(box: Box | None, other: Box) -> Box:
+    """Return the smallest box that holds two, or the one that there is."""
+    return other if box is None else enclosing(box, other)
+
+
+def _within(box: Box, shape: tuple[int, ...]) -> Box:
+    """Return a box with some voxels around it, as far as an array goes."""
+    z, y, x = (
+        slice(max(s.start - AROUND, 0), max(min(s.stop + AROUND, n), 0)) for s, n in zip(box, shape, strict=True)
+    )
+    return z, y, x

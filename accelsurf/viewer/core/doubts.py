@@ -1,4 +1,4 @@
-"""Where to click next: the places of a finished run whose surface has the least evidence."""
+"""Uncertain places of a finished run, where to click next: those whose surface has the least evidence."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ def doubts_of(result: Result) -> tuple[Doubt, ...]:
     result : Result
         Of a run that has ended.
     """
-    ranked = [(rank, doubt) for one in result.objects for rank, doubt in enumerate(_doubts(one))]
-    return tuple(doubt for _, doubt in sorted(ranked, key=lambda one: (one[0], -one[1].share))[:COUNT])
+    ranked = [(rank, doubt) for segmented in result.objects for rank, doubt in enumerate(_doubts(segmented))]
+    return tuple(doubt for _, doubt in sorted(ranked, key=lambda entry: (entry[0], -entry[1].share))[:COUNT])
 
 
-def _doubts(one: SegmentedObject) -> list[Doubt]:
-    inside = one.psi < 0
-    evidence = gather(inside, one.image, one.geometry.spacing, one.clicked)
+def _doubts(segmented: SegmentedObject) -> list[Doubt]:
+    inside = segmented.psi < 0
+    evidence = gather(inside, segmented.image, segmented.geometry.spacing, segmented.clicked)
     if evidence is None:
         return []
-    volume = float(np.count_nonzero(inside)) * one.geometry.voxel_volume
+    volume = float(np.count_nonzero(inside)) * segmented.geometry.voxel_volume
     out = []
-    for index, share in doubtful_places(evidence, one.geometry.spacing, volume, COUNT):
-        x, y, z = (float(v) for v in one.geometry.index_to_world(np.array(index, float)))
+    for index, share in doubtful_places(evidence, segmented.geometry.spacing, volume, COUNT):
+        x, y, z = (float(v) for v in segmented.geometry.index_to_world(np.array(index, float)))
         if share >= MIN_SHARE:
-            out.append(Doubt((x, y, z), share, one.id))
+            out.append(Doubt((x, y, z), share, segmented.id))
     return out

@@ -53,10 +53,13 @@ def diameters_of(timeline: Timeline, object_id: int) -> Diameters:
     UsageError
         When there is no such object, or it has no voxel.
     """
-    one = next((one for one in _present(timeline).objects if one.id == object_id and one.labels.any()), None)
-    if one is None:
+    segmented = next(
+        (segmented for segmented in _present(timeline).objects if segmented.id == object_id and segmented.labels.any()),
+        None,
+    )
+    if segmented is None:
         raise UsageError(f"object {object_id} has no voxel to measure")
-    return diameters(np.asarray(one.labels > 0), (0, 0, 0), one.geometry)
+    return diameters(np.asarray(segmented.labels > 0), (0, 0, 0), segmented.geometry)
 
 
 def _present(timeline: Timeline) -> Result:

@@ -30,7 +30,7 @@ Index = tuple[int, int, int]
 
 
 class ObjectState(NamedTuple):
-    """What a frame needs to know of an object.
+    """State of an object for a frame.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class BandQuantity(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SurfaceFrame:
-    """What is drawn of one object.
+    """Drawn state of one object.
 
     Attributes
     ----------
@@ -120,19 +120,19 @@ class SurfaceFrame:
         return cls(state.id, record, level, psi, offset, stride, corner, surface.shape, quantities, first)
 
     @classmethod
-    def of_result(cls, one: SegmentedObject, level: pyramid.Level) -> SurfaceFrame:
+    def of_result(cls, segmented: SegmentedObject, level: pyramid.Level) -> SurfaceFrame:
         """Copy what is drawn of an object of a result; ``level`` is the image's grid."""
-        record, corner, inside = one.history[-1], corner_of(one.box), one.psi < 0
+        record, corner, inside = segmented.history[-1], corner_of(segmented.box), segmented.psi < 0
         box = bounding_box(inside, 2)
         if box is None or inside.all():
             nothing = np.zeros((0, 0, 0), np.float32)
-            return cls(one.id, record, level, nothing, corner, 1, corner, one.psi.shape)
+            return cls(segmented.id, record, level, nothing, corner, 1, corner, segmented.psi.shape)
         z, y, x = (a + b for a, b in zip(corner, corner_of(box), strict=True))
-        return cls(one.id, record, level, one.psi[box].copy(), (z, y, x), 1, corner, one.psi.shape)
+        return cls(segmented.id, record, level, segmented.psi[box].copy(), (z, y, x), 1, corner, segmented.psi.shape)
 
     @property
     def has_surface(self) -> bool:
-        """Whether there is something to draw."""
+        """True if there is something to draw."""
         return self.psi.size > 0
 
     def coarser(self, max_voxels: int) -> SurfaceFrame:
@@ -148,7 +148,7 @@ class SurfaceFrame:
         return replace(self, psi=np.ascontiguousarray(self.psi[part, part, part]), stride=self.stride * step)
 
     def to_image(self, places: ArrayLike) -> Floats:
-        """Where (continuous) indices (z, y, x) of ``psi`` lie in the image, as indices of its voxels, (..., 3)."""
+        """Return indices of the image's voxels, (..., 3), of (continuous) indices (z, y, x) of ``psi``."""
         on_level = np.asarray(self.offset) + self.stride * np.asarray(places, float)
         return np.asarray(on_level * self.level.factors + np.asarray(self.level.first) + np.asarray(self.first))
 
@@ -167,7 +167,7 @@ class SurfaceFrame:
         return self.to_image([np.average(np.arange(len(c)), weights=c) for c in counts])
 
     def contains(self, index: ArrayLike) -> bool:
-        """Whether the voxel of the image at this index (z, y, x) is inside."""
+        """Return True if the voxel of the image at this index (z, y, x) is inside."""
         place = np.rint(self.from_image(index)).astype(int)
         is_there = (place >= 0).all() and (place < self.psi.shape).all()
         return bool(is_there and self.psi[tuple(place)] < 0)
@@ -231,7 +231,7 @@ class SurfaceFrame:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What is drawn of one step; it does not change when the run continues.
+    """Drawn state of one step; it does not change when the run continues.
 
     Attributes
     ----------
@@ -306,10 +306,12 @@ class Frame:
         >>> frame.step, surface.psi.shape, sorted(surface.quantities)
         (2, (18, 18, 18), ['force', 'speed'])
         """
-        records = records or [one.evolution.history[-1] for one in run.objects]
+        records = records or [evolving.evolution.history[-1] for evolving in run.objects]
         states = (
-            ObjectState(one.id, record, one.surface, one.corner, one.evolution.state.fields, one.flow)
-            for one, record in zip(run.objects, records, strict=True)
+            ObjectState(
+                evolving.id, record, evolving.surface, evolving.corner, evolving.evolution.state.fields, evolving.flow
+            )
+            for evolving, record in zip(run.objects, records, strict=True)
         )
         made = cls.of(states, run.grid, max_voxels, run.prepared.first)
         clicks = on_image(run.clicks, run.prepared.first, run.volume.geometry.shape)
@@ -320,7 +322,7 @@ class Frame:
         """The frame of the final state of a run that has ended."""
         level = pyramid.levels(result.geometry.shape, result.geometry.spacing, 1)[0]
         clicks = () if result.clicks is None else marks_of(result.clicks.clicks, result.geometry.spacing)
-        return cls(tuple(SurfaceFrame.of_result(one, level) for one in result.objects), clicks)
+        return cls(tuple(SurfaceFrame.of_result(segmented, level) for segmented in result.objects), clicks)
 
     @property
     def step(self) -> int:
@@ -340,7 +342,7 @@ class Frame:
 
     @property
     def has_surface(self) -> bool:
-        """Whether there is something to draw."""
+        """True if there is something to draw."""
         return any(surface.has_surface for surface in self.surfaces)
 
     def middle(self) -> Floats:
@@ -350,7 +352,7 @@ class Frame:
     def dice(self, labels: NDArray[np.bool_], voxels: int) -> float:
         """Dice of all objects and ``labels`` (nz, ny, nx) on the image's grid, ``voxels`` of which are true."""
         parts = [surface.overlap(labels) for surface in self.surfaces]
-        total = sum(own for _, own in parts) + voxels
+        total = sum(voxels_of for _, voxels_of in parts) + voxels
         return 2.0 * sum(common for common, _ in parts) / total if total else 1.0
 
 
@@ -363,12 +365,12 @@ def histories_of_run(run: Run, present: Sequence[StepRecord] = ()) -> tuple[tupl
     present : sequence of StepRecord, optional
         A record of each object as it is now, added to the history of those that have not ended.
     """
-    histories = [tuple(one.evolution.history) for one in run.objects]
+    histories = [tuple(evolving.evolution.history) for evolving in run.objects]
     if not present:
         return tuple(histories)
     return tuple(
-        history if one.stop is not None else (*history, record)
-        for one, history, record in zip(run.objects, histories, present, strict=True)
+        history if evolving.stop is not None else (*history, record)
+        for evolving, history, record in zip(run.objects, histories, present, strict=True)
     )
 
 

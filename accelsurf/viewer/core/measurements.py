@@ -53,7 +53,7 @@ class Measurement:
 
     @property
     def is_complete(self) -> bool:
-        """Whether it has all its points."""
+        """True if it has all its points."""
         return len(self.points) == KINDS[self.kind]
 
     @property
@@ -120,19 +120,19 @@ class Measurements:
         if not 1 <= len(points) <= KINDS[kind]:
             raise UsageError(f"{kind}: {len(points)} points were given, expected {KINDS[kind]}")
         self._last += 1
-        self._all[self._last] = Measurement(self._last, kind, tuple(_point(one) for one in points))
+        self._all[self._last] = Measurement(self._last, kind, tuple(_point(point) for point in points))
         return self._all[self._last]
 
     def add_point(self, number: int, place: ArrayLike) -> None:
         """Give one its next point."""
-        one = self[number]
-        if not one.is_complete:
-            self._all[number] = replace(one, points=(*one.points, _point(place)))
+        measurement = self[number]
+        if not measurement.is_complete:
+            self._all[number] = replace(measurement, points=(*measurement.points, _point(place)))
 
     def shorten(self, number: int) -> None:
         """Take its last point away, but never the first."""
-        one = self[number]
-        self._all[number] = replace(one, points=one.points[: max(len(one.points) - 1, 1)])
+        measurement = self[number]
+        self._all[number] = replace(measurement, points=measurement.points[: max(len(measurement.points) - 1, 1)])
 
     def move(self, number: int, end: int, to: ArrayLike) -> None:
         """Move an end of one."""
@@ -149,23 +149,27 @@ class Measurements:
     def nearest(self, place: ArrayLike, within_mm: float) -> tuple[int, int] | None:
         """Number and end of the measurement that has an end nearest to a place, within so many mm."""
         at, best = np.asarray(place, float), None
-        for one in self:
-            for end, point in enumerate(one.points):
+        for measurement in self:
+            for end, point in enumerate(measurement.points):
                 distance = float(np.linalg.norm(np.asarray(point) - at))
                 if distance <= within_mm:
-                    best, within_mm = (one.number, end), distance
+                    best, within_mm = (measurement.number, end), distance
         return best
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for each complete one, with the columns `COLUMNS`."""
         rows = []
-        for one in self:
-            if one.value is None:
+        for measurement in self:
+            if measurement.value is None:
                 continue
-            places: list[float | None] = [coordinate for point in one.points for coordinate in point]
+            places: list[float | None] = [coordinate for point in measurement.points for coordinate in point]
             places += [None] * (9 - len(places))
-            unit = "mm" if one.kind == "distance" else "degrees"
-            rows.append(dict(zip(COLUMNS, (one.number, one.kind, one.value, unit, *places), strict=True)))
+            unit = "mm" if measurement.kind == "distance" else "degrees"
+            rows.append(
+                dict(
+                    zip(COLUMNS, (measurement.number, measurement.kind, measurement.value, unit, *places), strict=True)
+                )
+            )
         return rows
 
 

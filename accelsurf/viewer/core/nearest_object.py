@@ -1,4 +1,4 @@
-"""Which object of a run a click is meant for, when the user has not said so."""
+"""The object of a run that a click is meant for, when the user has not said so."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box, Corner
 from accelsurf.grid.geometry import Geometry
 from accelsurf.initialization import starts
-from accelsurf.segmentation.balls import BallEdit
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_clicks import BallEdit
 
 
 def nearest_object(run: Run, where: str) -> int:
@@ -29,7 +29,7 @@ def nearest_object(run: Run, where: str) -> int:
         When it is no such place or lies outside.
     """
     centre = BallEdit("add", *starts.ball_of(_as_ball(where, run.geometry), run.geometry)).on_level(run.grid)[0]
-    return min(run.objects, key=lambda one: _distance(one, centre)).id
+    return min(run.objects, key=lambda evolving: _distance(evolving, centre)).id
 
 
 def place_of(where: str, geometry: Geometry) -> NDArray[np.float64]:
@@ -64,8 +64,8 @@ def distance_of(
         return float("inf")
     z, y, x = (slice(max(s.start - c, 0), max(s.stop - c, 0)) for s, c in zip(box, corner, strict=True))
     part = psi[z, y, x]
-    own = place - np.array(corner) - np.array([z.start, y.start, x.start])
-    return _depth(part, own) or _away(np.argwhere(part < 0), own, spacing)
+    at = place - np.array(corner) - np.array([z.start, y.start, x.start])
+    return _depth(part, at) or _away(np.argwhere(part < 0), at, spacing)
 
 
 def _as_ball(where: str, geometry: Geometry) -> str:
@@ -79,18 +79,18 @@ def _as_ball(where: str, geometry: Geometry) -> str:
     return where
 
 
-def _distance(one: EvolvingObject, place: np.ndarray) -> float:
+def _distance(evolving: EvolvingObject, place: np.ndarray) -> float:
     """Distance, mm, of an index (z, y, x) on the level's grid from an object; not above 0 in it; inf without a surface.
 
     Accurate to about a voxel.
     """
-    surface = one.surface
+    surface = evolving.surface
     if surface.size == 0:
         return float("inf")
-    own = place - one.corner
+    at = place - evolving.corner
     cells = surface.band.cells[surface.band.psi < 0]
     inside = np.stack(np.unravel_index(cells, surface.shape), axis=1)
-    return _depth(surface.psi, own) or _away(inside, own, one.grid.spacing)
+    return _depth(surface.psi, at) or _away(inside, at, evolving.grid.spacing)
 
 
 def _depth(psi: NDArray[np.float32], place: NDArray[np.float64]) -> float:

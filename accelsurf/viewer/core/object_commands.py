@@ -8,20 +8,50 @@ it goes to its end first.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
+import numpy as np
+
+from accelsurf.energies.seeded.appearance import learn
+from accelsurf.energies.seeded.competition import arrival, field_of
+from accelsurf.energies.seeded.model import SMOOTHING
 from accelsurf.errors import UsageError
-from accelsurf.grid.clicks import Side
+from accelsurf.grid.clicks import Clicks, Side
+from accelsurf.grid.smoothing import gaussian_mm
+from accelsurf.initialization.clicks import read_clicks
 from accelsurf.report.label_files import given_labels
+from accelsurf.segmentation.run import Run
+from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.settings.labels import colored, named
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.corrections import Corrections
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.restarted import FROM_CLICKS
-from accelsurf.viewer.core.size_drag import SizeDrag
-from accelsurf.viewer.core.size_press import size_drag_of
+from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
 
-if TYPE_CHECKING:
-    from accelsurf.viewer.core.timeline import Timeline
+
+class Steered(Protocol):
+    """A run that is steered; see `accelsurf.viewer.core.timeline.Timeline`."""
+
+    run: Run
+    corrections: Corrections
+
+    @property
+    def is_playing(self) -> bool:
+        """True if more steps are to be made."""
+        ...
+
+    def say(self, message: str) -> None:
+        """Have another message."""
+
+    def refine(self, correction: dict[str, Any], said: str) -> None:
+        """Make a correction of the run's end."""
+
+    def start_with(self, settings: dict[str, Any], said: str) -> None:
+        """Begin another run with other settings."""
+
+    def play(self, last_step: int = -1) -> None:
+        """Have steps made."""
 
 
 class ObjectCommands:
@@ -39,7 +69,7 @@ class ObjectCommands:
         Names and colours that were given, by id.
     """
 
-    def __init__(self, timeline: Timeline, config: RunConfig) -> None:
+    def __init__(self, timeline: Steered, config: RunConfig) -> None:
         self._timeline = timeline
         self._names, self._colors = dict[int, str](), dict[int, str]()
         self.labels = self._first = given_labels(config)
@@ -54,15 +84,15 @@ class ObjectCommands:
         corrected = timeline.corrections.ids
         if corrected is not None:
             return corrected
-        ids = {one.id for one in timeline.run.objects}
-        for one in timeline.corrections.wanted:
-            ids |= {one.new} if one.new is not None else set()
-            ids -= {*one.merge[1:], one.remove}
-        return tuple(sorted(own for own in ids if own is not None))
+        ids = {evolving.id for evolving in timeline.run.objects}
+        for correction in timeline.corrections.wanted:
+            ids |= {correction.new} if correction.new is not None else set()
+            ids -= {*correction.merge[1:], correction.removed_id}
+        return tuple(sorted(id for id in ids if id is not None))
 
     @property
     def has_ids(self) -> bool:
-        """Whether labels are ids."""
+        """True if labels are ids."""
         timeline = self._timeline
         return timeline.run.has_ids or timeline.run.config.replace(refine=timeline.corrections.wanted).has_ids
 
@@ -72,11 +102,11 @@ class ObjectCommands:
         timeline = self._timeline
         known = timeline.corrections.stops(timeline.run)
         pause = "running" if timeline.is_playing else "paused"
-        stops = {own: known.get(own) for own in self.ids}
-        return {own: pause if stop is None else stop.reason for own, stop in stops.items()}
+        stops = {id: known.get(id) for id in self.ids}
+        return {id: pause if stop is None else stop.reason for id, stop in stops.items()}
 
     def of_run(self, object_id: int | None) -> int | None:
-        """What an edit of the run calls an object: nothing where the run has one without an id.
+        """Return the id of an object in corrections of the run: None where the run has one without an id.
 
         Raises
         ------
@@ -86,7 +116,7 @@ class ObjectCommands:
         run = self._timeline.run
         if object_id is not None and not run.has_ids and object_id == run.objects[0].id:
             return None
-        if object_id is not None and object_id in self.ids and object_id not in [one.id for one in run.objects]:
+        if object_id in self.ids and self.is_beside(object_id):
             raise UsageError(f"object {object_id} is made again when the run ends", "let the run end first")
         return object_id
 
@@ -101,14 +131,14 @@ class ObjectCommands:
         timeline = self._timeline
         if object_id is not None:
             return None if not self.has_ids and self.ids == (object_id,) else object_id
-        nearest = timeline.corrections.nearest(place)
+        nearest = timeline.corrections.nearest(timeline.run, place)
         if nearest is not None or not timeline.run.has_ids:
             return nearest
         return nearest_object(timeline.run, place)
 
     def is_beside(self, object_id: int | None) -> bool:
-        """Whether an object is none of the run itself, but of its corrections."""
-        return object_id is not None and object_id not in [one.id for one in self._timeline.run.objects]
+        """Return True if an object is none of the run itself, but of its corrections."""
+        return object_id is not None and object_id not in [evolving.id for evolving in self._timeline.run.objects]
 
     # -- clicks and sizes ----------------------------------------------------------------------------------
 
@@ -162,9 +192,9 @@ class ObjectCommands:
             # Who lets go has said all that the object needs, as beside others, where the run goes on too.
             self._timeline.play()
             return self._timeline.say(said)
-        own = object_id or ids[0]
-        said = f"{'object' if own in ids else 'new object'} {own}: {drag.click}, size {size}"
-        return self._timeline.refine({"new": own, "inside": [drag.click], "size": size}, said)
+        id = object_id or ids[0]
+        said = f"{'object' if id in ids else 'new object'} {id}: {drag.click}, size {size}"
+        return self._timeline.refine({"new": id, "inside": [drag.click], "size": size}, said)
 
     # -- merge, split, remove ------------------------------------------------------------------------------
 
@@ -197,8 +227,8 @@ class ObjectCommands:
         UsageError
             When one is no name or no colour; nothing is changed then.
         """
-        names = {own: f"{own}={named(f'{own}={name}')[1]}" for own, (name, _) in said.items()}
-        colors = {own: f"{own}={color}" for own, (_, color) in said.items()}
+        names = {id: f"{id}={named(f'{id}={name}')[1]}" for id, (name, _) in said.items()}
+        colors = {id: f"{id}={color}" for id, (_, color) in said.items()}
         for text in colors.values():
             colored(text)
         self._names, self._colors = self._names | names, self._colors | colors
@@ -208,8 +238,53 @@ class ObjectCommands:
     def named_settings(self, config: RunConfig) -> dict[str, Any]:
         """The settings of names and colours, as they are now; empty where nothing was named here."""
         out: dict[str, Any] = {}
-        for key, own in (("name", self._names), ("color", self._colors)):
-            if own:
+        for key, texts in (("name", self._names), ("color", self._colors)):
+            if texts:
                 before = {named(text)[0] if key == "name" else colored(text)[0]: text for text in getattr(config, key)}
-                out[key] = tuple((before | own)[label] for label in sorted(before | own))
+                out[key] = tuple((before | texts)[label] for label in sorted(before | texts))
         return out
+
+
+def size_drag_of(run: Run, ball: str, voxels: int = FIRST_VOXELS, taken: BoxMask | None = None) -> SizeDrag:
+    """Compute the arrival times from a ball.
+
+    Parameters
+    ----------
+    run : Run
+        Its image and settings are used; it is not changed.
+    ball : str
+        ``ball:X,Y,Z,R``.
+    voxels : int, optional
+        How many are reached.
+    taken : BoxMask, optional
+        Voxels of the region of interest that belong to other objects: the march goes around them.
+
+    Raises
+    ------
+    UsageError, InputError
+        When it is no ball, or lies outside.
+    """
+    if not ball.startswith("ball:"):
+        raise UsageError(f"press: {ball[:40]!r} was given, expected ball:X,Y,Z,R")
+    clicks = read_clicks([ball], "inside", run.volume)
+    geometry, box = run.volume.geometry, run.prepared.box
+    context = run.objects[0].context
+    (click,) = Clicks(tuple(clicks), geometry.shape).on_box(box).clicks or (None,)
+    if click is None:
+        raise UsageError(f"press: {ball} lies outside of the mask")
+    spacing = context.spacing
+    smooth = [gaussian_mm(image, spacing, SMOOTHING * min(spacing)) for image in context.images]
+    shape = smooth[0].shape
+    distance = run.prepared.mask_distance
+    passes = None if distance is None else np.asarray(distance < 0)
+    if taken is not None:
+        passes = np.ones(shape, np.bool_) if passes is None else passes
+        passes[taken.box] &= ~taken.mask
+    field = field_of(smooth, spacing, passes)
+    where = tuple(axis + part.start for axis, part in zip(np.nonzero(click.mask), click.box, strict=True))
+    seeds = np.ravel_multi_index(where, shape).astype(np.int64)
+    tissue = learn(smooth, spacing, click)
+    times, order = arrival(field, tissue, seeds, max_count=voxels)
+    axis = geometry.slice_axis
+    thickness = None if axis is None else geometry.spacing[axis]
+    return SizeDrag(ball, times.reshape(shape), order, run.prepared.first, geometry.voxel_volume, thickness)

@@ -1,4 +1,4 @@
-"""What can be opened in the viewer, and how it is read: an image, one of several in a folder, a phantom."""
+"""Opening in the viewer: an image, one of several in a folder, a phantom; and how it is read."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def choices_of(path: Path, config: RunConfig) -> list[Choice]:
             # One file stands for its series; where it does not, reading says so.
             is_study = path.is_dir() or path.suffix.lower() == ".zip"
             found = load(form.listing)(path) if is_study and config.series is None else []
-            return _several([Choice(_volume_text(one), {"series": str(one["number"])}) for one in found])
+            return _several([Choice(_volume_text(entry), {"series": str(entry["number"])}) for entry in found])
         asked = config.reading.restricted_to(form.options)
         if "time_index" not in form.options or asked.time_index is not None or asked.channels_from_time:
             return []

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import sys
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
+
+from platformdirs import user_state_path
 
 #: So many are listed.
 MAX_RECENT = 12
@@ -46,7 +47,7 @@ class RecentFiles:
         if self._file is None:
             return
         name = str(path.absolute())
-        names = [name, *(one for one in self._read() if one != name)]
+        names = [name, *(known for known in self._read() if known != name)]
         with contextlib.suppress(OSError, UnicodeError):
             self._file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             handle, draft = tempfile.mkstemp(dir=self._file.parent, prefix=self._file.name)  # for this user alone
@@ -67,22 +68,13 @@ class RecentFiles:
         except (OSError, ValueError, RecursionError):
             return []
         names = found if isinstance(found, list) else []
-        fit = (one for one in names if isinstance(one, str) and 0 < len(one) <= _MAX_LETTERS and one.isprintable())
+        fit = (item for item in names if isinstance(item, str) and 0 < len(item) <= _MAX_LETTERS and item.isprintable())
         return list(dict.fromkeys(fit))[:MAX_RECENT]
 
 
 def recent_file() -> Path:
     """Return where the list is stored: in the folder of this system for what programs note about their use.
 
-    ``XDG_STATE_HOME`` is used where it is set, on every system.
+    ``XDG_STATE_HOME`` is used where it is set.
     """
-    base = os.environ.get("XDG_STATE_HOME", "")
-    if base and Path(base).is_absolute():
-        folder = Path(base)
-    elif sys.platform == "win32":
-        folder = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        folder = Path.home() / "Library" / "Application Support"
-    else:
-        folder = Path.home() / ".local" / "state"
-    return folder / "accelsurf" / "recent.json"
+    return user_state_path("accelsurf", appauthor=False) / "recent.json"

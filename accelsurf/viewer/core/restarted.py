@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from accelsurf.settings.catalogue import as_typed
-from accelsurf.settings.edits import Edit
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.energy_expression import uses_model
 from accelsurf.settings.presets import PRESETS
-from accelsurf.settings.refinements import Refinement
 from accelsurf.settings.run_config import RunConfig
 
 #: How a run begins from what was clicked.
@@ -18,8 +17,8 @@ FROM_CLICKS = ("clicks",)
 
 def restarted(
     settings: RunConfig,
-    edits: Sequence[Edit],
-    refinements: Sequence[Refinement],
+    edits: Sequence[Correction],
+    refinements: Sequence[Correction],
     changes: Mapping[str, Any],
     has_ids: bool,
 ) -> RunConfig:
@@ -29,7 +28,7 @@ def restarted(
     ----------
     settings : RunConfig
         In force now, without edits.
-    edits, refinements : sequence of Edit, sequence of Refinement
+    edits, refinements : sequence of Correction
         What was done since the start, in order: clicks stay, from the first step on; balls do not.
     changes : mapping
         New values by name. A ``preset`` brings its values; see `of_preset`.
@@ -41,16 +40,17 @@ def restarted(
     UsageError
         When a value is not valid.
     """
-    done: list[Edit | Refinement] = [*edits, *refinements]
-    clicked = [one for one in done if one.inside or one.outside]
-    has_clicks = bool(settings.inside) or any(one.inside for one in clicked)
+    clicked = [correction for correction in (*edits, *refinements) if correction.inside or correction.outside]
+    has_clicks = bool(settings.inside) or any(each.inside for each in clicked)
     if changes.get("preset") is not None:
         changes = {**changes, **of_preset(settings, str(changes["preset"]), has_clicks)}
     config = settings.replace(**changes)
     if needs_clicks(config) and not config.inside and not has_ids:
-        sides = {side: tuple(text for one in clicked for text in getattr(one, side)) for side in ("inside", "outside")}
+        sides = {
+            side: tuple(text for each in clicked for text in getattr(each, side)) for side in ("inside", "outside")
+        }
         return config.replace(inside=sides["inside"], outside=(*config.outside, *sides["outside"]))
-    first = [Edit(step=0, inside=one.inside, outside=one.outside, object=one.object) for one in clicked]
+    first = [Correction(step=0, inside=each.inside, outside=each.outside, object=each.object) for each in clicked]
     return config.replace(edit=tuple(first))
 
 
@@ -69,7 +69,7 @@ def of_preset(settings: RunConfig, name: str, has_clicks: bool) -> dict[str, Any
 
 
 def needs_clicks(config: RunConfig) -> bool:
-    """Whether a run begins with what was clicked, or its energy is of it."""
+    """Return True if a run begins with what was clicked, or its energy is of it."""
     return FROM_CLICKS == config.start or uses_model(config.energy)
 
 

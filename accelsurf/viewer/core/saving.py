@@ -1,4 +1,4 @@
-"""What a session saves: the files of `accelsurf segment`, and the run itself as TOML."""
+"""Saving a session: the files of `accelsurf segment`, and the run itself as TOML."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.core.saved_kinds import KINDS
+from accelsurf.viewer.core.status import SAVED_KINDS
 
 RUN_FILE = "run.toml"
 
@@ -48,7 +48,7 @@ def save(
     source : Path or None
         The image's file, for the report and the format of the labels.
     what : collection of str
-        Of `saved_kinds.KINDS`.
+        Of `SAVED_KINDS`.
     replaceable : collection of Path or None
         Files that may be replaced; None: all.
     corrected : Result, optional
@@ -69,7 +69,7 @@ def save(
         When a file is there already or cannot be written.
     """
     for kind in what:
-        check_known("save", kind, KINDS)
+        check_known("save", kind, SAVED_KINDS)
     result = corrected or dataclasses.replace(result_of(run), config=repeating(run))
     config = result.config.replace(**(others or {}))
     result = dataclasses.replace(result, config=config)
@@ -95,11 +95,11 @@ def save(
 
 
 def _all_beside_report(report: Path, what: Collection[str]) -> set[str]:
-    """What is saved: where a report stands, also all that it lists, so that files of one name show one state."""
+    """Return the kinds that are saved; beside a report also all that it lists, to show one state."""
     if result_sets.load_report(report) is None or result_sets.is_failure_report(report):
         return set(what)
     listed = result_sets.kinds_of_outputs(report)
-    return {*what, "report", *(_kind(kind) for kind in listed)} & set(KINDS)
+    return {*what, "report", *(_kind(kind) for kind in listed)} & set(SAVED_KINDS)
 
 
 def _write(
@@ -155,7 +155,7 @@ def _write_report(
 
 
 def _kind(output: str) -> str:
-    """The one of `KINDS` that an output belongs to."""
+    """The one of `SAVED_KINDS` that an output belongs to."""
     kinds = {"labels": "labels", "data": "labels", "sdf": "labels", "objects": "report", "trace": "trace"}
     kinds |= {"preview": "picture", "run": "run", "state": "report", "config": ""}
     return kinds.get(output, "mesh")
@@ -167,7 +167,7 @@ def repeating(run: Run) -> RunConfig:
     steps = run.step_number if run.stop is None else run.step_number - 1
     edits = tuple(edit for edit in run.config.edit if edit.step <= steps)
     # A run that met its stop rule meets it again; a paused one ends here.
-    reasons = ["interrupted" if one.stop is None else one.stop.reason for one in run.objects]
+    reasons = ["interrupted" if evolving.stop is None else evolving.stop.reason for evolving in run.objects]
     ends = not {"interrupted", "max-steps"} & set(reasons)
     if ends:
         return run.config.replace(edit=edits, max_steps=max(run.config.max_steps, steps + 1))

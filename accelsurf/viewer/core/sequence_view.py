@@ -61,7 +61,7 @@ class SequenceView:
         return words if unit == "frame" else f"{words}, {self.sequence.times[number]:.4g} {unit}"
 
     def frame(self, number: int) -> Frame:
-        """What is drawn of the tracked objects of a frame; without tracks nothing is.
+        """Return the frame of the tracked objects; without tracks it has none.
 
         Raises
         ------
@@ -80,15 +80,18 @@ class SequenceView:
     def _tracked(self, tracks: SavedTracks, number: int) -> Frame:
         drawn, paths = tracks.drawn(number), tracks.paths(number)
         return Frame(
-            tuple(self._surface(one.id, one.surface) for one in drawn),
-            predicted=tuple(self._surface(one.id, one.predicted) for one in drawn if one.predicted is not None),
-            paths=tuple(paths[one.id] for one in drawn if one.id in paths), said=self.said(number),
+            tuple(self._surface(tracked.id, tracked.surface) for tracked in drawn),
+            predicted=tuple(
+                self._surface(tracked.id, tracked.predicted) for tracked in drawn if tracked.predicted is not None
+            ),
+            paths=tuple(paths[tracked.id] for tracked in drawn if tracked.id in paths),
+            said=self.said(number),
         )
 
-    def _surface(self, own: int, piece: SurfacePiece) -> SurfaceFrame:
+    def _surface(self, id: int, piece: SurfacePiece) -> SurfaceFrame:
         voxel = 1.0
         for step in self.sequence.geometry.spacing:
             voxel *= step
         record = _NO_STEP._replace(volume_mm3=float((piece.psi < 0).sum()) * voxel)
         corner = piece.corner
-        return SurfaceFrame(own, record, self._level, piece.psi, corner, 1, corner, piece.psi.shape)
+        return SurfaceFrame(id, record, self._level, piece.psi, corner, 1, corner, piece.psi.shape)

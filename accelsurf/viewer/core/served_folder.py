@@ -70,15 +70,15 @@ class ServedFolder:
             When the folder cannot be read.
         """
         try:
-            found = [one for one in os.scandir(folder) if not one.name.startswith(".") and one.name.isprintable()]
+            found = [each for each in os.scandir(folder) if not each.name.startswith(".") and each.name.isprintable()]
         except OSError as error:
             raise UsageError(f"{self.shown(folder)}: {error.strerror or error}", "choose another folder") from None
-        listed = [entry for entry in (self._entry(Path(one.path)) for one in found) if entry is not None]
+        listed = [entry for entry in (self._entry(Path(each.path)) for each in found) if entry is not None]
         listed.sort(key=lambda entry: (not entry.is_folder, entry.name.casefold(), entry.name))
         return listed[:MAX_ENTRIES], max(len(listed) - MAX_ENTRIES, 0)
 
     def _entry(self, path: Path) -> Entry | None:
-        """What a name is; None for what is no image, or leads out of the folder."""
+        """Return the entry of a name; None for what is no image, or leads out of the folder."""
         try:
             if not path.resolve().is_relative_to(self.root):
                 return None
@@ -90,7 +90,7 @@ class ServedFolder:
             return None
 
     def is_image(self, folder: Path) -> bool:
-        """Whether a folder is an image itself: a scan in DICOM, or slices."""
+        """Return True if a folder is an image itself: a scan in DICOM, or slices."""
         try:
             return bool(format_of(folder).name)
         except (AccelsurfError, OSError):

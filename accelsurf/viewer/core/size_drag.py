@@ -52,7 +52,7 @@ class SizeDrag:
     thickness: float | None = None
 
     def is_near_end(self, drag_mm: float) -> bool:
-        """Whether a drag is about as large as what was reached, and more can be."""
+        """Return True if a drag is about as large as what was reached, and more can be."""
         reached = len(self.order) * self.voxel_mm3
         return len(self.order) < self.times.size and self._wanted(drag_mm) > NEAR_END * reached
 
@@ -73,7 +73,7 @@ class SizeDrag:
         return float(self.times.ravel()[self.order[count - 1]])
 
     def plane(self, axis: int, index: int, volume_mm3: float) -> NDArray[np.float32] | None:
-        """What is negative inside the object in a slice of the image, if it has this volume.
+        """Return an image, negative inside the object, of a slice, if the object has this volume.
 
         Parameters
         ----------
@@ -88,10 +88,10 @@ class SizeDrag:
         ndarray or None
             Of the region of interest in this slice; None beside it.
         """
-        own = index - self.first[axis]
-        if not 0 <= own < self.times.shape[axis]:
+        at = index - self.first[axis]
+        if not 0 <= at < self.times.shape[axis]:
             return None
-        return self.signed(np.asarray(self.times.take(own, axis=axis)), volume_mm3)
+        return self.signed(np.asarray(self.times.take(at, axis=axis)), volume_mm3)
 
     def times_at(self, index: tuple[NDArray[np.float64], ...]) -> NDArray[np.float32]:
         """Arrival times at any places, given by indices z, y, x of the region of interest, between voxels too."""
@@ -126,7 +126,7 @@ class Dragging:
         self._known: SizeDrag | None = None
 
     def at(self, drag_mm: float) -> SizeDrag | None:
-        """What is known now, to be shown for a drag of so many mm; None while nothing is known."""
+        """Return the arrival times known now for a drag of so many mm; None while nothing is known."""
         if self.pressed.done() and self.pressed.exception() is None:
             self._known = self.pressed.result()
             if self._known.is_near_end(drag_mm):

@@ -1,23 +1,26 @@
-"""What a session shows to a front end: its status, and the views that are to be drawn."""
+"""State of a session for a front end: its status, and the views that are to be drawn."""
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.settings.edits import Edit
+from accelsurf.settings.edits import Correction
 from accelsurf.settings.labels import LabelTable
-from accelsurf.settings.refinements import Refinement
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.change_log import ChangeLine
 from accelsurf.viewer.core.frame import Frame
 
 if TYPE_CHECKING:
     from accelsurf.viewer.core.doubts import Doubt
-    from accelsurf.viewer.core.timeline import Timeline
+
+#: What a session can save; ``run`` is the configuration that repeats the run.
+SAVED_KINDS = ("labels", "mesh", "picture", "trace", "report", "run")
 
 
 class Status(NamedTuple):
@@ -35,7 +38,7 @@ class Status(NamedTuple):
         Steps that can be restored at once.
     settings : RunConfig
         In force now, without edits.
-    edits : tuple of Edit
+    edits : tuple of Correction
         All, also those after the present step once the session has gone back.
     stop : Stop or None
         Why the run has ended.
@@ -53,7 +56,7 @@ class Status(NamedTuple):
         Ids of the objects; none for a run of one object without an id.
     redoable : int
         How many undone changes can be made again.
-    refinements : tuple of Refinement
+    refinements : tuple of Correction
         Corrections after the run's end; while it goes on again, those that are made when it ends.
     changes : tuple of ChangeLine
         What was changed, in order, and what of it is undone.
@@ -70,7 +73,7 @@ class Status(NamedTuple):
     step: int
     checkpoints: tuple[int, ...]
     settings: RunConfig
-    edits: tuple[Edit, ...]
+    edits: tuple[Correction, ...]
     stop: Stop | None
     message: str
     failed: bool
@@ -79,7 +82,7 @@ class Status(NamedTuple):
     redoable: int = 0
     labels: LabelTable = LabelTable()
     object_words: Mapping[int, str] = MappingProxyType({})
-    refinements: tuple[Refinement, ...] = ()
+    refinements: tuple[Correction, ...] = ()
     changes: tuple[ChangeLine, ...] = ()
     rests: tuple[int, ...] = ()
     doubts: tuple[Doubt, ...] = ()
@@ -90,30 +93,6 @@ class Status(NamedTuple):
         """The status before the image is prepared, or when it could not be."""
         return cls(False, False, 0, (), config.at(0), config.edit, None, message, failed, 0)
 
-    @classmethod
-    def of(cls, timeline: Timeline, message: str, failed: bool) -> Status:
-        """The status of a session with this timeline."""
-        return cls(
-            ready=True,
-            playing=timeline.is_playing,
-            step=timeline.step_number,
-            checkpoints=timeline.checkpoints.steps,
-            settings=timeline.files.in_force(timeline.run.settings),
-            edits=timeline.run.config.edit,
-            stop=timeline.stop,
-            message=message,
-            failed=failed,
-            undoable=timeline.log.undoable,
-            objects=timeline.objects.ids if timeline.objects.has_ids else (),
-            labels=timeline.objects.labels,
-            object_words=timeline.objects.words,
-            redoable=timeline.log.redoable,
-            refinements=timeline.corrections.wanted,
-            changes=timeline.log.lines,
-            rests=rests_of(timeline),
-            terms=timeline.run.objects[0].made.terms,
-        )
-
     @property
     def word(self) -> str:
         """The state in one word: running, paused, or why the run has ended; empty before it is ready."""
@@ -123,19 +102,11 @@ class Status(NamedTuple):
 
 
 class View(NamedTuple):
-    """What is to be drawn: the ``frame``, each object's ``histories`` up to it, and the ``status`` at that time."""
+    """A view to be drawn: the ``frame``, each object's ``histories`` up to it, and the ``status`` at that time."""
 
     frame: Frame
     histories: tuple[tuple[StepRecord, ...], ...]
     status: Status
-
-
-def rests_of(timeline: Timeline) -> tuple[int, ...]:
-    """Return the steps in which an object rested before it broke through, also those ahead that were made already."""
-    last = timeline.checkpoints.last
-    watches = [one.evolution.state.rests for one in timeline.run.objects]
-    watches += [one.evolution.loop.rests for one in (last.objects if last is not None else ())]
-    return tuple(sorted({rest.at.step for watch in watches for rest in watch.found}))
 
 
 def error_line(error: BaseException) -> str:
@@ -145,3 +116,47 @@ def error_line(error: BaseException) -> str:
         return f"internal error, going back to an earlier step may help: {line}"
     hint = f" ({error.hint})" if error.hint else ""
     return " ".join((error.message + hint).split())
+
+
+#: Frames per second at most, and the share of the time that making and drawing them may take while the run plays.
+FRAME_RATE, DRAWING_SHARE = 15.0, 0.06
+
+
+class ViewSlot:
+    """Contains at most one view. One is made only when it was asked for, and not too often while the run plays."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._view: View | None = None
+        self._wanted = False
+        self._version = -1
+        self._next_time, self._drawing_seconds = 0.0, 0.0
+
+    @property
+    def version(self) -> int:
+        """Version of the state that the last view shows; -1 before the first."""
+        return self._version
+
+    def fetch(self, drawing_seconds: float) -> View | None:
+        """Take the view out, or None, and ask for the next; ``drawing_seconds`` is what the last took to draw."""
+        if drawing_seconds:
+            self._drawing_seconds = drawing_seconds
+        with self._lock:
+            view, self._view = self._view, None
+            self._wanted = True
+        return view
+
+    def is_due(self, version: int, playing: bool) -> bool:
+        """Return True if a view of this version of the state is to be made now."""
+        return self._wanted and self._version != version and (not playing or time.perf_counter() >= self._next_time)
+
+    def put(self, view: View, version: int, seconds: float) -> None:
+        """Put a view of a version of the state there; ``seconds`` is what it took to make."""
+        with self._lock:
+            self._view, self._wanted, self._version = view, False, version
+        pause = max(1.0 / FRAME_RATE, (seconds + self._drawing_seconds) / DRAWING_SHARE)
+        self._next_time = time.perf_counter() - seconds + pause
+
+    def refuse(self) -> None:
+        """No view can be made of this state: make none until `fetch` asks again."""
+        self._wanted = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,17 +11,137 @@ from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.clicks import Side
 from accelsurf.grid.volume import Volume
 from accelsurf.segmentation.run import Run
-from accelsurf.settings.edits import Edit
+from accelsurf.segmentation.run_checkpoint import RunCheckpoint
+from accelsurf.settings.catalogue import entry
+from accelsurf.settings.edits import Correction
+from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
-from accelsurf.viewer.core.change_log import ChangeLog, Moment, edits_with
-from accelsurf.viewer.core.change_words import balls_in_words, clicks_in_words, in_words
+from accelsurf.viewer.core.change_log import ChangeLog, Moment, balls_in_words, clicks_in_words, edits_with, in_words
 from accelsurf.viewer.core.corrections import Corrections
-from accelsurf.viewer.core.file_settings import FileSettings
 from accelsurf.viewer.core.frame import Frame
-from accelsurf.viewer.core.history import CheckpointHistory
 from accelsurf.viewer.core.object_commands import ObjectCommands
 from accelsurf.viewer.core.restarted import restart_message, restarted
+from accelsurf.viewer.core.status import Status
+
+
+class FileSettings:
+    """The settings of the files of a timeline, in place of those of its run.
+
+    Parameters
+    ----------
+    timeline : Timeline
+
+    Attributes
+    ----------
+    changed : dict
+        Those that were given.
+    """
+
+    def __init__(self, timeline: Timeline) -> None:
+        self._timeline = timeline
+        self.changed: dict[str, Any] = {}
+        self._last: tuple[RunConfig, RunConfig] | None = None
+
+    def change(self, settings: Mapping[str, Any]) -> None:
+        """Write other files from now on.
+
+        Raises
+        ------
+        UsageError
+            When one is no setting of files, or is not valid; nothing is changed then.
+        """
+        for key in settings:
+            if key not in RunConfig.model_fields or entry(key).group is not SettingGroup.FILES:
+                raise UsageError(f"{key}: it says nothing of the files that are written")
+        now = self._timeline.run.settings.replace(**{**self.changed, **settings})
+        self.changed |= {key: getattr(now, key) for key in settings}
+        self._last = None
+        self._timeline.say(in_words({key: self.changed[key] for key in settings}))
+
+    def in_force(self, settings: RunConfig) -> RunConfig:
+        """Settings of the run with those of the files; the same object while both stay the same."""
+        if not self.changed:
+            return settings
+        if self._last is None or self._last[0] is not settings:
+            self._last = settings, settings.replace(**self.changed)
+        return self._last[1]
+
+
+class CheckpointHistory:
+    """Checkpoints by step, within a memory budget.
+
+    When the budget is exceeded, the checkpoint goes whose neighbours lie closest together relative to its age; the
+    first and the last stay. One can then go back approximately to any step, and one by one over the last steps.
+
+    Parameters
+    ----------
+    budget_mb : float
+        Memory for the checkpoints, MB (10^6 bytes); at least two are stored whatever they take.
+    """
+
+    def __init__(self, budget_mb: float) -> None:
+        self.budget = budget_mb * 1e6
+        self._checkpoints: dict[int, RunCheckpoint] = {}
+        self._bytes = 0
+
+    @property
+    def steps(self) -> tuple[int, ...]:
+        """The steps that have a checkpoint, in order."""
+        return tuple(self._checkpoints)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the checkpoints take."""
+        return self._bytes
+
+    @property
+    def last(self) -> RunCheckpoint | None:
+        """The checkpoint of the last step; None without any."""
+        return self._checkpoints[max(self._checkpoints)] if self._checkpoints else None
+
+    def __len__(self) -> int:
+        return len(self._checkpoints)
+
+    def __iter__(self) -> Iterator[RunCheckpoint]:
+        return iter(self._checkpoints.values())
+
+    def add(self, checkpoint: RunCheckpoint) -> None:
+        """Store a checkpoint, unless there is one of that step already, which is the same."""
+        if checkpoint.step in self._checkpoints:
+            return
+        self._checkpoints[checkpoint.step] = checkpoint
+        self._bytes += checkpoint.nbytes
+        steps = list(self._checkpoints)
+        if steps[-2:] != sorted(steps[-2:]):
+            self._checkpoints = dict(sorted(self._checkpoints.items()))
+        while self._bytes > self.budget and len(self._checkpoints) > 2:
+            self._thin_out()
+
+    def nearest(self, step: int, level: int) -> RunCheckpoint | None:
+        """Return the last checkpoint at or before a step that is of this level."""
+        found = [c for c in self if c.step <= step and c.level == level]
+        return found[-1] if found else None
+
+    def drop_after(self, step: int) -> None:
+        """Forget the checkpoints after a step."""
+        for later in [other for other in self._checkpoints if other > step]:
+            self._bytes -= self._checkpoints.pop(later).nbytes
+
+    def clear(self) -> None:
+        """Forget all checkpoints."""
+        self._checkpoints, self._bytes = {}, 0
+
+    def _thin_out(self) -> None:
+        steps = list(self._checkpoints)
+        last = steps[-1]
+        gaps = {
+            at: (after - before) / (last - at + 2.0)
+            for before, at, after in zip(steps, steps[1:], steps[2:], strict=False)
+        }
+        dropped = min(gaps, key=lambda at: gaps[at])
+        self._bytes -= self._checkpoints.pop(dropped).nbytes
+
 
 #: Why an object has ended for good: there is nothing to continue from.
 FINAL_REASONS = ("vanished", "filled", "diverged", "leaked")
@@ -42,6 +162,8 @@ class Timeline:
         Memory for checkpoints, MB.
     channels : sequence of Volume, optional
         Further channels of the image.
+    on_progress : callable, optional
+        Called with a line while a correction is made.
 
     Attributes
     ----------
@@ -54,12 +176,17 @@ class Timeline:
     """
 
     def __init__(
-        self, volume: Volume, config: RunConfig, checkpoint_mb: float, channels: Sequence[Volume] = ()
+        self,
+        volume: Volume,
+        config: RunConfig,
+        checkpoint_mb: float,
+        channels: Sequence[Volume] = (),
+        on_progress: Callable[[str], None] | None = None,
     ) -> None:
         self.volume, self._channels = volume, tuple(channels)
         self.checkpoints = CheckpointHistory(checkpoint_mb)
         self._playing, self._last_step, self._message = False, -1, ""
-        self.log, self.corrections = ChangeLog(), Corrections(config.refine)
+        self.log, self.corrections = ChangeLog(), Corrections(config.refine, on_progress)
         self._written: set[Path] = set()
         self.objects, self.files = ObjectCommands(self, config), FileSettings(self)
         self.run = Run(volume, config.replace(refine=()), None, self._channels)
@@ -75,7 +202,7 @@ class Timeline:
 
     @property
     def is_playing(self) -> bool:
-        """Whether more steps are to be made, by `step`."""
+        """True if more steps are to be made, by `step`."""
         return self._playing
 
     @property
@@ -93,8 +220,38 @@ class Timeline:
         return self.corrections.stop(self.run)
 
     def picture(self, max_voxels: int | None) -> tuple[Frame, tuple[tuple[StepRecord, ...], ...]]:
-        """What is drawn, see `Frame.of_run`, and each object's records up to it."""
+        """Return the frame, see `Frame.of_run`, and each object's records up to it."""
         return self.corrections.picture(self.run, max_voxels)
+
+    def status(self, message: str, failed: bool) -> Status:
+        """Return the status of a session with this self."""
+        return Status(
+            ready=True,
+            playing=self.is_playing,
+            step=self.step_number,
+            checkpoints=self.checkpoints.steps,
+            settings=self.files.in_force(self.run.settings),
+            edits=self.run.config.edit,
+            stop=self.stop,
+            message=message,
+            failed=failed,
+            undoable=self.log.undoable,
+            objects=self.objects.ids if self.objects.has_ids else (),
+            labels=self.objects.labels,
+            object_words=self.objects.words,
+            redoable=self.log.redoable,
+            refinements=self.corrections.wanted,
+            changes=self.log.lines,
+            rests=self._rests(),
+            terms=self.run.objects[0].made.terms,
+        )
+
+    def _rests(self) -> tuple[int, ...]:
+        """Return the steps in which an object rested before it broke through, also those ahead that were made."""
+        last = self.checkpoints.last
+        watches = [evolving.evolution.state.rests for evolving in self.run.objects]
+        watches += [segmented.evolution.loop.rests for segmented in (last.objects if last is not None else ())]
+        return tuple(sorted({rest.at.step for watch in watches for rest in watch.found}))
 
     def close(self) -> None:
         """End the run's threads."""
@@ -130,7 +287,7 @@ class Timeline:
         if stop is not None and "max-steps" in self._reasons():
             run.restore(self._present)
         elif stop is not None:
-            self._replace_edits((*self._edits_so_far(), Edit(step=self.step_number)), "runs on")
+            self._replace_edits((*self._edits_so_far(), Correction(step=self.step_number)), "runs on")
         if self.step_number >= run.max_steps:
             run.extend(self.step_number + max(run.config.max_steps, 1))
         if 0 <= last_step <= self.step_number:
@@ -143,7 +300,7 @@ class Timeline:
 
     def _reasons(self) -> list[str]:
         """Why the objects that have ended did."""
-        return [one.stop.reason for one in self.run.objects if one.stop is not None]
+        return [evolving.stop.reason for evolving in self.run.objects if evolving.stop is not None]
 
     def single_step(self) -> None:
         """Have one step more made than was asked for; pause after it."""
@@ -185,12 +342,12 @@ class Timeline:
         changed.pop("seed", None)
         self.pause()
         self._restore(0)
-        edits = (Edit(step=0, **changed),) if changed else ()
+        edits = (Correction(step=0, **changed),) if changed else ()
         if edits != config.edit:
             self._replace_edits(edits, "restart")
         elif before.refinements:
             self.log.add(before, "restart")
-        self.corrections.wanted = ()
+        self.corrections.want(())
         self._message = "at the start"
 
     def _restore(self, step: int) -> None:
@@ -240,7 +397,7 @@ class Timeline:
             When a setting is not valid; nothing is changed then.
         """
         run, step, edits = self.run, self.step_number, self._edits_so_far()
-        run.check(Edit(step=step, **settings))
+        run.check(Correction(step=step, **settings))
         altered, said = edits_with(run.config, edits, step, settings), in_words(settings)
         if altered != edits:
             self._replace_edits(altered, said)
@@ -293,7 +450,7 @@ class Timeline:
         (refinement,) = RunConfig(refine=[correction]).refine
         before = self._now()
         if self.run.stop is None:
-            self.corrections.wanted = (*self.corrections.wanted, refinement)
+            self.corrections.want((*self.corrections.wanted, refinement))
             self.play()
             self._message = f"{said}: when the run has ended"
         else:
@@ -321,7 +478,7 @@ class Timeline:
         self._replace_run(config)
         self._message = message
         self.log.add(before._replace(step=0), message)
-        self.corrections.wanted = ()
+        self.corrections.want(())
 
     def undo(self) -> None:
         """Undo the last change, and go to the step where it was made; UsageError when there is none."""
@@ -346,7 +503,7 @@ class Timeline:
         self._message = f"after change {count}" if count else "before all changes"
 
     def _now(self) -> Moment:
-        """What is in force, before a change at the present step."""
+        """Return settings and corrections in force, before a change at the present step."""
         return Moment(self.run.config, self.step_number, self.corrections.wanted)
 
     def _go_back_to(self, moment: Moment) -> None:
@@ -354,7 +511,7 @@ class Timeline:
         run, config, step = self.run, moment.config, moment.step
         if config == run.config and self.corrections.go_to(run, moment.refinements):
             return
-        self.corrections.wanted = moment.refinements
+        self.corrections.want(moment.refinements)
         self.pause()
         checkpoint = self.checkpoints.nearest(min(step, self.step_number), self._present.level)
         if config.at(-1) != run.config.at(-1) or checkpoint is None:
@@ -366,10 +523,10 @@ class Timeline:
             run.set_edits(config.edit)
         self._catch_up(step)
 
-    def _edits_so_far(self) -> tuple[Edit, ...]:
+    def _edits_so_far(self) -> tuple[Correction, ...]:
         return tuple(edit for edit in self.run.config.edit if edit.step <= self.step_number)
 
-    def _replace_edits(self, edits: tuple[Edit, ...], said: str, joined: bool = False) -> None:
+    def _replace_edits(self, edits: tuple[Correction, ...], said: str, joined: bool = False) -> None:
         """Continue with other edits from the present step; the steps made after it are forgotten."""
         run, step, before = self.run, self.step_number, self._now()
         if edits == before.config.edit and run.stop is None:

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import UsageError
-from accelsurf.viewer.core.saved_kinds import KINDS
-from accelsurf.viewer.core.status import Status
+from accelsurf.viewer.core.status import SAVED_KINDS, Status
 from accelsurf.viewer.workplace.tool import Feature, Key, word
 
 
@@ -51,7 +50,7 @@ class FilesFeature(Feature):
 
     def _save(self, *what: Any) -> None:
         actions = self.actions
-        kinds = [word(kind, KINDS) for kind in what] or list(KINDS)
+        kinds = [word(kind, SAVED_KINDS) for kind in what] or list(SAVED_KINDS)
         if actions.folder is None:
             raise UsageError("save: there is no folder to save in", "name one")
         future = actions.session.save(actions.folder, kinds, actions.overwrite)

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from accelsurf.errors import UsageError
+from accelsurf.settings.edits import MAX_ID
 from accelsurf.settings.labels import MAX_NAME
-from accelsurf.settings.refinements import MAX_ID
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.colors import OBJECT_COLORS, ObjectStyle, unnamed
 from accelsurf.viewer.scene.space import Picked

@@ -16,7 +16,7 @@ from typing import Any
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.grid.volume import Volume
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.core.background import in_background
+from accelsurf.viewer.core.command_queue import in_background
 from accelsurf.viewer.core.opening import (
     Choice,
     OpenedImage,

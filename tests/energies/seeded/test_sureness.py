@@ -10,7 +10,7 @@ from accelsurf.energies.seeded.shown import Shown
 from accelsurf.energies.seeded.sureness import corrections_with, sureness_of
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.segmentation.local_model import sureness_from
+from accelsurf.segmentation.run_result import sureness_from
 from tests.energies.seeded.test_seeded_model import SHAPE, SPACING, ball, distance, volume_of
 
 LINE = (1, 1, 40)
