@@ -38,6 +38,7 @@ ENERGIES = {
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("max_steps", [23, 90])
 @pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, Gradient, HeavyBall])
 @pytest.mark.parametrize("energy", ENERGIES)

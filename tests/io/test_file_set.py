@@ -346,6 +346,7 @@ def everything(folder):
     }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("plant", PLANTS)
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_in_an_output_folder_orders_a_move_or_a_deletion(plant, seed, tmp_path):

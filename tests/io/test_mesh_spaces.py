@@ -142,6 +142,7 @@ def skip_unspeakable(name, said):
         pytest.skip("one value for each name")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("said", RAS)
 @pytest.mark.parametrize("name", PLAIN)
 def test_ras_is_turned(name, said, tmp_path):
@@ -153,6 +154,7 @@ def test_ras_is_turned(name, said, tmp_path):
     assert caught.value.hint == "leave @lps out"
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("said", LPS)
 @pytest.mark.parametrize("name", PLAIN)
 def test_lps_and_nothing_are_taken_as_they_are(name, said, tmp_path):
@@ -165,6 +167,7 @@ def test_lps_and_nothing_are_taken_as_they_are(name, said, tmp_path):
         is_there(tmp_path / name, TURNED, "ras")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("said", OTHERS)
 @pytest.mark.parametrize("name", PLAIN)
 def test_other_spaces_are_refused_unless_the_user_says_which_they_are(name, said, tmp_path):
@@ -184,6 +187,7 @@ def test_field_data_in_every_encoding(mode, tmp_path):
         is_there(tmp_path / "a.vtp", corners)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("space", ["lps", "ras"])
 def test_what_accelsurf_writes_says_its_space_and_comes_back_in_place(suffix, space, tmp_path):
@@ -209,6 +213,7 @@ def test_a_glb_is_where_its_nodes_put_it(tmp_path):
         is_there(tmp_path / "a.glb", CORNERS)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("said", ["color space = sRGB", "ColorSpace=RAS", "my_space=XYZ", "a free space", "SPACE=",
                                   "SPACE= UNIT=mm"])
 @pytest.mark.parametrize("name", ["a.ply", "a.stl", "c.stl", "a.obj", "b.vtp"])

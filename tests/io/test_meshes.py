@@ -48,6 +48,7 @@ def refuse(path, words):
     assert len(str(caught.value)) < 400 + len(str(path))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("space", ["lps", "ras"])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_what_accelsurf_writes_it_reads(ball, voxels, tmp_path, suffix, space):
@@ -67,6 +68,7 @@ def test_what_vtk_writes_is_read(polydata, voxels, tmp_path, suffix, binary):
     np.testing.assert_array_equal(meshes.inside(path, GRID), voxels)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("mode", ["ascii", "binary", "appended", "raw"])
 @pytest.mark.parametrize("compressed", [True, False])
 @pytest.mark.parametrize("order", ["little", "big"])

@@ -155,6 +155,7 @@ def test_neighbours_off_the_band_and_beyond_the_border_are_the_cell_itself(shape
             assert table[row, side] == want
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_cells_at_the_walls_across_an_axis(shape, axis):

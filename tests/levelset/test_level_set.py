@@ -657,6 +657,7 @@ def strict_where_possible(surface):
     return surface
 
 
+@pytest.mark.sampled
 @pytest.mark.nojit
 @pytest.mark.parametrize("spacing", [ISOTROPIC, UNEQUAL])
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 9, 8), (3, 8, 10), (9, 1, 8), (9, 8, 2), (1, 1, 9)])

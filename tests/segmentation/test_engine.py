@@ -231,6 +231,7 @@ SAVED = {
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("several", [False, True])
 @pytest.mark.parametrize("name", SAVED)
 def test_a_run_goes_on_from_a_file_with_the_same_bytes(pair, tmp_path, name, several):

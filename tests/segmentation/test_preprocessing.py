@@ -92,6 +92,7 @@ def masked(tmp_path, volume, mask, name="mask.nii.gz"):
     return str(tmp_path / name)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("levels", ["auto", 2])
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"])
 def test_the_surface_never_leaves_the_mask(tmp_path, flow, levels):

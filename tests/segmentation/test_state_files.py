@@ -184,6 +184,7 @@ def refused(read, path):
     assert len(str(caught.value)) < 1000 and not Evil.ran
 
 
+@pytest.mark.sampled
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 @pytest.mark.parametrize("which", ["state", "checkpoint"])
 @pytest.mark.parametrize("change", CHANGES)
@@ -251,6 +252,7 @@ def signed(path, target, types, change):
     return target
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("which", ["state", "checkpoint"])
 @pytest.mark.parametrize("value", [None, -1, "a", 1.5, [], {"list": []}, {"array": "none"}, {"dict": [[1, 2]]}])
 def test_a_field_of_another_type_is_refused_even_with_a_digest(which, value, finished, checkpoint, tmp_path):

@@ -59,6 +59,7 @@ KNOWN = ("pixels", "first pixel", "header", "geometry", "series", "within the se
 UNKNOWN = ("study", "class", "mark", "less than a mark", "nothing")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("where", [0, 2, COUNT - 1])
 @pytest.mark.parametrize("left", KNOWN)
 def test_a_file_of_the_series_that_is_cut_is_refused_by_name(tmp_path, left, where):
@@ -77,6 +78,7 @@ def test_a_file_of_the_series_that_is_cut_is_refused_by_name(tmp_path, left, whe
     assert found.array.shape[0] == COUNT - (where in (0, COUNT - 1))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("left", UNKNOWN)
 @pytest.mark.parametrize("where", [0, COUNT - 1])
 def test_a_file_that_says_nothing_of_its_series_is_named_in_a_warning(tmp_path, left, where):
