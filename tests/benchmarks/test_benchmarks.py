@@ -53,6 +53,7 @@ def test_the_best_setting_is_the_fastest_of_those_as_good_as_the_highest() -> No
     assert [t.settings["name"] for t in ranked(trials)] == ["fast", "slow", "poor"]
 
 
+@pytest.mark.slow
 def test_the_search_tries_the_grid_then_refines_its_best() -> None:
     asked: list[dict[str, Any]] = []
 
@@ -92,6 +93,7 @@ def test_a_peer_that_is_not_installed_is_skipped_with_a_message(monkeypatch: pyt
     assert options.messages == ["gone: skipped, no-such is not installed (pip install no-such)"]
 
 
+@pytest.mark.slow
 def test_march_without_scikit_fmm_says_so_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     from benchmarks.peers import march
 
@@ -146,6 +148,7 @@ def test_works_have_clicks_on_their_sides_and_no_threshold(name: str) -> None:
     assert work.score(work.truth) == 1.0 and work.score((work.image > middle).astype(int)) < 0.9
 
 
+@pytest.mark.slow
 def test_peers_find_two_touching_balls_each(monkeypatch: pytest.MonkeyPatch) -> None:
     # One setting each, so that nothing hangs on how many fit into the time.
     name = "scikit-image morphological_chan_vese"
@@ -246,6 +249,7 @@ def test_short_of_a_difference_is_reported_as_a_difference() -> None:
     assert render.verdict(goal("x", 1.0, None)) == "not measured"
 
 
+@pytest.mark.slow
 def test_the_command_writes_json_with_machine_and_raw_times(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

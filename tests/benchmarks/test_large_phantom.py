@@ -25,6 +25,7 @@ def whole(scene):
     return image(scene, box), truth(scene, box)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("chunk", [31, 64])
 def test_a_box_alone_has_the_voxels_of_the_whole(scene, whole, chunk):
     for box in command.chunks(SIZE, chunk):

@@ -87,6 +87,7 @@ def done(films: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_a_row_has_the_bytes_of_one_track(done: Path, films: Path, tmp_path: Path) -> None:
     shutil.copy(films / "fast.nii.gz", tmp_path / "one.nii.gz")  # files and their titles are named by the id
     shutil.copytree(films / "slow", tmp_path / "two")

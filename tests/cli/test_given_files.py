@@ -112,7 +112,7 @@ def refused(words, capfd, what):
         assert "pipe" in lines[0] or "no such" in lines[0] or "not" in lines[0], err
 
 
-@pytest.mark.sampled
+@pytest.mark.sampled(16)
 @pytest.mark.parametrize("kind", ["pipe", "device", "socket", "folder"])
 @pytest.mark.parametrize(("command", "words"), ALL, ids=lambda value: value if value in COMMANDS else " ".join(value))
 def test_options_refuse_what_is_no_file(command, words, kind, image, tmp_path, capfd):

@@ -160,6 +160,7 @@ INPUTS = {
 }
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("option", "how"),
     [*((option, "by its name") for option in INPUTS), ("channel", "by a link"), ("mesh", "by a hard link")],
@@ -228,6 +229,7 @@ WRITERS = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("command", WRITERS)
 def test_an_output_folder_that_goes_away_during_a_command_is_a_documented_error(command, received, monkeypatch, capfd):
     """Somebody removes it before the n-th change that the command makes to files."""

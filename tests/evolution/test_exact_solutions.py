@@ -96,6 +96,7 @@ WANTED = {
 LONG, SMALL_SIZES = "DEM", (24, 32, 44)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("name", "sizes"),
     [(name, SMALL_SIZES if name in LONG else SIZES) for name in WANTED]
@@ -124,6 +125,7 @@ def test_sphere_and_circle_follow_the_exact_solution(name: str, sizes: Triple) -
     assert order(means, sizes) >= least or means[-1] <= 0.004 * h
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("name", "coarser", "mean", "point"),
     [("B", (2, 1, 1), 0.015, 0.02), ("B", (1, 3, 1), 0.02, 0.04), ("C", (1, 1, 2), 0.03, 0.08)],

@@ -160,7 +160,7 @@ def extended(dense, grid, band, front, values):
     return out, off, slots, shares
 
 
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("on_front", [0.5, 0.1, 0.0, 1.0])
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 1, 4)])
 def test_extension_replaces_values_off_the_front_only(shape, on_front):
@@ -196,6 +196,7 @@ def quadratic_table(dense, grid, band, front, across=-1):
     return off, slots, shares
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (9, 1, 9)])
 def test_quadratic_extension_is_exact_for_quadratics_away_from_the_border(shape):
     """In a complete band where one cell after the other is off the front, and the ten nodes around its foot are not."""

@@ -75,6 +75,7 @@ def test_the_median_change_is_numpys(shape, kind):
         assert changes_up_to(part, np.float32(expected)) == np.count_nonzero(changes <= np.float32(expected))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("steps", [(1, 1, 1), (1, 2, 3), (3, 1, 2), (5, 9, 4)])
 def test_scaled_means_are_numpys(steps):
     """Of a part of an image, blocks at its ends smaller, values cut at both ends."""

@@ -84,6 +84,7 @@ CASES = [
 ]
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize(("flow", "energy", "grid", "levels"), CASES)
 def test_every_clicked_voxel_is_on_its_side(flow, energy, grid, levels):
     number = CASES.index((flow, energy, grid, levels))

@@ -106,6 +106,7 @@ def test_starts_in_the_background_take_the_background_and_that_is_told(touching,
         assert any(warning.startswith("border") for warning in one.quality.notes)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass"])
 def test_mass_that_meets_mass_comes_to_rest_and_gains_no_energy(flow):
     shape, centres = (22, 22, 36), [(10.5, 10.5, 11.0), (10.5, 10.5, 24.0)]
@@ -149,6 +150,7 @@ def test_no_voxel_is_in_two(two):
     assert np.array_equal(result.psi < 0, result.labels > 0)
 
 
+@pytest.mark.sampled(1)
 def test_same_bytes_for_any_number_of_threads_and_any_order_of_labels_in_memory(two):
     image, _, starts, spacing, result = two
     again = segment_objects(image, np.asfortranarray(starts), spacing=spacing, threads=3)
@@ -160,6 +162,7 @@ def test_same_bytes_for_any_number_of_threads_and_any_order_of_labels_in_memory(
         ]
 
 
+@pytest.mark.slow
 def test_three_balls_that_meet_in_a_line():
     shape, radius = (28, 46, 46), 9.5
     angles = np.deg2rad([90.0, 210.0, 330.0])
@@ -173,6 +176,7 @@ def test_three_balls_that_meet_in_a_line():
     assert (result.labels[13, 21:25, 21:25] > 0).all()
 
 
+@pytest.mark.slow
 def test_objects_that_meet_at_the_border_come_to_rest():
     # Their contact runs aslant into four faces of the volume: the surface points nearest to voxels there lie beyond.
     image = np.zeros((14, 22, 40), np.float32)
@@ -223,6 +227,7 @@ def test_cost_goes_with_the_surfaces_not_with_the_volume_times_their_number():
     assert sum(four) == pytest.approx(4 * one[0], rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_grid_that_grows_changes_nothing_for_an_energy_that_sees_only_the_place():
     shape, centres = (30, 30, 90), [(14.5, 14.5, 40.0)]
     image, _ = scene(shape, ISOTROPIC, centres, 11.0, noise=0.1)

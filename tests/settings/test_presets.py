@@ -110,6 +110,7 @@ def test_one_bone_with_its_marrow_from_a_click():
     assert dice(alone, bone) < 0.5
 
 
+@pytest.mark.slow
 def test_bone_between_soft_tissue_with_contrast_agent():
     z, y, x = grid()
     body = x**2 + y**2 + (0.6 * z) ** 2 < 17**2
@@ -119,6 +120,7 @@ def test_bone_between_soft_tissue_with_contrast_agent():
     assert dice(found("ct-skeleton", image), bone) > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lumen", [160, 400])
 def test_vessel_of_any_phase_beside_bone(lumen):
     z, y, x = grid()

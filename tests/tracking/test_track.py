@@ -161,6 +161,7 @@ def test_a_division_may_be_left_together() -> None:
     assert near(places(results[-1])[1], 32, 20, 0.5)
 
 
+@pytest.mark.slow
 def test_a_division_in_falling_order_is_told_in_rising_order() -> None:
     frames = sequence(lambda n: dividing(8 - n), 9)
     _, lineage = followed(frames, "ball:32,20,0,5", frame=8, direction="backward")
@@ -190,6 +191,7 @@ def test_one_that_leaves_and_comes_back_is_the_same() -> None:
     assert {5, 6} <= set(gaps)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("model", ["flowable-mass", "none"])
 def test_one_that_comes_back_is_seen_from_its_first_sliver_on(model: str) -> None:
     """It was found again when half of it was there: the bound on its size did not know that the border cuts it."""
@@ -215,6 +217,7 @@ def test_one_that_leaves_for_good_has_left() -> None:
     assert lineage.tracks[0].end == "left" and lineage.tracks[0].last == 4  # a sliver is there still
 
 
+@pytest.mark.slow
 def test_what_enters_is_followed_only_where_that_is_asked_for() -> None:
     def discs(n: int) -> Discs:
         return [(20, 20, 7)] + ([(70 - 5 * n, 20, 7)] if n > 0 else [])
@@ -275,6 +278,7 @@ def bytes_of(results: Sequence[FrameResult]) -> list[tuple[int, bytes, tuple[flo
     ]
 
 
+@pytest.mark.slow
 def test_the_same_bytes_after_a_resume_and_with_more_threads(tmp_path) -> None:
     frames = sequence(lambda n: [] if n == 3 else dividing(n), 7)
     options = {"start": "ball:32,20,0,5", "frame": 2, "direction": "both"}

@@ -109,6 +109,7 @@ def test_a_sequence_that_does_not_end_makes_nothing_else_unreadable(tmp_path, se
     assert names[-1] in out and err == ""
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("seed", "zeros"), [(0, False), (1, False), (2, True)])
 def test_wherever_a_file_is_cut_it_is_never_left_out_in_silence(tmp_path, seed, zeros):
     """In steps over all of a file; what was lost may also be zeros, as after a copy that broke off."""
