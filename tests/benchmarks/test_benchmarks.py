@@ -79,6 +79,7 @@ def test_long_runs_are_timed_once_more_and_hopeless_ones_twice() -> None:
     assert repeats_for(trial("", 0.5, 1.0), options, hopeless=True) == 2
 
 
+@pytest.mark.slow
 def test_programs_take_turns() -> None:
     order: list[str] = []
     times = in_turn({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, {"a": 3, "b": 2})
@@ -112,6 +113,7 @@ def test_peers_find_a_clean_cube(name: str) -> None:
     assert labels.shape == image.shape and 2 * (labels & truth).sum() / (labels.sum() + truth.sum()) > 0.95
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.filterwarnings("ignore:The probability range is outside")
 @pytest.mark.parametrize("name", list(baselines.BASELINES))
 def test_baselines_find_a_cube_in_noise(name: str) -> None:

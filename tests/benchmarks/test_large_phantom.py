@@ -87,6 +87,7 @@ def test_no_room_for_cells_is_said():
         Scene.of(40, cells=200)
 
 
+@pytest.mark.slow
 def test_means_of_blocks():
     fine = np.random.default_rng(0).integers(0, 256, (4, 6, 5)).astype(np.uint8)
     padded = np.pad(fine.astype(float), ((0, 0), (0, 0), (0, 1)), constant_values=np.nan)

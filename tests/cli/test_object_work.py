@@ -77,6 +77,7 @@ def test_two_processes_and_a_store_of_labels(folder, tmp_path):
     assert_as_in_memory(folder, tmp_path / "out", "big_seg.ome.zarr")
 
 
+@pytest.mark.slow
 def test_a_cluster(folder, tmp_path):
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0", processes=True) as cluster:
         assert segment(folder, "out", "--scheduler", cluster.scheduler_address, out=tmp_path) == 0

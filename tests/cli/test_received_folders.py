@@ -275,7 +275,7 @@ def report_of(name, status, *files):
     (files[0].parent / f"{name}_report.json").write_text(json.dumps(said))
 
 
-@pytest.mark.sampled
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("status", ["ok", "failed", "interrupted"])
 @pytest.mark.parametrize(
     ("name", "words"),

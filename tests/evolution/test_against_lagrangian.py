@@ -52,6 +52,7 @@ def test_curves_of_the_plane(name: str) -> None:
     assert fine <= 0.015 and fine <= coarse / 2.5
 
 
+@pytest.mark.slow
 def test_density_that_varies_fivefold() -> None:
     """A circle that fills an ellipse from one side; the dense side lags behind: measured .35 and .20 h, 10.9 and 3.5 %.
 

@@ -94,7 +94,7 @@ def sampled_by_the_reference(shape, present, values, cells, foot, old_slot):
     return want, ways
 
 
-@pytest.mark.sampled
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("fields", [1, 3])
 @pytest.mark.parametrize("share", [0.3, 0.8, 0.99, 1.0])
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 4, 5)])

@@ -164,7 +164,7 @@ def test_measured_curvature_of_a_ball_is_that_at_the_foot():
     assert np.abs(not_undone * radius / 2 - 1).max() > 0.2
 
 
-@pytest.mark.sampled
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("within", [0.3, 2.0])
 @pytest.mark.parametrize("spacing", [SPACING, (1.0, 1.0, 1.0)])
 @pytest.mark.parametrize("shape", MEASURED)

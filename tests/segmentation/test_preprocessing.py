@@ -93,7 +93,7 @@ def masked(tmp_path, volume, mask, name="mask.nii.gz"):
     return str(tmp_path / name)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("levels", ["auto", 2])
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"])
 def test_the_surface_never_leaves_the_mask(tmp_path, flow, levels):
@@ -191,6 +191,7 @@ def test_a_channel_is_chosen_by_its_number():
         segment(first, channels=[second], energy="chan-vese:channel=3", **words)
 
 
+@pytest.mark.slow
 def test_the_same_channel_twice_is_the_same_as_once():
     (first, _), _ = two_channels()
     words = dict(start="ball:15,15,15,5vox", max_steps=60, levels=1)

@@ -96,6 +96,7 @@ def test_phantom_of_two_balls_from_a_ball_in_each(touching, tmp_path):
         assert (sign * result.by_id[one].surface.vertices[:, 0]).min() >= -1.0
 
 
+@pytest.mark.slow
 def test_starts_in_the_background_take_the_background_and_that_is_told(touching, tmp_path):
     # Beside both balls: two means, one of which is the background's, say that the object is the background.
     table = balls(tmp_path / "s.csv", (1, 0, 0, -11, 3), (2, 0, 0, 11, 3))
@@ -410,6 +411,7 @@ def test_command_line_tells_bad_objects(scan, tmp_path, capsys):
     assert "absent.nii.gz" in err and "expected one of the two" in err
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("energy", ["threshold:learned,learned", "threshold:half:0,", "likelihood:update=no"])
 def test_each_object_learns_from_its_own_start(energy):
     """Two balls of other brightness, each beside something as bright as the other."""
@@ -440,6 +442,7 @@ def test_what_is_given_as_foreground_is_learned_by_all(tmp_path):
     assert result.terms == result.by_id[2].terms
 
 
+@pytest.mark.slow
 def test_touching_nuclei_of_other_brightness():
     """Seven ellipsoids, each touching some others, blurred and in noise, on voxels twice as high as wide."""
     spacing, shape = (2.0, 1.0, 1.0), (16, 56, 56)

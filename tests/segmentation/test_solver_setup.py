@@ -78,6 +78,7 @@ def test_a_setting_that_does_nothing_is_told() -> None:
     assert result.warnings == ["gravity was given, but has no effect on flow gradient with energy chan-vese"]
 
 
+@pytest.mark.slow
 def test_for_k_of_at_most_1_the_clock_starts_when_the_first_step_is_made() -> None:
     truth, scan = image()
     for flow in ("constant-density", "flowable-mass"):

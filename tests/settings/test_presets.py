@@ -130,6 +130,7 @@ def test_vessel_of_any_phase_beside_bone(lumen):
     assert dice(found("ct-vessel", image, "ball:24,22,15,3vox"), vessel) > 0.9
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("value", "clicks"), [(60, {"outside": "point:43,22,15vox"}), (110, {})])
 def test_organ_beside_muscle_and_fat(value, clicks):
     """Muscle at 30 HU: from an organ without contrast agent, as bright within the noise, a click outside parts it."""
@@ -177,6 +178,7 @@ def test_nuclei_of_uneven_brightness():
     assert dice(found("fluorescence-nucleus", image), nuclei[0] | nuclei[1]) > 0.85
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("preset", "make", "least"), [("tumour", "tumour", 0.93), ("em-cell", "organelle", 0.7)])
 def test_a_click_on_tissue_of_several_brightnesses(preset, make, least):
     image, truth = getattr(tissues, make)()

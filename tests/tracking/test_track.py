@@ -65,6 +65,7 @@ def test_of_a_prediction_that_lies_in_another_object_nothing_is_run() -> None:
     assert not (found[2].surface.psi.size and (found[2].surface.psi[:, 20:21, 20:24] < 0).any())
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("model", ["flowable-mass", "constant-density", "last-displacement", "none"])
 def test_a_disc_is_followed_by_each_model(model: str) -> None:
     results, lineage = followed(sequence(lambda n: [(12 + 3 * n, 20, 7)], 6), "ball:12,20,0,5", model=model)
@@ -128,6 +129,7 @@ def test_brightness_may_drift_and_what_is_learned_follows_it() -> None:
 # -------------------------------------------------------------------------------------------------------- identities
 
 
+@pytest.mark.slow
 def test_two_that_meet_and_turn_back_stay_who_they_are() -> None:
     def discs(n: int) -> Discs:
         apart = 9.0 + 3.0 * abs(n - 4)
@@ -172,6 +174,7 @@ def test_a_division_in_falling_order_is_told_in_rising_order() -> None:
     assert all(link.frame == one.first for link in lineage.links)
 
 
+@pytest.mark.slow
 def test_two_become_one_only_where_that_is_asked_for() -> None:
     frames = sequence(lambda n: dividing(8 - n), 9)
     results, lineage = followed(frames, "otsu")
@@ -181,6 +184,7 @@ def test_two_become_one_only_where_that_is_asked_for() -> None:
     assert near(places(results[-1])[3], 32, 20, 0.5)
 
 
+@pytest.mark.slow
 def test_one_that_leaves_and_comes_back_is_the_same() -> None:
     x = [14, 9, 4, -1, -6, -11, -8, -3, 2, 7, 12]
     results, lineage = followed(sequence(lambda n: [(x[n], 20, 7), (48, 20, 7)], len(x)), "otsu", max_gap=6)

@@ -115,6 +115,7 @@ def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_p
     assert [r[:visited] + r[visited + 1 :] for r in mine] == [r[:visited] + r[visited + 1 :] for r in again]
 
 
+@pytest.mark.slow
 def test_a_run_that_converged_says_so_when_repeated(session, tmp_path):
     session.play().result(60)
     assert session.wait(120)
