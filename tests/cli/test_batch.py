@@ -334,6 +334,7 @@ def test_resume_looks_at_the_images_and_files_that_settings_name(inline, scans, 
     assert run(*words, "--resume") == 0 and inline.ran == ["a"]
 
 
+@pytest.mark.slow
 def test_resume_leaves_a_result_that_somebody_has_corrected(inline, scans, tmp_path):
     out = tmp_path / "out"
     (tmp_path / "cases.csv").write_text(f"image,id,reference\n{scans}/a.nii.gz,a,{scans.parent}/truth/a.nii.gz\n")

@@ -205,6 +205,7 @@ def test_pictures_tables_and_movies_do_not_replace_what_they_show(tmp_path, monk
     assert {name: content for name, content in contents(tmp_path).items() if name in before} == before
 
 
+@pytest.mark.slow
 def test_a_case_of_a_batch_does_not_replace_what_another_one_reads(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     for name in ("a", "b"):

@@ -203,6 +203,7 @@ def test_none_swallows_another_that_is_alike():
     assert sum(sizes) == pytest.approx(image.sum(), rel=0.06) and min(sizes) > 0.4 * sum(sizes)
 
 
+@pytest.mark.slow
 def test_who_would_rather_give_way_does():
     # Object 1 begins with a part of the bright object 2, which its own model does not want.
     image = np.zeros((16, 16, 40), np.float32)

@@ -118,6 +118,7 @@ def test_a_disc_that_shrinks_beyond_what_is_expected_is_not_seen() -> None:
     assert [result.objects[0].seen for result in results] == [True, True, False, False]
 
 
+@pytest.mark.slow
 def test_brightness_may_drift_and_what_is_learned_follows_it() -> None:
     frames = [plane([(14 + 3 * n, 20, 7)], n) for n in range(6)]
     fading = VolumeSequence([one.with_array(one.array * np.float32(0.85**n)) for n, one in enumerate(frames)])
