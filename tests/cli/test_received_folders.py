@@ -230,7 +230,7 @@ WRITERS = {
 }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("command", WRITERS)
 def test_an_output_folder_that_goes_away_during_a_command_is_a_documented_error(command, received, monkeypatch, capfd):
     """Somebody removes it before the n-th change that the command makes to files."""

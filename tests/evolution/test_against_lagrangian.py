@@ -89,7 +89,7 @@ def test_descent_of_a_curve() -> None:
     assert misfit.point <= 0.025 and misfit.mean <= 0.012
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("name", "n", "point", "mean"),
     [

@@ -38,7 +38,7 @@ ENERGIES = {
 }
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("max_steps", [23, 90])
 @pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, Gradient, HeavyBall])
 @pytest.mark.parametrize("energy", ENERGIES)

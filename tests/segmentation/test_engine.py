@@ -201,7 +201,7 @@ def test_an_edit_holds_for_an_object_whose_coarse_level_failed(pair):
 # ------------------------------------------------------------------------------------------------- checkpoints
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"])
 def test_several_objects_go_back_and_on_bit_for_bit(pair, flow):
     volume, starts, _ = pair

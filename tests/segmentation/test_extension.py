@@ -33,7 +33,7 @@ def image(noise: float = 0.3, balls: int = 2) -> Volume:
 FLOWS = ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum", "region-mass"]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", FLOWS)
 def test_every_flow_finds_the_object_by_a_fast_march(flow: str) -> None:
     """As by closest points, to a hundredth in Dice, by another way."""

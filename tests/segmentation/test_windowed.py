@@ -63,7 +63,7 @@ def assert_same(whole, part):
     assert grown[0] == (grown[1] and tuple(v + first for v, first in zip(grown[1], corner, strict=True)))
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     "options",
     [
@@ -246,6 +246,7 @@ def test_a_click_that_needs_too_much_is_told_to_say_a_size(image):
         assert ("--size" in refused.value.hint) == said
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("levels", [1, 2])
 def test_a_rest_and_its_place_are_those_of_the_whole_image(small_windows, levels):
     """A ball with a thin way to a larger one: the surface rests, then bursts through, far from the window's corner."""

@@ -62,7 +62,7 @@ def test_a_session_that_is_closed_before_it_began_never_begins():
         session.single_step().result(1)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", FLOWS)
 def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_path):
     io.write(volume(), tmp_path / "scan.nii.gz")
