@@ -27,7 +27,7 @@ from benchmarks.clicks.person import next_click
 from benchmarks.peers.measure import scans_folder
 
 #: Bones of 2,000 voxels and more in the abdominal CT, by TotalSegmentator's classes; closing and bound of ct-bone were
-#: chosen on five of them (record 0102).
+#: chosen on five of them (benchmarks/notes/presets-and-pictures.md).
 BONES = (
     *(ClickObject(name, "ct_abdomen_hires", (label,)) for name, label in (
         ("vertebra-T12", 32), ("vertebra-T11", 33), ("humerus-left", 69), ("humerus-right", 70),

@@ -1,6 +1,6 @@
 """Commands as a person types them: a run from clicks, corrected by further clicks.
 
-The clicks are those of the simulated person of `scripts/benchmark clicks` (record 0048), in place of a person's own:
+The clicks are those of the simulated person of `scripts/benchmark clicks` (record 0023), in place of a person's own:
 the first in the object's deepest point, each further one in the deepest point of all that is wrong. Coordinates are
 rounded to a tenth of the smallest spacing.
 """

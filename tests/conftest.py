@@ -1,11 +1,28 @@
 """What every test may use."""
 
 import os
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
 
 from accelsurf.levelset import threads
+from tests.support.sampling import sampled
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark as slow the cases that a test with the mark ``sampled`` does not need by default."""
+    cases = defaultdict(list)
+    for item in items:
+        if item.get_closest_marker("sampled") is not None:
+            cases[item.nodeid.partition("[")[0]].append(item)
+    for group in cases.values():
+        count = next(iter(group[0].get_closest_marker("sampled").args), None)
+        needed = sampled([{name: id(value) for name, value in item.callspec.params.items()} for item in group], count)
+        for number, item in enumerate(group):
+            if number not in needed:
+                item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(scope="session")

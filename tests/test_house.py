@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -30,10 +31,12 @@ VAGUE_NAMES = {
 KERNEL_WORDS = {"foot", "feet"}
 
 
+@cache
 def modules(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*.py") if "__pycache__" not in path.parts)
 
 
+@cache
 def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
@@ -69,6 +72,7 @@ def identifiers(tree: ast.Module) -> Iterator[tuple[ast.AST, str]]:
             yield node, node.attr
 
 
+@cache
 def words(name: str) -> set[str]:
     """The words of an identifier, lower case.
 

@@ -1,7 +1,7 @@
 """Jobs on worker processes of this machine: what is submitted comes back as events, whatever happens to a worker.
 
 The standard pool breaks when one worker dies, and neither it nor those built on it can end one that hangs (record
-0063), so each worker is watched here: one that is gone, takes too long or too much memory is replaced, and its job
+0032), so each worker is watched here: one that is gone, takes too long or too much memory is replaced, and its job
 has failed. `Pool` is all that a batch asks for, so that another engine can take the place of `LocalPool`.
 """
 

@@ -2,7 +2,7 @@
 
 Objects matter to each other only where they come near each other. So they are run in groups, and where an object of one
 group could have met one of another at any time, both groups are run again as one. What is left has the bytes of a run
-of all objects on the whole image: see record 0069.
+of all objects on the whole image: see record 0031.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ def choose_levels(
     has_name: bool,
     window: Window | None = None,
 ) -> list[pyramid.Level]:
-    """The levels of a configuration, finest first; record 0015 defines ``auto``.
+    """The levels of a configuration, finest first; record 0014 defines ``auto``.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from accelsurf.settings.track_fields import TrackFields
 
 #: Table of a configuration file with the settings of tracking; those of the run are at its top level.
 TABLE = "track"
-#: Friction that ``auto`` is, per frame (docs/decisions/0084-the-loop-over-frames.md has what was measured).
+#: Friction that ``auto`` is, per frame (docs/decisions/0033-momentum-between-frames.md has what was measured).
 AUTO_FRICTION = 0.5
 
 #: Settings of a run that mean another thing in a tracking, or nothing: where both have one, it is that of tracking.

@@ -3,7 +3,7 @@
 The list names what a person would click: deep grey nuclei, ventricles, cerebellum and brain stem in an MRI of the head
 (FreeSurfer's table of colours numbers the labels), organs, vessels, bones and muscle of an abdominal CT
 (TotalSegmentator's table of classes), white matter, the cervical cord, single nuclei in fluorescence. It was fixed
-before anything was run (record 0048). The abdominal CT shows no kidney.
+before anything was run (record 0023). The abdominal CT shows no kidney.
 """
 
 from __future__ import annotations

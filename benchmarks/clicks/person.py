@@ -1,6 +1,6 @@
 """A simulated person: clicks where a result is most wrong, a ball of half the depth there.
 
-The rules are fixed (record 0048). Click 1 goes inside the object, at its deepest point. Click k goes to the deepest
+The rules are fixed (record 0023). Click 1 goes inside the object, at its deepest point. Click k goes to the deepest
 point of all that is wrong: what is missing gets an inside click, what is too much an outside click. Depth is the
 Euclidean distance (mm) to the nearest voxel centre that is not part of the region; the scan's border is no end of it.
 """

@@ -37,6 +37,7 @@ def ellipsoid(half_axes, spacing, centre, shape):
 SPACINGS = [(1.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 3.0, 1.0), (1.0, 0.7, 2.5)]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("spacing", SPACINGS)
 @pytest.mark.parametrize(("radius", "most"), [(1.0, 0.06), (1.25, 0.03), (1.5, 0.02), (2.0, 0.01), (3.0, 0.003)])
 def test_small_balls_and_thin_cylinders_have_their_volume(radius, most, spacing):

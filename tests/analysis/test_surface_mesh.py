@@ -41,6 +41,7 @@ def outwardness(surface: Surface, recipe: Recipe) -> float:
     return float((normals[large] * way.T / (2 * step)).sum(axis=1).min() / areas[large].max())
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize("shape", OBJECTS)
 def test_against_the_exact_object(shape: str, grid: str) -> None:
@@ -221,6 +222,7 @@ def torus() -> Surface:
     return surface_of(Recipe(**OBJECTS["torus"], **GRIDS["oblique"]))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("space", ["lps", "ras"])
 @pytest.mark.parametrize("suffix", [".ply", ".stl", ".obj", ".vtp", ".PLY"])
 def test_files_read_back_by_vtk(torus: Surface, tmp_path: Path, suffix: str, space: str) -> None:

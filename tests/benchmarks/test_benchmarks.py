@@ -53,6 +53,7 @@ def test_the_best_setting_is_the_fastest_of_those_as_good_as_the_highest() -> No
     assert [t.settings["name"] for t in ranked(trials)] == ["fast", "slow", "poor"]
 
 
+@pytest.mark.slow
 def test_the_search_tries_the_grid_then_refines_its_best() -> None:
     asked: list[dict[str, Any]] = []
 
@@ -78,6 +79,7 @@ def test_long_runs_are_timed_once_more_and_hopeless_ones_twice() -> None:
     assert repeats_for(trial("", 0.5, 1.0), options, hopeless=True) == 2
 
 
+@pytest.mark.slow
 def test_programs_take_turns() -> None:
     order: list[str] = []
     times = in_turn({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, {"a": 3, "b": 2})
@@ -92,6 +94,7 @@ def test_a_peer_that_is_not_installed_is_skipped_with_a_message(monkeypatch: pyt
     assert options.messages == ["gone: skipped, no-such is not installed (pip install no-such)"]
 
 
+@pytest.mark.slow
 def test_march_without_scikit_fmm_says_so_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     from benchmarks.peers import march
 
@@ -110,6 +113,7 @@ def test_peers_find_a_clean_cube(name: str) -> None:
     assert labels.shape == image.shape and 2 * (labels & truth).sum() / (labels.sum() + truth.sum()) > 0.95
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.filterwarnings("ignore:The probability range is outside")
 @pytest.mark.parametrize("name", list(baselines.BASELINES))
 def test_baselines_find_a_cube_in_noise(name: str) -> None:
@@ -146,6 +150,7 @@ def test_works_have_clicks_on_their_sides_and_no_threshold(name: str) -> None:
     assert work.score(work.truth) == 1.0 and work.score((work.image > middle).astype(int)) < 0.9
 
 
+@pytest.mark.slow
 def test_peers_find_two_touching_balls_each(monkeypatch: pytest.MonkeyPatch) -> None:
     # One setting each, so that nothing hangs on how many fit into the time.
     name = "scikit-image morphological_chan_vese"
@@ -246,6 +251,7 @@ def test_short_of_a_difference_is_reported_as_a_difference() -> None:
     assert render.verdict(goal("x", 1.0, None)) == "not measured"
 
 
+@pytest.mark.slow
 def test_the_command_writes_json_with_machine_and_raw_times(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

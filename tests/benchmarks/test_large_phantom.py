@@ -25,6 +25,7 @@ def whole(scene):
     return image(scene, box), truth(scene, box)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("chunk", [31, 64])
 def test_a_box_alone_has_the_voxels_of_the_whole(scene, whole, chunk):
     for box in command.chunks(SIZE, chunk):
@@ -86,6 +87,7 @@ def test_no_room_for_cells_is_said():
         Scene.of(40, cells=200)
 
 
+@pytest.mark.slow
 def test_means_of_blocks():
     fine = np.random.default_rng(0).integers(0, 256, (4, 6, 5)).astype(np.uint8)
     padded = np.pad(fine.astype(float), ((0, 0), (0, 0), (0, 1)), constant_values=np.nan)

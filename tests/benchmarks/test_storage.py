@@ -32,6 +32,7 @@ def test_bricks_of_a_tree_are_counted_without_its_voxels(side, tolerance):
     assert row["band_voxels"] == np.count_nonzero(near)
 
 
+@pytest.mark.slow
 def test_reads_by_bricks_find_what_dense_reads_find(monkeypatch):
     times = storage.access_times(1, size=64, radius=20.0)
     assert len(times["programs"]) == 11 and all(one["ns"] > 0 for one in times["programs"].values())

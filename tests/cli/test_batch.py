@@ -334,6 +334,7 @@ def test_resume_looks_at_the_images_and_files_that_settings_name(inline, scans, 
     assert run(*words, "--resume") == 0 and inline.ran == ["a"]
 
 
+@pytest.mark.slow
 def test_resume_leaves_a_result_that_somebody_has_corrected(inline, scans, tmp_path):
     out = tmp_path / "out"
     (tmp_path / "cases.csv").write_text(f"image,id,reference\n{scans}/a.nii.gz,a,{scans.parent}/truth/a.nii.gz\n")
@@ -539,6 +540,7 @@ def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_p
 UNSAFE = ["a:b", "-x", "a ", "tab\there", "x" * 170, os.fsdecode(b"bad\xff"), "quote\"s", "a<b>", "a\\b"]
 
 
+@pytest.mark.slow
 def test_files_with_unsafe_names_are_refused_alone(tmp_path, capsys):
     scans = tmp_path / "scans"
     scans.mkdir()

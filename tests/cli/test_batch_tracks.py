@@ -87,6 +87,7 @@ def done(films: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_a_row_has_the_bytes_of_one_track(done: Path, films: Path, tmp_path: Path) -> None:
     shutil.copy(films / "fast.nii.gz", tmp_path / "one.nii.gz")  # files and their titles are named by the id
     shutil.copytree(films / "slow", tmp_path / "two")
@@ -131,6 +132,7 @@ def test_the_tables_say_what_became_of_each_sequence(done: Path) -> None:
     assert not [path for path in done.rglob("*") if path.name.startswith(".") or path.name.endswith("_frames")]
 
 
+@pytest.mark.slow
 def test_a_folder_of_sequences_resumes_what_is_not_finished(inline, films: Path, tmp_path: Path, monkeypatch) -> None:
     out, words = tmp_path / "out", ("--track", "--start", "otsu", "--model", "none")
     step = Tracking._step

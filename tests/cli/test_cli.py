@@ -116,6 +116,7 @@ def test_trace_has_a_row_for_each_step(done):
     assert max(float(row["kinetic"]) for row in rows) > 0
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("suffix", ["nii", "nrrd", "mha", "mhd"])
 def test_format_follows_the_input(suffix, scans, tmp_path):
     io.write(io.read(scans / "ball.nii.gz"), tmp_path / f"ball.{suffix}")
@@ -312,6 +313,7 @@ def test_a_failure_does_not_replace_the_report_of_a_result(scans, tmp_path):
     assert (tmp_path / "ball_report.json").read_bytes() == before
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("words", "code"),
     [(("--cfl", "-1"), 2), (("--start", "label:absent.nii.gz"), 3), (("--smoothness", "1000"), 5), (("--strict",), 4)],
@@ -333,6 +335,7 @@ def test_a_failing_run_leaves_a_good_result(words, code, scans, tmp_path, capsys
     assert {path.name for path in tmp_path.iterdir()} == set(before)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("words", "code"), [(("--strict",), 4), (("--cfl", "-1"), 2)])
 def test_a_failing_run_leaves_the_result_of_an_image_that_is_called_failed(words, code, scans, tmp_path, capsys):
     out, steps = tmp_path / "out", ("--max-steps", 1)

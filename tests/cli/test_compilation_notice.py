@@ -70,6 +70,7 @@ def test_where_nothing_can_be_stored_it_says_what_to_do(compile_now, capsys, mon
     assert capsys.readouterr().err == f"{progress.COMPILING_ANEW}\n"
 
 
+@pytest.mark.slow
 def test_a_kernel_that_is_stored_is_loaded_without_a_word(tmp_path):
     code = (
         "import numpy as np; from accelsurf.cli.options import Display; from accelsurf.cli.progress import Watcher\n"

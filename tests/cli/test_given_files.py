@@ -112,6 +112,7 @@ def refused(words, capfd, what):
         assert "pipe" in lines[0] or "no such" in lines[0] or "not" in lines[0], err
 
 
+@pytest.mark.sampled(16)
 @pytest.mark.parametrize("kind", ["pipe", "device", "socket", "folder"])
 @pytest.mark.parametrize(("command", "words"), ALL, ids=lambda value: value if value in COMMANDS else " ".join(value))
 def test_options_refuse_what_is_no_file(command, words, kind, image, tmp_path, capfd):
@@ -128,6 +129,7 @@ def test_options_refuse_what_is_no_file(command, words, kind, image, tmp_path, c
     assert all(name.endswith("_report.json") for name in left), left
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", ["pipe", "device", "socket"])
 @pytest.mark.parametrize(("command", "suffix"), FIRST)
 def test_commands_refuse_it_in_the_place_of_their_input(command, suffix, kind, image, tmp_path, capfd):

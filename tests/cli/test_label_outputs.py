@@ -63,6 +63,7 @@ def test_an_ome_zarr_has_names_as_properties(scan, tmp_path):
     assert {"label-value": 2, "rgba": [1, 2, 3, 255]} in said["colors"]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("ending", ["nii.gz", "nii"])
 def test_a_nifti_has_names_in_its_header_and_descriptions_beside(scan, tmp_path, ending):
     import nibabel

@@ -29,6 +29,7 @@ def segment(image, out, *words):
     return cli.execute(["segment", str(image), "-o", str(out), "--start", "ball:57,57,57,5", "--threads", "1", *words])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["a.nii", "a.ome.zarr"])
 def test_files_are_the_same_as_of_an_image_in_memory(scans, tmp_path, name):
     if name.endswith("zarr"):
@@ -113,6 +114,7 @@ def test_look_shows_a_level_that_is_not_too_large(scans, tmp_path, capsys, monke
     assert cli.execute([*look, str(tmp_path / "coarse.png"), "--level", "5"]) == 2
 
 
+@pytest.mark.slow
 def test_a_run_in_parts_reads_no_byte_for_a_checksum(scans, tmp_path, monkeypatch):
     pytest.importorskip("zarr")
     hashed = []

@@ -108,6 +108,7 @@ def test_label_maps_of_nnunet_are_called_as_the_case(tmp_path, capsys):
     assert io.read(tmp_path / "one/a.nii.gz").array.max() == 100
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("layout", ["bids", "nnunet"])
 def test_a_batch_in_a_layout_and_resumed(tmp_path, monkeypatch, layout):
     monkeypatch.setattr(pool, "LocalPool", InlinePool)

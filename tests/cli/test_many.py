@@ -61,6 +61,7 @@ def test_cases_that_are_none(cases, named, tmp_path):
         accelsurf.segment_many(cases, tmp_path)
 
 
+@pytest.mark.slow
 def test_leaving_early_keeps_what_is_finished(scans, tmp_path):  # noqa: F811
     """With a real worker: the second case hangs, as its image never comes."""
     hanging = tmp_path / "scans"
@@ -74,6 +75,7 @@ def test_leaving_early_keeps_what_is_finished(scans, tmp_path):  # noqa: F811
     assert report(tmp_path / "out")["status"] == "interrupted" and table(tmp_path / "out")["a"]["status"] == "ok"
 
 
+@pytest.mark.slow
 def test_a_cluster_that_loses_a_worker_leaves_the_same_files(done, scans, tmp_path):  # noqa: F811
     made = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0", processes=True)
     with made as cluster:

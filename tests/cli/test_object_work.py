@@ -68,6 +68,7 @@ def test_one_process(folder, tmp_path, capsys):
     assert [one["id"] for one in report["objects"]] == sorted(BALLS)
 
 
+@pytest.mark.slow
 def test_two_processes_and_a_store_of_labels(folder, tmp_path):
     assert segment(folder, "out", "--jobs", "2", "--format", "ome.zarr", out=tmp_path) == 0
     path = tmp_path / "out" / "big_seg.ome.zarr"
@@ -76,6 +77,7 @@ def test_two_processes_and_a_store_of_labels(folder, tmp_path):
     assert_as_in_memory(folder, tmp_path / "out", "big_seg.ome.zarr")
 
 
+@pytest.mark.slow
 def test_a_cluster(folder, tmp_path):
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0", processes=True) as cluster:
         assert segment(folder, "out", "--scheduler", cluster.scheduler_address, out=tmp_path) == 0
@@ -120,6 +122,7 @@ def test_what_was_done_before_an_interrupt_is_not_done_again(folder, tmp_path, r
     assert done == [], "it has ended"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("energy", ["likelihood:model=histogram", "threshold:60%,"])
 def test_what_was_done_is_found_again_with_any_energy(folder, tmp_path, ran, energy):
     done, instead = ran
@@ -168,6 +171,7 @@ def test_failures_are_named_and_tried_again(folder, tmp_path, ran, capsys):
     assert_as_in_memory(folder, tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_groups_that_need_more_than_their_part_of_the_memory_run_alone(folder, tmp_path, monkeypatch):
     """Half of 700 MB holds no process that runs one."""
     monkeypatch.setattr("accelsurf.batch.pool.LocalPool", lambda run, jobs, prepare: InlinePool(run))

@@ -19,6 +19,7 @@ MODULES = {
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("parts", [(), ("load",), ("load", "start", "evolve", "mesh", "write"), ("evolve", "write")])
 @pytest.mark.parametrize("names", [(), ("find_feet", "kick"), ("find_feet", "classify_feet", "kick", "not_known_here")])
 def test_stages_add_up_to_the_total(parts, names):

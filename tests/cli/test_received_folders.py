@@ -160,6 +160,7 @@ INPUTS = {
 }
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("option", "how"),
     [*((option, "by its name") for option in INPUTS), ("channel", "by a link"), ("mesh", "by a hard link")],
@@ -204,6 +205,7 @@ def test_pictures_tables_and_movies_do_not_replace_what_they_show(tmp_path, monk
     assert {name: content for name, content in contents(tmp_path).items() if name in before} == before
 
 
+@pytest.mark.slow
 def test_a_case_of_a_batch_does_not_replace_what_another_one_reads(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     for name in ("a", "b"):
@@ -228,6 +230,7 @@ WRITERS = {
 }
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("command", WRITERS)
 def test_an_output_folder_that_goes_away_during_a_command_is_a_documented_error(command, received, monkeypatch, capfd):
     """Somebody removes it before the n-th change that the command makes to files."""
@@ -273,6 +276,7 @@ def report_of(name, status, *files):
     (files[0].parent / f"{name}_report.json").write_text(json.dumps(said))
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("status", ["ok", "failed", "interrupted"])
 @pytest.mark.parametrize(
     ("name", "words"),

@@ -142,6 +142,7 @@ def test_wrong_lines_of_a_configuration(capsys, image, tmp_path, line, said):
     assert said in " ".join(refused(capsys, image, "--config", str(file)))
 
 
+@pytest.mark.sampled(11)
 @pytest.mark.parametrize(
     "garbage", [GARBAGE, NOISE, "\x1b[31m\x07red\x00", "\u202eabc\x85d"], ids=["q", "noise", "esc", "bidi"]
 )

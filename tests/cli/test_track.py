@@ -60,6 +60,7 @@ def test_a_tracking_leaves_labels_tracks_and_a_report(cells: Path, tmp_path: Pat
     assert tracked(cells, out) == 7  # there are files
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_to_the_same_bytes(
     cells: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -31,6 +31,7 @@ def report(path):
     return json.loads((path.parent / "out" / f"{path.name.split('.')[0]}_report.json").read_text())
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("step", "unit"), [(1.0, "mm3"), (2e-4, "um3")])
 def test_other_likely_sizes_are_named_with_the_option_that_takes_one(step, unit, tmp_path, capsys):
     path = two_shells(tmp_path / "scan.nii.gz", step)

@@ -1,6 +1,7 @@
 """The documents: links lead somewhere, files and tests that are named exist, records have their form."""
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -23,12 +24,20 @@ LEFT_BY_COMMANDS = ("out/", "ring/", "first/", "both/", "volumes/", "dist/", "do
 CODE = re.compile(r"^(`{3,}).*?^\1", re.DOTALL | re.MULTILINE)
 
 
+@cache
 def anchors(page):
     """The anchors of a page's headings, as GitHub and the site make them."""
     text = CODE.sub("", page.read_text(encoding="utf-8"))
     headings = re.findall(r"^#+ +(.*?) *$", text, re.MULTILINE)
     plain = [re.sub(r"[^\w\- ]", "", heading.replace("`", "").lower()) for heading in headings]
     return {heading.replace(" ", "-") for heading in plain}
+
+
+@cache
+def code_of_tests():
+    """The names of the modules of tests, and their text."""
+    paths = list((ROOT / "tests").rglob("*.py"))
+    return {path.name for path in paths}, "\n".join(path.read_text(encoding="utf-8") for path in paths)
 
 
 @pytest.mark.parametrize("page", [*PAGES, *NOTES], ids=lambda page: str(page.relative_to(ROOT)))
@@ -47,12 +56,12 @@ def test_files_and_tests_that_are_named_exist(page):
     if page.name == "CHANGELOG.md":
         return  # names what was, too
     named = re.findall(r"`([\w/.-]+)`", page.read_text(encoding="utf-8").replace("NNNN-title.md", ""))
-    tests = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("*.py"))
+    modules, tests = code_of_tests()
     for name in named:
         if re.fullmatch(r"test_\w+", name):
             assert f"def {name}(" in tests, name
         elif re.fullmatch(r"test_\w+\.py", name):
-            assert list((ROOT / "tests").rglob(name)), name
+            assert name in modules, name
         elif re.fullmatch(r"(?:[\w-]+/)+[\w-]*(?:\.(?:py|md|toml|json))?", name):
             places = (ROOT, ROOT / "accelsurf", ROOT / "benchmarks", page.parent)
             assert any((place / name).exists() for place in places) or name.startswith(LEFT_BY_COMMANDS), name

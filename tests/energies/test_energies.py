@@ -33,6 +33,7 @@ ENERGIES = {
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", ENERGIES)
 @pytest.mark.parametrize("seed", [2, 3])
 def test_the_force_is_the_derivative_of_the_discrete_energy(name, seed):

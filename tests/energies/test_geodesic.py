@@ -42,6 +42,7 @@ class WrongAdvection(Geodesic):
         return super().force(surface, front, curvature) - 2.0 * without_slope
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", [2, 3])
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize(

@@ -78,6 +78,7 @@ class Wrong(WeightedSum):
         return -super().force(surface, front, curvature)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", [2, 3])
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize("name", ENERGIES)
@@ -125,6 +126,7 @@ def test_the_window_has_the_variance_of_the_ball(radius):
     assert np.average(away**2, weights=window) == pytest.approx(radius**2 / 5, rel=0.03)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("radius", [1.0, 2.6, 9.0, 50.0])
 @pytest.mark.parametrize("n", [2, 9, 200])
 def test_nodes_lie_alike_on_both_sides_of_the_middle(n, radius):

@@ -54,6 +54,7 @@ def evolved(energy, psi, workers):
     return found, surface.psi
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("window", WINDOWS.values(), ids=WINDOWS)
 @pytest.mark.parametrize("name", makers(scan()[0]))
 def test_a_window_has_the_bytes_of_the_whole(name, window):

@@ -44,6 +44,7 @@ def assert_converges(name: str, problem: Problem, point: float, order: float) ->
     return list(found["density_relative"])
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", FAST)
 def test_curves_of_the_plane(name: str) -> None:
     """Measured .007 to .010 h at 64 voxels, order 1.7 to 2.1 of the mean; the density 2 to 4 % and .7 to 1.1 %."""
@@ -51,6 +52,7 @@ def test_curves_of_the_plane(name: str) -> None:
     assert fine <= 0.015 and fine <= coarse / 2.5
 
 
+@pytest.mark.slow
 def test_density_that_varies_fivefold() -> None:
     """A circle that fills an ellipse from one side; the dense side lags behind: measured .35 and .20 h, 10.9 and 3.5 %.
 
@@ -87,6 +89,7 @@ def test_descent_of_a_curve() -> None:
     assert misfit.point <= 0.025 and misfit.mean <= 0.012
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("name", "n", "point", "mean"),
     [

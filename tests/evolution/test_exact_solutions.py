@@ -96,6 +96,7 @@ WANTED = {
 LONG, SMALL_SIZES = "DEM", (24, 32, 44)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("name", "sizes"),
     [(name, SMALL_SIZES if name in LONG else SIZES) for name in WANTED]
@@ -124,6 +125,7 @@ def test_sphere_and_circle_follow_the_exact_solution(name: str, sizes: Triple) -
     assert order(means, sizes) >= least or means[-1] <= 0.004 * h
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("name", "coarser", "mean", "point"),
     [("B", (2, 1, 1), 0.015, 0.02), ("B", (1, 3, 1), 0.02, 0.04), ("C", (1, 1, 2), 0.03, 0.08)],
@@ -231,6 +233,7 @@ def test_descent_of_the_area_shrinks_a_sphere_as_it_must() -> None:
     assert t > 0.95 * te
 
 
+@pytest.mark.slow
 def test_descent_of_case_c_converges_to_its_equation() -> None:
     """Explicit Euler, so first order in time: 0.1 h at the CFL step, a quarter of that at a fifth of the step."""
     n, end = 48, 1.0
@@ -334,6 +337,7 @@ def balance(rows: list[StepRecord], friction: float | None) -> tuple[float, floa
     return float(total[-1] - total[0]), -float(np.trapezoid(rate, t))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("friction", [None, 2.0], ids=["3/t", "constant"])
 @pytest.mark.parametrize("alpha", [0.0, 0.05])
 def test_energy_is_lost_to_friction_only(alpha: float, friction: float | None) -> None:

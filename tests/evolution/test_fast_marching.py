@@ -12,6 +12,7 @@ from tests.support.follow import STEP, WIDTH, follow, lattice, order
 WANTED = {"A": (0.022, 0.05, 1.2), "B": (0.011, 0.04, 1.5), "C": (0.022, 0.065, 1.4)}
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", WANTED)
 def test_spheres_follow_the_exact_solution(name: str) -> None:
     """The mean radius as with closest points; single points err two to five times as much, where psi is less smooth."""

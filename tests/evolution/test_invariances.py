@@ -22,6 +22,7 @@ ROUNDING_OF_MASS = 5e-5
 FEW = ("mirrored along y", "axes in the order xzy", "lengths x 0.001", "inside out")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("model", "names"), [("constant-density", ()), ("flowable-mass", FEW)])
 def test_the_same_problem_in_other_words_gives_the_same_surface(model: str, names: tuple[str, ...]) -> None:
     """Mirrors, orders of the axes, lengths x 2 and x 0.001, inside and outside turned round: to rounding."""
@@ -32,6 +33,7 @@ def test_the_same_problem_in_other_words_gives_the_same_surface(model: str, name
     assert found["inside out"] == 0.0 and found.get("lengths x 2", 0.0) == 0.0
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("model", ["constant-density", "flowable-mass"])
 def test_the_place_of_the_grid_matters_little(model: str) -> None:
     """Shifts within a voxel: .003 h at any point; any rotation: .006 h (flowable .009 h); 32 pixels."""

@@ -38,6 +38,7 @@ ENERGIES = {
 }
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("max_steps", [23, 90])
 @pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, Gradient, HeavyBall])
 @pytest.mark.parametrize("energy", ENERGIES)
@@ -68,6 +69,7 @@ def misled():
     return Misled(radius() - 6.0)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", [ConstantDensity, FlowableMass, Gradient])
 def test_a_surface_that_is_driven_up_goes_back_and_ends_at_the_lowest_state(flow):
     evolution = Evolution(

@@ -105,6 +105,7 @@ def leaked():
     return accelsurf.segment(joined_balls()[0], **LEAK, levels=1, threads=1)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("options", [{"levels": 1, "threads": 1}, {"levels": 1, "threads": 2}, {"levels": 2}])
 def test_the_run_can_end_at_its_rest(options, leaked):
     image, first = joined_balls()

@@ -56,7 +56,7 @@ def within(points: np.ndarray, on: Lattice) -> np.ndarray:
 def test_a_ball_that_grows_out_of_the_volume_stays_one(model: str) -> None:
     """Out through three faces and their edges: mean 0.013 h; a few points at the edges 0.063 and 0.092 h.
 
-    The second differences there are those of a parabola through three voxels (record 0033).
+    The second differences there are those of a parabola through three voxels (record 0008).
     """
     n, force, centre = 32, -0.5, np.array([0.75, 0.85, 0.8])
     h, on = WIDTH / (n - 1), lattice(n)

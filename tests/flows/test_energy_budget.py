@@ -56,6 +56,7 @@ FLOWS: dict[str, ConstantDensity | FlowableMass] = {
 }
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", FLOWS)
 def test_the_energy_lost_is_accounted_for(name: str) -> None:
     """Within 2 % of what was lost on a smooth problem (noise: 4 %)."""
@@ -72,6 +73,7 @@ def test_the_energy_lost_is_accounted_for(name: str) -> None:
         assert np.ptp([row.mass_potential for row in rows]) > 0
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("flow", "most"), [(ConstantDensity(), 0.035), (FlowableMass(), 0.045)])
 def test_default_limiter_and_diffusion_are_accounted_for_at_a_sharp_edge(
     flow: ConstantDensity | FlowableMass, most: float
@@ -133,6 +135,7 @@ SHARES = {
 MODELS = {"constant density": ConstantDensity, "flowable mass": FlowableMass}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "n"),
     [key if key == ("constant density", 32) else pytest.param(*key, marks=pytest.mark.slow) for key in SHARES],

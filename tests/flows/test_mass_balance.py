@@ -38,6 +38,7 @@ def ball(n: int, r: float, centre: tuple[float, float, float], flat: bool = Fals
     return LevelSet(np.sqrt(((grid - np.reshape(centre, (3, 1, 1, 1))) ** 2).sum(axis=0)) - r, (h, h, h), 4.0)
 
 
+@pytest.mark.slow
 def test_density_stays_positive_and_the_mass_where_it_is() -> None:
     """A ball becomes an L: density rises to 20 times its mean in the corner. It was -0.005, the correction -3 %."""
     n = 32
@@ -132,6 +133,7 @@ def test_what_leaves_takes_its_mass_along(n: int, flat: bool) -> None:
     assert max(abs(row.mass_correction) for row in rows) < 0.002
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("n", "seed"), [(32, 1), (32, 2), (48, 3)])
 def test_the_border_adds_no_error_to_a_ball_that_grows(n: int, seed: int) -> None:
     """Through a face, or through an edge with it, to any size: as far off as the same ball amid the volume.

@@ -20,6 +20,7 @@ def plane() -> LevelSet:
     return LevelSet(z - 5.5, (1.0, 1.0, 1.0))
 
 
+@pytest.mark.slow
 def test_the_noise_has_its_variance_and_its_length() -> None:
     """Over many draws: variance tau^2 dt, correlation exp(-|d|^2/(2 length^2))."""
     surface = plane()
@@ -47,6 +48,7 @@ def spread(dt: float, seed: int, t_end: float = 1.0) -> float:
     return float((area * flow.beta.astype(float) ** 2).sum() / area.sum())
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_step() -> None:
     """The variance of the speed is tau^2 t, for steps of 0.1 and of 0.025: mean of 12 runs each, within 20 %."""
     for dt in (0.1, 0.025):

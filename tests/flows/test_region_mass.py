@@ -52,6 +52,7 @@ def residue(rows: list[StepRecord]) -> float:
 # ------------------------------------------------------------------------------------------------ (1) the account
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("options", [{}, {"k": 3.0}, {"friction": 2.0}, {"k": 1.0, "t0": 0.3}])
 def test_mass_and_energy_are_accounted_for(options: dict[str, float]) -> None:
     """Without pressure; what mass loses that the surface meets and takes along is in smoothing_work."""
@@ -139,6 +140,7 @@ def mode_misfit(n: int, degree: int, root: float, periods: float = 1.0) -> float
 MODES = {0: 5.763459197, 1: 4.493409458}
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("degree", "n", "most"), [(0, 24, 0.2), (1, 32, 0.12)])
 def test_sound_modes_of_a_ball(degree: int, n: int, most: float) -> None:
     found = mode_misfit(n, degree, MODES[degree])
@@ -208,6 +210,7 @@ def shell_misfit(n: int, flow: RegionPressure, t_end: float = 3.0) -> float:
     return worst
 
 
+@pytest.mark.slow
 def test_a_gas_under_a_force_of_the_radius() -> None:
     found = shell_misfit(20, RegionPressure(0.1))
     print(f"\n{found:.4f} h")
@@ -235,6 +238,7 @@ def test_a_force_of_the_wrong_sign_misses_the_shells() -> None:
     assert shell_misfit(20, OtherPressure(0.1), 1.0) > 0.5
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", [RegionMass(friction=3.0), RegionPressure(0.1, friction=3.0)])
 def test_the_end_is_where_the_force_is_zero(flow: RegionMass) -> None:
     on = lattice(16)
@@ -327,6 +331,7 @@ def test_optimal_transport_converges() -> None:
 # ---------------------------------------------------------------------------------------------------- other grids
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("flow", [RegionMass(), RegionPressure(0.2)])
 @pytest.mark.parametrize("coarser", [(1, 1, 1), (2, 1, 1)])
 def test_one_slice_and_unequal_spacing(flow: RegionMass, coarser: tuple[int, int, int]) -> None:

@@ -115,6 +115,7 @@ SEEDS = (0, 1, 3, 4)
 COUNT = {"gradient": 4, "region mass": 1, "flowable mass": 1}
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", ["box", "ball"])
 @pytest.mark.parametrize("flow", FLOWS)
 def test_a_flow_rests_on_a_smooth_surface(flow: str, kind: str) -> None:

@@ -119,6 +119,7 @@ def test_numbers_of_binary_headers_are_found(suffix):
         assert changed[:at] == given.content[:at] and changed[at + size :] == given.content[at + size :]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(20))
 def test_archives_stay_archives_when_a_member_is_mutated(seed):
     for given in corpus.seeds():
@@ -128,6 +129,7 @@ def test_archives_stay_archives_when_a_member_is_mutated(seed):
                 assert archive.testzip() is None and packed != given.content
 
 
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("number", range(40))
 def test_a_saved_input_is_judged_again_as_it_was(tmp_path, number):
     kinds = ("zarr", "dicom", "frames", "image", "labels")
@@ -208,6 +210,7 @@ def test_a_triangle_seen_edge_on_makes_no_warning(tmp_path):
     assert verdict.judge(Input("mesh", ".ply", "text", moved), tmp_path).outcome in ("read", "refused")
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("seed", range(60))
 def test_a_damaged_frame_of_a_killed_tracking_is_made_again(tmp_path, seed):
     """A member without the mark of numpy, or with a header that does not end, ended the tracking."""

@@ -80,6 +80,7 @@ def test_means_of_a_constant_image_are_that_constant():
         assert (image == np.float32(3.7)).all()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("shape", [(16, 17, 18), (9, 9, 9), (1, 14, 15), (19, 1, 8)])
 @pytest.mark.parametrize("way", [WAYS[i] for i in (1, 6, 10, 19, 28, 37, 47)], ids=str)
 def test_levels_are_the_same_in_every_order_and_direction_of_the_axes(shape, way):

@@ -8,6 +8,7 @@ import pytest
 from accelsurf.grid import boxes
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("voxels", [1, 100, 250, 10_000])
 @pytest.mark.parametrize(("multiple", "at_least"), [(1, 1), (2, 1), (1, 5)])
 def test_slabs_cover_every_plane_once(monkeypatch, voxels, multiple, at_least):

@@ -136,6 +136,7 @@ def test_the_outline_is_where_the_image_ends(geometry, plane):
         assert (corners.max(axis=0) <= [right + 1e-6, top + 1e-6]).all()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("plane", [0, 1, 2])
 @pytest.mark.parametrize("start", [(6.0, 10.5, 8.0), (0.0, 0.0, 0.0), (12.0, 0.0, 16.0)])
 def test_each_slice_can_be_gone_to_and_the_cursor_stays_in_the_image(geometry, plane, start):

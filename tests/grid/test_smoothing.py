@@ -43,6 +43,7 @@ def test_the_image_is_not_changed():
     np.testing.assert_array_equal(image, before)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("shape", [(9, 14, 11), (1, 30, 17), (3, 2, 40)])
 @pytest.mark.parametrize("sigma", [0.0, 0.6, 1.3, 4.0])
 def test_it_is_scipy_s_gaussian(shape, sigma):

@@ -33,6 +33,7 @@ def test_empty_file(tmp_path, suffix):
     refuse(tmp_path / f"a{suffix}", "the file is empty")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("suffix", io.image_suffixes())
 @pytest.mark.parametrize(
     # Packed without the time: it would be in the test's name, another in each worker.
@@ -44,6 +45,7 @@ def test_not_an_image(tmp_path, suffix, content):
     refuse(tmp_path / f"a{suffix}", said)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".nrrd", ".mha", ".mhd"])
 @pytest.mark.parametrize("keep", [0.02, 0.3, 0.9, 0.999])
 def test_truncated_file(tmp_path, suffix, keep):

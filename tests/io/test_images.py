@@ -57,6 +57,7 @@ def refuse(path, words, family=InputError, **options):
 # ------------------------------------------------------------------------------------------------- round trip
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize("suffix", VOLUMES)
@@ -88,6 +89,7 @@ def test_others_read_the_same_from_our_files(tmp_path, suffix):
     np.testing.assert_allclose(ours.index_to_world((3.5, 2.5, 1.5)), point, atol=1e-9)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("source", VOLUMES)
 @pytest.mark.parametrize("target", VOLUMES)
 def test_from_any_format_to_any_other(tmp_path, source, target):
@@ -99,6 +101,7 @@ def test_from_any_format_to_any_other(tmp_path, source, target):
     np.testing.assert_array_equal(labels.array, volume.array > 100)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("dtype", "stored"), [(bool, "uint8"), ("f2", "float32"), (">i2", "int16"), ("i8", "int64"), ("i1", "int8")]
 )
@@ -372,6 +375,7 @@ def test_writing_into_a_locked_folder(tmp_path):
         tmp_path.chmod(0o700)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("suffix", VOLUMES)
 @pytest.mark.parametrize(
     ("where", "failure", "raised"),

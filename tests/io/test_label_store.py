@@ -101,6 +101,7 @@ def test_a_full_disk_is_an_error_that_leaves_nothing(tmp_path, monkeypatch, suff
     assert "space" in caught.value.hint and os.listdir(tmp_path) == []
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_file_size_limit_is_an_error_of_the_system_itself(tmp_path, suffix):
     """As on a full disk: the system refuses the bytes, not a stand-in."""

@@ -25,6 +25,7 @@ def scaled(path, values, slope, dtype="<i2"):
     return path
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("slope", [1.0000001, 0.9999999, 1.0000002, 0.99998, 1.00003])
 def test_labels_of_a_slope_near_one_are_those_that_are_stored(tmp_path, slope, seed):
@@ -40,6 +41,7 @@ def test_large_whole_numbers_stay_exact_under_a_slope_of_one(tmp_path, slope):
     np.testing.assert_array_equal(found.array, values)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("largest", [2**31 - 1, 2**31, 2**40 + 1, 2**52 + 1, 2**53])
 @pytest.mark.parametrize("suffix", [".nrrd", ".nii", ".npy"])
 def test_floats_are_labels_as_long_as_they_are_exact(tmp_path, suffix, largest):

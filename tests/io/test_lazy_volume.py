@@ -39,6 +39,7 @@ def assert_same_boxes(path, **opening) -> io.LazyVolume:
     return lazy
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("dtype", ["uint8", "<i2", ">i2", "<f4", ">f8", "<u2", ">i4"])
 @pytest.mark.parametrize("scale", [None, (0.5, -3.0)])
 @pytest.mark.parametrize("kind", [nibabel.Nifti1Image, nibabel.Nifti2Image])

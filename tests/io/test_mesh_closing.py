@@ -48,6 +48,7 @@ def rounded(points, rng, kind, ulps):
     return (moved + rng.integers(-ulps, ulps + 1, points.shape) * step).astype(moved.dtype).astype(float)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("kind, ulps", [("float32", 1), ("float32", 4), ("float64", 1), ("float64", 8), ("zeros", 1)])
 @pytest.mark.parametrize("radius, center", BALLS)
@@ -96,6 +97,7 @@ def test_small_triangles_stay_in_a_mesh_with_edges_near_the_tolerance():
     assert len(faces) == len(triangles) and len(found) == len(points)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("share", ["one", "patch", "scattered", "all"])
 @pytest.mark.parametrize("turned", [False, True])
@@ -148,6 +150,7 @@ def test_triangles_without_area_do_not_matter(seed):
     assert volume(found, faces) == pytest.approx(exact_volume(points, triangles), rel=1e-4)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("noisy", [False, True])
 @pytest.mark.parametrize("radius, center", BALLS)

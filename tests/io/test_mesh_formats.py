@@ -22,6 +22,7 @@ CORNERS = np.array([[10.0, 20, 30], [11, 20, 30], [10, 22, 30], [10, 20, 33]])
 TETRAHEDRON = Surface(CORNERS, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", [name for name in mesh_formats("surface") if MESH_FORMATS[name].read])
 @pytest.mark.parametrize("label", [None, LIVER])
 def test_a_surface_is_read_back_in_place(kind: str, label: LabelEntry | None, tmp_path: Path) -> None:

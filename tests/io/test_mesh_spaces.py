@@ -82,6 +82,7 @@ def is_there(path, corners, space=""):
     np.testing.assert_allclose(points, np.unique(corners, axis=0), atol=1e-5)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("said", RAS)
 @pytest.mark.parametrize("name", PLAIN)
 def test_ras_is_turned(name, said, tmp_path):
@@ -92,6 +93,7 @@ def test_ras_is_turned(name, said, tmp_path):
     assert caught.value.hint == "leave @lps out"
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("said", LPS)
 @pytest.mark.parametrize("name", PLAIN)
 def test_lps_and_nothing_are_taken_as_they_are(name, said, tmp_path):
@@ -104,6 +106,7 @@ def test_lps_and_nothing_are_taken_as_they_are(name, said, tmp_path):
         is_there(tmp_path / name, TURNED, "ras")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("said", OTHERS)
 @pytest.mark.parametrize("name", PLAIN)
 def test_other_spaces_are_refused_unless_the_user_says_which_they_are(name, said, tmp_path):
@@ -115,6 +118,7 @@ def test_other_spaces_are_refused_unless_the_user_says_which_they_are(name, said
     is_there(path, TURNED, "ras")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("space", ["lps", "ras"])
 def test_what_accelsurf_writes_says_its_space_and_comes_back_in_place(suffix, space, tmp_path):
@@ -140,6 +144,7 @@ def test_a_glb_is_where_its_nodes_put_it(tmp_path):
         is_there(tmp_path / "a.glb", CORNERS)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("said", ["color space = sRGB", "ColorSpace=RAS", "my_space=XYZ", "a free space", "SPACE=",
                                   "SPACE= UNIT=mm"])
 @pytest.mark.parametrize("name", ["a.ply", "a.stl", "c.stl", "a.obj"])

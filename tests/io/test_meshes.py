@@ -48,6 +48,7 @@ def refuse(path, words):
     assert len(str(caught.value)) < 400 + len(str(path))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("space", ["lps", "ras"])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_what_accelsurf_writes_it_reads(ball, voxels, tmp_path, suffix, space):
@@ -120,6 +121,7 @@ def test_every_truncation_is_one_clear_error(ball, tmp_path, suffix, caplog, cap
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_damage_is_refused_or_read_but_never_anything_else(ball, tmp_path, suffix, capfd):
     ball.write(tmp_path / f"a{suffix}")

@@ -55,6 +55,7 @@ def test_a_report_holds_any_name():
     assert json.loads(text.encode("utf-8").decode("utf-8"))["path"] == BAD
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nrrd", ".mha", ".mhd", ".tif"])
 @pytest.mark.parametrize("letter", ["a", "\u65e5"])
 def test_long_names_are_written_and_read(tmp_path, suffix, letter):

@@ -27,6 +27,7 @@ def everything(path):
     return [(one.name, one.read_bytes()) for one in files]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("times", TIMES)
 def test_what_was_written_is_read_back_exactly(tmp_path, suffix, times):

@@ -94,6 +94,7 @@ def sampled_by_the_reference(shape, present, values, cells, foot, old_slot):
     return want, ways
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("fields", [1, 3])
 @pytest.mark.parametrize("share", [0.3, 0.8, 0.99, 1.0])
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 4, 5)])
@@ -159,6 +160,7 @@ def extended(dense, grid, band, front, values):
     return out, off, slots, shares
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("on_front", [0.5, 0.1, 0.0, 1.0])
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 1, 4)])
 def test_extension_replaces_values_off_the_front_only(shape, on_front):
@@ -194,6 +196,7 @@ def quadratic_table(dense, grid, band, front, across=-1):
     return off, slots, shares
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (9, 1, 9)])
 def test_quadratic_extension_is_exact_for_quadratics_away_from_the_border(shape):
     """In a complete band where one cell after the other is off the front, and the ten nodes around its foot are not."""
@@ -225,6 +228,7 @@ def test_quadratic_extension_is_exact_for_quadratics_away_from_the_border(shape)
     assert tested > 3
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("share", [1.0, 0.6])
 @pytest.mark.parametrize(("axis", "across"), [(0, -1), (1, -1), (2, -1), (0, 0), (1, 1), (2, 2), (1, 2)])
 def test_quadratic_extension_at_the_border_is_that_of_the_mirrored_whole(axis, across, share):

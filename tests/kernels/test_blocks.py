@@ -58,6 +58,7 @@ def test_labels_change_to_one_side_alone(gains):
     np.testing.assert_allclose(force, np.where(wrong, kept, expected), atol=1e-6)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 2), (1, 5, 7), (3, 4, 5), (2, 1, 3), (7, 6, 8)])
 @pytest.mark.parametrize("kind", ["noise", "few values", "constant"])
 def test_the_median_change_is_numpys(shape, kind):
@@ -74,6 +75,7 @@ def test_the_median_change_is_numpys(shape, kind):
         assert changes_up_to(part, np.float32(expected)) == np.count_nonzero(changes <= np.float32(expected))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("steps", [(1, 1, 1), (1, 2, 3), (3, 1, 2), (5, 9, 4)])
 def test_scaled_means_are_numpys(steps):
     """Of a part of an image, blocks at its ends smaller, values cut at both ends."""

@@ -32,6 +32,7 @@ def test_places_that_touch_are_those_of_a_plain_look(shape):
     np.testing.assert_allclose(share, wanted[there], atol=1e-5)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("shift", [(0, 0, 0), (1, -2, 3), (-1, 0, -4), (9, 0, 0)])
 def test_cells_of_both_grids(shift):
     rng = np.random.default_rng(1)

@@ -15,6 +15,7 @@ SPACING = (3.0, 1.0, 0.7)
 SHAPES = [(7, 9, 8), (1, 9, 12), (2, 5, 6), (3, 4, 5), (5, 1, 6), (6, 5, 2), (1, 1, 5)]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_gradient_and_curvatures_as_the_reference(shape):
     psi = (2 * reference.smooth_noise(shape, 1)).astype(np.float64)
@@ -34,6 +35,7 @@ def test_gradient_and_curvatures_as_the_reference(shape):
             assert gauss == pytest.approx(k[cell].prod(), abs=1e-9 * size**2)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_mirrored_curvatures_as_the_reference(shape):
     """And those of the voxel in the volume that is mirrored at all its borders."""

@@ -122,6 +122,7 @@ def test_length_in_voxels_uses_each_axis_spacing():
     assert voxels_along(3.0, 2.0, -1.4, grid) == pytest.approx(3)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), UNEQUAL])
 @pytest.mark.parametrize("direction", [(1, 0, 0), (0, -1, 0), (0, 0, 1), (1, 1, 1), (-0.3, 0.8, 0.5)])
 def test_first_guess_and_crossings_of_a_plane_are_exact(direction, spacing):
@@ -492,6 +493,7 @@ def test_what_holds_for_a_foot(value, distance, found, bound, least, want):
     np.testing.assert_array_equal(guess, plane_foot if want == "plane" else before)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("slope", "offset", "holds"), [
     (1.0, -0.5, True),
     (1.0, 0.5, True),
@@ -819,6 +821,7 @@ def known_after_rounds(psi, spacing, half_width):
     return {int(c): f for c, f, s in zip(cells, feet, states, strict=True) if s != march.OPEN}
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (1.5, 1.0, 0.8), UNEQUAL])
 @pytest.mark.parametrize("shape", [(11, 9, 12), *THIN, (1, 1, 12)])
 @pytest.mark.parametrize("make", [two_sheets, box, smooth, rough])
@@ -846,6 +849,7 @@ def test_rounds_give_what_a_march_in_order_gives(make, shape, spacing, monkeypat
         assert np.abs(gap).max() < 0.3
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (1.5, 1.0, 0.8), UNEQUAL])
 @pytest.mark.parametrize("shape", [(11, 9, 12), *THIN, (1, 1, 12)])
 @pytest.mark.parametrize("make", [two_sheets, box, smooth, rough])
@@ -897,6 +901,7 @@ def test_rounds_of_a_ball_to_its_centre_is_the_exact_distance():
     assert np.all(np.abs(exact.ravel())[np.setdiff1d(np.arange(exact.size), cells)] > 2.7)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("shape", [(7, 9, 8), *THIN])
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), UNEQUAL])
 def test_rounds_stay_inside_the_volume_and_know_each_cell_once(shape, spacing):

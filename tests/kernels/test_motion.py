@@ -136,6 +136,7 @@ def holed(shape, seed, share=0.8):
     return present, slot, cells
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("shape", [*SHAPES, (3, 1, 5)])
 def test_neighbours_off_the_band_and_beyond_the_border_are_the_cell_itself(shape):
     present, slot, cells = holed(shape, 4)
@@ -155,6 +156,7 @@ def test_neighbours_off_the_band_and_beyond_the_border_are_the_cell_itself(shape
             assert table[row, side] == want
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_cells_at_the_walls_across_an_axis(shape, axis):
@@ -169,6 +171,7 @@ def test_cells_at_the_walls_across_an_axis(shape, axis):
     assert (out[1] & ~7 == 0).all()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_laplacian_as_the_reference_with_holes_and_at_the_border(shape):
     """A stage with the weights 0, 1, 0 is the Laplacian, on the cells ``on`` only."""

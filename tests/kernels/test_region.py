@@ -16,6 +16,7 @@ WIDTH = region.AREA_WIDTH
 DIRECTIONS = [(1, 0, 0), (0, -1, 0), (0, 0, 1), (1, 1, 0), (0, 1, -2), (1, 1, 1), (-0.3, 0.8, 0.52), (0.05, 1, 0.02)]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), SPACING])
 @pytest.mark.parametrize("direction", DIRECTIONS)
 def test_cut_voxel_is_the_exact_polygon(direction, spacing):
@@ -113,6 +114,7 @@ def down_the_gradient(psi, spacing):
 MEASURED = [(7, 9, 8), (1, 9, 12), (3, 4, 5), (2, 5, 6), (5, 1, 6)]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("within", [1.0, 2.0, 9.0])
 @pytest.mark.parametrize("shape", MEASURED)
 def test_measured_curvature_and_variation_as_the_reference(shape, within):
@@ -162,6 +164,7 @@ def test_measured_curvature_of_a_ball_is_that_at_the_foot():
     assert np.abs(not_undone * radius / 2 - 1).max() > 0.2
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("within", [0.3, 2.0])
 @pytest.mark.parametrize("spacing", [SPACING, (1.0, 1.0, 1.0)])
 @pytest.mark.parametrize("shape", MEASURED)

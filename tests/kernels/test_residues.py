@@ -67,6 +67,7 @@ def test_slopes_are_those_of_the_value():
             assert (high - low) / (2 * step * SPACING[axis]) == pytest.approx(slope[axis], abs=2e-3)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("shape", [*SHAPES, (4, 7, 9), (9, 1, 6), (6, 9, 3), (2, 2, 2), (1, 1, 7)])
 @pytest.mark.parametrize("roughness", [0.02, 1.0])
 def test_limited_values_and_slopes_as_the_reference(shape, roughness):

@@ -76,6 +76,7 @@ def test_smaller_is_minmod():
             assert stencils.smaller(a, b) == differences.minmod(a, b)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_norms_as_cell_by_cell_and_as_godunovs_theorem(shape):
     psi = reference.smooth_noise(shape, 3, 0.8)

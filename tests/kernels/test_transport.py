@@ -63,6 +63,7 @@ def indices(shape):
 # ------------------------------------------------------------------------------------------------- vectors of a band
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("columns", [1, 3, 4])
 def test_vectors_are_cubic_in_a_complete_band_and_continued_to_the_faces_of_the_border(shape, columns):
@@ -206,6 +207,7 @@ def plane_band(shape, normal, offset, share=1.0, seed=0):
     return psi, DenseArrays(psi.astype(np.float32), slot), band, present
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("share", [1.0, 0.99, 0.5])
 def test_a_plane_is_translated_exactly(shape, share):
@@ -221,6 +223,7 @@ def test_a_plane_is_translated_exactly(shape, share):
         np.testing.assert_allclose(out, psi[band.cells] - dt * normal @ (velocity * thick), atol=2e-5)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize(("share", "hole"), [(1.0, None), (1.0, (0, 0, 0)), (0.5, None)])
 def test_psi_is_that_of_the_departure_point_or_moved_along_the_normal(shape, share, hole):
@@ -325,6 +328,7 @@ def stretched(shape, velocity, normal, front, dt, slot=None):
     return out
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     "matrix",
     [
@@ -380,6 +384,7 @@ def test_stretch_of_surfaces_one_knows():
         np.testing.assert_allclose(got, want, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_stretch_of_a_growing_sphere():
     """V = n on the sphere of radius r, constant along normals: (1 + dt/r)^2 on the level through each cell."""
     shape, centre, dt = (9, 11, 12), np.array([4.1, 5.2, 5.4]), 0.8
@@ -462,6 +467,7 @@ def test_linear_fields_are_carried_from_where_the_foot_came_from(shape):
     np.testing.assert_allclose(out, at @ slopes.T + 1, atol=5e-5)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("columns", [1, 4])
 @pytest.mark.parametrize("share", [0.95, 0.3])

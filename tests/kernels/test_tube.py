@@ -57,6 +57,7 @@ def test_weights_fade_along_the_normal():
     assert (eta >= 0).all() and (eta[s >= width] == 0).all() and (s >= width).any()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("share", [1.0, 0.7])
 def test_product_and_diagonal_are_those_of_the_matrix(shape, share):

@@ -1,4 +1,4 @@
-"""A surface that follows noise: no cell changes sides where the surface has not come by, see record 0060.
+"""A surface that follows noise: no cell changes sides where the surface has not come by, see record 0005.
 
 Psi is flat where it is below the distance from the surface. On a rough surface |grad psi| is steep along another axis
 at the same time, and a step then carries psi through 0 too early. Two wrong redistancings show what this test sees.

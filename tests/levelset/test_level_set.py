@@ -138,6 +138,7 @@ def test_distance_of_a_plane_is_exact_up_to_the_border():
     assert error[in_band(surface)].max() < 0.2 * h
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_distance_as_the_slow_reference_on_random_smooth_surfaces(seed):
     shape, spacing = (17, 22, 20), (1.3, 1.0, 0.9)
@@ -657,6 +658,7 @@ def strict_where_possible(surface):
     return surface
 
 
+@pytest.mark.sampled
 @pytest.mark.nojit
 @pytest.mark.parametrize("spacing", [ISOTROPIC, UNEQUAL])
 @pytest.mark.parametrize("shape", [(7, 9, 8), (1, 9, 12), (2, 9, 8), (3, 8, 10), (9, 1, 8), (9, 8, 2), (1, 1, 9)])

@@ -14,6 +14,7 @@ from benchmarks.thin import DIRECTIONS, displacement, exact_distance, lattice, r
 REDISTANCES = 50
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(
     ("kind", "size"), [("slab", 1.5), ("slab", 2), ("slab", 3), ("cylinder", 1), ("cylinder", 1.5)]

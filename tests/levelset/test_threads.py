@@ -17,6 +17,7 @@ GRAIN = sharing.GRAIN
 SIZES = [0, 1, GRAIN - 1, GRAIN, GRAIN + 1, BLOCK - 1, BLOCK, BLOCK + 1, 7 * BLOCK + 3, 40 * BLOCK]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("threads", [1, 2, 3])
 @pytest.mark.parametrize("size", SIZES)
 def test_ranges_cover_every_slot_once(threads, size):

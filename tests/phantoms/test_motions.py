@@ -27,6 +27,7 @@ def measured(frame: np.ndarray, one: MovingPhantom) -> tuple[float, np.ndarray]:
     return float(weight.sum()) * one.geometry.voxel_volume, centre
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("motion", ["translation", "acceleration", "rotation", "deformation", "beat"])
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 1.0, 1.0)])
 def test_volume_and_centroid_of_each_frame_are_those_of_the_truth(motion: str, spacing: tuple) -> None:

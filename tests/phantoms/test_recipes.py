@@ -122,6 +122,7 @@ def test_shipped_recipes_are_all_tested() -> None:
     assert recipe_names() == sorted(SHIPPED)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (1.0, 1.0, 3.0)])
 @pytest.mark.parametrize(
     "parameters",

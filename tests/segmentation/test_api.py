@@ -23,6 +23,7 @@ GRIDS = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize("kind", [BALL, CUBE], ids=["ball", "cube"])
 def test_clean_phantoms_from_a_start_that_touches_only_part(kind, grid):
@@ -53,6 +54,7 @@ def noisy(seed=0, shape=(30, 34, 38)):
     return (ball * 100 + np.random.default_rng(seed).normal(0, 40, shape)).astype(np.float32)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["constant-density", "gradient"])
 def test_same_bytes_twice_and_for_any_number_of_threads(flow):
     image = noisy(shape=(48, 48, 48))

@@ -63,6 +63,7 @@ def bytes_of(result):
     return psi, rows, result.labels.tobytes(), result.warnings, result.late_growth, config, result.levels
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", RUNS)
 def test_a_killed_run_goes_on_with_the_same_bytes(tmp_path, name):
     whole = bytes_of(run(RUNS[name]))

@@ -84,6 +84,7 @@ CASES = [
 ]
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize(("flow", "energy", "grid", "levels"), CASES)
 def test_every_clicked_voxel_is_on_its_side(flow, energy, grid, levels):
     number = CASES.index((flow, energy, grid, levels))
@@ -226,6 +227,7 @@ def two_balls(tmp_path, rows, header="id,x,y,z,r,side"):
 ROWS = ("1,11,11,11,2,inside", "7,31,11,11,2,inside", "7,31,13,16,1.2,outside", "1,2,21,2,,inside", "0,21,2,2,2,inside")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("energy", [None, "chan-vese", "threshold:50,"])
 def test_several_objects_by_clicks(energy, tmp_path):
     volume, file = two_balls(tmp_path, ROWS)

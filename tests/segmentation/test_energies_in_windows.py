@@ -68,6 +68,7 @@ def evolved(text, images, psi, scales, level, whole=(), background=None):
     return found, made.terms, surface.psi
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("level", [0, 1])
 @pytest.mark.parametrize("text", TERMS)
 def test_a_window_has_the_bytes_of_the_whole(text, level):

@@ -75,6 +75,7 @@ def stepped(run, steps):
 # ------------------------------------------------------------------------------------------------------ levels
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass"])
 def test_several_objects_run_on_levels(pair, flow):
     volume, starts, truth = pair
@@ -200,6 +201,7 @@ def test_an_edit_holds_for_an_object_whose_coarse_level_failed(pair):
 # ------------------------------------------------------------------------------------------------- checkpoints
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"])
 def test_several_objects_go_back_and_on_bit_for_bit(pair, flow):
     volume, starts, _ = pair
@@ -231,6 +233,7 @@ SAVED = {
 }
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("several", [False, True])
 @pytest.mark.parametrize("name", SAVED)
 def test_a_run_goes_on_from_a_file_with_the_same_bytes(pair, tmp_path, name, several):

@@ -33,6 +33,7 @@ def image(noise: float = 0.3, balls: int = 2) -> Volume:
 FLOWS = ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum", "region-mass"]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", FLOWS)
 def test_every_flow_finds_the_object_by_a_fast_march(flow: str) -> None:
     """As by closest points, to a hundredth in Dice, by another way."""
@@ -53,6 +54,7 @@ def ended(run: Run) -> list[bytes]:
     return [b"".join(np.ascontiguousarray(a).tobytes() for a in one.surface.band) for one in run.objects]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "changes",
     [{"start": "ball:12,13.5,14,5", "levels": 2, "edit": ["step=6 add=ball:28,13.5,14,3"]}, {"flow": "flowable-mass"}],

@@ -65,6 +65,7 @@ def test_the_mask_of_a_masked_array_is_not_ignored():
 NUMBERS = [key for key, field in RunConfig.model_fields.items() if "float" in str(field.annotation) and key != "edit"]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("value", ["1e308", "-1e308", "1e-308", "nan", "inf", "1e400"])
 @pytest.mark.parametrize("key", NUMBERS)
 def test_each_number_is_used_or_refused_by_name(key, value):
@@ -101,6 +102,7 @@ def test_lengths_beyond_every_image_are_refused(options):
     assert caught.value.exit_code in (2, 3) and caught.value.hint
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     "key", ["k", "lam", "rho", "smoothness", "balance", "friction", "diffusion", "gravity", "noise"]
 )

@@ -16,6 +16,7 @@ def dumbbell():
     return (100.0 * (ball | arm)).astype(np.float32)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("mask", "levels"), [(False, 1), (True, 1), (True, 2)])
 def test_it_is_the_far_end_of_what_was_filled_last(mask, levels):
     image = dumbbell()
@@ -29,6 +30,7 @@ def test_it_is_the_far_end_of_what_was_filled_last(mask, levels):
     assert result.labels[int(z), int(y), int(x)]  # a voxel of the object, through which a slice shows it
 
 
+@pytest.mark.slow
 def test_of_several_objects_it_is_where_any_grew_most():
     image = dumbbell()
     starts = np.zeros(image.shape, int)

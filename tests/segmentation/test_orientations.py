@@ -67,6 +67,7 @@ def compare(energy: str, way: Way) -> None:
     assert apart <= 0.1 * min(SPACING)
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("energy", ENERGIES)
 @pytest.mark.parametrize("way", FEW, ids=str)
 def test_eight_ways_to_store_a_scan_give_the_same_surface(energy, way):
@@ -86,6 +87,7 @@ def early(volume: Volume, energy: str) -> np.ndarray:
     return [step.surface.psi.copy() for step, _ in zip(steps, range(2), strict=False)][1]
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("energy", NOISY)
 @pytest.mark.parametrize("way", FEW, ids=str)
 def test_a_step_depends_on_the_order_of_axes_by_rounding_only(energy, way):
@@ -108,6 +110,7 @@ def distances(one: Result, other: Result) -> np.ndarray:
     return np.abs(psi[0] - psi[1])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("settings", LEVELS)
 def test_levels_give_one_surface_in_every_order_and_direction_of_the_axes(settings):
     one = segment(scan(), start=START, **LEVELS[settings])

@@ -39,6 +39,7 @@ def at(centre, radius):
 # ----------------------------------------------------------------------------------------------------------- region
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("direction", [None, TURN])
 def test_inside_the_region_it_is_the_run_on_the_cropped_volume(direction):
     volume, truth, centre = ball(direction=direction)
@@ -92,6 +93,7 @@ def masked(tmp_path, volume, mask, name="mask.nii.gz"):
     return str(tmp_path / name)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("levels", ["auto", 2])
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass", "gradient", "sobolev", "momentum"])
 def test_the_surface_never_leaves_the_mask(tmp_path, flow, levels):
@@ -154,6 +156,7 @@ def two_channels():
     return [mask * 1.0 + rng.normal(0, 0.1, mask.shape) for mask in (one, two)], one & two
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("energy", ["likelihood:update=no", "likelihood:histogram,no"])
 def test_two_channels_tell_what_one_cannot(energy):
     (first, second), truth = two_channels()
@@ -166,6 +169,7 @@ def test_two_channels_tell_what_one_cannot(energy):
     assert [entry["channel"] for entry in both.terms[0]["channels"]] == [1, 2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("energy", ["chan-vese", "local-region:R=6"])
 def test_two_noisy_channels_are_less_noisy_than_one(energy):
     z, y, x = np.indices((28, 28, 28)) - 13.5
@@ -178,6 +182,7 @@ def test_two_noisy_channels_are_less_noisy_than_one(energy):
     assert found[1] > found[0] + 0.01 and found[1] > 0.9
 
 
+@pytest.mark.slow
 def test_a_channel_is_chosen_by_its_number():
     (first, second), _ = two_channels()
     words = dict(start="ball:15,15,15,5vox", max_steps=100)
@@ -187,6 +192,7 @@ def test_a_channel_is_chosen_by_its_number():
         segment(first, channels=[second], energy="chan-vese:channel=3", **words)
 
 
+@pytest.mark.slow
 def test_the_same_channel_twice_is_the_same_as_once():
     (first, _), _ = two_channels()
     words = dict(start="ball:15,15,15,5vox", max_steps=60, levels=1)

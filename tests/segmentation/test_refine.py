@@ -85,6 +85,7 @@ def test_beyond_near_every_byte_stays_and_the_click_is_on_its_side(image, energy
     np.testing.assert_array_equal(before.psi, psi)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("energy", ["chan-vese", "threshold:50,", "seeded"])
 @pytest.mark.parametrize("click", [f"point:{world(12, 14, 21)}", f"ball:{world(12, 14, 20)},2"])
 def test_beyond_the_automatic_region_every_byte_stays(image, energy, click):
@@ -132,6 +133,7 @@ def test_what_is_missing_is_added_whole(image, energy):
     assert after.history[: len(result.history) - 1] == result.history[:-1]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("edits", [[], ["step=3 smoothness=0.2"]])
 def test_the_energy_in_the_report_is_that_of_the_run_alone(image, edits):
     """That of a correction is of its box, which compares with no other."""
@@ -210,6 +212,7 @@ def test_undo_brings_back_every_byte(image):
         assert refiner.result().psi.tobytes() == direct.psi.tobytes()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("energy", ["chan-vese", "likelihood:model=histogram", "seeded"])
 def test_one_configuration_repeats_run_and_corrections(image, energy):
     result = first_run(image, energy)
@@ -388,6 +391,7 @@ def in_thick_slices(energy):
     return accelsurf.segment(image.astype(np.float32), spacing=spacing, **given)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("energy", ["chan-vese", "seeded"])
 @pytest.mark.parametrize("thick", [False, True])

@@ -96,6 +96,7 @@ def test_phantom_of_two_balls_from_a_ball_in_each(touching, tmp_path):
         assert (sign * result.by_id[one].surface.vertices[:, 0]).min() >= -1.0
 
 
+@pytest.mark.slow
 def test_starts_in_the_background_take_the_background_and_that_is_told(touching, tmp_path):
     # Beside both balls: two means, one of which is the background's, say that the object is the background.
     table = balls(tmp_path / "s.csv", (1, 0, 0, -11, 3), (2, 0, 0, 11, 3))
@@ -106,6 +107,7 @@ def test_starts_in_the_background_take_the_background_and_that_is_told(touching,
         assert any(warning.startswith("border") for warning in one.quality.notes)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass"])
 def test_mass_that_meets_mass_comes_to_rest_and_gains_no_energy(flow):
     shape, centres = (22, 22, 36), [(10.5, 10.5, 11.0), (10.5, 10.5, 24.0)]
@@ -149,6 +151,7 @@ def test_no_voxel_is_in_two(two):
     assert np.array_equal(result.psi < 0, result.labels > 0)
 
 
+@pytest.mark.sampled(1)
 def test_same_bytes_for_any_number_of_threads_and_any_order_of_labels_in_memory(two):
     image, _, starts, spacing, result = two
     again = segment_objects(image, np.asfortranarray(starts), spacing=spacing, threads=3)
@@ -160,6 +163,7 @@ def test_same_bytes_for_any_number_of_threads_and_any_order_of_labels_in_memory(
         ]
 
 
+@pytest.mark.slow
 def test_three_balls_that_meet_in_a_line():
     shape, radius = (28, 46, 46), 9.5
     angles = np.deg2rad([90.0, 210.0, 330.0])
@@ -173,6 +177,7 @@ def test_three_balls_that_meet_in_a_line():
     assert (result.labels[13, 21:25, 21:25] > 0).all()
 
 
+@pytest.mark.slow
 def test_objects_that_meet_at_the_border_come_to_rest():
     # Their contact runs aslant into four faces of the volume: the surface points nearest to voxels there lie beyond.
     image = np.zeros((14, 22, 40), np.float32)
@@ -198,6 +203,7 @@ def test_none_swallows_another_that_is_alike():
     assert sum(sizes) == pytest.approx(image.sum(), rel=0.06) and min(sizes) > 0.4 * sum(sizes)
 
 
+@pytest.mark.slow
 def test_who_would_rather_give_way_does():
     # Object 1 begins with a part of the bright object 2, which its own model does not want.
     image = np.zeros((16, 16, 40), np.float32)
@@ -223,6 +229,7 @@ def test_cost_goes_with_the_surfaces_not_with_the_volume_times_their_number():
     assert sum(four) == pytest.approx(4 * one[0], rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_grid_that_grows_changes_nothing_for_an_energy_that_sees_only_the_place():
     shape, centres = (30, 30, 90), [(14.5, 14.5, 40.0)]
     image, _ = scene(shape, ISOTROPIC, centres, 11.0, noise=0.1)
@@ -405,6 +412,7 @@ def test_command_line_tells_bad_objects(scan, tmp_path, capsys):
     assert "absent.nii.gz" in err and "expected one of the two" in err
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("energy", ["threshold:learned,learned", "threshold:half:0,", "likelihood:update=no"])
 def test_each_object_learns_from_its_own_start(energy):
     """Two balls of other brightness, each beside something as bright as the other."""
@@ -435,6 +443,7 @@ def test_what_is_given_as_foreground_is_learned_by_all(tmp_path):
     assert result.terms == result.by_id[2].terms
 
 
+@pytest.mark.slow
 def test_touching_nuclei_of_other_brightness():
     """Seven ellipsoids, each touching some others, blurred and in noise, on voxels twice as high as wide."""
     spacing, shape = (2.0, 1.0, 1.0), (16, 56, 56)

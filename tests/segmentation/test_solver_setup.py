@@ -27,6 +27,7 @@ def image(shape: tuple[int, int, int] = BALL) -> tuple[np.ndarray, np.ndarray]:
     return truth, (truth + np.random.default_rng(1).normal(0, 0.05, shape)).astype(np.float32)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("shape", [BALL, (1, 24, 24)], ids=["surface", "curve"])
 @pytest.mark.parametrize(
     "energy", [*FROM_A_START, "likelihood:histogram", "0.5*chan-vese + threshold:0.5, - 0.05*balloon"]
@@ -77,6 +78,7 @@ def test_a_setting_that_does_nothing_is_told() -> None:
     assert result.warnings == ["gravity was given, but has no effect on flow gradient with energy chan-vese"]
 
 
+@pytest.mark.slow
 def test_for_k_of_at_most_1_the_clock_starts_when_the_first_step_is_made() -> None:
     truth, scan = image()
     for flow in ("constant-density", "flowable-mass"):

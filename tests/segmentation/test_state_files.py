@@ -183,6 +183,7 @@ def refused(read, path):
     assert len(str(caught.value)) < 1000 and not Evil.ran
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 @pytest.mark.parametrize("which", ["state", "checkpoint"])
 @pytest.mark.parametrize("change", CHANGES)
@@ -250,6 +251,7 @@ def signed(path, target, types, change):
     return target
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("which", ["state", "checkpoint"])
 @pytest.mark.parametrize("value", [None, -1, "a", 1.5, [], {"list": []}, {"array": "none"}, {"dict": [[1, 2]]}])
 def test_a_field_of_another_type_is_refused_even_with_a_digest(which, value, finished, checkpoint, tmp_path):
@@ -312,6 +314,7 @@ def test_refine_and_resume_say_it_in_one_line(change, scan, finished, checkpoint
     assert not Evil.ran
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("value", [None, 5, "a", [], [5], {}, {"path": 5}, [{"kind": "state"}], 10**30, float("nan")])
 def test_reports_that_somebody_has_changed_are_no_fault(value, scan, finished, tmp_path, capfd):
     """A value of any kind in the place of each one of a report; no outputs mean that all are there."""

@@ -61,6 +61,7 @@ def test_the_same_labels_through_every_door(doors, done):
     np.testing.assert_array_equal(io.read(done / "disc_seg.png").array, 255 * expected.labels)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("start", ["ball:20,22,0,6", "ball:20,22,0,6vox", "center", "threshold:120,300", "label"])
 def test_nothing_depends_on_the_thickness_of_the_slice(start, tmp_path):
     results = []

@@ -47,6 +47,7 @@ def same(got, want):
     assert got.tobytes() == want.tobytes(), (got, want)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("sigma", [0.0, 1.3])
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
@@ -91,6 +92,7 @@ def test_sums_on_levels_have_the_bytes_of_the_image_in_memory(shape, sigma):
             same(np.concatenate([slab.values for slab in found]), array)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("sigma", [0.0, 0.15, 1.3, 20.0])
 @pytest.mark.parametrize("corner, shape", [((3, 5, 8), (4, 9, 2)), ((0, 0, 0), (1, 33, 5)), ((10, 20, 39), (9, 13, 2))])
 def test_a_window_is_a_box_of_the_smoothed_whole(corner, shape, sigma):
@@ -123,6 +125,7 @@ def test_small_integers_are_read_once_for_the_scale():
     assert source.bytes_read == image.array.nbytes
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("bad", ["nan", "inf", "many", "huge", "constant", "tiny"])
 @pytest.mark.parametrize("planes", SLABS)
 def test_images_that_cannot_be_used_are_refused_in_the_same_words(bad, planes):

@@ -63,6 +63,7 @@ def assert_same(whole, part):
     assert grown[0] == (grown[1] and tuple(v + first for v, first in zip(grown[1], corner, strict=True)))
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     "options",
     [
@@ -87,6 +88,7 @@ def test_a_run_in_windows_has_the_bytes_of_the_run_in_memory(image, options):
     assert_same(whole, part)
 
 
+@pytest.mark.slow
 def test_clicks_on_both_sides_and_corrections_of_windows(image):
     far = Volume.from_array(np.pad(image.array, 40, mode="reflect"), SPACING)
     whole, part, windows = both(far, inside=("point:110,100,108",), outside=("ball:110,125,108,2",), size="12000mm3")
@@ -111,6 +113,7 @@ def test_a_window_without_the_guard_gives_other_bytes(image, small_windows, monk
     assert not np.array_equal(labels, whole.labels)
 
 
+@pytest.mark.slow
 def test_a_region_of_interest_is_scaled_by_its_own_values(image):
     whole, part, _ = both(image, start="ball:66,57,56,5", roi="40,30,30,105,95,100", presmooth=1.0)
     assert_same(whole, part)
@@ -118,6 +121,7 @@ def test_a_region_of_interest_is_scaled_by_its_own_values(image):
     assert_same(whole, part)
 
 
+@pytest.mark.slow
 def test_channels_are_read_in_the_same_windows(image):
     other = Volume(np.flip(image.array, 2).copy() * 0.5 + image.array, image.geometry)
     config, _ = with_options(None, None, {"threads": 1, "start": "ball:66,57,56,5", "presmooth": 1.0})
@@ -125,6 +129,7 @@ def test_channels_are_read_in_the_same_windows(image):
     assert_same(accelsurf.segment(image, channels=[other], config=config), segment_in_windows(large, config))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("chunk", [16, 27, 64])
 def test_the_size_of_a_stores_bricks_changes_nothing(image, chunk, tmp_path):
     zarr = pytest.importorskip("zarr")
@@ -241,6 +246,7 @@ def test_a_click_that_needs_too_much_is_told_to_say_a_size(image):
         assert ("--size" in refused.value.hint) == said
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("levels", [1, 2])
 def test_a_rest_and_its_place_are_those_of_the_whole_image(small_windows, levels):
     """A ball with a thin way to a larger one: the surface rests, then bursts through, far from the window's corner."""

@@ -46,6 +46,7 @@ def stepped(run, steps):
 # ------------------------------------------------------------------------------------------------------- kept surface
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (3.0, 1.0, 1.0)])
 @pytest.mark.parametrize("what", ["ball", "border", "hollow", "filled", "none", "slice"])
 def test_a_surface_comes_back_bit_for_bit(what, spacing):

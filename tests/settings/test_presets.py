@@ -110,6 +110,7 @@ def test_one_bone_with_its_marrow_from_a_click():
     assert dice(alone, bone) < 0.5
 
 
+@pytest.mark.slow
 def test_bone_between_soft_tissue_with_contrast_agent():
     z, y, x = grid()
     body = x**2 + y**2 + (0.6 * z) ** 2 < 17**2
@@ -119,6 +120,7 @@ def test_bone_between_soft_tissue_with_contrast_agent():
     assert dice(found("ct-skeleton", image), bone) > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lumen", [160, 400])
 def test_vessel_of_any_phase_beside_bone(lumen):
     z, y, x = grid()
@@ -128,6 +130,7 @@ def test_vessel_of_any_phase_beside_bone(lumen):
     assert dice(found("ct-vessel", image, "ball:24,22,15,3vox"), vessel) > 0.9
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("value", "clicks"), [(60, {"outside": "point:43,22,15vox"}), (110, {})])
 def test_organ_beside_muscle_and_fat(value, clicks):
     """Muscle at 30 HU: from an organ without contrast agent, as bright within the noise, a click outside parts it."""
@@ -175,6 +178,7 @@ def test_nuclei_of_uneven_brightness():
     assert dice(found("fluorescence-nucleus", image), nuclei[0] | nuclei[1]) > 0.85
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("preset", "make", "least"), [("tumour", "tumour", 0.93), ("em-cell", "organelle", 0.7)])
 def test_a_click_on_tissue_of_several_brightnesses(preset, make, least):
     image, truth = getattr(tissues, make)()

@@ -65,6 +65,7 @@ def test_of_a_prediction_that_lies_in_another_object_nothing_is_run() -> None:
     assert not (found[2].surface.psi.size and (found[2].surface.psi[:, 20:21, 20:24] < 0).any())
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("model", ["flowable-mass", "constant-density", "last-displacement", "none"])
 def test_a_disc_is_followed_by_each_model(model: str) -> None:
     results, lineage = followed(sequence(lambda n: [(12 + 3 * n, 20, 7)], 6), "ball:12,20,0,5", model=model)
@@ -117,6 +118,7 @@ def test_a_disc_that_shrinks_beyond_what_is_expected_is_not_seen() -> None:
     assert [result.objects[0].seen for result in results] == [True, True, False, False]
 
 
+@pytest.mark.slow
 def test_brightness_may_drift_and_what_is_learned_follows_it() -> None:
     frames = [plane([(14 + 3 * n, 20, 7)], n) for n in range(6)]
     fading = VolumeSequence([one.with_array(one.array * np.float32(0.85**n)) for n, one in enumerate(frames)])
@@ -128,6 +130,7 @@ def test_brightness_may_drift_and_what_is_learned_follows_it() -> None:
 # -------------------------------------------------------------------------------------------------------- identities
 
 
+@pytest.mark.slow
 def test_two_that_meet_and_turn_back_stay_who_they_are() -> None:
     def discs(n: int) -> Discs:
         apart = 9.0 + 3.0 * abs(n - 4)
@@ -161,6 +164,7 @@ def test_a_division_may_be_left_together() -> None:
     assert near(places(results[-1])[1], 32, 20, 0.5)
 
 
+@pytest.mark.slow
 def test_a_division_in_falling_order_is_told_in_rising_order() -> None:
     frames = sequence(lambda n: dividing(8 - n), 9)
     _, lineage = followed(frames, "ball:32,20,0,5", frame=8, direction="backward")
@@ -171,6 +175,7 @@ def test_a_division_in_falling_order_is_told_in_rising_order() -> None:
     assert all(link.frame == one.first for link in lineage.links)
 
 
+@pytest.mark.slow
 def test_two_become_one_only_where_that_is_asked_for() -> None:
     frames = sequence(lambda n: dividing(8 - n), 9)
     results, lineage = followed(frames, "otsu")
@@ -180,6 +185,7 @@ def test_two_become_one_only_where_that_is_asked_for() -> None:
     assert near(places(results[-1])[3], 32, 20, 0.5)
 
 
+@pytest.mark.slow
 def test_one_that_leaves_and_comes_back_is_the_same() -> None:
     x = [14, 9, 4, -1, -6, -11, -8, -3, 2, 7, 12]
     results, lineage = followed(sequence(lambda n: [(x[n], 20, 7), (48, 20, 7)], len(x)), "otsu", max_gap=6)
@@ -190,6 +196,7 @@ def test_one_that_leaves_and_comes_back_is_the_same() -> None:
     assert {5, 6} <= set(gaps)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("model", ["flowable-mass", "none"])
 def test_one_that_comes_back_is_seen_from_its_first_sliver_on(model: str) -> None:
     """It was found again when half of it was there: the bound on its size did not know that the border cuts it."""
@@ -215,6 +222,7 @@ def test_one_that_leaves_for_good_has_left() -> None:
     assert lineage.tracks[0].end == "left" and lineage.tracks[0].last == 4  # a sliver is there still
 
 
+@pytest.mark.slow
 def test_what_enters_is_followed_only_where_that_is_asked_for() -> None:
     def discs(n: int) -> Discs:
         return [(20, 20, 7)] + ([(70 - 5 * n, 20, 7)] if n > 0 else [])
@@ -275,6 +283,7 @@ def bytes_of(results: Sequence[FrameResult]) -> list[tuple[int, bytes, tuple[flo
     ]
 
 
+@pytest.mark.slow
 def test_the_same_bytes_after_a_resume_and_with_more_threads(tmp_path) -> None:
     frames = sequence(lambda n: [] if n == 3 else dividing(n), 7)
     options = {"start": "ball:32,20,0,5", "frame": 2, "direction": "both"}

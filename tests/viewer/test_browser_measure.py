@@ -90,6 +90,7 @@ def test_no_ratio_makes_a_picture_too_large(served, ratio):
     ask(served, "size", 640, 360, 1)
 
 
+@pytest.mark.slow
 def test_letters_of_an_exported_page_never_overlap(tmp_path):
     volume, center = viewing.ball_image((4, 40, 44), radius=9.0)
     volume.metadata[DICOM_KEY] = "1.2.3"  # its axes are a patient's

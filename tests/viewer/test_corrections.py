@@ -56,6 +56,7 @@ def ended(session):
     return session
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("energy", CONFIGS)
 def test_command_python_session_and_configuration_make_the_same_bytes(energy, image, tmp_path):
     io.write(image, tmp_path / "scan.nii.gz")
@@ -130,6 +131,7 @@ def test_undo_and_redo_of_corrections_bring_back_every_byte(image):
         assert len(session.status.refinements) == 2 and session.status.failed
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("steps", [4, None], ids=["while it runs", "after its end"])
 def test_a_later_stroke_wins_over_an_earlier_one_and_the_settings_repeat_it(steps, image, tmp_path):
     with Session(image, CONFIGS["seeded"], name="scan") as session:
@@ -236,6 +238,7 @@ def psi_shown(session):
     return np.where(out < 0, out, np.float32(9.0))
 
 
+@pytest.mark.slow
 def test_a_run_that_goes_on_is_corrected_again_at_its_end(image, tmp_path):
     with Session(image, CONFIGS["seeded"], name="x") as session:
         at(session, 6)

@@ -50,6 +50,7 @@ def test_a_frame_is_a_copy():
     assert not np.array_equal(first.shape, last.shape) or not np.array_equal(first, last)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass", "gradient", "sobolev"])
 def test_making_frames_changes_nothing(flow):
     volume = ball_volume()

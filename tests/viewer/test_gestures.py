@@ -212,6 +212,7 @@ def test_fingers_that_were_lost_and_hands_beside_a_pen(workplace):
     assert refinement.inside[0].startswith("ball:11,") and workplace.scene.marks.count == 0
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("bad", [None, True, "x", float("nan"), float("inf"), 1e308, [], {}, -0.1, 1.1, 2**40])
 def test_what_is_no_finger_is_refused(workplace, bad):
     workplace.request("tool", "inside")
@@ -260,6 +261,7 @@ def test_parts_of_a_notch_add_up_to_a_slice(workplace):
     assert abs(tile.index - before) == 2 and not workplace.message
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("delta", "mode", "slices"),
     [

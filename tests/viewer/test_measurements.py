@@ -105,6 +105,7 @@ def in_slice(scene, name, *places):
     ]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["axial", "coronal", "sagittal"])
 def test_a_line_drawn_in_a_slice_has_the_length_it_has_on_the_screen(scene, name):
     scene.cursor = scene.geometry.index_to_world((9, 21, 17))

@@ -64,6 +64,7 @@ def surface_pixels(frame):
     return int(((left[..., 0] > 90) & (left[..., 0] > left[..., 2] + 60)).sum())
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("suffix", [pytest.param(".mp4", marks=needs_ffmpeg), ".gif", ".webp"])
 def test_frames_differ_and_the_surface_grows(image, tmp_path, suffix, capsys):
     path, options = image
@@ -82,6 +83,7 @@ def test_frames_differ_and_the_surface_grows(image, tmp_path, suffix, capsys):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["ball.nii.gz", out.name]
 
 
+@pytest.mark.slow
 def test_the_camera_turns(image, tmp_path):
     path, options = image
     pictures = {}
@@ -223,6 +225,7 @@ def share_of_grey(picture, grey):
     return float((np.abs(np.asarray(picture)[..., :3].astype(int) - grey).max(axis=2) <= 2).mean())
 
 
+@pytest.mark.slow
 def test_window_sets_the_greys_of_movies_and_their_pictures(image, tmp_path):
     """The ball of 100 in 0 is white on black by itself; from -50 to 150 it is light grey on dark grey."""
     path, options = image
@@ -279,6 +282,7 @@ def whole(tmp_path_factory):
     return made, folder
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "deaths, early", [({0: 1}, True), ({2: 1}, False), ({4: 1, 6: 1}, True), ({9: 1}, False), ({-1: 1}, True)],
     ids=["first", "second", "two", "last", "start"],

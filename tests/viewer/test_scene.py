@@ -29,6 +29,7 @@ def graphics():
 # -- shapes: no plotter -------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", DIRECTIONS)
 @pytest.mark.parametrize("levels", [1, 2])
 def test_the_surface_lies_in_the_world(name, levels):

@@ -62,6 +62,7 @@ def test_a_session_that_is_closed_before_it_began_never_begins():
         session.single_step().result(1)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", FLOWS)
 def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_path):
     io.write(volume(), tmp_path / "scan.nii.gz")
@@ -114,6 +115,7 @@ def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_p
     assert [r[:visited] + r[visited + 1 :] for r in mine] == [r[:visited] + r[visited + 1 :] for r in again]
 
 
+@pytest.mark.slow
 def test_a_run_that_converged_says_so_when_repeated(session, tmp_path):
     session.play().result(60)
     assert session.wait(120)
@@ -222,6 +224,7 @@ def test_a_stroke_in_one_command_is_one_change_and_the_same_as_ball_by_ball(sess
     assert session.status.undoable == 3
 
 
+@pytest.mark.slow
 def test_the_steps_of_rest_stay_known_when_it_has_gone_back():
     """Two balls joined by a neck: the front rests in the first one before it breaks through."""
     z, y, x = np.indices((28, 28, 60)) - np.array([13.5, 13.5, 0.0])[:, None, None, None]
@@ -441,6 +444,7 @@ def test_checkpoints_stay_within_their_memory_dense_at_the_end_and_sparse_before
     assert len(history) == 3
 
 
+@pytest.mark.slow
 def test_a_session_with_little_memory_goes_back_to_any_step(tmp_path):
     with Session(volume(), RunConfig(start=START), checkpoint_mb=1) as small:
         at(small, 4).change(smoothness=0.2)

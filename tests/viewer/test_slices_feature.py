@@ -37,6 +37,7 @@ def test_what_is_no_window_is_refused_in_one_line(text):
 # ------------------------------------------------------------------------------------------------------------ layouts
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("chart", [False, True])
 @pytest.mark.parametrize("tiles", [TILES, ("axial",)])

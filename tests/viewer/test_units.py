@@ -26,6 +26,7 @@ def sliders(finest, of_file="mm", settings=None):
     return {row["key"]: row for row in rows if row["kind"] == "slider"}
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("of_file", ["mm", "um", "nm"])
 @pytest.mark.parametrize("finest", [1e-6, FINE, 0.03, 1.0, 40.0])
 def test_each_slider_resolves_hundredths_of_what_it_shows(finest, of_file):

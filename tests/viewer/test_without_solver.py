@@ -103,6 +103,7 @@ def said(program, ball, **environment):
     return dict(json.loads(line) for line in ended.stdout.splitlines())
 
 
+@pytest.mark.slow
 def test_an_image_is_drawn_before_anything_of_the_solver_is_loaded(ball):
     needs_graphics()
     loaded = said(DRAWN, ball)

@@ -28,6 +28,7 @@ def plate(shape=(7, 10, 60), added=(30, 36)):
     return x, x < 30, (x >= added[0]) & (x < added[1]), click
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("shape", [(7, 10, 60), (1, 10, 60)])
 @pytest.mark.parametrize(("like", "held"), [(0.0, 1.0), (0.25, 1.0), (0.325, 0.5), (0.4, 0.0), (1.0, 0.0), (-1.0, 0.0)])
 def test_what_looks_like_the_surroundings_is_held(shape, like, held):

@@ -152,6 +152,7 @@ def test_the_even_tissue_of_a_click_in_a_slice_is_a_disk():
         assert radius_of(count_of(7.5, (3.0, 1.5, 1.2), flat), (3.0, 1.5, 1.2), flat) == pytest.approx(7.5)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("shape", [(26, 26, 28), (1, 60, 60)])
 @pytest.mark.parametrize("slope", [0.05, 0.1, 0.14, 0.2])
 @pytest.mark.parametrize("part", [0.75, 0.89, 1.1, 1.3])

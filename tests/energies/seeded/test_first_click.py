@@ -152,6 +152,7 @@ def dim_in_large():
     return image.astype(np.float32), small
 
 
+@pytest.mark.slow
 def test_an_outside_click_much_wider_than_the_inside_ones_disowns_the_even_tissue(dim_in_large):
     image, small = dim_in_large
     inside, wide = ball("inside", (20, 40, 42), 2.5), ball("outside", (20, 40, 63), 6.5)

@@ -16,6 +16,7 @@ from tests.support import clicked_balls
 SPACING, SHAPE = (1.5, 1.0, 0.8), (16, 24, 28)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("shape", [(1, 20, 31), (2, 5, 3), (33, 17, 8), (24, 1, 40), (7, 9, 30)])
 @pytest.mark.parametrize("size", [3, 5, 9])
 def test_both_sides_are_seen_as_by_filters(shape: tuple[int, int, int], size: int) -> None:

@@ -98,6 +98,7 @@ def test_a_damaged_member_is_named(tmp_path, which, kind):
         io.read(path)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", ["members", "bytes", "ratio", "claims", "cut", "link"])
 def test_the_budget_of_an_archive(tmp_path, kind, no_disk):
     files = [(f"{n}.dcm", content) for n, content in enumerate(contents())]

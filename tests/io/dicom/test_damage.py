@@ -59,6 +59,7 @@ KNOWN = ("pixels", "first pixel", "header", "geometry", "series", "within the se
 UNKNOWN = ("study", "class", "mark", "less than a mark", "nothing")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("where", [0, 2, COUNT - 1])
 @pytest.mark.parametrize("left", KNOWN)
 def test_a_file_of_the_series_that_is_cut_is_refused_by_name(tmp_path, left, where):
@@ -77,6 +78,7 @@ def test_a_file_of_the_series_that_is_cut_is_refused_by_name(tmp_path, left, whe
     assert found.array.shape[0] == COUNT - (where in (0, COUNT - 1))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("left", UNKNOWN)
 @pytest.mark.parametrize("where", [0, COUNT - 1])
 def test_a_file_that_says_nothing_of_its_series_is_named_in_a_warning(tmp_path, left, where):
@@ -107,6 +109,7 @@ def test_a_sequence_that_does_not_end_makes_nothing_else_unreadable(tmp_path, se
     assert names[-1] in out and err == ""
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("seed", "zeros"), [(0, False), (1, False), (2, True)])
 def test_wherever_a_file_is_cut_it_is_never_left_out_in_silence(tmp_path, seed, zeros):
     """In steps over all of a file; what was lost may also be zeros, as after a copy that broke off."""

@@ -32,6 +32,7 @@ ORDERS = [
 ]
 
 
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("order", range(len(ORDERS)))
 def test_all_orders_of_axes_and_files(tmp_path, order):
     row, column, way = ORDERS[order]

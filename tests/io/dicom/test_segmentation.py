@@ -62,6 +62,7 @@ def world_points(content, geometry, is_labelmap):
     return values
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("as_labelmap", [False, True])
 @pytest.mark.parametrize("name", GRIDS)
 def test_same_voxels_at_the_same_places(tmp_path, name, as_labelmap):

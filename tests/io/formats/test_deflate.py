@@ -43,6 +43,7 @@ def test_a_header_is_read_without_the_rest():
     assert sum(file.sizes) <= 1 << 16
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("claimed", [0, 1000, 9_000_000])
 def test_what_goes_on_beyond_its_announced_end_is_refused_soon(claimed):
     packed = zlib.compress(bytes(400_000_000), 6)
@@ -53,6 +54,7 @@ def test_what_goes_on_beyond_its_announced_end_is_refused_soon(claimed):
     assert unpacked <= claimed + 2 * budgets.SLACK.limit
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("limit", [None, 3_000_000])
 @pytest.mark.parametrize("cut", [1, 5, 100_000, 10_000_000])
 def test_a_stream_that_is_cut_short_is_refused_at_any_size_of_pieces(cut, limit):
@@ -66,6 +68,7 @@ def test_several_members_are_one_stream_and_what_follows_them_is_ignored():
     assert b"".join(deflate.inflate(io.BytesIO(packed), None, len(PLAIN))) == PLAIN
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("place", [-6, -300_000, 4_000_000])
 def test_a_byte_that_is_wrong_is_damage(place):
     packed = bytearray(gzip.compress(PLAIN, 1))

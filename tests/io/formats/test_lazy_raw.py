@@ -40,6 +40,7 @@ def silence(capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("dtype", META_TYPES)
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("detached", [False, True])

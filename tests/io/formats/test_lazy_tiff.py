@@ -34,6 +34,7 @@ def silence(capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "int16", "float32", "uint32"])
 @pytest.mark.parametrize("option", OPTIONS)
 def test_boxes_are_those_of_the_whole_stack(tmp_path, dtype, option):
@@ -48,6 +49,7 @@ def test_boxes_are_those_of_the_whole_stack(tmp_path, dtype, option):
     np.testing.assert_array_equal(lazy.read(whole_box(lazy.shape)), array, strict=True)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("compression", ["tiff_lzw", "packbits", "tiff_adobe_deflate", None])
 @pytest.mark.parametrize("mode", ["L", "I;16", "1"])
 def test_pages_packed_by_others(tmp_path, compression, mode):

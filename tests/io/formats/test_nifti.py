@@ -69,6 +69,7 @@ def load(path):
     return gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
 @pytest.mark.parametrize("codes", [(0, 0), (1, 0), (0, 1), (1, 1), (2, 2), (0, 4), (1, 4), (3, 2), (2, 1)])
 @pytest.mark.parametrize("half", [0.0, 10.0, 89.9, 90.0])
@@ -135,6 +136,7 @@ def sheared(amount):
     return SPACING * (np.eye(3) + amount * np.eye(3, k=1))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("codes", [(0, 1), (1, 1), (0, 2), (2, 2), (4, 4), (3, 1)])
 @pytest.mark.parametrize("amount", [0.001, 0.01, 0.5])
 def test_shear_is_refused_with_its_size(tmp_path, codes, amount, capfd):
@@ -179,6 +181,7 @@ def test_an_sform_that_is_no_transform(tmp_path, matrix):
         io.read(save(tmp_path / "a.nii", nifti((0, 1), matrix)))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("field", range(6))
 @pytest.mark.parametrize("version", [1, 2])
 def test_a_qform_that_is_no_transform(tmp_path, field, version, capfd):
@@ -190,6 +193,7 @@ def test_a_qform_that_is_no_transform(tmp_path, field, version, capfd):
     assert caught.value.hint and capfd.readouterr() == ("", "")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("codes", [(0, 0), (1, 0), (1, 1)])
 @pytest.mark.parametrize("axis", [1, 2, 3])
 @pytest.mark.parametrize("value", [0.0, -2.0, np.nan, np.inf])
@@ -269,6 +273,7 @@ def read_both(tmp_path, raw, suffix=".nii", order=None):
     return io.read(one), io.read(two)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("codes", [(0, 0), (1, 0), (0, 1), (1, 1), (2, 2), (0, 4), (1, 4), (3, 2), (2, 1)])
 @pytest.mark.parametrize("half", [0.0, 10.0, 89.9, 90.0])
 @pytest.mark.parametrize("qfac", [1, -1])
@@ -291,6 +296,7 @@ def test_nifti_2_is_written_as_nifti_1_on_the_same_grid(tmp_path, suffix, order)
     np.testing.assert_array_equal(io.read(tmp_path / f"b{suffix}").array, volume.array)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("code", ["u1", "i1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"])
 @pytest.mark.parametrize("scale", [(0.3, 7.0), (1, 0), (0, 5), (1, 3), (np.nan, 1), (2, np.nan)])
 def test_values_of_nifti_2_are_those_that_itk_gives_of_nifti_1(tmp_path, code, scale):
@@ -312,6 +318,7 @@ def test_forms_of_nifti_2_that_disagree_or_contradict_pixdim(tmp_path):
             io.read(save(tmp_path / "a.nii", second(nifti((1, 1), matrix))))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
 @pytest.mark.parametrize("keep", [3, 100, 539, 540, 544, 663])
 def test_nifti_2_cut_short(tmp_path, suffix, keep):

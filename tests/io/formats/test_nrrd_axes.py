@@ -109,6 +109,7 @@ def check_frames(path):
     np.testing.assert_array_equal([volume.array for volume in every], FRAMES)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", ["a.nrrd", "a.nhdr"])
 @pytest.mark.parametrize(
     ("place", "kind"), [(0, "vector"), (0, "list"), (0, "RGB-color"), (3, "vector"), (3, "3-vector")]

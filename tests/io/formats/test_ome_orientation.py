@@ -61,6 +61,7 @@ def spelled(word: str, how: int) -> dict:
     )[how]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(7))
 @pytest.mark.parametrize("version", ["0.4", "0.5"])
 def test_each_word_turns_its_axis_whatever_the_order_of_axes_and_the_spelling(tmp_path, seed, version):
@@ -78,6 +79,7 @@ def test_each_word_turns_its_axis_whatever_the_order_of_axes_and_the_spelling(tm
         np.testing.assert_array_equal(whole.array.ravel(), np.arange(120))
 
 
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize(("order", "signs"), ALL_48)
 def test_all_directions_along_axes_are_written_in_words_and_come_back(tmp_path, order, signs):
     direction, origin = matrix(order, signs), (7.0, -8.0, 9.0)
@@ -140,6 +142,7 @@ def test_words_for_animals_are_placed_as_in_dicom_and_that_is_said(tmp_path, sai
     assert "dorsal is taken as posterior" in volume.metadata[io.WARNING_KEY]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     "word",
     ["proximal-to-distal", "dorsal-to-palmar", "apex-to-base", "left-to-left", "left-to-superior", "RAS", "LR", "to"],

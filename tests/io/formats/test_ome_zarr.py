@@ -51,6 +51,7 @@ def make_store(path: Path, arrays: list[np.ndarray], names: str, scales: list, v
     return path
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("dtype", ["bool", "uint8", "<u2", ">u2", ">i2", "int32", "uint64", "float32", ">f8"])
 @pytest.mark.parametrize("version", ["0.4", "0.5"])
 def test_boxes_are_those_of_the_whole_image(tmp_path, dtype, version):
@@ -267,6 +268,7 @@ def test_a_plain_array_or_group_is_called_so_and_told_what_to_do(tmp_path, versi
     refused(path / "cells/0", "the array 0 of an OME-Zarr given, its image expected")
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", ["a.zarr.zip", "a.ome.zarr.zip", "a.zip", "a.ozx", "a.zarr", "scan"])
 @pytest.mark.parametrize("below", ["", "cells.ome.zarr/", "data/cells.zarr/"])
 @pytest.mark.parametrize("version", ["0.4", "0.5"])

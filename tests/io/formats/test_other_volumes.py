@@ -80,6 +80,7 @@ def _metaimage(folder, rest):
     return path
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", ["short", "uchar", "float"])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_text_voxel_that_the_type_does_not_hold_is_refused(kind, seed, tmp_path):

@@ -41,6 +41,7 @@ def test_the_entry_of_tiff_names_the_types_that_are_encoded():
     assert IMAGE_FORMATS["tif"].types == tuple(png.STORED)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "int8", "int16", "uint32", "int32", "float32"])
 @pytest.mark.parametrize("slices", [1, 3])
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -62,6 +63,7 @@ def test_round_trip(tmp_path, suffix, slices, dtype):
     assert io.read(tmp_path / f"b{suffix}").geometry.spacing == back.geometry.spacing
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("spacing", [1e-5, 2e-4, 6.5e-4, 0.0254, 0.1, 2 / 7, 1.0, 25.4, 3000.0])
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
 def test_sizes_of_pixels_are_kept(tmp_path, suffix, spacing):
@@ -126,6 +128,7 @@ def test_labels_of_one_object_are_black_and_white(tmp_path, suffix):
 # ----------------------------------------------------------------------------------- what other programs write
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("mode", ["1", "L", "I;16", "P", "RGB", "RGBA"])
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
 def test_grey_is_grey_however_it_was_saved(tmp_path, suffix, mode):
@@ -396,6 +399,7 @@ def test_every_truncation_is_one_clear_error(tmp_path):
             refuse(path, "header|ends before|cut short|damaged|not a PNG|not a TIFF|holds no page")
 
 
+@pytest.mark.slow
 def test_damage_is_refused_or_read_but_never_anything_else(tmp_path, capfd):
     rng = np.random.default_rng(2)
     refused = 0

@@ -33,6 +33,7 @@ def line(key, value):
     return key.encode() + b"=" + (value if isinstance(value, bytes) else value.encode())
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("resolution_unit", ["NONE", "INCH"])
 def test_each_spelling_of_a_unit_counts_and_a_sign_does_not(tmp_path, unit, resolution_unit):
@@ -75,6 +76,7 @@ def test_a_distance_that_is_none_is_said(tmp_path, text):
     assert found.geometry.spacing == pytest.approx((1.0, 0.25e-3, 0.5e-3))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("text", ["1.5.5", "1,500.0", "1,5,0", "one", "", "0x10"])
 @pytest.mark.parametrize("key", ["spacing", "finterval"])
 def test_what_is_no_number_is_refused_by_name(tmp_path, text, key):

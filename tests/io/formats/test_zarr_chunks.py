@@ -112,6 +112,7 @@ def variations(raw: bytes) -> list[bytes]:
     return [raw[:size] for size in sorted(sizes)] + [raw + tail for tail in tails]
 
 
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize(("version", "options"), PACKINGS + SHARDS)
 def test_no_cut_or_lengthened_chunk_gives_other_values(tmp_path, version, options):
     array = image()
@@ -149,6 +150,7 @@ def test_a_cut_chunk_is_refused_in_labels_and_in_the_whole(tmp_path, cut):
             read(path)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("seed", range(12))
 def test_chunks_are_those_that_zarr_reads(tmp_path, seed):
     """Orders of axes, types, byte orders, places in chunks of channels and at edges."""
