@@ -188,7 +188,7 @@ def three_mfs():
     for method in (zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):
         yield f"3mf zeros {method}", "3mf", packed(bytes(1 << 28), method=method)
         yield f"3mf elements {method}", "3mf", packed(b"<a>" + b"<b/>" * 3_900_000 + b"</a>", method=method)
-        yield f"3mf blanks {method}", "3mf", packed(b"<a>" + b" \n" * 30_000_000 + b"</a>", method=method)
+        yield f"3mf blanks {method}", "3mf", packed(b"<a>" + b" " * 60_000_000 + b"</a>", method=method)
     yield "3mf deep", "3mf", packed(b"<a>" * 1_000_000)
     yield "3mf other model", "3mf", packed(model, "../../etc/a.model")
     lies = bytearray(packed(model))
