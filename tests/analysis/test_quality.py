@@ -128,6 +128,7 @@ def made_for(case):
     return (cases[case] + noise).astype(np.float32), start, ((r < 8) | (x > 6) if case == "edge" else r < np.inf)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("case", ["good", "border", "necks", "edge"])
 def test_the_command_warns_of_doubt_and_notes_the_rest(case, tmp_path, capsys):
     scan, start, allowed = made_for(case)

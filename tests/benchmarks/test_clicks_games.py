@@ -203,6 +203,7 @@ def test_methods_that_do_not_exist_are_refused(capsys: pytest.CaptureFixture[str
 # -- the peers ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", list(peers.PEERS))
 def test_peers_find_a_ball_in_some_noise(name: str) -> None:
     image, truth = ball_scan(noise=10.0)
