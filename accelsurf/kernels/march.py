@@ -15,17 +15,19 @@ from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.closest import (
     FOUND,
     LIMITED,
+    MIN_GAIN,
     NEXT,
     OFFSET,
+    PLACE,
     closest_points,
     crossing_point,
     feet_memory,
+    guess_feet,
+    guess_memory,
     is_between_signs,
     is_near_volume,
 )
 from accelsurf.kernels.grid import BATCH, neighbours, step_of, unravel, voxels_along
-from accelsurf.kernels.guesses import PLACE, guess_feet, guess_memory
-from accelsurf.kernels.ridge import MIN_GAIN
 
 #: State of a slot's foot: not known yet; known; known, and a neighbour is not in the band.
 OPEN, FROZEN, EDGE = 0, 1, 2

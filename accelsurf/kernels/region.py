@@ -6,15 +6,19 @@ import numpy as np
 
 from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.differences import (
+    CURVATURES,
+    ROW,
+    block_curvatures,
+    block_memory,
     curvature_at_foot,
     curvatures,
+    gather_block,
     gradient,
     is_at_border,
     mean_above_centre,
     mirrored_curvatures,
 )
 from accelsurf.kernels.grid import BATCH, BLOCK, unravel, voxels_along
-from accelsurf.kernels.stencils import CURVATURES, ROW, block_curvatures, block_memory, gather_block
 from accelsurf.kernels.waves import bump, sine_of_pi
 
 #: Half width of the layer that the area is measured in, voxels along the normal: with 3/2 the samples of a plane

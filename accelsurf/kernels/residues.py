@@ -12,8 +12,14 @@ import numpy as np
 
 from accelsurf.kernels._jit import Stage, kernel
 from accelsurf.kernels.grid import BATCH, unravel
-from accelsurf.kernels.interpolate import value_and_gradient
-from accelsurf.kernels.limited import LEVELS, enter_point, four_nodes, limited_in_vectors, limited_memory
+from accelsurf.kernels.interpolate import (
+    LEVELS,
+    enter_point,
+    four_nodes,
+    limited_in_vectors,
+    limited_memory,
+    value_and_gradient,
+)
 from accelsurf.kernels.simd.cubic import cubic_value
 
 #: Smallest residue that counts, voxels; larger ones count by what they exceed it. So feet that disagree come together

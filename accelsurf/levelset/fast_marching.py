@@ -8,7 +8,7 @@ import numpy as np
 
 from accelsurf.kernels import fast_marching, march
 from accelsurf.kernels.band import MIN_DISTANCE
-from accelsurf.kernels.eikonal import ACCEPTED, FAR
+from accelsurf.kernels.fast_marching import ACCEPTED, FAR
 from accelsurf.levelset.closest_points import MAX_ROUNDS, ClosestPoints, beside_surface
 from accelsurf.levelset.extension import FAST_MARCHING, ExtensionTable, extension_table
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.kernels.contact import shared_cells, touching
+from accelsurf.kernels.components import shared_cells, touching
 from accelsurf.kernels.grid import DenseArrays, Grid
 
 pytestmark = pytest.mark.nojit

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import fast_marching, march
-from accelsurf.kernels.eikonal import ACCEPTED
-from accelsurf.kernels.fast_marching import insert, order_of, pop
+from accelsurf.kernels.fast_marching import ACCEPTED, insert, order_of, pop
 from accelsurf.kernels.grid import Grid
 from accelsurf.levelset import LevelSet
 from tests.support import reference

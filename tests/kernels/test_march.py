@@ -8,8 +8,8 @@ from scipy import ndimage
 
 from accelsurf.kernels import band as band_kernels
 from accelsurf.kernels import closest, march
+from accelsurf.kernels.closest import first_guess, guess_feet, guess_memory
 from accelsurf.kernels.grid import Band, neighbours, unravel, unravel_in_vectors, voxels_along
-from accelsurf.kernels.guesses import first_guess, guess_feet, guess_memory
 from accelsurf.levelset import Workers
 from accelsurf.levelset.closest_points import find_closest_points
 from tests.support import reference

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from accelsurf.kernels import residues
+from accelsurf.kernels.closest import guess_feet, guess_memory
 from accelsurf.kernels.grid import BATCH
-from accelsurf.kernels.guesses import guess_feet, guess_memory
-from accelsurf.kernels.interpolate import value_and_gradient
-from accelsurf.kernels.limited import (
+from accelsurf.kernels.interpolate import (
     LEVELS,
     MAX_CHANGE,
     enter_point,
     limited_in_vectors,
     limited_memory,
+    value_and_gradient,
 )
 from tests.support import reference
 

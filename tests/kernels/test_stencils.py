@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.kernels import differences, stencils
+from accelsurf.kernels import differences
 from accelsurf.kernels.grid import BATCH, unravel
 from tests.support import reference
 
@@ -29,22 +29,22 @@ def gathered(psi, wanted, first, count):
     well_inside = np.full(count + 2, True)
     cells = np.arange(psi.size)
     grid = reference.grid_of(psi.shape, SPACING)
-    stencils.gather_cross(first, count, psi.ravel(), grid, cells, wanted, rows, well_inside)
+    differences.gather_cross(first, count, psi.ravel(), grid, cells, wanted, rows, well_inside)
     return rows, well_inside
 
 
 def blocks(psi, spacing=SPACING):
     """(cells, rows, gradient z y x, H, K, mean as rows) of every cell that `gather_block` takes."""
     grid = reference.grid_of(psi.shape, spacing)
-    memory, count, cells, batches = stencils.block_memory(), 0, [], []
+    memory, count, cells, batches = differences.block_memory(), 0, [], []
     for cell in range(psi.size):
-        if stencils.gather_block(cell, *unravel(cell, grid), psi.ravel(), grid, memory, count):
+        if differences.gather_block(cell, *unravel(cell, grid), psi.ravel(), grid, memory, count):
             cells.append(cell)
             count += 1
         if count == BATCH or (cell == psi.size - 1 and count):
-            stencils.block_curvatures(grid, memory)
+            differences.block_curvatures(grid, memory)
             batches.append(memory.reshape(-1, BATCH)[:, :count])
-            memory, count = stencils.block_memory(), 0
+            memory, count = differences.block_memory(), 0
     both = np.concatenate([*batches, np.zeros((25, 0), np.float32)], axis=1)
     return np.array(cells, int), both[:19], both[19:]
 
@@ -73,7 +73,7 @@ def test_smaller_is_minmod():
     values = np.array([-3, -2, -0.5, 0, 0.5, 2, 3], np.float32)
     for a in values:
         for b in values:
-            assert stencils.smaller(a, b) == differences.minmod(a, b)
+            assert differences.smaller(a, b) == differences.minmod(a, b)
 
 
 @pytest.mark.sampled(1)
@@ -86,7 +86,7 @@ def test_norms_as_cell_by_cell_and_as_godunovs_theorem(shape):
     columns = np.flatnonzero(well_inside[: psi.size])
     rows[:, ~well_inside] = 0
     out = np.full(psi.size + 2, np.float32(-7))
-    stencils.godunov_norms(psi.size, reference.grid_of(shape, SPACING), rows, way, out)
+    differences.godunov_norms(psi.size, reference.grid_of(shape, SPACING), rows, way, out)
     assert (out[psi.size :] == -7).all()
     want = reference.godunov_norm(psi, SPACING, way[: psi.size].reshape(shape) > 0).ravel()
     # Of differences up to ``steps`` twelve rounded operations are made per axis.
@@ -108,7 +108,7 @@ def test_norms_of_a_plane_are_exact_whichever_the_way():
     for way in (-1, 1):
         out = np.empty(rows.shape[1], np.float32)
         ways = np.full(rows.shape[1], way, np.float32)
-        stencils.godunov_norms(rows.shape[1], reference.grid_of(shape, spacing), rows, ways, out)
+        differences.godunov_norms(rows.shape[1], reference.grid_of(shape, spacing), rows, ways, out)
         np.testing.assert_allclose(out, np.sqrt(0.25**2 + 0.5**2 + 2**2), rtol=EPS)
 
 
@@ -126,9 +126,9 @@ def test_blocks_are_gathered_where_all_18_neighbours_are(shape):
 def test_at_the_border_nothing_is_gathered():
     psi = np.ones((3, 4, 5), np.float32)
     grid, memory = reference.grid_of(psi.shape, SPACING), np.full(25 * BATCH, np.float32(-7))
-    assert not stencils.gather_block(0, 0, 0, 0, psi.ravel(), grid, memory, 1)
+    assert not differences.gather_block(0, 0, 0, 0, psi.ravel(), grid, memory, 1)
     assert (memory == -7).all()
-    assert stencils.gather_block(26, 1, 1, 1, psi.ravel(), grid, memory, 1)
+    assert differences.gather_block(26, 1, 1, 1, psi.ravel(), grid, memory, 1)
     rows = memory.reshape(25, BATCH)
     assert (rows[:19, 1] == 1).all() and (np.delete(rows, 1, axis=1) == -7).all() and (rows[19:] == -7).all()
 
@@ -198,10 +198,10 @@ def test_a_column_is_the_same_bytes_wherever_it_stands():
     grid = reference.grid_of((9, 9, 9), SPACING)
     cross, block = (rng.standard_normal((n, 128)).astype(np.float32) for n in (15, 19))
     way = rng.choice(np.array([-1, 1], np.float32), 128)
-    norms, memory = np.empty(128, np.float32), stencils.block_memory()
-    stencils.godunov_norms(128, grid, cross, way, norms)
+    norms, memory = np.empty(128, np.float32), differences.block_memory()
+    differences.godunov_norms(128, grid, cross, way, norms)
     memory[: block.size] = block.ravel()
-    stencils.block_curvatures(grid, memory)
+    differences.block_curvatures(grid, memory)
     shape = memory[block.size :].reshape(6, 128)
     for first, count in ((0, 1), (1, 7), (5, 13), (100, 28), (64, 63)):
         part = slice(first, first + count)
@@ -209,8 +209,8 @@ def test_a_column_is_the_same_bytes_wherever_it_stands():
         ways = np.ones(128, np.float32)
         rows[:, :count], more[:19, :count], ways[:count] = cross[:, part], block[:, part], way[part]
         some = np.full(128, np.nan, np.float32)
-        stencils.godunov_norms(count, grid, rows, ways, some)
-        stencils.block_curvatures(grid, more.ravel())
+        differences.godunov_norms(count, grid, rows, ways, some)
+        differences.block_curvatures(grid, more.ravel())
         np.testing.assert_array_equal(some[:count], norms[part])
         np.testing.assert_array_equal(more[19:, :count], shape[:, part])
         assert np.isnan(some[count:]).all()

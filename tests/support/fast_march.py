@@ -7,7 +7,7 @@ import itertools
 
 import numpy as np
 
-from accelsurf.kernels import eikonal, fast_marching
+from accelsurf.kernels import fast_marching
 
 Voxel = tuple[int, int, int]
 
@@ -80,7 +80,7 @@ class PlainMarch:
             if self._within(beyond):
                 d2 = self.known[beyond][0] * (1 if self.inside[beyond] == self.inside[q] else -1)
                 apart = self.known[beyond][1] - self.known[q][1] + side * h * np.eye(3)[axis]
-                if d1 >= d2 and apart @ apart + (d1 - d2) ** 2 <= eikonal.SAME_SHEET * h * h:
+                if d1 >= d2 and apart @ apart + (d1 - d2) ** 2 <= fast_marching.SAME_SHEET * h * h:
                     row = (d1, (4 * d1 - d2) / 3, 2 * h / 3)
             rows.append((q, beyond if row[2] != h else None, axis, side, row))
         d = self._solve([row[4] for row in rows])

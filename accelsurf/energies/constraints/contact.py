@@ -12,7 +12,7 @@ from accelsurf.energies.constraints.mask import ConstrainedEnergy
 from accelsurf.energies.energy import Energy
 from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner
-from accelsurf.kernels.contact import shared_cells, touching
+from accelsurf.kernels.components import shared_cells, touching
 from accelsurf.levelset import FRONT_WIDTH, LevelSet
 
 #: Contact sets in at this distance, voxels of the smallest spacing, and grows until the surfaces touch.

@@ -22,8 +22,8 @@ from accelsurf.energies.seeded.coarse import block_means, coarsening
 from accelsurf.energies.seeded.implied import implied
 from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, whole_box
 from accelsurf.grid.clicks import SIDES, Click, Clicks
+from accelsurf.kernels.arrival import shortest_paths
 from accelsurf.kernels.blocks import add_between, scaled_means
-from accelsurf.kernels.paths import shortest_paths
 from accelsurf.kernels.walker import walk
 
 #: The box reaches so many depths around the inside clicks. The depth is twice a click's radius, for people click deep
