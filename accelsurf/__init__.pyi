@@ -9,7 +9,7 @@ from .errors import InputError as InputError
 from .errors import OutputError as OutputError
 from .errors import UsageError as UsageError
 from .grid.geometry import Geometry as Geometry
-from .grid.volume import Volume as Volume
+from .image.volume import Volume as Volume
 from .io import LazyVolume as LazyVolume
 from .io import open_volume as open_volume
 from .io import read as read

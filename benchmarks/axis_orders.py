@@ -20,7 +20,7 @@ from scipy import ndimage
 import accelsurf
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import ball_distance
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.phantoms import recipes
 from accelsurf.segmentation.api import Result, segment, segment_objects
 from accelsurf.segmentation.region_of_interest import cropped

@@ -25,7 +25,7 @@ import numpy as np
 
 from accelsurf import io
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.api import segment
 
 RESULTS = Path(__file__).resolve().parent / "results" / "batch.json"

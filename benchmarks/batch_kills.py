@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf import io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from benchmarks import case_files
 from benchmarks.resumed import without_effort
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf import io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from benchmarks.resumed import without_effort
 
 SHAPE = (20, 24, 28)

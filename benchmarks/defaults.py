@@ -20,7 +20,7 @@ import numpy as np
 
 from accelsurf import io
 from accelsurf.analysis import metrics
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.phantoms import recipe_files, recipes
 from accelsurf.report.document import versions
 from benchmarks import typed

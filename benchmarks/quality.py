@@ -27,7 +27,7 @@ from accelsurf.analysis import quality
 from accelsurf.analysis.metrics import dice
 from accelsurf.analysis.quality import click_features, image_features
 from accelsurf.errors import AccelsurfError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.phantoms import recipes
 from benchmarks.clicks.objects import HALVES, chosen, load
 from benchmarks.clicks.own import Refined

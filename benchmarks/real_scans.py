@@ -21,7 +21,7 @@ from scipy import ndimage
 
 from accelsurf import io
 from accelsurf.analysis import metrics
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization import object_starts
 from accelsurf.report.document import versions
 from accelsurf.segmentation.evolving_object import ROOM

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.phantoms.recipes import load_recipe, make
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.refiner import Refiner

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf import io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 SHAPE = (32, 40, 48)
 CENTRES = ((16, 12, 12), (16, 12, 30), (16, 28, 12), (16, 28, 30), (16, 20, 40))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.evolution.convergence import StopRule
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig

@@ -22,7 +22,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.phantoms.motions import MotionRecipe, MovingPhantom, motion_from
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.tracking.records import FrameResult

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.sequence import ImageSequence
-from accelsurf.grid.volume import Volume
+from accelsurf.image.sequence import ImageSequence
+from accelsurf.image.volume import Volume
 from accelsurf.levelset import LevelSet
 from accelsurf.phantoms.motions import MovingPhantom, motion_from
 from accelsurf.settings.track_config import TrackConfig

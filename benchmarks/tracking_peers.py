@@ -22,7 +22,7 @@ from skimage.filters import threshold_otsu
 
 from accelsurf import io
 from accelsurf.analysis.tracking_scores import stretches
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.report.challenge_files import track_lines
 from accelsurf.tracking.track import Tracking
 

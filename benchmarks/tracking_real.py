@@ -27,8 +27,8 @@ from scipy import ndimage
 from skimage.filters import threshold_otsu
 
 from accelsurf import io
-from accelsurf.grid.sequence import ImageSequence, VolumeSequence
-from accelsurf.grid.volume import Volume
+from accelsurf.image.sequence import ImageSequence, VolumeSequence
+from accelsurf.image.volume import Volume
 from accelsurf.phantoms.motions import MovingPhantom, load_motion
 from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.track_config import TrackConfig

@@ -22,7 +22,7 @@ import numpy as np
 from accelsurf import io
 from accelsurf.analysis import metrics
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from benchmarks.clicks.person import PersonClick, next_click
 
 #: What rows keep of a run's report.

@@ -67,7 +67,7 @@ def main() -> None:
 def phantom(n: int, folder: Path) -> tuple[Path, str]:
     """A large ball in noise, and a start inside it that grows for as long as is measured."""
     from accelsurf import io
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
 
     shapes = ((-1, 1, 1), (1, -1, 1), (1, 1, -1))
     z, y, x = (np.arange(n, dtype=np.float32).reshape(shape) - 0.5 * n for shape in shapes)

@@ -63,7 +63,7 @@ def ct(shape: Sequence[int], folder: Path) -> list[Path]:
 
     from accelsurf import io
     from accelsurf.grid.geometry import Geometry
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
 
     nz, ny, nx = shape
     z, y, x = (np.linspace(-1.0, 1.0, n, dtype=np.float32) for n in shape)

@@ -70,7 +70,7 @@ def main() -> None:
 def phantom(shape: Sequence[int], folder: Path, is_ct: bool) -> tuple[Path, dict[str, str]]:
     """A bright ball in noise, or in a body in air, and settings that find it by a click."""
     from accelsurf import io
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
 
     z, y, x = (
         (np.arange(n, dtype=np.float32) - 0.5 * n).reshape([-1 if a == axis else 1 for a in range(3)])

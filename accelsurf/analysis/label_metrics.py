@@ -23,7 +23,7 @@ from accelsurf.analysis.metrics import Mask, Metrics, agreement, check_same_grid
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, enclosing, widened
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.settings.labels import IdRanges, holds
 
 #: Ids up to this are looked for in a list; larger ones are sorted, so many voxels at a time.

@@ -31,7 +31,7 @@ from scipy.spatial import cKDTree
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.boxes import bounding_box, corner_of
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]

@@ -22,7 +22,7 @@ from scipy import ndimage
 from accelsurf.analysis import evidence as places
 from accelsurf.grid.boxes import Box, bounding_box, slabs
 from accelsurf.grid.geometry import Geometry, axis_steps
-from accelsurf.grid.smoothing import gaussian_mm
+from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.settings.wording import place_text, volume_text
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from accelsurf.analysis.tracking_scores import Stretch, TrackedLabels, TrackingScores, score, stretches
 from accelsurf.errors import InputError
-from accelsurf.grid.label_values import as_labels
-from accelsurf.grid.sequence import ImageSequence
+from accelsurf.image.check import as_labels
+from accelsurf.image.sequence import ImageSequence
 from accelsurf.io.challenge import ChallengeFolder, is_challenge, open_challenge
 from accelsurf.io.files import naming
 from accelsurf.io.headers import split_name

@@ -14,7 +14,7 @@ from typing import Any
 from accelsurf import io
 from accelsurf.batch.outcome import CaseTask, Outcome, outcome_of_report
 from accelsurf.errors import AccelsurfError, InputError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.files import read_json, write_bytes
 from accelsurf.report.document import to_json
 from accelsurf.report.inputs import named_files

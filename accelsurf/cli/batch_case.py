@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from accelsurf.batch.admission import Limits
     from accelsurf.batch.pool import Pool
     from accelsurf.batch.run import Batch
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
 
 #: What a case loads, so that a worker has it before its first one.
 _LOADED = ("accelsurf.segmentation.api", "accelsurf.report.outputs", "accelsurf.io.itk", "accelsurf.analysis.metrics")

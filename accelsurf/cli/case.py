@@ -32,7 +32,7 @@ from accelsurf.settings.track_config import TrackConfig
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
     from accelsurf.grid.geometry import Geometry
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
     from accelsurf.io.file_set import FileSet
     from accelsurf.segmentation.result import Result
 

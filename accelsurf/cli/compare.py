@@ -34,7 +34,7 @@ from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
     from accelsurf.io.file_set import FileSet
     from accelsurf.segmentation.result import Result
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from accelsurf.analysis.tracked_files import TrackedFile
     from accelsurf.analysis.tracking_scores import TrackingScores
     from accelsurf.batch.pairs import LabelFile, Pair
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
     from accelsurf.report.evaluation import CaseResult
 
 SOME_FAILED = 9

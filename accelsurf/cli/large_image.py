@@ -17,7 +17,7 @@ from accelsurf.settings.run_config import RunConfig
 if TYPE_CHECKING:
     from accelsurf.cli.case import Compute, Log, Place
     from accelsurf.cli.progress import Watcher
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
     from accelsurf.io.lazy_volume import LazyVolume
     from accelsurf.segmentation.result import Result
     from accelsurf.segmentation.windowed import LargeImage
@@ -107,7 +107,7 @@ def large_image(
 def whole_volume(channel: LazyVolume) -> Volume:
     """Read all of a channel that was opened to be read in parts."""
     from accelsurf.grid.boxes import whole_box
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
 
     return Volume(channel.read(whole_box(channel.shape)), channel.geometry, dict(channel.metadata), channel.source)
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from accelsurf.grid.geometry import Geometry
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
     from accelsurf.settings.reading import ReadOptions
 
 #: The finest level of a store with at most so many voxels is shown, unless told.
@@ -59,7 +59,7 @@ def look(
     overwrite
         Replace a picture that exists.
     """
-    from accelsurf.grid.grey_window import parse_window
+    from accelsurf.image.grey_window import parse_window
     from accelsurf.io.file_set import InputFiles
     from accelsurf.io.files import write_bytes
     from accelsurf.report.inputs import inputs_of

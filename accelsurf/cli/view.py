@@ -26,7 +26,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
     from accelsurf.viewer.core.opening import OpenedImage
     from accelsurf.viewer.core.session import Session
     from accelsurf.viewer.workplace.opening import Opening

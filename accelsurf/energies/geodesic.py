@@ -12,7 +12,7 @@ from accelsurf.energies.image_energy import AreaTerm, ImageEnergy
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import axis_steps
-from accelsurf.grid.smoothing import gaussian_mm
+from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.levelset import LevelSet, dot
 
 #: Automatic contrast: the gradient that counts as a strong edge (percentile of all voxels), the part of it that

@@ -16,8 +16,8 @@ from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks, Side
 from accelsurf.grid.geometry import Geometry, ball_distance
-from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import Window
+from accelsurf.image.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.initialization.click_paths import FORM, click_of_path
 from accelsurf.io.files import naming

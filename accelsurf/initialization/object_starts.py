@@ -17,8 +17,8 @@ from accelsurf import io
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, meeting, shared, widened
 from accelsurf.grid.geometry import Geometry, ball_distance
-from accelsurf.grid.label_values import as_labels
-from accelsurf.grid.volume import Volume, array_on_grid
+from accelsurf.image.check import as_labels
+from accelsurf.image.volume import Volume, array_on_grid
 from accelsurf.initialization import starts
 from accelsurf.initialization.clicks import read_table
 from accelsurf.settings import budgets

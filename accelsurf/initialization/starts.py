@@ -18,9 +18,9 @@ from accelsurf import io
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.boxes import corner_of, slabs, whole_box
 from accelsurf.grid.geometry import Geometry, ball_distance
-from accelsurf.grid.label_values import as_labels
-from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import Window
+from accelsurf.image.check import as_labels
+from accelsurf.image.volume import Volume
 from accelsurf.io import meshes, split_name
 from accelsurf.settings import budgets
 from accelsurf.settings.labels import parse_ids

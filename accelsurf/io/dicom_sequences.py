@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from accelsurf.errors import InputError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.dicom.cine import TIME_PHASES, frames_in_time, is_cine
 from accelsurf.io.dicom.frames import Frame
 from accelsurf.io.dicom.slices import ordered

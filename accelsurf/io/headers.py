@@ -19,7 +19,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.sequence import check_times
+from accelsurf.image.sequence import check_times
 from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, image_suffixes
 from accelsurf.settings.input_file import check_readable

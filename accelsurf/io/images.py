@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.label_values import as_labels
-from accelsurf.grid.volume import Volume
+from accelsurf.image.check import as_labels
+from accelsurf.image.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import SPACE_HINT, naming, staging
 from accelsurf.io.headers import split_name

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 #: ITK's warnings are switched off for all threads: one at a time does so.
 _LISTENING = Lock()

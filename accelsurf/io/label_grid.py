@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.headers import ZERO_BEYOND_KEY
 
 #: Distance, in voxels of the smallest spacing, within which voxels of two grids are the same ones.

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.channels import selected
 from accelsurf.io.files import naming

@@ -18,7 +18,7 @@ import numpy as np
 
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import itk
 from accelsurf.io.channels import read_volumes
 from accelsurf.io.files import file_version

@@ -12,8 +12,8 @@ from typing import Any
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.sequence import ImageSequence
-from accelsurf.grid.volume import Volume
+from accelsurf.image.sequence import ImageSequence
+from accelsurf.image.volume import Volume
 from accelsurf.io import headers, itk
 from accelsurf.io.channels import read_volumes
 from accelsurf.io.files import naming

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import headers, images
 from accelsurf.io.files import SPACE_HINT, staging, undone_on_failure
 from accelsurf.io.headers import FrameTimes

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.sequence import ImageSequence
+from accelsurf.image.sequence import ImageSequence
 from accelsurf.io import headers
 from accelsurf.io.files import naming
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.sequence import ImageSequence
-from accelsurf.grid.volume import Volume
+from accelsurf.image.sequence import ImageSequence
+from accelsurf.image.volume import Volume
 from accelsurf.phantoms.recipe_files import checked, read_recipe
 from accelsurf.phantoms.recipes import MAX_VOXELS, Count, NotNegative, Positive, Real, Seed
 

@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import slabs
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.phantoms.recipe_files import checked, read_recipe
 from accelsurf.phantoms.solids import SOLIDS, Solid
 
@@ -282,7 +282,7 @@ def _degraded(image: NDArray[np.float32], recipe: Recipe) -> NDArray[np.float32]
     """The image with blur, bias and noise; the array given may be overwritten."""
     if recipe.blur:
         # Not with the module: the viewer lists the recipes as it starts, and this loads the compiler.
-        from accelsurf.grid.smoothing import gaussian_mm
+        from accelsurf.image.smoothing import gaussian_mm
 
         image = gaussian_mm(image, recipe.spacing[::-1], recipe.blur)
     if recipe.bias:

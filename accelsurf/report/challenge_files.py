@@ -16,7 +16,7 @@ import numpy as np
 from accelsurf import io
 from accelsurf.analysis.tracking_scores import Stretch, stretches
 from accelsurf.errors import OutputError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.files import write_bytes
 from accelsurf.report.track_frames import TrackSet, frame_digits
 

@@ -16,7 +16,7 @@ from accelsurf.settings.mesh_formats import LABEL_OUTPUTS
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
     from accelsurf.segmentation.result import Result
 
 

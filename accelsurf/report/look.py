@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.orientation import DisplayOrientation
-from accelsurf.grid.volume import Volume
+from accelsurf.image.grey_window import GreyWindow, window_of
+from accelsurf.image.volume import Volume
 from accelsurf.io.headers import UNIT_KEY, is_anatomical
 from accelsurf.report.canvas import SKY, SURFACE, TICK_SIZE, YELLOW, Box, Canvas, object_color
 from accelsurf.report.preview import BELOW, LEFT, PANEL, TOP, WIDTH, panel_at

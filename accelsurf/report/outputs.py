@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from accelsurf import io
 from accelsurf.analysis import shared_walls
 from accelsurf.analysis.contours import Contours
-from accelsurf.grid.grey_window import parse_window
+from accelsurf.image.grey_window import parse_window
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import LABELS_KEY, UNIT_KEY, is_anatomical
 from accelsurf.report import layouts, output_names, preview, tables

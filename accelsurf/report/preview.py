@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
+from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.report.canvas import (
     BLUE,
     HEADING_SIZE,

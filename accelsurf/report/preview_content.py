@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.grey_window import GreyWindow
+from accelsurf.image.grey_window import GreyWindow
 from accelsurf.report.canvas import object_color
 from accelsurf.settings.labels import LabelEntry, LabelTable
 

@@ -17,8 +17,8 @@ from PIL import Image
 
 from accelsurf.grid.clicks import NO_OBJECT
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, DisplayOrientation
+from accelsurf.image.grey_window import GreyWindow
 from accelsurf.report.canvas import (
     DARK,
     GREEN,

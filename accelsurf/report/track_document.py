@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from accelsurf.grid.sequence import ImageSequence
+from accelsurf.image.sequence import ImageSequence
 from accelsurf.report import document
 from accelsurf.report.document import SCHEMA_VERSION, Status, describe_input, peak_rss_mb, to_json, versions
 from accelsurf.report.tables import csv_text

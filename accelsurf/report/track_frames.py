@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from accelsurf.errors import OutputError
 from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, enclosing, placed_at
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.grey_window import GreyWindow, window_of
-from accelsurf.grid.sequence import ImageSequence
+from accelsurf.image.grey_window import GreyWindow, window_of
+from accelsurf.image.sequence import ImageSequence
 from accelsurf.io.file_set import refuse_links
 from accelsurf.io.images import label_type
 from accelsurf.tracking.records import FrameResult, Lineage, SurfacePiece, TrackedObject

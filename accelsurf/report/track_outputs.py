@@ -13,8 +13,8 @@ from accelsurf import io
 from accelsurf.analysis import contours, surface_mesh
 from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.errors import AccelsurfError, OutputError
-from accelsurf.grid.sequence import ImageSequence
-from accelsurf.grid.volume import Volume
+from accelsurf.image.sequence import ImageSequence
+from accelsurf.image.volume import Volume
 from accelsurf.io.file_set import FileSet, refuse_links
 from accelsurf.io.files import write_bytes
 from accelsurf.report import output_folder, result_sets, track_document, track_slices

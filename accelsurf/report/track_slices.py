@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from accelsurf.analysis.beats import Beat, find_beat
 from accelsurf.errors import OutputError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
-from accelsurf.grid.volume import Volume
+from accelsurf.image.grey_window import GreyWindow
+from accelsurf.image.volume import Volume
 from accelsurf.io.headers import UNIT_KEY
 from accelsurf.report import movies
 from accelsurf.report.canvas import (

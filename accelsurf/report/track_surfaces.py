@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from accelsurf import io
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import bounding_box, corner_of, widened
-from accelsurf.grid.sequence import ImageSequence
+from accelsurf.image.sequence import ImageSequence
 from accelsurf.io.files import read_json, write_bytes
 from accelsurf.report.track_frames import DrawnObject, FrameStore, TrackSet
 from accelsurf.settings.file_formats import IMAGE_FORMATS

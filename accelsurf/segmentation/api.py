@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord
 from accelsurf.grid.clicks import SIDES
-from accelsurf.grid.volume import Volume, plain_array
+from accelsurf.image.volume import Volume, plain_array
 from accelsurf.io import LazyVolume
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
 from accelsurf.segmentation.given import given_clicks, psi_of, split_given, with_options

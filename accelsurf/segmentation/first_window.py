@@ -15,8 +15,8 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, enclosing, slabs, whole_box, widened
 from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import GUARD, Window
+from accelsurf.image.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.initialization.clicks import KINDS, read_clicks
 from accelsurf.io import meshes

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume, array_on_grid, plain_array
+from accelsurf.image.volume import Volume, array_on_grid, plain_array
 from accelsurf.initialization import starts
 from accelsurf.initialization.clicks import (
     click_of_mask,

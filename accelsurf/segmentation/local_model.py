@@ -27,6 +27,7 @@ from accelsurf.grid.boxes import (
     Box,
     bounding_box,
     box_at,
+    connected_to,
     corner_of,
     counted_from,
     enclosing,
@@ -36,7 +37,6 @@ from accelsurf.grid.boxes import (
     widened,
 )
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.grid.connected import connected_to
 from accelsurf.kernels.arrival import Tissue
 from accelsurf.segmentation.corrected_surface import CorrectedSurface
 from accelsurf.segmentation.image_context import ImageContext

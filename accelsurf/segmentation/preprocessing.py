@@ -14,10 +14,10 @@ from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageErr
 from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.image_check import MIN_RANGE
-from accelsurf.grid.image_filters import ImageFilters
-from accelsurf.grid.volume import Volume, check_image
 from accelsurf.grid.window import Window
+from accelsurf.image.check import MIN_RANGE
+from accelsurf.image.filters import ImageFilters
+from accelsurf.image.volume import Volume, check_image
 from accelsurf.initialization import starts
 from accelsurf.initialization.clicks import clicks_of
 from accelsurf.segmentation.image_context import ImageContext, Mask, ModelInputs, Scale

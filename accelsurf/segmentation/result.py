@@ -20,12 +20,12 @@ from accelsurf.energies.seeded import Sureness
 from accelsurf.errors import InputError
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.grid import thumbnail
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import Window
+from accelsurf.image import thumbnail
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.ensemble import overall_stop
 from accelsurf.segmentation.rest_points import RestPoint
 from accelsurf.segmentation.run_state import RunState

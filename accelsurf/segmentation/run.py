@@ -14,7 +14,7 @@ from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.ensemble import Ensemble, overall_stop

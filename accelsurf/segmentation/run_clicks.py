@@ -14,7 +14,7 @@ from accelsurf.grid.click_bounds import ClickBounds, click_bounds
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry, ball_distance
 from accelsurf.grid.pyramid import Level
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.initialization.clicks import check_contradictions, check_left, clicks_of, voxel_named
 from accelsurf.segmentation.image_context import ImageContext

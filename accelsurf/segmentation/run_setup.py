@@ -17,9 +17,9 @@ from accelsurf.evolution.setup import SolverSetup
 from accelsurf.flows import Flow, StepLimits
 from accelsurf.grid import pyramid
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.resolved_levels import AUTO_MIN_VOXELS, count_resolved_levels
-from accelsurf.grid.volume import Volume
+from accelsurf.grid.pyramid import AUTO_MIN_VOXELS, count_resolved_levels
 from accelsurf.grid.window import NeedsLevels, Window
+from accelsurf.image.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.io.memory import available_cores
 from accelsurf.segmentation.energy_assembly import make_energy

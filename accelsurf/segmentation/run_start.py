@@ -14,7 +14,7 @@ from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization import object_clicks, object_starts
 from accelsurf.initialization.object_starts import ObjectStart, core_of
 from accelsurf.io.channels import read_further

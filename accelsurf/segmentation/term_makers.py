@@ -26,7 +26,6 @@ from accelsurf.energies import (
 )
 from accelsurf.energies.geodesic import edge_contrast as strong_edge
 from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude
-from accelsurf.energies.image_noise import area_against_noise, noise_of
 from accelsurf.energies.likelihood import (
     TwoGaussians,
     TwoHistograms,
@@ -39,6 +38,7 @@ from accelsurf.energies.region_sums import RegionMoments, moments_of
 from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import axis_steps
+from accelsurf.image.noise import area_against_noise, noise_of
 from accelsurf.segmentation.image_context import TermInputs
 from accelsurf.settings import budgets
 from accelsurf.settings.energy_terms import Values

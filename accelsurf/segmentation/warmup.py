@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from accelsurf.energies.seeded.coarse import block_means
-from accelsurf.grid.order_statistics import IntegerCounts
-from accelsurf.grid.volume import Volume
+from accelsurf.image.percentiles import IntegerCounts
+from accelsurf.image.volume import Volume
 from accelsurf.io import LazyVolume
 from accelsurf.kernels.blocks import tally_changes
 from accelsurf.segmentation.api import segment, segment_objects

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from skimage.filters import threshold_otsu
 
 from accelsurf.energies import Parzen
-from accelsurf.energies.image_noise import noise_of, noise_of_samples, sample_places
 from accelsurf.energies.likelihood import END_PERCENTILES, least_variance
 from accelsurf.energies.region_sums import RegionMoments, Summing, moments_of
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, corner_of, sum_in_order, whole_box
-from accelsurf.grid.image_check import ImageCheck, Places
-from accelsurf.grid.image_filters import NO_FILTERS, ImageFilters
-from accelsurf.grid.order_statistics import FloatCounts, IntegerCounts, OrderStatistics
 from accelsurf.grid.pyramid import Level, planes_of_blocks, restrict
+from accelsurf.image.check import ImageCheck, Places
+from accelsurf.image.filters import NO_FILTERS, ImageFilters
+from accelsurf.image.noise import noise_of, noise_of_samples, sample_places
+from accelsurf.image.percentiles import FloatCounts, IntegerCounts, OrderStatistics
 from accelsurf.initialization.region_growing import between_means, otsu_level, sums_beside
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.segmentation.image_context import Scale

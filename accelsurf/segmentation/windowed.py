@@ -16,8 +16,8 @@ from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import widened
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
 from accelsurf.grid.window import GUARD, LeavesWindow, NeedsLevels, Window, aligned, enlarged
+from accelsurf.image.volume import Volume
 from accelsurf.io import available_memory
 from accelsurf.io.lazy_volume import LazyVolume, open_with
 from accelsurf.segmentation.checkpoint_file import CheckpointFile

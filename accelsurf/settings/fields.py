@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from accelsurf.grid.grey_window import AUTO, checked_window
+from accelsurf.image.grey_window import AUTO, checked_window
 from accelsurf.settings.edits import Edits, Refinements
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.entry import OneOf, SettingEntry, SettingGroup, Slider, setting

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.kernels import point_sampling
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.tracking.records import SurfacePiece

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.tracking.records import SurfacePiece
 
 #: An object is seen where volume and area are within this factor of what was expected, and the image across the

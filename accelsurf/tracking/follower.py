@@ -10,9 +10,9 @@ import numpy as np
 from scipy import ndimage
 
 from accelsurf.grid.boxes import corner_of, widened
-from accelsurf.grid.sequence import ImageSequence
-from accelsurf.grid.smoothing import gaussian_mm
-from accelsurf.grid.volume import Volume
+from accelsurf.image.sequence import ImageSequence
+from accelsurf.image.smoothing import gaussian_mm
+from accelsurf.image.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.run_setup import EnergyLike

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, overlap, placed_at, shared, widened
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart, apart, core_of
 from accelsurf.segmentation.preprocessing import uses_model
 from accelsurf.segmentation.refiner import Refiner

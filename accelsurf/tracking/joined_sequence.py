@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from accelsurf.errors import GeometryError, InputError
-from accelsurf.grid.sequence import ImageSequence
-from accelsurf.grid.volume import Volume
+from accelsurf.image.sequence import ImageSequence
+from accelsurf.image.volume import Volume
 from accelsurf.io import read_sequence
 from accelsurf.settings.track_config import TrackConfig
 

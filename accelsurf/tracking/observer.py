@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.smoothing import gaussian_mm
+from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.kernels import point_sampling
 from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, boxed_surface
 from accelsurf.tracking.records import SurfacePiece

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, widened
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.images import label_type
 
 #: Voxels around what is inside that a surface has on its box.

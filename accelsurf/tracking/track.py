@@ -13,8 +13,8 @@ import numpy as np
 from accelsurf.errors import EmptyResultError, InputError, UsageError
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.boxes import whole_box
-from accelsurf.grid.sequence import ImageSequence, VolumeSequence
-from accelsurf.grid.volume import Volume
+from accelsurf.image.sequence import ImageSequence, VolumeSequence
+from accelsurf.image.volume import Volume
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.api import segment, segment_objects
 from accelsurf.segmentation.refiner import Refiner
@@ -367,8 +367,8 @@ def track(
     Examples
     --------
     >>> import numpy as np
-    >>> from accelsurf.grid.sequence import VolumeSequence
-    >>> from accelsurf.grid.volume import Volume
+    >>> from accelsurf.image.sequence import VolumeSequence
+    >>> from accelsurf.image.volume import Volume
     >>> z, y, x = np.indices((20, 20, 30)) - 9.5
     >>> frames = [Volume.from_array(100.0 * (z**2 + y**2 + (x - 2 * n) ** 2 < 36)) for n in range(4)]
     >>> tracking = track(VolumeSequence(frames), start="ball:9,9,9,4vox")

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.evolution.serialization import from_bytes, to_bytes
-from accelsurf.grid.sequence import ImageSequence
+from accelsurf.image.sequence import ImageSequence
 from accelsurf.io.files import bytes_within, write_bytes
 from accelsurf.segmentation.run_checkpoint import FREE, digest_of, versions
 from accelsurf.settings import budgets

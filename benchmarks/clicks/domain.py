@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies.seeded.implied import implied
-from accelsurf.grid.boxes import Box
+from accelsurf.grid.boxes import Box, connected_to
 from accelsurf.grid.clicks import SIDES, Click, Clicks, Side
-from accelsurf.grid.connected import connected_to
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from benchmarks.clicks.person import Mask, PersonClick, ball_voxels
 
 INSIDE, OUTSIDE = 1, 2

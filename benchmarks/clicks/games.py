@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from accelsurf.analysis.metrics import dice
 from accelsurf.errors import AccelsurfError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from benchmarks.clicks.person import PersonClick, next_click
 
 Mask = NDArray[np.bool_]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
 
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from benchmarks.clicks.domain import CroppedSession
 from benchmarks.clicks.games import Segmenter, Session, score
 from benchmarks.clicks.objects import ClickObject, chosen

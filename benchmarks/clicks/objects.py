@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf import io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from benchmarks.peers.work import scan
 
 HALVES = ("tune", "report")

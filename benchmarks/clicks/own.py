@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.api import segment
 from accelsurf.settings.run_config import RunConfig
 from benchmarks.clicks.games import Segmenter

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from accelsurf.analysis.metrics import dice
 from accelsurf.grid.boxes import bounding_box
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from benchmarks.clicks.person import Mask, PersonClick
 
 #: Voxels around the object that are shown, as a part of its extent; pictures beyond so many are left out.

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import ndimage
 
 from accelsurf.analysis.metrics import dice, evaluate
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.api import Result, segment
 from accelsurf.settings.run_config import RunConfig
 

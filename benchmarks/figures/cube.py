@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from accelsurf.analysis.surface_mesh import extract
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from benchmarks.figures.common import FINE, Task, agreement, box, make, run_all, write
 from benchmarks.figures.planar import save, show, tell
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from accelsurf.grid.connected import connected_to
+from accelsurf.grid.boxes import connected_to
 from benchmarks.cuts import least_cut, pairs_of
 from benchmarks.peers.measure import combinations
 from benchmarks.peers.programs import Peer

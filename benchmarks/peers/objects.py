@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from benchmarks.peers.measure import Trial, combinations, search
 from benchmarks.peers.programs import level

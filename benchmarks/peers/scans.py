@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from accelsurf.analysis.metrics import dice
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization import starts
 from benchmarks.peers.measure import Trial, best, ranked, search, timed
 from benchmarks.peers.programs import PEERS, Peer

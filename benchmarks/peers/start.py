@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf import io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from benchmarks.peers.measure import Options, Timing, goal, run_process, set_threads, table
 from benchmarks.peers.work import noisy_cube
 

@@ -124,7 +124,7 @@ def advance_on(count: int, options: Options) -> dict[str, Any]:
 
 def segment_on(volume: Any, config: RunConfig) -> dict[str, Any]:
     """The library's run, its preparation included."""
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
 
     volume = volume if isinstance(volume, Volume) else Volume.from_array(volume, 1.0)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf import io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 SHAPE = (56, 88, 96)
 #: Middle and half axes (z, y, x), voxels, and brightness: stains differ from nucleus to nucleus.

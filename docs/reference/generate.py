@@ -12,7 +12,7 @@ from pathlib import Path
 
 from accelsurf.cli import EXIT_CODES
 from accelsurf.grid.geometry import MAX_ORIGIN, SPACING_RANGE
-from accelsurf.grid.image_check import MAX_VALUE, MIN_RANGE
+from accelsurf.image.check import MAX_VALUE, MIN_RANGE
 from accelsurf.settings.budgets import BUDGETS
 from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of
 from accelsurf.settings.energy_expression import MAGNITUDES, MAX_TERMS

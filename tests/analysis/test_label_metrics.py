@@ -10,7 +10,7 @@ import pytest
 from accelsurf.analysis.label_metrics import LabelMap, evaluate_labels, evaluate_object, label_boxes, over_cases
 from accelsurf.analysis.metrics import evaluate, surface_dice
 from accelsurf.errors import GeometryError, InputError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 H = (2.5, 1.0, 0.5)
 

@@ -10,7 +10,7 @@ from scipy.spatial.distance import cdist
 
 from accelsurf.analysis.metrics import border_points, dice, evaluate, surface_distances
 from accelsurf.errors import GeometryError, InputError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 SPACING = (2.0, 1.0, 1.0)  # (z, y, x): 1 x 1 x 2 mm
 

@@ -12,8 +12,8 @@ from accelsurf.analysis.quality import RestNote, assess, click_features, feature
 from accelsurf.energies.seeded import Proposal, Sureness
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.smoothing import gaussian_mm
-from accelsurf.grid.volume import Volume
+from accelsurf.image.smoothing import gaussian_mm
+from accelsurf.image.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.report.document import describe_quality, to_json
 from accelsurf.segmentation.api import segment

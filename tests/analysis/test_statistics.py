@@ -6,7 +6,7 @@ import pytest
 from accelsurf import segment
 from accelsurf.analysis.statistics import statistics
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 SPACING = (2.0, 0.5, 1.0)
 

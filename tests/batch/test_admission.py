@@ -7,7 +7,7 @@ from accelsurf import io
 from accelsurf.batch.admission import Admission, Need, admit, need_of, plan_rows
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.headers import count_values
 from accelsurf.segmentation.memory_need import PROCESS_BYTES, memory_of
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from benchmarks import benchmark, defaults, real_scans
 from benchmarks.peers import baselines, contest, hard_works, march, objects, programs, render, scans

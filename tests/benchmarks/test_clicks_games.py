@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from accelsurf.errors import UsageError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from benchmarks.clicks import __main__ as program
 from benchmarks.clicks import games, methods, objects, peers, tables
 from benchmarks.clicks.domain import CroppedSession, block_mean, coarsened_seeds, crop, enlarged, outer_faces

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from benchmarks.clicks import methods, own
 from benchmarks.clicks.person import PersonClick, next_click
 

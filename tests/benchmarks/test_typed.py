@@ -10,7 +10,7 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from benchmarks import typed
 from benchmarks.clicks.person import PersonClick
 

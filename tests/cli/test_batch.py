@@ -21,7 +21,7 @@ from accelsurf.batch import pool as pools
 from accelsurf.batch.outcome import Outcome
 from accelsurf.cli import batch_case, case
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.report import preview
 from tests.support.batch_jobs import InlinePool
 

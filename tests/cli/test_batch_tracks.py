@@ -14,7 +14,7 @@ from accelsurf.batch.outcome import CaseTask
 from accelsurf.batch.pool import Failure
 from accelsurf.cli import batch_case
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.tracking.track import Tracking
 from tests.support.batch_jobs import InlinePool
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 SPACING = (2.0, 1.0, 1.0)
 

@@ -9,7 +9,7 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.analysis.tracked_files import table_beside
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.report.track_files import TrackFiles
 from accelsurf.report.track_outputs import TrackOutputs
 from tests.support.trackings import dividing_cells

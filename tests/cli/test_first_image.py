@@ -11,7 +11,7 @@ from accelsurf import cli, io
 from accelsurf.cli import view
 from accelsurf.cli.view import FirstImage
 from accelsurf.errors import InputError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import channels, headers
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig

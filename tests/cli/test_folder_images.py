@@ -8,7 +8,7 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.batch import cases
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from tests.support.folders import contents
 
 START = ("--start", "ball:12,12,12,4", "--max-steps", "60", "--threads", "1", "--quiet")

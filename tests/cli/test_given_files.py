@@ -15,7 +15,7 @@ import pytest
 
 from accelsurf import io
 from accelsurf.cli import execute
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.phantoms import recipe_files
 from accelsurf.settings.catalogue import entry
 from accelsurf.settings.entry import full_help

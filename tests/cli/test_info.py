@@ -7,7 +7,7 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 GRID = Geometry((70, 75, 150), (2.0, 0.5, 0.25), (-12.5, 4.0, 100.25), [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 yaozarrs = pytest.importorskip("yaozarrs")
 zarr = pytest.importorskip("zarr")

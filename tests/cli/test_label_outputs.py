@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import label_tables
 
 

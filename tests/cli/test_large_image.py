@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 #: A run may take 450 MiB and 36 bytes a voxel: of the image's 1.2 million voxels a third.
 LITTLE = "490MB"

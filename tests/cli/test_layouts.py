@@ -9,7 +9,7 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.batch import pool
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.report.layouts import BidsName
 from tests.support.batch_jobs import InlinePool
 

@@ -9,7 +9,7 @@ import tifffile
 from accelsurf import cli, io
 from accelsurf.cli.large_image import ImageParts, with_level
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.memory_need import run_bytes
 from accelsurf.settings.run_config import RunConfig
 

@@ -10,7 +10,7 @@ import accelsurf
 from accelsurf import cli, io
 from accelsurf.errors import InputError
 from accelsurf.evolution.serialization import to_bytes
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation import state_file
 from accelsurf.segmentation.state_file import read_state, state_bytes, surface_of
 from accelsurf.settings.run_config import RunConfig

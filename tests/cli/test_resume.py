@@ -12,7 +12,7 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.batch import pool as pools
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
 from tests.support.batch_jobs import InlinePool
 

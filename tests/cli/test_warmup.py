@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.kernels import storage
 from accelsurf.phantoms import recipes
 from accelsurf.report import warmup

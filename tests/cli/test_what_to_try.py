@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from tests.evolution.test_rests import LEAK, joined_balls
 
 SHAPE = (24, 40, 40)

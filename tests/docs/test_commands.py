@@ -15,7 +15,7 @@ import tifffile
 from accelsurf import cli, io
 from accelsurf.batch import pool
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.report.track_files import TrackFiles
 from accelsurf.report.track_outputs import TrackOutputs
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics

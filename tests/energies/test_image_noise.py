@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from accelsurf.energies.image_noise import WEIGHT, area_against_noise, noise_of
+from accelsurf.image.noise import WEIGHT, area_against_noise, noise_of
 
 
 def objects(shape, seed, noise):

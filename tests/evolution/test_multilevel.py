@@ -12,7 +12,7 @@ from accelsurf.evolution import multilevel
 from accelsurf.evolution.convergence import StopRule
 from accelsurf.evolution.loop import Evolution
 from accelsurf.flows import StepLimits
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.io import write
 from accelsurf.levelset import LevelSet

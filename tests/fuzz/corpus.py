@@ -15,7 +15,7 @@ from pydicom.uid import RLELossless
 
 from accelsurf import io as files
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.formats import glb, surface_files
 from accelsurf.settings.run_config import RunConfig
 from tests.fuzz import folders, mutators, runs

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 #: Beside each input: what a header may name as its data file.
 DATA_FILE = "voxels.raw"

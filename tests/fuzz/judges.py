@@ -9,7 +9,7 @@ import numpy as np
 
 from accelsurf import io
 from accelsurf.errors import AccelsurfError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from tests.fuzz import folders, independent, looks, runs
 from tests.fuzz.inputs import FRAMES, SHAPE, VALUES, VOLUME, Input, Wrong
 

@@ -27,7 +27,7 @@ def every() -> list[Input]:
 
 
 def _of_segment():
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
     from accelsurf.segmentation.api import segment
     from accelsurf.segmentation.run import Run
     from accelsurf.segmentation.run_checkpoint import header_of, save_checkpoint
@@ -63,8 +63,8 @@ def _result(config, state: bytes) -> dict[str, bytes]:
 
 
 def _of_track():
-    from accelsurf.grid.sequence import VolumeSequence
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.sequence import VolumeSequence
+    from accelsurf.image.volume import Volume
     from accelsurf.report.track_frames import FrameStore
     from accelsurf.settings.track_config import TrackConfig
     from accelsurf.tracking.track import track

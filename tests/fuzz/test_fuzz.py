@@ -15,7 +15,7 @@ import pytest
 from accelsurf import io
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from tests.fuzz import __main__ as main
 from tests.fuzz import corpus, folders, headers, judges, mutators, verdict, workers
 from tests.fuzz.inputs import VALUES, VOLUME, Input

@@ -14,7 +14,7 @@ from accelsurf.cli.options import run_config
 from accelsurf.cli.segment import Settings
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.serialization import from_bytes
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization import object_starts, starts
 from accelsurf.io import channels, meshes
 from accelsurf.settings import edits, energy_expression

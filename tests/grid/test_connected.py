@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.grid.connected import connected_to, holes_filled
+from accelsurf.grid.boxes import connected_to, holes_filled
 
 
 def random_mask(shape, seed):

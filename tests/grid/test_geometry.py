@@ -150,7 +150,7 @@ def test_spacing_across_a_single_slice_counts():
 
 
 def test_geometry_alone_does_not_load_simpleitk():
-    code = "import sys, accelsurf.grid.geometry, accelsurf.grid.volume; sys.exit('SimpleITK' in sys.modules)"
+    code = "import sys, accelsurf.grid.geometry, accelsurf.image.volume; sys.exit('SimpleITK' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.grid.image_filters import NO_FILTERS, ImageFilters, closed_mm
+from accelsurf.image.filters import NO_FILTERS, ImageFilters, closed_mm
 
 SPACING = (2.0, 0.9, 1.1)
 

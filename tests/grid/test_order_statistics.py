@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.grid.order_statistics import FloatCounts, IntegerCounts
+from accelsurf.image.percentiles import FloatCounts, IntegerCounts
 
 Q = [0, 0.5, 13.7, 50, 99.5, 99.99, 100.0]
 FLOATS = {

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.grid import boxes
-from accelsurf.grid.pyramid import levels, prolong, restrict
-from accelsurf.grid.resolved_levels import count_resolved_levels, min_component_depth
+from accelsurf.grid.pyramid import count_resolved_levels, levels, min_component_depth, prolong, restrict
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.transfer import transfer_fields
 from tests.support.axis_orders import WAYS, permuted, restored

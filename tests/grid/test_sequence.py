@@ -5,8 +5,8 @@ import pytest
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.sequence import VolumeSequence
-from accelsurf.grid.volume import Volume
+from accelsurf.image.sequence import VolumeSequence
+from accelsurf.image.volume import Volume
 
 
 def volume(value: float, spacing: float = 1.0) -> Volume:

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import DisplayOrientation
-from accelsurf.grid.slice_stack import FINE, SliceStack, linear
+from accelsurf.image.slice_stack import FINE, SliceStack, linear
 
 TURNED = Rotation.from_euler("xyz", [11, -17, 23], degrees=True).as_matrix()
 #: Rotated; rotated, with axes exchanged and left-handed; a gantry's tilt; parallel and flipped.

@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.thumbnail import OUTLINE, SIZE, as_html, data_uri
-from accelsurf.grid.volume import Volume
+from accelsurf.image.thumbnail import OUTLINE, SIZE, as_html, data_uri
+from accelsurf.image.volume import Volume
 
 
 def pixels(uri):

@@ -3,7 +3,7 @@ import pytest
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume, check_image
+from accelsurf.image.volume import Volume, check_image
 
 GRID = Geometry((2, 3, 4), (1.0, 1.0, 1.0))
 

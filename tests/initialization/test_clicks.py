@@ -6,7 +6,7 @@ import pytest
 from accelsurf import io
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.clicks import Clicks
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization import object_clicks
 from accelsurf.initialization.clicks import check_contradictions, read_clicks
 

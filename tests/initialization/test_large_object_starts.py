@@ -9,7 +9,7 @@ from accelsurf import io
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid import boxes
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization import large_object_starts, object_starts
 from accelsurf.initialization.large_object_starts import LabelMap
 from accelsurf.io import LazyVolume

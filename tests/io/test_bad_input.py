@@ -10,7 +10,7 @@ import pytest
 
 from accelsurf import io
 from accelsurf.cli import execute
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 START = ("--start", "ball:12,11,10,4")
 

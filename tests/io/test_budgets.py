@@ -77,7 +77,7 @@ def bombs(folder):
 
     from accelsurf import io, segment, segment_objects
     from accelsurf.evolution.serialization import from_bytes
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
     from accelsurf.initialization import object_starts, starts
     from accelsurf.initialization.clicks import read_clicks
     from accelsurf.io import meshes

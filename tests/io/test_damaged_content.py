@@ -12,7 +12,7 @@ import pytest
 from accelsurf import io
 from accelsurf.cli import execute
 from accelsurf.errors import AccelsurfError, InputError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import label_tables
 from accelsurf.io.files import library_named
 

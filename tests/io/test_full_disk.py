@@ -10,7 +10,7 @@ from accelsurf import io
 from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.errors import OutputError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 resource = pytest.importorskip("resource")
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are forked")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf import io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.formats.deflate import gzip_file
 from tests.support.text_headers import VALUES, refuse, text_header
 

@@ -68,7 +68,7 @@ def files(folder):
     import numpy as np
 
     from accelsurf import io
-    from accelsurf.grid.volume import Volume
+    from accelsurf.image.volume import Volume
     from accelsurf.io import channels, label_tables
     from accelsurf.io.formats.nifti_volumes import _write_second_header
 

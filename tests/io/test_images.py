@@ -12,7 +12,7 @@ import SimpleITK as sitk
 from accelsurf import io
 from accelsurf.errors import GeometryError, InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import images
 from accelsurf.io.formats import itk_volumes
 from accelsurf.io.formats.deflate import gzip_file

@@ -14,7 +14,7 @@ from accelsurf import io
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.grid.boxes import box_at, whole_box
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.formats import nifti_volumes, zarr_pyramid
 from tests.support.folders import contents
 

@@ -10,8 +10,8 @@ import accelsurf
 from accelsurf import io
 from accelsurf.cli import execute
 from accelsurf.errors import InputError
-from accelsurf.grid.label_values import as_labels
-from accelsurf.grid.volume import Volume
+from accelsurf.image.check import as_labels
+from accelsurf.image.volume import Volume
 
 SHAPE = (6, 7, 8)
 

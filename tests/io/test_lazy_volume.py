@@ -10,7 +10,7 @@ import pytest
 
 from accelsurf import io
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import LazyVolume
 
 BOXES = (

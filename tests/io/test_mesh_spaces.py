@@ -10,7 +10,7 @@ from accelsurf import cli
 from accelsurf import io as images
 from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.errors import InputError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import meshes
 from accelsurf.io.formats import glb, surface_files
 from accelsurf.settings.mesh_formats import MESH_FORMATS

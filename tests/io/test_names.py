@@ -10,7 +10,7 @@ import pytest
 
 from accelsurf import io
 from accelsurf.errors import InputError, OutputError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization import starts
 from accelsurf.io import channels, images
 from accelsurf.report import canvas, document, output_folder

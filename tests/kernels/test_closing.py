@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.grid.image_filters import closed_mm, lines_of_ball
+from accelsurf.image.filters import closed_mm, lines_of_ball
 from accelsurf.kernels.smoothing import dilate
 
 

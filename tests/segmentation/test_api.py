@@ -4,8 +4,8 @@ import pytest
 import accelsurf
 from accelsurf.analysis.metrics import dice
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.image_filters import ImageFilters
-from accelsurf.grid.volume import Volume
+from accelsurf.image.filters import ImageFilters
+from accelsurf.image.volume import Volume
 from accelsurf.phantoms.recipes import distance_at, make, recipe_from
 from accelsurf.segmentation.api import evolve, segment
 from accelsurf.segmentation.preprocessing import apply, filtered_volume, scale_of

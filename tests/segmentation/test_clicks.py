@@ -9,7 +9,7 @@ from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Clicks
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.api import evolve, result_of, segment, segment_objects
 from accelsurf.segmentation.given import given_clicks, psi_of
 from accelsurf.segmentation.run import Run

@@ -5,9 +5,9 @@ import pytest
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import box_at
-from accelsurf.grid.image_filters import ImageFilters
 from accelsurf.grid.pyramid import levels, restrict
-from accelsurf.grid.volume import Volume
+from accelsurf.image.filters import ImageFilters
+from accelsurf.image.volume import Volume
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.energy_assembly import make_energy

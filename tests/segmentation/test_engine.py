@@ -19,7 +19,7 @@ from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.evolution import serialization
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation import run_checkpoint
 from accelsurf.segmentation.api import result_of, segment, segment_objects
 from accelsurf.segmentation.evolving_object import roomy_box

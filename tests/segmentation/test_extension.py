@@ -7,7 +7,7 @@ import pytest
 
 from accelsurf.analysis import metrics
 from accelsurf.errors import InputError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_checkpoint import header_of, load_checkpoint, save_checkpoint

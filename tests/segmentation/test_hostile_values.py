@@ -6,7 +6,7 @@ import pytest
 from accelsurf import segment, segment_objects
 from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.settings.entry import entry_of
 from accelsurf.settings.run_config import RunConfig
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.image_force import image_forces
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.run_config import RunConfig

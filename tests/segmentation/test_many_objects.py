@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.errors import AccelsurfError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import LazyVolume
 from accelsurf.segmentation import group_run, many_objects
 from accelsurf.segmentation.api import segment_objects

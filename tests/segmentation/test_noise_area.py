@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.analysis.metrics import dice
-from accelsurf.energies.image_noise import WEIGHT
+from accelsurf.image.noise import WEIGHT
 from accelsurf.segmentation import start_checks
 from accelsurf.segmentation.api import segment, segment_objects
 from accelsurf.segmentation.refine import refine

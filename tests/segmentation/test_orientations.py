@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.phantoms import recipes
 from accelsurf.segmentation.api import Result, evolve, segment
 from tests.support.axis_orders import WAYS, Way, restored, stored

@@ -11,7 +11,7 @@ from accelsurf.analysis.metrics import dice
 from accelsurf.energies.constraints.mask import mask_distance
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import channels
 from accelsurf.segmentation.api import evolve, segment
 from accelsurf.segmentation.region_of_interest import cropped, region_of_interest

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from accelsurf.evolution.records import Stop
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.ensemble import REACTIVATION_DEPTH, Ensemble
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.edits import Correction

@@ -10,7 +10,7 @@ from accelsurf import cli, io
 from accelsurf.analysis.metrics import dice
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization import object_starts
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.transfer import shift_fields

@@ -5,7 +5,7 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.api import segment
 
 SHAPE = (40, 40, 48)

@@ -12,7 +12,7 @@ from accelsurf import cli, io
 from accelsurf.cli.case import Place, exit_code_of_finished
 from accelsurf.errors import InputError
 from accelsurf.evolution import serialization
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import sha256
 from accelsurf.report import result_sets
 from accelsurf.segmentation import run_checkpoint, state_file

@@ -10,7 +10,7 @@ from PIL import Image
 import accelsurf
 from accelsurf import cli, io
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.report import canvas, preview
 from accelsurf.report.preview_content import PreviewContent
 from accelsurf.settings.run_config import RunConfig

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from accelsurf.energies import MomentTracker, Parzen
-from accelsurf.energies.image_noise import noise_of
 from accelsurf.energies.likelihood import least_variance
 from accelsurf.energies.region_sums import sums_by_plane
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import box_at, whole_box
-from accelsurf.grid.image_filters import ImageFilters
 from accelsurf.grid.pyramid import levels, restrict
-from accelsurf.grid.volume import Volume, check_image
+from accelsurf.image.filters import ImageFilters
+from accelsurf.image.noise import noise_of
+from accelsurf.image.volume import Volume, check_image
 from accelsurf.initialization.region_growing import otsu_level
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.segmentation.preprocessing import apply, filtered_volume, scale_of

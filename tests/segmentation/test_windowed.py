@@ -7,7 +7,7 @@ import accelsurf
 from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import LazyVolume
 from accelsurf.segmentation.given import with_options
 from accelsurf.segmentation.memory_need import run_bytes

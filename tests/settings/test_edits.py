@@ -6,7 +6,7 @@ import pytest
 from accelsurf import io
 from accelsurf.energies import ChanVese
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.levelset import LevelSet, checkpoint_surface, restore_surface
 from accelsurf.segmentation.api import result_of, segment
 from accelsurf.segmentation.run import Run

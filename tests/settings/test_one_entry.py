@@ -22,7 +22,7 @@ from accelsurf.energies import ImageEnergy, sample_at_front
 from accelsurf.errors import InputError, UsageError
 from accelsurf.flows import Gradient
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import channels, headers, meshes
 from accelsurf.report import output_names
 from accelsurf.segmentation.api import segment

@@ -5,7 +5,7 @@ from itertools import permutations, product
 import numpy as np
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 #: (order of the index axes z, y, x; which of the new ones are run through backwards)
 Way = tuple[tuple[int, ...], tuple[bool, ...]]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 SHAPE = (40, 64, 112)
 #: Turned a little about z, so that places have digits to lose.

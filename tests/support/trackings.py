@@ -10,8 +10,8 @@ import numpy as np
 
 from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.sequence import VolumeSequence
-from accelsurf.grid.volume import Volume
+from accelsurf.image.sequence import VolumeSequence
+from accelsurf.image.volume import Volume
 from accelsurf.tracking.records import FrameResult, Lineage, Link, SurfacePiece, Track, TrackedObject
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 #: Id -> middle (z, y, x) and radius.
 TOUCHING = {3: (12, 14, 12, 8.6), 8: (12, 14, 29, 8.6)}

@@ -3,7 +3,7 @@
 import numpy as np
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.tracking.records import FrameResult, Lineage, Link, SurfacePiece, TrackedObject
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.sequence import VolumeSequence
-from accelsurf.grid.volume import Volume
+from accelsurf.image.sequence import VolumeSequence
+from accelsurf.image.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.tracking import track_state

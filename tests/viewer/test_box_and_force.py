@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.region_of_interest import region_of_interest
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session

@@ -10,7 +10,7 @@ import accelsurf
 from accelsurf import io
 from accelsurf.cli import execute as command
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.report.document import describe_quality, to_json
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.refiner import Refiner

@@ -15,7 +15,7 @@ import pytest
 
 from accelsurf import io
 from accelsurf.cli import execute as command
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.api import segment
 from accelsurf.settings.run_config import RunConfig
 from tests.support import viewing

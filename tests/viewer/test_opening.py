@@ -11,7 +11,7 @@ import pytest
 from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.headers import outside_data_allowed
 from accelsurf.segmentation.memory_need import run_bytes
 from accelsurf.settings.run_config import RunConfig

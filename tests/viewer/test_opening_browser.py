@@ -16,7 +16,7 @@ import pytest
 
 from accelsurf import io
 from accelsurf.cli import execute as command
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.settings.budgets import UPLOAD, Budget
 from accelsurf.viewer.frontends import page_uploads
 from tests.support import viewing

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from accelsurf import io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from tests.support.dicom_series import Series
 from tests.viewer.test_desktop import ROOT, Person, needs_screen, screen  # noqa: F401
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.image_force import image_forces
 from accelsurf.settings.presets import PRESETS

@@ -11,7 +11,7 @@ from accelsurf import io
 from accelsurf.cli import execute as command
 from accelsurf.energies.chan_vese import ChanVese
 from accelsurf.errors import InputError, OutputError, UsageError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.run import Run
 from accelsurf.settings.flow_specs import FLOWS

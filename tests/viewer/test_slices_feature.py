@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from accelsurf.errors import UsageError
-from accelsurf.grid.grey_window import CT_WINDOWS, GreyWindow, parse_window
-from accelsurf.grid.volume import Volume
+from accelsurf.image.grey_window import CT_WINDOWS, GreyWindow, parse_window
+from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.layouts import LAYOUTS, viewports

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from accelsurf.grid.grey_window import GreyWindow
-from accelsurf.grid.volume import Volume
+from accelsurf.image.grey_window import GreyWindow
+from accelsurf.image.volume import Volume
 from accelsurf.initialization.clicks import read_clicks
 from accelsurf.io.headers import DICOM_KEY
 from accelsurf.segmentation.image_force import image_forces

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf import io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.initialization.clicks import read_clicks
 from accelsurf.segmentation.api import segment
 from accelsurf.settings.run_config import RunConfig

@@ -9,7 +9,7 @@ import tifffile
 
 from accelsurf import cli, io
 from accelsurf.cli import view
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.viewer.core.opening import OpenedImage
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.headless import GraphicsError

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from accelsurf import io
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from tests.support.viewing import needs_graphics
 from tests.viewer.test_desktop import ROOT, needs_screen, screen  # noqa: F401
 

@@ -22,9 +22,8 @@ from accelsurf.energies.seeded.blocks import Blocks
 from accelsurf.energies.seeded.competition import Field, Order, Times, balance, from_beyond
 from accelsurf.energies.seeded.implied import half_width
 from accelsurf.energies.seeded.likelihood import log_ratio
-from accelsurf.grid.boxes import Box, bounding_box, enclosing, on_box
+from accelsurf.grid.boxes import Box, bounding_box, connected_to, enclosing, holes_filled, on_box
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.grid.connected import connected_to, holes_filled
 from accelsurf.kernels.arrival import Tissue
 
 #: F in the clicks, by side.

@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies.image_noise import SECOND_DIFFERENCE
 from accelsurf.energies.seeded.answers import CLICKED, object_of, offset_to
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
 from accelsurf.energies.seeded.around import any_around, voxels_within
 from accelsurf.energies.seeded.shown import Shown
 from accelsurf.grid.boxes import Box, bounding_box, corner_of, on_box, shared, widened
 from accelsurf.grid.clicks import Clicks
+from accelsurf.image.noise import SECOND_DIFFERENCE
 
 #: The window reaches so many of the smallest spacings to each side.
 WINDOW = 4.0

@@ -21,9 +21,8 @@ from accelsurf.energies.seeded.appearance import (
     robust,
 )
 from accelsurf.energies.seeded.coarse import block_means, coarsening
-from accelsurf.grid.boxes import Box, common, overlap, whole_box, widened
+from accelsurf.grid.boxes import Box, common, connected_to, overlap, whole_box, widened
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.grid.connected import connected_to
 
 #: What is implied is so many times as wide as the click.
 WIDER = 1.5

@@ -23,8 +23,8 @@ from accelsurf.energies.seeded.shown import mixed_answer, on_whole_grid
 from accelsurf.energies.seeded.stages import Stage, contradicting, in_order
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.grid.smoothing import gaussian_mm
 from accelsurf.grid.window import Window
+from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.kernels.arrival import Tissue
 
 #: Smoothing of the image before anything is learned from it, of the smallest spacing.

@@ -20,9 +20,8 @@ from accelsurf.energies.seeded.first_click import seeds_of
 from accelsurf.energies.seeded.model import SeededModel, learned_images
 from accelsurf.energies.seeded.proposal import Proposal
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import Box, bounding_box, whole_box
+from accelsurf.grid.boxes import Box, bounding_box, connected_to, whole_box
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
-from accelsurf.grid.connected import connected_to
 from accelsurf.kernels.arrival import Tissue
 
 #: Default weight of the area, of the smallest spacing.

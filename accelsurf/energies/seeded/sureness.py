@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from accelsurf.energies.seeded.appearance import Spacing, radius_of
 from accelsurf.energies.seeded.proposal import Proposal
 from accelsurf.energies.seeded.shown import Shown
-from accelsurf.grid.boxes import Box, bounding_box, box_at, on_box, whole_box, widened
+from accelsurf.grid.boxes import Box, bounding_box, box_at, connected_to, on_box, whole_box, widened
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.grid.connected import connected_to
 
 #: F is compared with this on both sides of 0.
 LEVEL = 0.1

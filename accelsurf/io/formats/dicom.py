@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.dicom import pixels, segments
 from accelsurf.io.dicom.cine import TIME_PHASES
 from accelsurf.io.dicom.frames import Frame, frames_of

@@ -10,7 +10,7 @@ import SimpleITK as sitk
 
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import itk
 from accelsurf.io.formats.nrrd_metaimage import METAIMAGE_ITK_NAME, NRRD_ITK_NAME, NRRD_KEY, put_nrrd_space
 from accelsurf.io.formats.raw_header import RawHeader

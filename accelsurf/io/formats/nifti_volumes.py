@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import itk
 from accelsurf.io.files import reserve
 from accelsurf.io.formats import itk_volumes, nifti, nifti_grid

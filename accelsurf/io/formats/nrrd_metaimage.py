@@ -16,7 +16,7 @@ import numpy as np
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.boxes import bounding_box, whole_box
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import itk
 from accelsurf.io.formats.raw_header import ByteOrder, Encoding, RawHeader
 from accelsurf.io.headers import TIMES_KEY

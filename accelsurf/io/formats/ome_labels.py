@@ -13,7 +13,7 @@ from typing import Any
 
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.grid.boxes import whole_box
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.file_set import open_set, refuse_links
 from accelsurf.io.files import write_bytes
 from accelsurf.io.formats import ome_zarr

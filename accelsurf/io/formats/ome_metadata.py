@@ -4,7 +4,7 @@ Versions 0.4 and 0.5 differ in the place of the metadata only. Axes of space are
 lengths may have any unit. Axes along lines of the body say from which side of the patient to which their
 coordinates increase (RFC-4 of OME-NGFF); the words for quadrupeds are taken as DICOM places both kinds of patients:
 dorsal where posterior is, cranial and rostral where superior is. For other directions OME-Zarr has nothing: accelsurf
-keeps them in an attribute of its own when it writes, with what `accelsurf.grid.volume.Volume` calls metadata, and
+keeps them in an attribute of its own when it writes, with what `accelsurf.image.volume.Volume` calls metadata, and
 which chunks it wrote.
 """
 

@@ -15,7 +15,7 @@ import numpy as np
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.channels import selected, single
 from accelsurf.io.formats.ome_metadata import OmeMetadata, parse_attributes
 from accelsurf.io.formats.zarr_pyramid import CHUNK, ZarrPyramid

@@ -12,7 +12,7 @@ import numpy as np
 
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import MAX_ORIGIN, Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import itk
 from accelsurf.io.files import library_named
 from accelsurf.io.formats.deflate import TRUNCATED_HINT

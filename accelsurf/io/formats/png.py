@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import itk
 from accelsurf.io.channels import to_grey
 from accelsurf.io.formats.deflate import check_unpacked, inflated_bytes

@@ -17,7 +17,7 @@ import numpy as np
 
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import naming
 from accelsurf.io.formats.tiff_image import TiffImage

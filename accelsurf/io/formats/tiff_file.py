@@ -12,7 +12,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 MAX_FILE_BYTES = 0xFFFFFFFF
 

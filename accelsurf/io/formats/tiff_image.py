@@ -17,7 +17,7 @@ import numpy as np
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.channels import selected, single, to_grey
 from accelsurf.io.formats.png import TRUNCATED_HINT

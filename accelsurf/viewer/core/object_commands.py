@@ -17,7 +17,7 @@ from accelsurf.energies.seeded.competition import arrival, field_of
 from accelsurf.energies.seeded.model import SMOOTHING
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Clicks, Side
-from accelsurf.grid.smoothing import gaussian_mm
+from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.initialization.clicks import read_clicks
 from accelsurf.report.label_files import given_labels
 from accelsurf.segmentation.run import Run

@@ -10,7 +10,7 @@ from typing import Any
 from accelsurf import io
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import channels, headers
 from accelsurf.io.files import naming
 from accelsurf.phantoms import recipe_files, recipes

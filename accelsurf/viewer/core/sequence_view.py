@@ -6,8 +6,8 @@ from collections import OrderedDict
 
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid import pyramid
-from accelsurf.grid.sequence import ImageSequence
-from accelsurf.grid.volume import Volume
+from accelsurf.image.sequence import ImageSequence
+from accelsurf.image.volume import Volume
 from accelsurf.report.track_surfaces import SavedTracks
 from accelsurf.tracking.records import SurfacePiece
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from accelsurf.analysis.diameters import Diameters
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag

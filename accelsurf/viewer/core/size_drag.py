@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.slice_stack import linear
+from accelsurf.image.slice_stack import linear
 
 #: Voxels that a press reaches at first, and by which factor it reaches farther when a drag comes near its end: the
 #: first outline shows at once, and the whole of a large organ costs a third more.

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from accelsurf.errors import UsageError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.clicks import Side
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_checkpoint import RunCheckpoint
 from accelsurf.settings.catalogue import entry

@@ -22,8 +22,8 @@ from PySide6.QtWidgets import (
 )
 from pyvistaqt import QtInteractor
 
-from accelsurf.grid.grey_window import parse_window
-from accelsurf.grid.volume import Volume
+from accelsurf.image.grey_window import parse_window
+from accelsurf.image.volume import Volume
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.frontends.appearance import page_of_help, palette, sheet

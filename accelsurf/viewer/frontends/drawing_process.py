@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.report.movies import Picture
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame
@@ -71,7 +71,7 @@ class SceneRecipe:
         import pyvista
 
         from accelsurf import io
-        from accelsurf.grid.grey_window import parse_window
+        from accelsurf.image.grey_window import parse_window
         from accelsurf.viewer.scene.colors import given_styles
         from accelsurf.viewer.scene.scene import Scene
 

@@ -13,7 +13,7 @@ import pyvista as pv
 
 from accelsurf.errors import UsageError, check_known
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.report.movies import png_bytes
 from accelsurf.segmentation.api import Result
 from accelsurf.viewer.core.frame import Frame

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from accelsurf.errors import AccelsurfError, OutputError, UsageError
-from accelsurf.grid.grey_window import parse_window
+from accelsurf.image.grey_window import parse_window
 from accelsurf.viewer.core.opening import OpenedImage
 from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
 from accelsurf.viewer.core.status import error_line

@@ -17,10 +17,10 @@ from vtkmodules.vtkRenderingCore import vtkRenderWindow, vtkWindowToImageFilter
 from accelsurf.errors import InputError, UsageError, check_known
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.grey_window import GreyWindow, window_of
 from accelsurf.grid.orientation import DisplayOrientation
-from accelsurf.grid.slice_stack import SliceStack
-from accelsurf.grid.volume import Volume
+from accelsurf.image.grey_window import GreyWindow, window_of
+from accelsurf.image.slice_stack import SliceStack
+from accelsurf.image.volume import Volume
 from accelsurf.io.headers import UNIT_KEY, is_anatomical
 from accelsurf.report.movies import write_png
 from accelsurf.viewer.core.frame import COLORS, Frame

@@ -11,9 +11,9 @@ import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
 
-from accelsurf.grid.grey_window import GreyWindow
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, PLANES
-from accelsurf.grid.slice_stack import Patch, SliceStack, linear
+from accelsurf.image.grey_window import GreyWindow
+from accelsurf.image.slice_stack import Patch, SliceStack, linear
 from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 from accelsurf.viewer.core.size_drag import SizeDrag

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vtkmodules.vtkCommonDataModel import vtkPlane
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.grey_window import GreyWindow
+from accelsurf.image.grey_window import GreyWindow
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, SURFACE, Theme, color_range
 from accelsurf.viewer.scene.legend import color_scale

@@ -14,7 +14,7 @@ from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer
 
 from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.slice_stack import SliceStack
+from accelsurf.image.slice_stack import SliceStack
 from accelsurf.initialization.click_paths import segment_voxels
 from accelsurf.viewer.scene.colors import INSIDE, OUTSIDE
 from accelsurf.viewer.scene.redraw import Redraw

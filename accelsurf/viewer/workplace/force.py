@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.slice_stack import SliceStack
+from accelsurf.image.slice_stack import SliceStack
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.force_overlay import ForceOverlay, ForceSlice
 from accelsurf.viewer.workplace.tool import Feature, Key

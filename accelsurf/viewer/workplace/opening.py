@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import AccelsurfError, UsageError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.command_queue import in_background
 from accelsurf.viewer.core.opening import (

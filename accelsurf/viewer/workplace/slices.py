@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import Box
-from accelsurf.grid.grey_window import AUTO, CT_WINDOWS, GreyWindow, parse_window, window_of
+from accelsurf.image.grey_window import AUTO, CT_WINDOWS, GreyWindow, parse_window, window_of
 from accelsurf.settings.wording import in_unit
 from accelsurf.viewer.core.frame import SurfaceFrame
 from accelsurf.viewer.core.status import Status

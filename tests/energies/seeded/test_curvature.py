@@ -6,7 +6,7 @@ import pytest
 from accelsurf import segment
 from accelsurf.energies.seeded import curvature as module
 from accelsurf.energies.seeded.curvature import mean_curvature, offset
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 
 def ball(shape, spacing, middle, radius):

@@ -12,7 +12,7 @@ from pydicom.sr.coding import Code
 from accelsurf import cli, io
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import label_tables
 from accelsurf.io.dicom.segmentation import Algorithm, segmentation_bytes
 from accelsurf.settings.labels import LabelEntry, LabelTable

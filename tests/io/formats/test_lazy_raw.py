@@ -6,7 +6,7 @@ import SimpleITK as sitk
 
 from accelsurf import io
 from accelsurf.errors import InputError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from tests.io.test_lazy_volume import assert_same_boxes, values
 
 NRRD_TYPES = {

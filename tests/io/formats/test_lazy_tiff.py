@@ -11,7 +11,7 @@ from PIL import Image
 from accelsurf import io
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from tests.io.test_lazy_volume import assert_same_boxes, values
 
 OPTIONS = {

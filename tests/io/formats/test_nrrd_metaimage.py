@@ -8,7 +8,7 @@ import pytest
 
 from accelsurf import io
 from accelsurf.errors import GeometryError
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from tests.support.text_headers import VALUES, refuse, text_header
 
 

@@ -12,7 +12,7 @@ from accelsurf import io
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.headers import is_anatomical
 from tests.io.formats.test_ome_zarr import axes, changed, make_store
 

@@ -18,7 +18,7 @@ from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import channels
 from tests.io.test_lazy_volume import assert_same_boxes, values
 

@@ -13,7 +13,7 @@ from PIL import Image
 from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io import images
 from accelsurf.io.channels import LUMINANCE
 from accelsurf.io.formats import png, tiff_file

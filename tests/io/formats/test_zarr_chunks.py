@@ -18,7 +18,7 @@ from accelsurf import io
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 from accelsurf.io.formats import zarr_files
 from tests.io.formats.test_ome_zarr import make_store
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box, with_halo
-from accelsurf.grid.smoothing import gaussian_mm, gaussian_on_box
+from accelsurf.image.smoothing import gaussian_mm, gaussian_on_box
 from accelsurf.kernels.smoothing import dilate
 
 

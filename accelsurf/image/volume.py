@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from accelsurf.errors import GeometryError, InputError
-from accelsurf.grid import thumbnail
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.image_check import ImageCheck, Places
+from accelsurf.image import thumbnail
+from accelsurf.image.check import ImageCheck, Places
 
 
 def plain_array(value: Any, name: str) -> NDArray[Any]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.grid.volume import Volume
+from accelsurf.image.volume import Volume
 
 
 class ImageSequence(ABC):

@@ -1,0 +1,1 @@
+"""Images: volumes, sequences, filters, smoothing, percentiles, noise, slices for people."""
