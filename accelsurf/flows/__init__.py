@@ -5,14 +5,12 @@ the whole velocity V advects the surface, psi_t = -V . grad psi.
 """
 
 from accelsurf.flows.constant_density import ConstantDensity
-from accelsurf.flows.descent import Gradient
+from accelsurf.flows.descent import Gradient, HeavyBall, Sobolev
 from accelsurf.flows.flowable_mass import FlowableMass
-from accelsurf.flows.heavy_ball import HeavyBall
 from accelsurf.flows.noise import Noise
 from accelsurf.flows.protocol import EnergyRates, Flow, StepInput, StepLimits, StepPlan
 from accelsurf.flows.region_mass import RegionMass
 from accelsurf.flows.region_pressure import RegionPressure
-from accelsurf.flows.sobolev import Sobolev
 
 __all__ = [
     "EnergyRates",

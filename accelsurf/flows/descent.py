@@ -1,4 +1,9 @@
-"""Flows without inertia: their base, and plain L2 gradient descent, the baseline."""
+"""Flows without inertia: their base, and plain L2 gradient descent, the baseline.
+
+Gradient descent with the plain momentum of the literature: the second baseline.
+
+Sobolev descent: the force smoothed along the surface by a solve at each step. The expensive baseline.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +22,8 @@ from accelsurf.flows.protocol import (
     percentile,
     voxel_rates,
 )
-from accelsurf.kernels import statistics
-from accelsurf.levelset import LevelSet
+from accelsurf.kernels import statistics, tube
+from accelsurf.levelset import LevelSet, dot
 
 #: A step that undoes more than this part of the one before is too long for the stiffest part of the surface; after the
 #: shortest step that was too long the next ones undo this part at most.
@@ -149,3 +154,126 @@ class Gradient(Descent):
             for _ in range(2):
                 diffuse(surface, front, speed, 0.5 * diffusion * dt)
         return self.remember(descent_plan(now, speed, dt, limits, cfl_dt, diffusion))
+
+
+class HeavyBall(Descent):
+    """Step s_n = (1 - omega) dt f + omega s_(n-1), redistanced after each (Andersson, Läthén, Lenz, Borga 2013).
+
+    The last step is a field on the surface, extended along normals as all fields are. There is no mass, no time
+    but the number of steps, and no term for the motion of the surface itself.
+
+    Parameters
+    ----------
+    blend : float
+        omega, the fraction of the last step that is added again: 0 (plain descent) up to, not including, 1.
+    """
+
+    name = "momentum"
+
+    def __init__(self, blend: float = 0.8) -> None:
+        super().__init__()
+        self.blend = float(blend)
+
+    def zero_momentum(self, area: np.ndarray) -> float:
+        """Set the last step to zero."""
+        self._last[:] = 0.0
+        return 0.0
+
+    def normal_velocity(self, surface: LevelSet) -> np.ndarray:
+        """The last step, mm."""
+        return self._last
+
+    def add_velocity(self, surface: LevelSet, speed: np.ndarray) -> None:
+        """Change the last step."""
+        self._last = self._last + speed
+
+    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
+        """Step with the bounds of plain descent; a step beyond the limit is clipped before it becomes the last one."""
+        force = np.asarray(now.force, np.float32)
+        cfl_dt = self.cfl_dt(voxel_rates(now.surface, now.front, force)[now.front], now.surface, limits)
+        dt = min(stable_dt(now, cfl_dt), limits.dt_max)
+        if not math.isfinite(dt):
+            return StepPlan.none(now.surface)
+        speed = np.float32(1.0 - self.blend) * force + np.float32(self.blend / dt) * self._last
+        move = descent_plan(now, speed, dt, limits, cfl_dt)
+        self._last = move.speed * np.float32(dt)
+        return move
+
+
+#: Length of the H1 gradient unless one is given, in voxels of the smallest spacing.
+LENGTH = 5.0
+#: Half width of the tube in which the equation is solved, voxels along the normal.
+TUBE = 2.0
+#: The solve ends when the residual is this part of the right hand side.
+TOLERANCE = 1e-3
+MAX_ITERATIONS = 200
+
+
+class Sobolev(Descent):
+    """psi_t = g |grad psi| with (1 - ell^2 Lap_S) g = f: descent in the H1 metric of the surface.
+
+    On a sphere of radius r a spherical harmonic of degree l comes out divided by 1 + ell^2 l (l + 1)/r^2. The step
+    is bounded by the CFL number of g alone, also with an area weight.
+
+    Parameters
+    ----------
+    length : float or None
+        ell, mm; None is `LENGTH` voxels.
+    """
+
+    name = "sobolev"
+
+    def __init__(self, length: float | None = None) -> None:
+        super().__init__()
+        self.length = length
+
+    def move(self, now: StepInput, limits: StepLimits) -> StepPlan:
+        """Step with beta = g, dt <= cfl/|g|, and `resting_dt`."""
+        surface = now.surface
+        length = LENGTH * surface.smallest_spacing if self.length is None else self.length
+        speed = h1_gradient(surface, now.force, length, self._last)
+        inner = surface.front(1.0)
+        surface.extend_outwards(speed, inner)
+        cfl_dt = self.cfl_dt(voxel_rates(surface, inner, speed)[inner], surface, limits)
+        dt = self.resting_dt(now, speed, min(cfl_dt, limits.dt_max))
+        if not math.isfinite(dt):
+            return StepPlan.none(surface)
+        return self.remember(descent_plan(now, speed, dt, limits, cfl_dt))
+
+
+def h1_gradient(surface: LevelSet, force: np.ndarray, length: float, guess: np.ndarray) -> np.ndarray:
+    """Solution g (n,) of (1 - length^2 Lap_S) g = force near the surface, by conjugate gradients from ``guess``.
+
+    Solved as the minimum of sum eta ((g - f)^2 + length^2 |grad g|^2) over a tube around the surface whose weight
+    eta fades to its edge; in a tube thin against the radius of curvature g is constant along the normal. Diagonal
+    preconditioner.
+    """
+    parallel, n = surface.workers.parallel, surface.size
+    slot, cells = surface.dense.slot, surface.band.cells
+    eta, diagonal = np.empty(n), np.empty(n)
+    parallel(tube.tube_weight, n, surface.grid, surface.band, TUBE, eta)
+    parallel(tube.tube_diagonal, n, slot, surface.grid, cells, (eta, length), diagonal)
+
+    def product(field: np.ndarray) -> np.ndarray:
+        out = np.empty(n)
+        parallel(tube.tube_product, n, slot, surface.grid, cells, (eta, length), field, out)
+        return out
+
+    right = eta * force
+    g = guess.astype(np.float64)
+    residual = right - product(g)
+    tolerance = TOLERANCE**2 * dot(right, right / diagonal)
+    direction = np.zeros(n)
+    last = 1.0
+    for _ in range(MAX_ITERATIONS):
+        scaled = residual / diagonal
+        size = dot(residual, scaled)
+        if size <= tolerance:
+            break
+        direction = scaled + (size / last) * direction
+        last = size
+        image = product(direction)
+        step = size / dot(direction, image)
+        g += step * direction
+        residual -= step * image
+    return g.astype(np.float32)

@@ -15,13 +15,10 @@ from accelsurf.energies.seeded import Proposal, SeededModel
 from accelsurf.energies.seeded.after_click import stage_after
 from accelsurf.energies.seeded.answers import Answer, with_click
 from accelsurf.energies.seeded.appearance import learn
-from accelsurf.energies.seeded.competition import field_of
-from accelsurf.energies.seeded.contest import Balance, contest
-from accelsurf.energies.seeded.curvature import mean_curvature
-from accelsurf.energies.seeded.edge import at_edges
+from accelsurf.energies.seeded.contest import Balance, contest, field_of
+from accelsurf.energies.seeded.edge import at_edges, mean_curvature
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
-from accelsurf.energies.seeded.model import later_times
-from accelsurf.energies.seeded.others import going_on
+from accelsurf.energies.seeded.model import going_on, later_times
 from accelsurf.energies.seeded.stages import Stage, first_and_last, in_order, mostly_left
 from accelsurf.grid.boxes import (
     Box,

@@ -24,6 +24,7 @@ from accelsurf.energies import (
     RegionField,
     Threshold,
 )
+from accelsurf.energies.chan_vese import TENT
 from accelsurf.energies.geodesic import edge_contrast as strong_edge
 from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude
 from accelsurf.energies.likelihood import (
@@ -33,7 +34,6 @@ from accelsurf.energies.likelihood import (
     least_variance,
     robust_gaussian_of,
 )
-from accelsurf.energies.local_region import TENT
 from accelsurf.energies.region_sums import RegionMoments, moments_of
 from accelsurf.energies.threshold import soft_edge
 from accelsurf.errors import UsageError
@@ -157,7 +157,7 @@ def geodesic(inputs: TermInputs) -> Made:
 
 def seeded(inputs: TermInputs) -> Made:
     """The field of the model of clicks, which is made of all channels."""
-    from accelsurf.energies.seeded.curvature import offset
+    from accelsurf.energies.seeded.edge import offset
 
     model = inputs.context.seeded_model()
     area = inputs.number("area", model.area_weight_mm)

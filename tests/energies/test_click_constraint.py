@@ -7,7 +7,7 @@ from accelsurf.energies import Balloon, ChanVese, WeightedSum
 from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.evolution.loop import Evolution
 from accelsurf.flows import ConstantDensity, FlowableMass, Gradient
-from accelsurf.flows.heavy_ball import HeavyBall
+from accelsurf.flows.descent import HeavyBall
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import bounding_box
 from accelsurf.grid.click_bounds import click_bounds

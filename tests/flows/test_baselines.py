@@ -9,7 +9,7 @@ from scipy.special import sph_harm_y
 from accelsurf.energies import RegionField
 from accelsurf.evolution.loop import Evolution
 from accelsurf.flows import Gradient, HeavyBall, Sobolev, StepInput, StepLimits
-from accelsurf.flows.sobolev import h1_gradient
+from accelsurf.flows.descent import h1_gradient
 from accelsurf.kernels import tube
 from accelsurf.levelset import LevelSet
 

@@ -17,11 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
+from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, log_ratio
 from accelsurf.energies.seeded.blocks import Blocks
-from accelsurf.energies.seeded.competition import Field, Order, Times, balance, from_beyond
+from accelsurf.energies.seeded.contest import Field, Order, Times, balance, from_beyond
 from accelsurf.energies.seeded.implied import half_width
-from accelsurf.energies.seeded.likelihood import log_ratio
 from accelsurf.grid.boxes import Box, bounding_box, connected_to, enclosing, holes_filled, on_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.kernels.arrival import Tissue

@@ -16,8 +16,7 @@ import numpy as np
 
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing
 from accelsurf.energies.seeded.coarse import block_means, coarsening
-from accelsurf.energies.seeded.competition import Field, field_of
-from accelsurf.energies.seeded.contest import Balance
+from accelsurf.energies.seeded.contest import Balance, Field, field_of
 from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, whole_box
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.window import Window

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from accelsurf.energies.seeded.answers import Answer, FirstTimes, Proposed, first_answer
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, count_of, even_radius, learn
 from accelsurf.energies.seeded.blocks import MAX_BLOCKS, Blocks, field_in, in_blocks
-from accelsurf.energies.seeded.competition import Field, Order, Times, arrival
-from accelsurf.energies.seeded.evidence import edges_of
+from accelsurf.energies.seeded.contest import Field, Order, Times, arrival
 from accelsurf.energies.seeded.proposal import (
     NEARBY,
     LevelEvidence,
     Prior,
     Proposal,
     by_evidence,
+    edges_of,
     joined,
     level_evidence,
     of_size,

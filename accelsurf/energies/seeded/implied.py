@@ -2,6 +2,8 @@
 
 So what lies around a click, half as far again as the click is wide, is on its side too, unless it looks different or a
 click that says the opposite is nearer. That is a guess: it guides the contests of the clicks, and holds nothing.
+
+Windows of voxels to each side of voxels, alike in mm.
 """
 
 from __future__ import annotations
@@ -131,3 +133,45 @@ def _looks_alike(images: Sequence[Image], click: Click, box: Box, steps: tuple[i
         spread = at_least_of_changes(part, max(spread, MIN_RANGE_FRACTION * float(np.ptp(part))))
         alike = alike & (np.abs(block_means(part, steps) - np.float32(middle)) <= ALIKE * spread)
     return np.asarray(alike)
+
+
+def voxels_within(reach: float, spacing: Spacing, shape: Sequence[int]) -> list[int]:
+    """Number of voxels in a number of the smallest spacings along each axis, at least 1; 0 along an axis of 1.
+
+    Examples
+    --------
+    >>> voxels_within(4.0, (3.0, 1.0, 1.0), (9, 9, 9))
+    [1, 4, 4]
+    >>> voxels_within(4.0, (0.5, 1.0, 1.0), (1, 9, 9))
+    [0, 4, 4]
+    """
+    finest = min((h for h, n in zip(spacing, shape, strict=True) if n > 1), default=1.0)
+    return [max(round(reach * finest / h), 1) if n > 1 else 0 for h, n in zip(spacing, shape, strict=True)]
+
+
+def any_around(mask: Mask, reach: Sequence[int]) -> Mask:
+    """Mask of the voxels that have one of a mask in the window of a number of voxels to each side along each axis.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> any_around(np.array([[[True, False, False, False]]]), (1, 1, 2)).astype(int).tolist()
+    [[[1, 1, 1, 0]]]
+    """
+    for axis, half in enumerate(reach):
+        # To one side and to the other; the window doubles, the last time it grows by what is missing.
+        for step in (1, -1):
+            reached, most = 0, min(half, mask.shape[axis] - 1)
+            while reached < most:
+                more = min(reached or 1, most - reached)
+                mask, reached = _with_shifted(mask, axis, step * more), reached + more
+    return mask
+
+
+def _with_shifted(mask: Mask, axis: int, by: int) -> Mask:
+    """A mask and the same moved along an axis; nothing comes in from beyond the border."""
+    out = mask.copy()
+    to, of = (slice(by, None), slice(None, -by)) if by > 0 else (slice(None, by), slice(-by, None))
+    before = (slice(None),) * axis
+    out[(*before, to)] |= mask[(*before, of)]
+    return out

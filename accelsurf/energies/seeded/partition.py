@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from accelsurf.energies.seeded.answers import CLICKED
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
-from accelsurf.energies.seeded.competition import Field, Times, balance, field_of, reached, times_from
+from accelsurf.energies.seeded.contest import Field, Times, balance, field_of, reached, times_from
 from accelsurf.energies.seeded.first_click import seeds_of
 from accelsurf.energies.seeded.model import SeededModel, learned_images
 from accelsurf.energies.seeded.proposal import Proposal

@@ -92,7 +92,7 @@ def mixed_answer(
     before : Shown or None
         What was shown before the last click: labels change towards its side alone.
     neighbourhood : Neighbourhood, optional
-        Of the last click, see `accelsurf.energies.seeded.surprise.neighbourhood`.
+        Of the last click, see `accelsurf.energies.seeded.after_click.neighbourhood`.
     """
     learned = answer.blocks.on_voxels(answer.box, np.clip(answer.force, -1.0, 1.0))
     box = learned.box if before is None else enclosing(learned.box, before.box)

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from accelsurf.energies.seeded.appearance import learn
-from accelsurf.energies.seeded.competition import arrival, field_of
+from accelsurf.energies.seeded.contest import arrival, field_of
 from accelsurf.energies.seeded.model import SMOOTHING
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Clicks, Side

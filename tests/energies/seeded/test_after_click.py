@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from accelsurf.energies.seeded import after_click, seeded_model
-from accelsurf.energies.seeded.after_click import CLEAR_CONTRAST, unlike_object
+from accelsurf.energies.seeded.after_click import CLEAR_CONTRAST, neighbourhood, unlike_object
 from accelsurf.energies.seeded.shown import Shown
-from accelsurf.energies.seeded.surprise import neighbourhood
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.phantoms import recipes

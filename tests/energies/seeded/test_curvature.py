@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from accelsurf import segment
-from accelsurf.energies.seeded import curvature as module
-from accelsurf.energies.seeded.curvature import mean_curvature, offset
+from accelsurf.energies.seeded import edge as module
+from accelsurf.energies.seeded.edge import mean_curvature, offset
 from accelsurf.image.volume import Volume
 
 
@@ -73,7 +73,7 @@ def test_the_area_smooths_and_does_not_shrink(noise, monkeypatch):
         return term["offset"], np.count_nonzero(result.labels) / np.count_nonzero(truth)
 
     lowered, now = change(segment(image, **options))
-    monkeypatch.setattr("accelsurf.energies.seeded.curvature.MAX_OFFSET", 0.0)
+    monkeypatch.setattr("accelsurf.energies.seeded.edge.MAX_OFFSET", 0.0)
     none, before = change(segment(image, **options))
     assert lowered > 0.0 and none == 0.0
     assert before < now and abs(now - 1) < abs(before - 1)

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.energies.seeded.appearance import learn
-from accelsurf.energies.seeded.competition import arrival, field_of
+from accelsurf.energies.seeded.contest import arrival, field_of
 from accelsurf.energies.seeded.edge import _seen_both
 from accelsurf.energies.seeded.model import BEYOND, LATER, later_times, seeded_model
 from accelsurf.grid.clicks import Clicks

@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 
 from accelsurf.energies.seeded.appearance import count_of, radius_of
-from accelsurf.energies.seeded.evidence import edge_along, edges_of, safest
-from accelsurf.energies.seeded.proposal import Prior, by_evidence, candidate_counts, level_evidence, prior_of
+from accelsurf.energies.seeded.proposal import (
+    Prior,
+    by_evidence,
+    candidate_counts,
+    edge_along,
+    edges_of,
+    level_evidence,
+    prior_of,
+    safest,
+)
 from accelsurf.kernels.arrival import Tissue
 
 

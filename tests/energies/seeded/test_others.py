@@ -8,7 +8,7 @@ import pytest
 
 from accelsurf.energies.seeded import seeded_model
 from accelsurf.energies.seeded.contest import PATHS_REACH, WALKS_REACH, box_around
-from accelsurf.energies.seeded.others import heard
+from accelsurf.energies.seeded.model import heard
 from accelsurf.grid.boxes import box_at, whole_box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.segmentation.local_model import LocalModel, LocalState

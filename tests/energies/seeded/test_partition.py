@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.energies.seeded.competition import arrival
+from accelsurf.energies.seeded.contest import arrival
 from accelsurf.energies.seeded.partition import BasinsOnce, partition_model
 from accelsurf.grid.boxes import box_at
 from accelsurf.grid.clicks import Click, Clicks

@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.energies.seeded import Proposal, seeded_model
-from accelsurf.energies.seeded.evidence import spread_of
+from accelsurf.energies.seeded.proposal import spread_of
 from accelsurf.energies.seeded.shown import Shown
 from accelsurf.energies.seeded.sureness import corrections_with, sureness_of
 from accelsurf.grid.boxes import whole_box

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from accelsurf.energies.seeded import after_click as surprises
 from accelsurf.energies.seeded import seeded_model
-from accelsurf.energies.seeded import surprise as surprises
-from accelsurf.energies.seeded.implied import half_width
-from accelsurf.energies.seeded.nearness import ENDS
-from accelsurf.energies.seeded.shown import Shown
-from accelsurf.energies.seeded.surprise import (
+from accelsurf.energies.seeded.after_click import (
     CHANGES_REACH,
     LARGEST,
     PART,
@@ -18,6 +15,9 @@ from accelsurf.energies.seeded.surprise import (
     shift_around,
     surprise,
 )
+from accelsurf.energies.seeded.implied import half_width
+from accelsurf.energies.seeded.nearness import ENDS
+from accelsurf.energies.seeded.shown import Shown
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Click, Clicks
 from tests.support import clicked_balls
