@@ -30,7 +30,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.phantoms.recipes import load_recipe, make
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.refiner import Refiner
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from benchmarks.clicks.objects import chosen, load
 from benchmarks.clicks.own import text_of

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES, RUN, Display, File, Overwrite, Switch, required
 from accelsurf.errors import InputError, OutputError
-from accelsurf.settings.edits import Correction, corrections_of
+from accelsurf.settings.corrections import Correction, corrections_of
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Finished, Log, Place

@@ -54,7 +54,7 @@ class StepRecord(NamedTuple):
     seconds : float
         Wall time of the step; 0 for one that was read from the file of a state, which has no times.
     edits : int
-        Edits applied right before this step; see `accelsurf.settings.edits`.
+        Edits applied right before this step; see `accelsurf.settings.corrections`.
     returned : bool
         True when the surface went back to that of the lowest potential before this step, at rest; in the last record,
         when that is where the run ended.

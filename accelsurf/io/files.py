@@ -17,7 +17,7 @@ from accelsurf.errors import AccelsurfError, InputError, OutputError
 from accelsurf.io.file_set import FileSet, open_set
 from accelsurf.settings import budgets
 from accelsurf.settings.budgets import Budget
-from accelsurf.settings.input_file import check_readable
+from accelsurf.settings.reading import check_readable
 
 SPACE_HINT = "is there space on the disk?"
 _BLOCK = 1 << 20  # bytes that are compared at once

@@ -22,8 +22,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.image.sequence import check_times
 from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, image_suffixes
-from accelsurf.settings.input_file import check_readable
-from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+from accelsurf.settings.reading import AS_IT_IS, ReadOptions, check_readable
 from accelsurf.settings.registry import load
 
 TimeUnit = Literal["s", "frame"]

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from accelsurf.errors import InputError, UsageError
 from accelsurf.settings import budgets
-from accelsurf.settings.input_file import check_readable
+from accelsurf.settings.reading import check_readable
 
 #: Of recipes in `checked`.
 Kind = TypeVar("Kind", bound=BaseModel)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from accelsurf.errors import UsageError
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.settings.written_values import mesh_size
+from accelsurf.settings.toml import mesh_size
 
 if TYPE_CHECKING:
     from accelsurf.analysis.mesh_shaping import MeshOptions

@@ -21,7 +21,7 @@ from accelsurf.image.sequence import ImageSequence
 from accelsurf.io.files import read_json, write_bytes
 from accelsurf.report.track_frames import DrawnObject, FrameStore, TrackSet
 from accelsurf.settings.file_formats import IMAGE_FORMATS
-from accelsurf.settings.input_file import check_readable
+from accelsurf.settings.reading import check_readable
 from accelsurf.tracking.records import SurfacePiece
 
 #: What is in the folder, and its version.

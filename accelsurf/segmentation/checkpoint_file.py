@@ -20,7 +20,7 @@ from accelsurf.segmentation.run_checkpoint import (
 )
 from accelsurf.segmentation.run_setup import needs_seed
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.settings.written_values import interval_of
+from accelsurf.settings.toml import interval_of
 
 #: As often a run writes its state that is given a file for it and not told how often.
 DEFAULT_INTERVAL = "1min"

@@ -22,8 +22,8 @@ from accelsurf.initialization.clicks import KINDS, read_clicks
 from accelsurf.io import meshes
 from accelsurf.segmentation.preprocessing import uses_model
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.toml import volume_mm3
 from accelsurf.settings.wording import shown
-from accelsurf.settings.written_values import volume_mm3
 
 #: Voxels around what was named: as many as its extent, and at least so many.
 MIN_MARGIN = 4 * GUARD

@@ -53,7 +53,7 @@ from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run_setup import half_width, setup_of
 from accelsurf.segmentation.run_start import AROUND
 from accelsurf.segmentation.run_state import BoxMask
-from accelsurf.settings.edits import MAX_ID, Correction
+from accelsurf.settings.corrections import MAX_ID, Correction
 
 #: Voxels of the largest spacing between what the model says of a new object and the border of its box.
 MARGIN = 8.0

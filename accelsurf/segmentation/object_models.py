@@ -21,9 +21,9 @@ from accelsurf.segmentation.object_records import MadeEnergy
 from accelsurf.segmentation.preprocessing import PreprocessedInput, uses_model
 from accelsurf.segmentation.run_setup import energy_maker, thread_count
 from accelsurf.segmentation.run_state import BoxMask, RunState
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.settings.written_values import volume_mm3
+from accelsurf.settings.toml import volume_mm3
 
 #: The energy of an object that begins at clicks after the run's end.
 NEW_ENERGY = "seeded"

@@ -27,8 +27,8 @@ from accelsurf.segmentation.run_setup import thread_count
 from accelsurf.segmentation.window_input import WindowInput, region_in, whole_of, window_of
 from accelsurf.settings import budgets, energy_expression
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.toml import bounds_of, volume_mm3
 from accelsurf.settings.wording import shown
-from accelsurf.settings.written_values import bounds_of, volume_mm3
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from accelsurf.segmentation.refiner import Refiner
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run_result import OnObjectStep
-from accelsurf.settings.edits import corrections_of
+from accelsurf.settings.corrections import corrections_of
 
 
 def refine(
@@ -40,7 +40,7 @@ def refine(
     object : int, optional
         Id of the object, where there are several.
     new, size, merge, split, remove : optional
-        Which objects there are, as `accelsurf.settings.edits.Correction` has it.
+        Which objects there are, as `accelsurf.settings.corrections.Correction` has it.
     on_step : callable, optional
         Called with each `StepRecord` and the id of its object; a true return value ends the correction.
 

@@ -48,7 +48,7 @@ from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run_result import OnObjectStep
 from accelsurf.segmentation.run_setup import correction_rule, is_maker, setup_of, window_reach
 from accelsurf.segmentation.run_state import BoxMask
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 
 #: The surface and its stencils see so many voxels of the largest spacing beyond the region, where they are held.

@@ -23,7 +23,7 @@ from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of, sureness_from
 from accelsurf.segmentation.run_state import BoxMask
 from accelsurf.segmentation.state_file import ObjectFile, StateFile, box_of, masks_of, rests_of, surface_of
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 
 
 def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) -> Result:

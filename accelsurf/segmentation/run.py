@@ -38,7 +38,7 @@ from accelsurf.segmentation.run_start import AROUND, start_of_run
 from accelsurf.segmentation.start_checks import start_checks
 from accelsurf.segmentation.start_pyramid import LevelInputs
 from accelsurf.segmentation.window_input import WindowInput
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 
 __all__ = ["AROUND", "Run"]

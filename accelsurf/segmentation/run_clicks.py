@@ -21,7 +21,7 @@ from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.start_pyramid import LevelArrays
 from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import energy_settings
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 
 

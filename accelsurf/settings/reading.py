@@ -1,13 +1,19 @@
-"""Options of reading an image from a file or folder that holds several, or does not say where its voxels lie."""
+"""Options of reading an image from a file or folder that holds several, or does not say where its voxels lie.
+
+Check that a path names what can be read: pipes would be waited for, and devices do not end.
+"""
 
 from __future__ import annotations
 
+import os
 import re
+import stat
 from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any, Literal
 
-from accelsurf.errors import UsageError
+from accelsurf.errors import AccelsurfError, InputError, UsageError
 
 #: mm of a unit that a spacing may have.
 _MM = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3}
@@ -105,3 +111,29 @@ def spacing_of(text: str) -> Spacing:
             "is the unit right?",
         )
     return x, y, z
+
+
+def check_readable(path: str | Path, name: str = "", kind: type[AccelsurfError] = InputError) -> None:
+    """Refuse a pipe, a device or a socket; what does not exist, and a folder, is left to who reads it.
+
+    Parameters
+    ----------
+    path : str or Path
+        What will be opened, links followed.
+    name : str
+        The beginning of the message.
+    kind : type
+        Of the error.
+
+    Raises
+    ------
+    AccelsurfError
+        Of that kind.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):  # it is not there, or no file can have the name
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        message = f"{name}this is no file but a pipe, a device or a socket"
+        raise kind(message, "write what it holds into a file, and give that")

@@ -1,19 +1,24 @@
 """Configuration files: TOML read with an error that helps, and written without loss.
 
 Written by hand and not by tomli-w: its lists take a line for each item, and it may put tables of edits on one line.
+
+Values of settings as people write them: volumes, times, lengths, bounds and lists, read and checked.
 """
 
 from __future__ import annotations
 
 import json
+import math
+import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from accelsurf.errors import UsageError
-from accelsurf.settings import budgets
-from accelsurf.settings.input_file import check_readable
+from accelsurf.settings import budgets, energy_expression
+from accelsurf.settings.reading import check_readable
+from accelsurf.settings.wording import shown
 
 
 def read(path: str | Path) -> dict[str, Any]:
@@ -86,3 +91,206 @@ def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return repr(value)
+
+
+#: mm3 of each unit of volume, and seconds of each unit of time.
+_MM3 = {"l": 1e6, "ml": 1e3, "ul": 1.0, "cm3": 1e3, "cc": 1e3, "mm3": 1.0, "um3": 1e-9, "nm3": 1e-18}
+_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
+#: Patterns of a length in voxels, a volume, an interval, and the fineness of a mesh.
+VOXELS = r"^([0-9]{1,9}(\.[0-9]{0,20})?|\.[0-9]{1,20})vox$"
+VOLUME = rf"^([0-9]{{1,9}}(\.[0-9]{{0,20}})?|\.[0-9]{{1,20}})({'|'.join(_MM3)})$"
+INTERVAL = rf"^([0-9]{{1,9}}|[0-9]{{1,9}}(\.[0-9]{{1,9}})?({'|'.join(_SECONDS)}))$"
+MESH_SIZE = r"^\s*(?:[0-9]{1,10}|[0-9.]+(?:e-?[0-9]+)?\s*(?:mm|um))\s*$"
+_NUMBER = r"[-+]?(?:[0-9]{1,20}(?:\.[0-9]{0,20})?|\.[0-9]{1,20})(?:[eE][-+]?[0-9]{1,2})?"
+_BOUNDS = re.compile(rf"({_NUMBER})?,({_NUMBER})?")
+_MESH_PARTS = re.compile(r"\s*([0-9.]+(?:e-?[0-9]+)?)\s*(mm|um)?\s*")
+
+
+def volume_mm3(text: str) -> float:
+    """Return a volume, a number followed by its unit, in mm3.
+
+    Raises
+    ------
+    UsageError
+        When it is not of this form, or is 0.
+
+    Examples
+    --------
+    >>> volume_mm3("250ml"), volume_mm3("3cm3"), volume_mm3("0.5mm3")
+    (250000.0, 3000.0, 0.5)
+    """
+    found = re.fullmatch(VOLUME, text)
+    if found is None or float(found[1]) == 0:
+        raise UsageError(
+            f"size: {shown(text)} was given, expected a volume above 0 with its unit",
+            f"as in 250ml or 4000um3; the units are {', '.join(_MM3)}",
+        )
+    return float(found[1]) * _MM3[found[3]]
+
+
+class Interval(NamedTuple):
+    """An interval of ``steps``, or of ``seconds``; the other is None."""
+
+    steps: int | None
+    seconds: float | None
+
+    def is_over(self, steps: int, seconds: float) -> bool:
+        """Return True if so many steps and seconds are an interval or more.
+
+        Examples
+        --------
+        >>> Interval(5, None).is_over(5, 0.0), Interval(None, 30.0).is_over(1000, 29.0)
+        (True, False)
+        """
+        return steps >= self.steps if self.steps is not None else seconds >= (self.seconds or 0.0)
+
+
+def interval_of(text: str) -> Interval:
+    """Return an interval: a whole number of steps, or a time with its unit.
+
+    Raises
+    ------
+    UsageError
+        When it is not of this form, or is 0.
+
+    Examples
+    --------
+    >>> interval_of("50"), interval_of("1.5min")
+    (Interval(steps=50, seconds=None), Interval(steps=None, seconds=90.0))
+    """
+    found = re.fullmatch(INTERVAL, text)
+    unit = None if found is None else found[3]
+    number = 0.0 if found is None else float(text.removesuffix(unit or ""))
+    if number == 0:
+        raise UsageError(
+            f"checkpoint: {shown(text)} was given, expected a number of steps or a time, above 0",
+            f"as in 50, 30s or 5min; the units of time are {', '.join(_SECONDS)}",
+        )
+    return Interval(int(number), None) if unit is None else Interval(None, number * _SECONDS[unit])
+
+
+def bounds_of(text: str | None) -> tuple[float, float]:
+    """Return the bounds LOW,HIGH of values, infinite where one is left out.
+
+    Raises
+    ------
+    UsageError
+        When it is written in another way, or the first is not below the second.
+
+    Examples
+    --------
+    >>> bounds_of(",250"), bounds_of("-100,250")
+    ((-inf, 250.0), (-100.0, 250.0))
+    """
+    if text is None:
+        return -math.inf, math.inf
+    found = _BOUNDS.fullmatch(text.replace(" ", ""))
+    if found is None or found[0] == ",":
+        raise UsageError(
+            f"clip: {shown(text)} was given, expected LOW,HIGH, one of which may be left out", "as --clip ,250"
+        )
+    low = -math.inf if found[1] is None else float(found[1])
+    high = math.inf if found[2] is None else float(found[2])
+    if not low < high:
+        raise UsageError(f"clip: {shown(text)} was given, expected LOW below HIGH", "as --clip -100,250")
+    return low, high
+
+
+def mesh_size(text: str) -> tuple[int | None, float | None]:
+    """Return a number of triangles, or the length of their sides in mm; the other is None.
+
+    Raises
+    ------
+    UsageError
+        For fewer than 4 triangles, no length, or another text.
+
+    Examples
+    --------
+    >>> mesh_size("20000"), mesh_size("2mm"), mesh_size("500um")
+    ((20000, None), (None, 2.0), (None, 0.5))
+    """
+    found = _MESH_PARTS.fullmatch(text)
+    unit = None if found is None else found[2]
+    try:
+        value = float(found[1]) if found else 0.0
+    except ValueError:
+        value = 0.0
+    if unit is not None and 0 < value < math.inf:
+        return None, value * (1e-3 if unit == "um" else 1.0)
+    if unit is None and value >= 4 and value == int(value):
+        return int(value), None
+    raise UsageError(
+        f"mesh_faces: {text[:40]} was given, expected a number of triangles of at least 4, or a length",
+        "as 20000, or 2mm",
+    )
+
+
+def checked(
+    parse: Callable[[str], Any], pattern: str | None = None, numbers: type | tuple[type, ...] = (), joined: bool = False
+) -> Callable[[Any], Any]:
+    """Return a validator of a text, by a function that raises UsageError.
+
+    Parameters
+    ----------
+    parse : callable
+    pattern : str, optional
+        Only texts of this form are parsed: the type of the setting refuses the others.
+    numbers : type or tuple of type
+        Kinds of numbers that become their text.
+    joined : bool
+        Whether a list becomes its text, with commas.
+    """
+
+    def check(value: Any) -> Any:
+        if joined and isinstance(value, (list, tuple)):
+            value = ",".join(str(item) for item in value)
+        elif isinstance(value, numbers) and not isinstance(value, bool):
+            value = str(value)
+        if isinstance(value, str) and (pattern is None or re.fullmatch(pattern, value)):
+            parse(value)
+        return value
+
+    return check
+
+
+checked_volume = checked(volume_mm3, VOLUME)
+
+
+def checked_bounds(value: Any) -> Any:
+    """Check bounds; a pair of numbers, one of which may be None, becomes its text."""
+    if isinstance(value, (list, tuple)) and len(value) == 2:
+        value = ",".join("" if number is None else repr(float(number)) for number in value)
+    return checked(bounds_of)(value)
+
+
+def checked_expression(value: Any) -> Any:
+    """Check an energy; turn a list of tables into its text."""
+    if isinstance(value, (list, tuple)):
+        value = energy_expression.from_tables(value)
+    if isinstance(value, str):
+        value = " ".join(value.split())
+        energy_expression.parse(value)
+    return value
+
+
+def one_or_many(value: Any) -> Any:
+    """Turn a single text into a tuple of one."""
+    return (value,) if isinstance(value, str) else value
+
+
+def all_split(value: Any) -> Any:
+    """Split several texts at their commas, as `split_commas`."""
+    if isinstance(value, (list, tuple)) and all(isinstance(item, str) for item in value):
+        value = ",".join(value) if value else ()
+    return split_commas(value)
+
+
+def split_commas(value: Any) -> Any:
+    """Turn ``"ply,stl"`` into ``("ply", "stl")``; names given twice count once."""
+    if value == "auto":
+        return value
+    if isinstance(value, str):
+        value = value.split(",")
+    if isinstance(value, (list, tuple)) and all(isinstance(item, str) for item in value):
+        return tuple(dict.fromkeys(item.strip().lower() for item in value))
+    return value

@@ -1,7 +1,7 @@
 """The settings of tracking, one entry each: type, bounds, default, help and unit.
 
 The command line, TOML files, the report and the reference pages take them from here, and the formats of tracks. The
-settings of the run on each frame are in `accelsurf.settings.fields`.
+settings of the run on each frame are in `accelsurf.settings.output_fields`.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from accelsurf.settings.edits import FrameCorrections
+from accelsurf.settings.corrections import FrameCorrections
 from accelsurf.settings.entry import OneOf, SettingEntry, SettingGroup, setting
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, Function, label_formats
 from accelsurf.settings.mesh_formats import MESH_FORMATS
 from accelsurf.settings.registry import Registry
-from accelsurf.settings.written_values import all_split, checked_expression
+from accelsurf.settings.toml import all_split, checked_expression
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.run_setup import EnergyLike
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.tracking import evidence

@@ -23,7 +23,7 @@ from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of
 from accelsurf.segmentation.run_setup import EnergyLike, window_reach
 from accelsurf.settings.catalogue import default_of
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.tracking.records import SurfacePiece
 

@@ -20,7 +20,7 @@ from accelsurf.segmentation.api import segment, segment_objects
 from accelsurf.segmentation.refiner import Refiner
 from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike, seeded, thread_count
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.tracking import track_state

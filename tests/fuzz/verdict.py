@@ -17,7 +17,7 @@ from accelsurf.evolution.serialization import from_bytes
 from accelsurf.image.volume import Volume
 from accelsurf.initialization import object_starts, starts
 from accelsurf.io import channels, meshes
-from accelsurf.settings import edits, energy_expression
+from accelsurf.settings import corrections, energy_expression
 from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.run_config import RunConfig
 from tests.fuzz import independent, judges
@@ -145,7 +145,7 @@ def _start(given: Input, path: Path) -> None:
 
 
 def _edit(given: Input, path: Path) -> None:
-    edits.edits_of([_text(given)])
+    corrections.edits_of([_text(given)])
     RunConfig(edit=[_text(given)])
 
 

@@ -12,7 +12,7 @@ from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.local_evolution import WIN_REACH, _restore, _win
 from accelsurf.segmentation.near_region import NearRegion, near_bounds, united
 from accelsurf.segmentation.refiner import Refiner
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from tests.segmentation.test_refine import first_run, two_balls, world
 
 SHAPE, SPACING = (20, 24, 50), (1.0, 1.0, 1.0)

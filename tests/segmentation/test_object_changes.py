@@ -11,7 +11,7 @@ from accelsurf import cli, io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.refiner import Refiner
-from accelsurf.settings.edits import corrections_of
+from accelsurf.settings.corrections import corrections_of
 from accelsurf.settings.run_config import RunConfig
 
 SHAPE, SPACING = (24, 30, 66), (1.5, 1.0, 1.0)

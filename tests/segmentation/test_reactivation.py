@@ -9,7 +9,7 @@ from accelsurf.evolution.records import Stop
 from accelsurf.image.volume import Volume
 from accelsurf.segmentation.ensemble import REACTIVATION_DEPTH, Ensemble
 from accelsurf.segmentation.run import Run
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 
 

@@ -22,7 +22,7 @@ from accelsurf.segmentation.near_region import rim_width
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.refiner import Refiner
 from accelsurf.segmentation.run_setup import PATIENCE, correction_rule, half_width
-from accelsurf.settings.edits import Correction, corrections_of
+from accelsurf.settings.corrections import Correction, corrections_of
 from accelsurf.settings.run_config import RunConfig
 
 SHAPE, SPACING = (26, 30, 64), (1.5, 1.0, 1.0)

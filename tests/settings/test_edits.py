@@ -10,7 +10,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.levelset import LevelSet, checkpoint_surface, restore_surface
 from accelsurf.segmentation.api import result_of, segment
 from accelsurf.segmentation.run import Run
-from accelsurf.settings.edits import Correction, corrections_of
+from accelsurf.settings.corrections import Correction, corrections_of
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig
 from tests.support.level_set_checks import check_level_set

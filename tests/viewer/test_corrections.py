@@ -14,7 +14,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.report.document import describe_quality, to_json
 from accelsurf.segmentation.refine import refine
 from accelsurf.segmentation.refiner import Refiner
-from accelsurf.settings.edits import corrections_of
+from accelsurf.settings.corrections import corrections_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.legend import caption

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 
 

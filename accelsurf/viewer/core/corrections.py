@@ -20,7 +20,7 @@ from accelsurf.segmentation.result import Result
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_result import result_of, state_at_end
 from accelsurf.segmentation.run_state import BoxMask
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame, histories_of_run
 from accelsurf.viewer.core.nearest_object import distance_of, place_of
 from accelsurf.viewer.core.saving import repeating

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from accelsurf.settings.catalogue import as_typed
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.energy_expression import uses_model
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig

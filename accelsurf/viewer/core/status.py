@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.change_log import ChangeLine

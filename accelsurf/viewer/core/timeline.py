@@ -13,7 +13,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_checkpoint import RunCheckpoint
 from accelsurf.settings.catalogue import entry
-from accelsurf.settings.edits import Correction
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving

@@ -16,7 +16,7 @@ from accelsurf.errors import UsageError
 from accelsurf.io.files import write_bytes
 from accelsurf.report import output_folder
 from accelsurf.report.tables import csv_text
-from accelsurf.settings.edits import MAX_ID
+from accelsurf.settings.corrections import MAX_ID
 from accelsurf.settings.wording import in_unit, size_text
 from accelsurf.viewer.core.measurements import COLUMNS, Measurement, Measurements
 from accelsurf.viewer.core.status import Status, View

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from accelsurf.errors import UsageError
-from accelsurf.settings.edits import MAX_ID
+from accelsurf.settings.corrections import MAX_ID
 from accelsurf.settings.labels import MAX_NAME
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.colors import OBJECT_COLORS, ObjectStyle, unnamed

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from accelsurf.image.grey_window import AUTO, checked_window
-from accelsurf.settings.edits import Edits, Refinements
+from accelsurf.settings.corrections import Edits, Refinements
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.entry import OneOf, SettingEntry, SettingGroup, Slider, setting
 from accelsurf.settings.file_formats import label_formats, label_help
@@ -20,7 +20,7 @@ from accelsurf.settings.labels import checked_colors, checked_names
 from accelsurf.settings.mesh_formats import MESH_FORMATS, also_help, also_names, mesh_help
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.reading import ReadOptions, spacing_of
-from accelsurf.settings.written_values import (
+from accelsurf.settings.toml import (
     INTERVAL,
     MESH_SIZE,
     VOLUME,

@@ -13,8 +13,8 @@ from pydantic.fields import FieldInfo
 from accelsurf.errors import UsageError
 from accelsurf.settings import budgets
 from accelsurf.settings.entry import entry_of
+from accelsurf.settings.toml import VOLUME, checked_volume
 from accelsurf.settings.wording import did_you_mean, shown
-from accelsurf.settings.written_values import VOLUME, checked_volume
 
 _WHOLE = re.compile(r"[0-9]{1,18}")
 #: Largest id of an object.
