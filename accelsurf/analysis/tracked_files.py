@@ -15,9 +15,9 @@ from accelsurf.analysis.tracking_scores import Stretch, TrackedLabels, TrackingS
 from accelsurf.errors import InputError
 from accelsurf.image.check import as_labels
 from accelsurf.image.sequence import ImageSequence
-from accelsurf.io.challenge import ChallengeFolder, is_challenge, open_challenge
 from accelsurf.io.files import naming
 from accelsurf.io.headers import split_name
+from accelsurf.io.sequences.challenge import ChallengeFolder, is_challenge, open_challenge
 from accelsurf.settings import budgets
 
 #: Ends of the names of label maps, and of the table that belongs to them.
@@ -61,7 +61,7 @@ def open_tracks(path: Path) -> TrackedFile:
     """
     if is_challenge(path):
         return _of_challenge(path, open_challenge(path))
-    from accelsurf.io.sequences import read_sequence
+    from accelsurf.io.sequences.reading import read_sequence
 
     sequence = read_sequence(path)
     table = table_beside(path)

@@ -353,7 +353,7 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
         When it cannot be read; UsageError when a format cannot hold the result.
     """
     from accelsurf.io import channels
-    from accelsurf.io.formats.nibabel_import import import_nibabel_for
+    from accelsurf.io.formats.nifti import import_nibabel_for
 
     log.timed("load", lambda: import_nibabel_for(place.source))
     volume, *more = log.timed("load", lambda: channels.read(place.source, config.reading))

@@ -134,7 +134,7 @@ def _read(source: Path, level: int | None, requested: ReadOptions) -> tuple[list
 
     from accelsurf.cli.large_image import whole_volume
     from accelsurf.io import channels
-    from accelsurf.io.formats.nibabel_import import import_nibabel_for
+    from accelsurf.io.formats.nifti import import_nibabel_for
     from accelsurf.io.headers import is_store
     from accelsurf.io.lazy_volume import open_channels
 

@@ -13,7 +13,7 @@ from accelsurf import io
 from accelsurf.cli.options import Output, Overwrite, required
 from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
-from accelsurf.io.sequence_writing import SequenceWriter
+from accelsurf.io.sequences.writing import SequenceWriter
 from accelsurf.phantoms import recipes
 from accelsurf.phantoms.motions import MotionRecipe, MovingPhantom
 from accelsurf.phantoms.recipes import Recipe

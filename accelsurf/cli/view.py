@@ -68,8 +68,9 @@ class FirstImage:
         UsageError
             When a time between frames was given for a single image.
         """
-        from accelsurf.io import channels, headers, sequences
+        from accelsurf.io import channels, headers
         from accelsurf.io.files import naming
+        from accelsurf.io.sequences import reading as sequences
         from accelsurf.viewer.core.command_queue import in_background
 
         reading = self.config.reading

@@ -3,12 +3,11 @@
 from accelsurf.io.files import sha256
 from accelsurf.io.headers import WARNING_KEY, is_stored, split_name
 from accelsurf.io.images import label_type, read, read_labels, write, write_labels
-from accelsurf.io.label_grid import on_grid, on_one_grid
-from accelsurf.io.label_store import LabelStore
+from accelsurf.io.label_store import LabelStore, on_grid, on_one_grid
 from accelsurf.io.lazy_volume import LazyVolume, open_volume
 from accelsurf.io.memory import available_memory
-from accelsurf.io.sequence_writing import SequenceWriter
-from accelsurf.io.sequences import read_sequence
+from accelsurf.io.sequences.reading import read_sequence
+from accelsurf.io.sequences.writing import SequenceWriter
 from accelsurf.settings.file_formats import image_suffixes, written_suffixes
 
 __all__ = [

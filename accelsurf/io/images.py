@@ -23,7 +23,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.io import headers
 from accelsurf.io.files import SPACE_HINT, naming, staging
 from accelsurf.io.headers import split_name
-from accelsurf.io.label_grid import on_grid
+from accelsurf.io.label_store import on_grid
 from accelsurf.io.memory import available_memory
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat, image_format, label_formats
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions

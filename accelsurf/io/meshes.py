@@ -17,7 +17,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, corner_of
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import naming
-from accelsurf.io.formats.mesh_header import MeshContent, is_ras
+from accelsurf.io.formats.surface_files import MeshContent, is_ras
 from accelsurf.io.memory import available_memory
 from accelsurf.settings import budgets
 from accelsurf.settings.mesh_formats import MESH_FORMATS

@@ -33,7 +33,7 @@ def check(config: RunConfig, volume: Volume, overwrite: bool = False) -> None:
     UsageError
         When it needs DICOM and the image is none; InputError when a table of labels cannot be read, or a package lacks.
     """
-    from accelsurf.io.dicom.library import library
+    from accelsurf.io.dicom.sources import library
 
     table_of(config)
     if config.label_group is not None:

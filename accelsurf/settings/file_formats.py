@@ -57,9 +57,9 @@ class ImageFormat:
         written with box by box (``write``, ``read``, ``finish``, as of `accelsurf.io.LabelStore`); None: it cannot be.
     sequence : str or callable, optional
         Of a Path, ReadOptions and the memory in bytes or None, returns the
-        `accelsurf.io.sequence_sources.FileSequence` that is in it; None: one time point is read like the other.
+        `accelsurf.io.sequences.sources.FileSequence` that is in it; None: one time point is read like the other.
     write_frames : str or callable, optional
-        Of a Path, which it makes, and an `accelsurf.io.sequence_writing.FrameStack`: writes a sequence with its times;
+        Of a Path, which it makes, and an `accelsurf.io.sequences.writing.FrameStack`: writes a sequence with its times;
         None: it cannot hold one.
     has_levels : bool
         Whether a file may hold several levels, channels and time points.
@@ -122,14 +122,14 @@ _PARTS = ("channel_index", "time_index", "channels_from_time")
 _NIFTI: dict[str, Any] = {
     "read": f"{_FORMATS}.nifti_volumes:read_nifti",
     "options": _PARTS,
-    "sequence": "accelsurf.io.packed_sequences:NiftiFrames",
+    "sequence": "accelsurf.io.sequences.packed:NiftiFrames",
     "read_channels": f"{_FORMATS}.nifti_volumes:read_nifti_channels",
     "is_anatomical": f"{_FORMATS}.nifti_grid:is_anatomical",
 }
 _ITK: dict[str, Any] = {
     "read": f"{_FORMATS}.itk_volumes:read_by_itk",
     "options": _PARTS,
-    "sequence": "accelsurf.io.packed_sequences:ItkFrames",
+    "sequence": "accelsurf.io.sequences.packed:ItkFrames",
     "read_channels": f"{_FORMATS}.itk_volumes:read_channels_by_itk",
     "open": f"{_FORMATS}.itk_volumes:open_raw",
 }
@@ -233,7 +233,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.dicom:read_dicom",
         options=("series", "resample", "spacing"),
         read_labels=f"{_FORMATS}.dicom:read_labels",
-        sequence="accelsurf.io.dicom_sequences:DicomFrames",
+        sequence="accelsurf.io.sequences.sources:DicomFrames",
         is_anatomical=f"{_FORMATS}.dicom:is_anatomical",
         is_folder=f"{_FORMATS}.dicom:holds_dicom",
         is_file=f"{_FORMATS}.dicom:is_dicom",

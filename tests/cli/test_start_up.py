@@ -89,7 +89,7 @@ def test_a_look_at_an_image_does_without_compiled_code_and_numerics(ball):
 
 def test_pydicom_is_there_for_all_but_nibabel_s_import(ball):
     code = (
-        "import sys; from pathlib import Path; from accelsurf.io.formats.nibabel_import import import_nibabel_for\n"
+        "import sys; from pathlib import Path; from accelsurf.io.formats.nifti import import_nibabel_for\n"
         f"import_nibabel_for(Path({__file__!r})); print('nibabel' in sys.modules)\n"
         f"import_nibabel_for(Path({str(ball)!r})); print('nibabel' in sys.modules, 'pydicom' in sys.modules)\n"
         "from nibabel.nicom import csareader; import pydicom; print(csareader.get_csa_header(pydicom.Dataset()))\n"

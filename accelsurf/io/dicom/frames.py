@@ -15,10 +15,23 @@ from typing import Any
 import numpy as np
 
 from accelsurf.errors import InputError
-from accelsurf.io.dicom import kinds
-from accelsurf.io.dicom.elements import Elements, Floats, listed, number_of, numbers_of, text
-from accelsurf.io.dicom.library import HEADER_HINT, PixelBytes, damage_of, library, quiet, read_dataset, read_header
-from accelsurf.io.dicom.sources import DicomFile
+from accelsurf.io.dicom import sources
+from accelsurf.io.dicom.sources import (
+    HEADER_HINT,
+    DicomFile,
+    Elements,
+    Floats,
+    PixelBytes,
+    damage_of,
+    library,
+    listed,
+    number_of,
+    numbers_of,
+    quiet,
+    read_dataset,
+    read_header,
+    text,
+)
 from accelsurf.settings import budgets
 
 _NUCLEAR_TAGS = ("DetectorInformationSequence", "SliceVector", "TimeSlotVector", "EnergyWindowVector")
@@ -132,7 +145,7 @@ _TAGS = [
     *("PerFrameFunctionalGroupsSequence", "FrameTime", "FrameTimeVector", "CineRate", "RecommendedDisplayFrameRate"),
     *("ModalityLUTSequence", *(f"{kind}PixelPadding{part}" for kind in ("", "Float", "DoubleFloat")
                                for part in ("Value", "RangeLimit"))),
-    *kinds.TAGS, *_NUCLEAR_TAGS,
+    *sources.TAGS, *_NUCLEAR_TAGS,
 ]
 #: Samples of a pixel on average, where colours are stored for pairs of pixels.
 _HALVED = "YBR_FULL_422"
@@ -228,14 +241,14 @@ def frames_of(path: DicomFile, of_segmentation: bool = False) -> list[Frame]:
 
 def _frames(path: DicomFile, dataset: Elements, pixels: PixelBytes | None, of_segmentation: bool) -> list[Frame]:
     rows, columns = (int(dataset.get(name) or 0) for name in ("Rows", "Columns"))
-    kind = kinds.kind_of(dataset)
-    if kind and not (of_segmentation and kind == kinds.SEGMENTATION):
+    kind = sources.kind_of(dataset)
+    if kind and not (of_segmentation and kind == sources.SEGMENTATION):
         return [_frame(_common(path, dataset), dataset, 0, 1, None, _elapsed(dataset), kind)]
     if not any(dataset.get(name) for name in ("SOPClassUID", "Modality", "Rows")):
         what = "its header has no SOP class, modality or number of rows; cut short?"
         raise InputError(f"{path.name}: {what}", "copy it again")
     if rows <= 0 or columns <= 0 or pixels is None:
-        if pixels is not None or kinds.is_image(dataset):
+        if pixels is not None or sources.is_image(dataset):
             what = "no pixels" if pixels is None else "no rows and columns"
             raise InputError(f"{path.name}: {what} in it; cut short?", "copy it again")
         return []

@@ -16,8 +16,7 @@ from accelsurf.errors import InputError
 from accelsurf.io import itk
 from accelsurf.io.channels import to_grey
 from accelsurf.io.dicom.frames import Frame
-from accelsurf.io.dicom.library import HEADER_HINT, damage_of, library, read_dataset
-from accelsurf.io.dicom.sources import DicomFile
+from accelsurf.io.dicom.sources import HEADER_HINT, DicomFile, damage_of, library, read_dataset
 from accelsurf.io.dicom.writing_tools import data_set, file_bytes, filled
 
 _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import Frame
-from accelsurf.io.dicom.library import library, quiet
 from accelsurf.io.dicom.source_images import SourceImages, pixel_for_pixel
+from accelsurf.io.dicom.sources import library, quiet
 from accelsurf.io.dicom.writing_tools import (
     data_set,
     derived_uid,

@@ -16,13 +16,10 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.dicom.elements import number_of, text
 from accelsurf.io.dicom.frames import Frame, frames_of
-from accelsurf.io.dicom.kinds import TAGS
-from accelsurf.io.dicom.library import HEADER_HINT, damage_of, library, read_dataset
 from accelsurf.io.dicom.pixels import stored_values
 from accelsurf.io.dicom.slices import TOLERANCE_MM, ordered
-from accelsurf.io.dicom.sources import DicomFile
+from accelsurf.io.dicom.sources import HEADER_HINT, TAGS, DicomFile, damage_of, library, number_of, read_dataset, text
 from accelsurf.io.dicom.volumes import DicomVolume
 from accelsurf.io.memory import check_memory
 from accelsurf.settings.labels import MAX_NAME, LabelEntry, LabelTable, default_color, holds

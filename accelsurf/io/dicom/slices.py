@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import Frame
-from accelsurf.io.dicom.library import HEADER_HINT
+from accelsurf.io.dicom.sources import HEADER_HINT
 from accelsurf.io.dicom.volumes import DicomVolume, names_of
 from accelsurf.settings.reading import Spacing
 

@@ -13,8 +13,8 @@ import numpy as np
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import Frame
-from accelsurf.io.dicom.library import quiet, read_dataset
 from accelsurf.io.dicom.slices import TOLERANCE_MM
+from accelsurf.io.dicom.sources import quiet, read_dataset
 from accelsurf.io.dicom.writing_tools import derived_uid, short_text
 
 #: Largest part of a voxel that two places may differ by to be one.

@@ -12,7 +12,7 @@ import uuid
 from typing import Any
 
 from accelsurf.io.dicom.frames import Frame
-from accelsurf.io.dicom.library import library, quiet
+from accelsurf.io.dicom.sources import library, quiet
 
 #: What the identifiers that highdicom draws at random begin with.
 RANDOM_PREFIX = "1.2.826.0.1.3680043.10.511.3."

@@ -15,15 +15,21 @@ from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.dicom import pixels, segments
-from accelsurf.io.dicom.cine import TIME_PHASES
 from accelsurf.io.dicom.frames import Frame, frames_of
-from accelsurf.io.dicom.kinds import HINTS, SEGMENTATION
-from accelsurf.io.dicom.library import library
 from accelsurf.io.dicom.resampling import RegularGrid, regular_grid, resampled
 from accelsurf.io.dicom.segments import Segments
 from accelsurf.io.dicom.slices import Slices, ordered
-from accelsurf.io.dicom.sources import DicomFile, SourceFiles, files_of, holds_dicom, is_dicom
-from accelsurf.io.dicom.volumes import Contents, DicomVolume, contents_of, count_in_words, shown
+from accelsurf.io.dicom.sources import (
+    HINTS,
+    SEGMENTATION,
+    DicomFile,
+    SourceFiles,
+    files_of,
+    holds_dicom,
+    is_dicom,
+    library,
+)
+from accelsurf.io.dicom.volumes import TIME_PHASES, Contents, DicomVolume, contents_of, count_in_words, shown
 from accelsurf.io.headers import DICOM_KEY, LABELS_KEY, VALUE_UNIT_KEY, ZERO_BEYOND_KEY, with_warnings
 from accelsurf.io.memory import available_memory, check_memory
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions

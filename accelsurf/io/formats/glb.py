@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.io.formats.mesh_header import MeshContent, stated_space
+from accelsurf.io.formats.surface_files import MeshContent, stated_space
 from accelsurf.settings import budgets
 from accelsurf.settings.labels import LabelEntry
 

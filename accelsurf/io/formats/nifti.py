@@ -4,12 +4,15 @@ ITK repairs, guesses and forgets: it reads a file without voxels as zeros, takes
 falls back on the qform when the sform is sheared, and writes both codes as 1. So the header is read here first,
 and the fields that place the grid are put back after writing. nibabel takes the header apart; its own checks, which
 repair too, are not used.
+
+nibabel for programs that read voxels: without pydicom, which takes longer to import than nibabel itself.
 """
 
 from __future__ import annotations
 
 import math
 import struct
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,10 +28,32 @@ from accelsurf.io.channels import MAX_CHANNELS, selected, single
 from accelsurf.io.formats.deflate import GZIP_START, TRUNCATED_HINT, first_bytes, inflate
 from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
-from accelsurf.io.formats.sequence_files import extensions_in, times_text_in
-from accelsurf.io.headers import single_precision
+from accelsurf.io.headers import single_precision, split_name
+from accelsurf.io.sequences.sequence_files import extensions_in, times_text_in
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+
+
+def import_nibabel_for(path: Path) -> None:
+    """Import nibabel for a NIfTI as if pydicom were not installed; nothing where either is loaded already.
+
+    nibabel uses pydicom for data sets in DICOM that the header of a NIfTI may carry, which accelsurf does not look at.
+    Where it is installed nibabel imports it at once, and with it requests and urllib3. What imports pydicom afterwards
+    finds it. For the program alone: who imports accelsurf has nibabel with all.
+
+    Parameters
+    ----------
+    path : Path
+        What will be read.
+    """
+    is_nifti = path.is_file() and split_name(path)[1].startswith(".nii")
+    if is_nifti and not {"nibabel", "pydicom"} & sys.modules.keys():
+        sys.modules["pydicom"] = None  # type: ignore[assignment]  # Python's own word for: there is none
+        try:
+            import nibabel  # noqa: F401
+        finally:
+            del sys.modules["pydicom"]
+
 
 ITK_NAME = "NiftiImageIO"
 """The class of ITK that reads and writes the format."""

@@ -225,7 +225,7 @@ class SequenceWriter:
 
     def _check(self) -> None:
         """Read the draft back, and refuse one that does not hold the frames."""
-        from accelsurf.io.sequences import open_sequence
+        from accelsurf.io.sequences.reading import open_sequence
 
         try:
             found = open_sequence(self._files.drafts / self.path.name, memory_bytes=sys.maxsize)

@@ -30,7 +30,7 @@ from accelsurf.io.formats.raw_voxels import CHANGED
 from accelsurf.io.headers import FrameTimes
 from accelsurf.io.lazy_volume import Opening
 from accelsurf.io.memory import check_memory
-from accelsurf.io.sequence_sources import FileFrames, with_time
+from accelsurf.io.sequences.sources import FileFrames, with_time
 from accelsurf.settings.reading import ReadOptions
 
 

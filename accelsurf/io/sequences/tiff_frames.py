@@ -10,7 +10,7 @@ from accelsurf.io.formats.tiff_file import write_pages
 from accelsurf.io.headers import TIMES_KEY
 
 if TYPE_CHECKING:
-    from accelsurf.io.sequence_writing import FrameStack
+    from accelsurf.io.sequences.writing import FrameStack
 
 _OME_TYPES = {"float32": "float"}
 

@@ -19,7 +19,7 @@ from accelsurf.io.formats.deflate import gzip_file
 from accelsurf.io.headers import TIMES_KEY, single_precision
 
 if TYPE_CHECKING:
-    from accelsurf.io.sequence_writing import FrameStack
+    from accelsurf.io.sequences.writing import FrameStack
 
 _RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 _MAX_AXIS = 2**15 - 1

@@ -15,7 +15,7 @@ from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.registry import load
 
 if TYPE_CHECKING:
-    from accelsurf.io.sequence_sources import FileSequence
+    from accelsurf.io.sequences.sources import FileSequence
 
 #: A step between frames that can be meant, seconds.
 _SHORTEST, _LONGEST = 1e-15, 1e12
@@ -115,7 +115,7 @@ def open_sequence(
 ) -> FileSequence:
     """Open a sequence as `read_sequence` does, also where there is one frame only."""
     # Not before it is needed: this loads ITK, and the reader of stacks.
-    from accelsurf.io.sequence_sources import FileFrames, FrameFolder, SliceFrames, holds_frames
+    from accelsurf.io.sequences.sources import FileFrames, FrameFolder, SliceFrames, holds_frames
 
     path = Path(path)
     if frame_time is not None and not _SHORTEST <= frame_time <= _LONGEST:

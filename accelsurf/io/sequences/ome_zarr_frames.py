@@ -14,7 +14,7 @@ from accelsurf.io.formats.zarr_voxels import library
 from accelsurf.io.headers import TIMES_KEY, split_name
 
 if TYPE_CHECKING:
-    from accelsurf.io.sequence_writing import FrameStack
+    from accelsurf.io.sequences.writing import FrameStack
 
 
 def write_ome_zarr_frames(path: Path, frames: FrameStack) -> None:
