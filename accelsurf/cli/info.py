@@ -171,7 +171,6 @@ def _known() -> dict[str, Any]:
     """Names by kind: lists of them, or dictionaries with the meaning of each."""
     from accelsurf.cli import EXIT_CODES
     from accelsurf.evolution.records import StopReason
-    from accelsurf.initialization import starts
     from accelsurf.phantoms import recipe_files
     from accelsurf.report.document import versions
     from accelsurf.settings.energy_terms import TERMS, image_terms
@@ -179,6 +178,7 @@ def _known() -> dict[str, Any]:
     from accelsurf.settings.flow_specs import FLOWS
     from accelsurf.settings.mesh_formats import MESH_FORMATS
     from accelsurf.settings.trace_columns import TRACE_COLUMNS
+    from accelsurf.starts import starts
 
     return {
         "versions": versions(),

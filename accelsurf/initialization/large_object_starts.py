@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf import io
+from accelsurf.clicks.tables import has_sides
 from accelsurf.errors import GeometryError, UsageError
 from accelsurf.grid.boxes import Box, corner_of, slabs, widened
 from accelsurf.grid.geometry import Geometry
-from accelsurf.initialization import object_starts, starts
-from accelsurf.initialization.object_clicks import has_sides
-from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.io import LazyVolume
+from accelsurf.starts import objects as object_starts
+from accelsurf.starts import starts
+from accelsurf.starts.objects import ObjectStart
 
 Some = TypeVar("Some", bound="ManyStarts")
 _HINT = "give a table of balls (id,x,y,z,r), or a label map of first voxels"
@@ -69,7 +70,7 @@ class BallTable:
     Raises
     ------
     InputError
-        As `accelsurf.initialization.object_starts.read`; UsageError when it is a table of clicks.
+        As `accelsurf.starts.objects.read`; UsageError when it is a table of clicks.
     """
 
     def __init__(self, file: str, geometry: Geometry, margin: int) -> None:
@@ -116,7 +117,7 @@ class LabelMap:
     Raises
     ------
     InputError
-        As `accelsurf.initialization.object_starts.read`; GeometryError when it lies on another grid.
+        As `accelsurf.starts.objects.read`; GeometryError when it lies on another grid.
     """
 
     def __init__(

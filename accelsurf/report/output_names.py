@@ -94,7 +94,7 @@ def _is_table_of_clicks(objects: str | None) -> bool:
     """Test if the objects begin as clicks; if a table cannot be read, the run reports the error."""
     if objects is None or not objects.lower().endswith(".csv"):
         return False
-    from accelsurf.initialization.object_clicks import has_sides  # loads what a run needs
+    from accelsurf.clicks.tables import has_sides  # loads what a run needs
 
     try:
         return has_sides(objects)

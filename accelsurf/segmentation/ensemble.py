@@ -23,10 +23,10 @@ from accelsurf.grid.boxes import Corner, box_at, meeting, shared
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
-from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.preprocessing import PreprocessedInput
+from accelsurf.starts.objects import ObjectStart
 
 #: Objects can touch in a step where the boxes around them, larger by so many voxels on each side, overlap: contact sets
 #: in over one voxel, and none moves by more than one.

@@ -21,13 +21,13 @@ from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, shared, widened
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.geometry import farthest
 from accelsurf.grid.pyramid import Level, prolong
-from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset.transfer import shift_fields
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.object_records import EnergyMaker, MadeEnergy, ObjectCheckpoint
 from accelsurf.segmentation.run_clicks import BallEdit, LevelClicks, apply_balls
 from accelsurf.segmentation.start_pyramid import LevelInputs, StartPyramid, finer_box, to_finest
+from accelsurf.starts.objects import ObjectStart
 
 
 def leaked_stop(stop: Stop, setup: SolverSetup) -> Stop:

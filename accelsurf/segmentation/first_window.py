@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.reading import KINDS, read_clicks
 from accelsurf.energies.seeded.appearance import EVEN_REACH, MIN_EVEN_REACH, radius_of
 from accelsurf.energies.seeded.contest import WALKS_REACH
 from accelsurf.errors import InputError, UsageError
@@ -17,13 +18,12 @@ from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import GUARD, Window
 from accelsurf.image.volume import Volume
-from accelsurf.initialization import starts
-from accelsurf.initialization.clicks import KINDS, read_clicks
 from accelsurf.io import meshes
 from accelsurf.segmentation.preprocessing import uses_model
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import volume_mm3
 from accelsurf.settings.wording import shown
+from accelsurf.starts import starts
 
 #: Voxels around what was named: as many as its extent, and at least so many.
 MIN_MARGIN = 4 * GUARD
@@ -90,7 +90,7 @@ def extent_of(text: str, geometry: Geometry) -> Box:
     Parameters
     ----------
     text : str
-        As `accelsurf.initialization.starts.parse` or `accelsurf.initialization.clicks.read_clicks` take it.
+        As `accelsurf.starts.starts.parse` or `accelsurf.clicks.reading.read_clicks` take it.
     geometry : Geometry
 
     Raises

@@ -9,23 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.reading import click_of_mask, click_of_numbers, click_of_voxels, point_voxels, read_clicks
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume, array_on_grid, plain_array
-from accelsurf.initialization import starts
-from accelsurf.initialization.clicks import (
-    click_of_mask,
-    click_of_numbers,
-    click_of_voxels,
-    point_voxels,
-    read_clicks,
-)
-from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.io import meshes
 from accelsurf.segmentation.run_setup import EnergyLike
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts import starts
+from accelsurf.starts.objects import ObjectStart
 
 #: Settings that may be given as arrays, volumes, meshes or lists of balls.
 GIVEN = ("start", "mask", "foreground", "background", "inside", "outside")

@@ -15,7 +15,6 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, enclosing, meeting, placed_at, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import LeavesWindow, Window
-from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.segmentation.first_window import MIN_MARGIN
 from accelsurf.segmentation.memory_need import PLAIN_BYTES, PROCESS_BYTES, bytes_text
 from accelsurf.segmentation.region_of_interest import cropped
@@ -28,6 +27,7 @@ from accelsurf.segmentation.windowed import LargeImage, larger, run_in
 from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts.objects import ObjectStart
 
 #: Bytes of a voxel of an object's own box, as of a whole run: image, psi twice, an index of the band, and the band; and
 #: of a voxel of the window beside the file's own: the image as float32, the union of the starts, and a copy of either.

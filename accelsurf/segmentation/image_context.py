@@ -19,10 +19,10 @@ from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry, axis_steps
 from accelsurf.grid.pyramid import Level, levels
 from accelsurf.grid.window import Window
-from accelsurf.initialization.region_growing import otsu_level
 from accelsurf.segmentation.region_totals import RegionTotals
 from accelsurf.settings.energy_terms import HALF, Values
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts.region_growing import otsu_level
 
 if TYPE_CHECKING:
     from accelsurf.energies.seeded.model import SeededModel

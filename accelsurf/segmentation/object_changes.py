@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.clicks.reading import point_voxels
 from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import InputError, UsageError
@@ -35,7 +36,6 @@ from accelsurf.grid.boxes import (
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.pyramid import Level
-from accelsurf.initialization.clicks import point_voxels
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.segmentation.corrected_surface import (
     CorrectedSurface,

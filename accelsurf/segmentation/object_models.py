@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.reading import voxel_named
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, corner_of
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
-from accelsurf.initialization.clicks import voxel_named
 from accelsurf.segmentation.image_context import ImageContext, ModelInputs
 from accelsurf.segmentation.local_model import LocalModel, LocalState, local_model
 from accelsurf.segmentation.object_records import MadeEnergy

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.reading import clicks_of
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.clicks import Click, Clicks
@@ -18,8 +19,6 @@ from accelsurf.grid.window import Window
 from accelsurf.image.check import MIN_RANGE
 from accelsurf.image.filters import ImageFilters
 from accelsurf.image.volume import Volume, check_image
-from accelsurf.initialization import starts
-from accelsurf.initialization.clicks import clicks_of
 from accelsurf.segmentation.image_context import ImageContext, Mask, ModelInputs, Scale
 from accelsurf.segmentation.region_of_interest import cropped, distance_of_mask
 from accelsurf.segmentation.run_clicks import placed
@@ -29,6 +28,7 @@ from accelsurf.settings import budgets, energy_expression
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import bounds_of, volume_mm3
 from accelsurf.settings.wording import shown
+from accelsurf.starts import starts
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)

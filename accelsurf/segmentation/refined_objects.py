@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.reading import clicked_voxels
 from accelsurf.grid.boxes import Box, box_at, corner_of, counted_from, shared
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.levelset import Workers
-from accelsurf.segmentation.clicked_voxels import clicked_voxels
 from accelsurf.segmentation.corrected_surface import (
     CorrectedSurface,
     count_inside,

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.reading import check_left, clicks_of, on_image
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
 from accelsurf.evolution.records import Stop
@@ -18,11 +19,9 @@ from accelsurf.grid.boxes import Box, box_at, counted_from
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.pyramid import Level
-from accelsurf.initialization.clicks import check_left, clicks_of
 from accelsurf.io.memory import available_cores
 from accelsurf.levelset import Workers
 from accelsurf.segmentation import object_changes
-from accelsurf.segmentation.clicked_voxels import on_image
 from accelsurf.segmentation.corrected_surface import (
     CorrectedSurface,
     box_around,

@@ -12,9 +12,9 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
-from accelsurf.initialization import starts
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
+from accelsurf.starts import starts
 
 #: Least margin, voxels, of the region of a run around the box of --box: what is learned of the surroundings lies there.
 AROUND_BOX = 10

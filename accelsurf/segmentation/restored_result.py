@@ -7,12 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from accelsurf.clicks.reading import clicked_voxels, clicks_of, on_image
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.clicks import Clicks
 from accelsurf.image.volume import Volume
-from accelsurf.initialization.clicks import clicks_of
-from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
 from accelsurf.segmentation.corrected_surface import frozen_settings
 from accelsurf.segmentation.local_model import LocalState
 from accelsurf.segmentation.object_changes import voxel_of

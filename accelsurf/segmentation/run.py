@@ -15,7 +15,6 @@ from accelsurf.grid.boxes import Corner
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.ensemble import Ensemble, overall_stop
 from accelsurf.segmentation.evolving_object import EvolvingObject
@@ -40,6 +39,7 @@ from accelsurf.segmentation.start_pyramid import LevelInputs
 from accelsurf.segmentation.window_input import WindowInput
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts.objects import ObjectStart
 
 __all__ = ["AROUND", "Run"]
 

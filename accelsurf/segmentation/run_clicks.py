@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.reading import check_contradictions, check_left, clicks_of, voxel_named
 from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, whole_box
 from accelsurf.grid.click_bounds import ClickBounds, click_bounds
@@ -15,14 +16,13 @@ from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry, ball_distance
 from accelsurf.grid.pyramid import Level
 from accelsurf.image.volume import Volume
-from accelsurf.initialization import starts
-from accelsurf.initialization.clicks import check_contradictions, check_left, clicks_of, voxel_named
 from accelsurf.segmentation.image_context import ImageContext
 from accelsurf.segmentation.start_pyramid import LevelArrays
 from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import energy_settings
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts import starts
 
 
 class BallEdit(NamedTuple):

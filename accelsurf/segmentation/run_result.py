@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.reading import clicked_voxels, on_image
 from accelsurf.energies.seeded import Proposal, Sureness
 from accelsurf.energies.seeded.stages import Stage
 from accelsurf.energies.seeded.sureness import sureness_of
@@ -18,7 +19,6 @@ from accelsurf.grid.boxes import Box, box_at, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT, Clicks
 from accelsurf.grid.window import Window
 from accelsurf.segmentation.checkpoint_file import CheckpointFile
-from accelsurf.segmentation.clicked_voxels import clicked_voxels, on_image
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.late_growth import LateGrowth, nearest_inside
 from accelsurf.segmentation.preprocessing import uses_model

@@ -20,7 +20,6 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import AUTO_MIN_VOXELS, count_resolved_levels
 from accelsurf.grid.window import NeedsLevels, Window
 from accelsurf.image.volume import Volume
-from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.io.memory import available_cores
 from accelsurf.segmentation.energy_assembly import make_energy
 from accelsurf.segmentation.image_context import ImageContext
@@ -31,6 +30,7 @@ from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts.objects import ObjectStart
 
 #: Ratio of the spacings from which on slices are thick.
 THICK = 4.0

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks import tables
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.initialization import object_clicks, object_starts
-from accelsurf.initialization.object_starts import ObjectStart, core_of
 from accelsurf.io.channels import read_further
 from accelsurf.segmentation.ensemble import union_of, within
 from accelsurf.segmentation.given import given_arrays, surfaces_of
@@ -25,6 +24,8 @@ from accelsurf.segmentation.preprocessing import PreprocessedInput, preprocess, 
 from accelsurf.segmentation.run_checkpoint import digest_of
 from accelsurf.segmentation.window_input import WindowInput
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts import objects as object_starts
+from accelsurf.starts.objects import ObjectStart, core_of
 
 #: Voxels around an object's own grid that belong to its part of a result.
 AROUND = 2
@@ -82,7 +83,7 @@ def start_of_run(
     labels = config.objects if objects is None else objects
     surfaces = surfaces_of(labels)
     by_array = given_arrays(labels, arrays) | _masks_of(clicks, volume.geometry)
-    table = None if labels is None or surfaces else object_clicks.read(labels, volume.geometry)
+    table = None if labels is None or surfaces else tables.read(labels, volume.geometry)
     if table is not None:
         clicks = [*clicks, *table.clicks]
         if "energy" not in config.model_fields_set:
@@ -143,7 +144,7 @@ def _several(
     if table is None:
         return object_starts.read(labels, geometry, AROUND)
     # With a model the competition is in the force: what is no object needs no surface.
-    starts = object_clicks.starts_of(table, geometry, AROUND)
+    starts = tables.starts_of(table, geometry, AROUND)
     return [start for start in starts if start.id != NO_OBJECT or not uses_model(config)]
 
 
@@ -154,7 +155,7 @@ def _no_object(prepared: PreprocessedInput, config: RunConfig) -> list[ObjectSta
     whole = Clicks(
         tuple(click for click in prepared.clicks.clicks if click.id == NO_OBJECT), prepared.clicks.shape
     )
-    found = object_clicks.starts_of(whole, prepared.geometry, AROUND)
+    found = tables.starts_of(whole, prepared.geometry, AROUND)
     first = prepared.first
     return [start._replace(corner=_plus(start.corner, first)) for start in found]
 

@@ -19,11 +19,11 @@ from accelsurf.evolution.loop import Evolution
 from accelsurf.grid.boxes import Corner, bounding_box, box_at, corner_of, widened
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
-from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import LevelSet
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.preprocessing import PreprocessedInput
 from accelsurf.settings.wording import place_text, volume_text
+from accelsurf.starts.objects import ObjectStart
 
 #: A start will shrink if less than this part of its values lies within the bounds; a window takes in the surroundings
 #: if it has more than this part of the voxels from so many to so many radii of the start around it.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box, Corner, corner_of
 from accelsurf.grid.geometry import farthest
 from accelsurf.grid.pyramid import Level, prolong, restrict
-from accelsurf.initialization.object_starts import ObjectStart
+from accelsurf.starts.objects import ObjectStart
 
 
 class StartPyramid:

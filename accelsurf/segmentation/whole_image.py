@@ -21,10 +21,10 @@ from accelsurf.image.check import ImageCheck, Places
 from accelsurf.image.filters import NO_FILTERS, ImageFilters
 from accelsurf.image.noise import noise_of, noise_of_samples, sample_places
 from accelsurf.image.percentiles import FloatCounts, IntegerCounts, OrderStatistics
-from accelsurf.initialization.region_growing import between_means, otsu_level, sums_beside
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.segmentation.image_context import Scale
 from accelsurf.segmentation.preprocessing import SCALE_PERCENTILES, apply, check_filters, scale_between
+from accelsurf.starts.region_growing import between_means, otsu_level, sums_beside
 
 #: Bytes of the float32 voxels of a slab.
 SLAB_BYTES = 1 << 27

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box, whole_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
-from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.segmentation.image_context import WholeChannel
 from accelsurf.segmentation.region_of_interest import region_of_run
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts.objects import ObjectStart
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,12 +13,12 @@ from accelsurf.grid.boxes import corner_of, widened
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.image.volume import Volume
-from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.levelset import Workers
 from accelsurf.segmentation.run_setup import EnergyLike
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
+from accelsurf.starts.objects import ObjectStart
 from accelsurf.tracking import evidence
 from accelsurf.tracking.boxed_surface import groups_of, separate_parts, touching
 from accelsurf.tracking.evidence import FACTOR, Profile, profile, volume_in_grid

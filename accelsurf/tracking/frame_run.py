@@ -14,7 +14,6 @@ from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.initialization.object_starts import ObjectStart, apart, core_of
 from accelsurf.segmentation.preprocessing import uses_model
 from accelsurf.segmentation.refiner import Refiner
 from accelsurf.segmentation.region_of_interest import cropped
@@ -25,6 +24,7 @@ from accelsurf.segmentation.run_setup import EnergyLike, window_reach
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts.objects import ObjectStart, apart, core_of
 from accelsurf.tracking.records import SurfacePiece
 
 #: Voxels of the image around all objects that a run on a frame sees: at least `MIN_AROUND`, and this part of the

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import ndimage
 
 from accelsurf.image.volume import Volume
-from accelsurf.initialization.object_starts import ObjectStart
+from accelsurf.starts.objects import ObjectStart
 from benchmarks.peers.measure import Trial, combinations, search
 from benchmarks.peers.programs import level
 from benchmarks.peers.scans import Window, found_by, in_window, search_peer, search_peers

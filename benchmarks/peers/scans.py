@@ -14,7 +14,7 @@ import numpy as np
 
 from accelsurf.analysis.metrics import dice
 from accelsurf.image.volume import Volume
-from accelsurf.initialization import starts
+from accelsurf.starts import starts
 from benchmarks.peers.measure import Trial, best, ranked, search, timed
 from benchmarks.peers.programs import PEERS, Peer
 

@@ -14,10 +14,10 @@ from accelsurf.evolution.records import Stop
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.image.volume import Volume
-from accelsurf.initialization import starts
 from accelsurf.report.document import describe_quality, to_json
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.refine import refine
+from accelsurf.starts import starts
 from tests.support.records import step_record
 
 SHAPE, SPACING = (40, 44, 48), (1.5, 1.0, 0.8)

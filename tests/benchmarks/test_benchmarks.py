@@ -13,7 +13,7 @@ import pytest
 from scipy import ndimage
 
 from accelsurf.image.volume import Volume
-from accelsurf.initialization.object_starts import ObjectStart
+from accelsurf.starts.objects import ObjectStart
 from benchmarks import benchmark, defaults, real_scans
 from benchmarks.peers import baselines, contest, hard_works, march, objects, programs, render, scans
 from benchmarks.peers.advance import grow, sparse_field

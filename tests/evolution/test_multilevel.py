@@ -13,13 +13,13 @@ from accelsurf.evolution.convergence import StopRule
 from accelsurf.evolution.loop import Evolution
 from accelsurf.flows import StepLimits
 from accelsurf.image.volume import Volume
-from accelsurf.initialization import starts
 from accelsurf.io import write
 from accelsurf.levelset import LevelSet
 from accelsurf.phantoms.recipes import make, recipe_from
 from accelsurf.segmentation.api import evolve, segment
 from accelsurf.segmentation.energy_assembly import make_energy
 from accelsurf.segmentation.run_setup import half_width, make_flow
+from accelsurf.starts import starts
 
 NOISY = {"kind": "cube", "shape": [64, 64, 64], "spacing": [1.0, 1.0, 1.0], "side": 32.0, "noise": 0.6, "seed": 3}
 START = {"start": "ball:5,-4,4,9"}

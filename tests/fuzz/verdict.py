@@ -15,11 +15,11 @@ from accelsurf.cli.segment import Settings
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.serialization import from_bytes
 from accelsurf.image.volume import Volume
-from accelsurf.initialization import object_starts, starts
 from accelsurf.io import channels, meshes
 from accelsurf.settings import corrections, energy_expression
 from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts import objects, starts
 from tests.fuzz import independent, judges
 from tests.fuzz.inputs import DATA_FILE, VALUES, Input, Wrong
 
@@ -169,7 +169,7 @@ def _argv(given: Input, path: Path) -> None:
 
 
 def _table(given: Input, path: Path) -> None:
-    for start in object_starts.read(str(path), _volume().geometry, 2):
+    for start in objects.read(str(path), _volume().geometry, 2):
         if not np.isfinite(start.psi).all():
             raise Wrong(f"psi of object {start.id} is not finite")
 

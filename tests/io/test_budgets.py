@@ -76,14 +76,14 @@ def bombs(folder):
     import numpy as np
 
     from accelsurf import io, segment, segment_objects
+    from accelsurf.clicks.reading import read_clicks
     from accelsurf.evolution.serialization import from_bytes
     from accelsurf.image.volume import Volume
-    from accelsurf.initialization import object_starts, starts
-    from accelsurf.initialization.clicks import read_clicks
     from accelsurf.io import meshes
     from accelsurf.io.formats import png, tiff_file
     from accelsurf.settings import energy_expression
     from accelsurf.settings.run_config import RunConfig
+    from accelsurf.starts import objects, starts
     from accelsurf.viewer.frontends.movie_file import run_of_folder
 
     small = Volume.from_array(np.arange(120, dtype=np.int16).reshape(4, 5, 6))
@@ -178,7 +178,7 @@ def bombs(folder):
         rows = "".join("1,0,0,0,100\n" for _ in range(100_000))
         made("a.csv", f"id,x,y,z,r\n{rows}".encode())
         image = Volume.from_array(np.zeros((64, 64, 64), np.float32))
-        return object_starts.read(str(folder / "a.csv"), image.geometry, 2)
+        return objects.read(str(folder / "a.csv"), image.geometry, 2)
 
     noise = np.random.default_rng(0).integers(0, 256, (48, 48, 48)).astype(np.uint8)
     wide = Volume.from_array(np.zeros((80, 90, 100), np.uint8))
@@ -199,7 +199,7 @@ def bombs(folder):
         "image as objects": lambda: segment_objects(noise.astype(np.float32), noise),
         "large triangles": triangles,
         "packed checkpoint": checkpoint,
-        "large table": lambda: object_starts.read(
+        "large table": lambda: objects.read(
             str(made("b.csv", b"id,x,y,z,r\n" + b"1,1,1,1,1\n" * 500_000)), small.geometry, 2
         ),
         "many terms": lambda: segment(noise, energy=" + ".join(["local-region"] * 500)),

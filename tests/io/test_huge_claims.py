@@ -244,17 +244,18 @@ def states(made, array):
 
 def tables(made, small):
     """Tables and texts with huge numbers."""
-    from accelsurf.initialization import object_clicks, object_starts
-    from accelsurf.initialization.clicks import read_clicks
+    from accelsurf.clicks import tables as object_clicks
+    from accelsurf.clicks.reading import read_clicks
     from accelsurf.io import label_tables
     from accelsurf.settings.labels import parse_ids
     from accelsurf.settings.run_config import RunConfig
+    from accelsurf.starts import objects
 
     for size in [*SIZES, 10**30, 10**400]:
         for place in range(5):
             row = ",".join(str(size) if n == place else "1" for n in range(5))
             balls = made(".csv", f"id,x,y,z,r\n{row}\n".encode())
-            yield "tables", f"balls {place} {size}", lambda path=balls: object_starts.read(str(path), small.geometry, 2)
+            yield "tables", f"balls {place} {size}", lambda path=balls: objects.read(str(path), small.geometry, 2)
             sides = made(".csv", f"id,x,y,z,r,side\n{row},inside\n".encode())
             yield "tables", f"sides {place} {size}", lambda path=sides: object_clicks.read(str(path), small.geometry)
             points = ",".join(["1,1,1,1", row.partition(",")[2]][place > 0].split(","))

@@ -11,9 +11,9 @@ import pytest
 from accelsurf import io
 from accelsurf.errors import InputError, OutputError
 from accelsurf.image.volume import Volume
-from accelsurf.initialization import starts
 from accelsurf.io import channels, images
 from accelsurf.report import canvas, document, output_folder
+from accelsurf.starts import starts
 
 VALUES = np.arange(120, dtype=np.int16).reshape(4, 5, 6)
 BAD = os.fsdecode(b"scan\xff\xfe")

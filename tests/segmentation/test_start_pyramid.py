@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from accelsurf.grid.pyramid import levels, restrict
-from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.segmentation.start_pyramid import StartPyramid, coarser_box, finer_box, touched_box
+from accelsurf.starts.objects import ObjectStart
 
 
 @pytest.mark.parametrize("shape", [(17, 18, 21), (16, 15, 1)])

@@ -15,10 +15,10 @@ from accelsurf.grid.pyramid import levels, restrict
 from accelsurf.image.filters import ImageFilters
 from accelsurf.image.noise import noise_of
 from accelsurf.image.volume import Volume, check_image
-from accelsurf.initialization.region_growing import otsu_level
 from accelsurf.io.lazy_volume import LazyVolume
 from accelsurf.segmentation.preprocessing import apply, filtered_volume, scale_of
 from accelsurf.segmentation.whole_image import ImageSlabs, WholeImage
+from accelsurf.starts.region_growing import otsu_level
 
 SPACING = (2.5, 1.0, 0.8)
 SHAPES = {"even": (16, 40, 34), "odd": (19, 33, 41), "thin": (5, 61, 17), "flat": (1, 61, 47)}

@@ -9,8 +9,8 @@ import pytest
 from accelsurf.errors import InputError, UsageError
 from accelsurf.image.sequence import VolumeSequence
 from accelsurf.image.volume import Volume
-from accelsurf.initialization.object_starts import ObjectStart
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts.objects import ObjectStart
 from accelsurf.tracking import track_state
 from accelsurf.tracking.evidence import Profile
 from accelsurf.tracking.follower import appearing

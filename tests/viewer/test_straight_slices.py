@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from accelsurf.clicks.reading import read_clicks
 from accelsurf.image.grey_window import GreyWindow
 from accelsurf.image.volume import Volume
-from accelsurf.initialization.clicks import read_clicks
 from accelsurf.io.headers import DICOM_KEY
 from accelsurf.segmentation.image_force import image_forces
 from accelsurf.segmentation.region_of_interest import region_of_interest

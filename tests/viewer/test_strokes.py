@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from accelsurf import io
+from accelsurf.clicks.reading import read_clicks
 from accelsurf.image.volume import Volume
-from accelsurf.initialization.clicks import read_clicks
 from accelsurf.segmentation.api import segment
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session

@@ -9,11 +9,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.reading import on_image
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, counted_from, enclosing, placed_at
 from accelsurf.report.preview_content import marks_of
-from accelsurf.segmentation.clicked_voxels import on_image
 from accelsurf.segmentation.ensemble import overall_stop
 from accelsurf.segmentation.refiner import Change, Refiner
 from accelsurf.segmentation.result import Result

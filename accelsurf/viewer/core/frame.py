@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from accelsurf.clicks.reading import on_image
 from accelsurf.evolution.records import StepFields, StepRecord
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import bounding_box, corner_of
 from accelsurf.report.preview_content import ClickMark, marks_of
-from accelsurf.segmentation.clicked_voxels import on_image
 
 if TYPE_CHECKING:
     from accelsurf.flows import Flow

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box, Corner
 from accelsurf.grid.geometry import Geometry
-from accelsurf.initialization import starts
 from accelsurf.segmentation.evolving_object import EvolvingObject
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_clicks import BallEdit
+from accelsurf.starts import starts
 
 
 def nearest_object(run: Run, where: str) -> int:

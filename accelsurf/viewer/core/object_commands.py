@@ -12,13 +12,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from accelsurf.clicks.reading import read_clicks
 from accelsurf.energies.seeded.appearance import learn
 from accelsurf.energies.seeded.contest import arrival, field_of
 from accelsurf.energies.seeded.model import SMOOTHING
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Clicks, Side
 from accelsurf.image.smoothing import gaussian_mm
-from accelsurf.initialization.clicks import read_clicks
 from accelsurf.report.label_files import given_labels
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_state import BoxMask

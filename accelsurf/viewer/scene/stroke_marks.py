@@ -12,10 +12,10 @@ import pyvista as pv
 from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkRenderer
 
+from accelsurf.clicks.reading import segment_voxels
 from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.slice_stack import SliceStack
-from accelsurf.initialization.click_paths import segment_voxels
 from accelsurf.viewer.scene.colors import INSIDE, OUTSIDE
 from accelsurf.viewer.scene.redraw import Redraw
 from accelsurf.viewer.scene.shapes import Texture

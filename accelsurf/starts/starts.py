@@ -287,7 +287,7 @@ def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDAr
 def _by_values(start: Start, geometry: Geometry, values: NDArray) -> NDArray[np.bool_]:
     """Voxels of a start that looks at values everywhere."""
     # Not with the module: who reads a place or a box needs neither scikit-image nor SciPy.
-    from accelsurf.initialization import region_growing
+    from accelsurf.starts import region_growing
 
     if start.kind == "seed":
         z, y, x = start.numbers[2::-1] if start.vox else geometry.world_to_index(start.numbers[:3])

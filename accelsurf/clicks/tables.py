@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from accelsurf.clicks import reading as one_object
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
-from accelsurf.initialization import clicks as one_object
-from accelsurf.initialization.object_starts import MAX_ID, ObjectStart
 from accelsurf.io.files import naming
 from accelsurf.settings import budgets
+from accelsurf.starts.objects import MAX_ID, ObjectStart
 
 _FORM = "columns id,x,y,z,side in world mm (LPS), or id,x_vox,y_vox,z_vox,side, with r (or r_vox) if wanted"
 
@@ -26,7 +26,7 @@ def read(objects: Any, geometry: Geometry) -> Clicks | None:
     Parameters
     ----------
     objects : str, Volume or ndarray
-        As for `accelsurf.initialization.object_starts.read`.
+        As for `accelsurf.starts.objects.read`.
     geometry : Geometry
         The image's grid.
 

@@ -1,0 +1,1 @@
+"""Clicks as they are written: points, strokes, tables; read once, into voxels."""

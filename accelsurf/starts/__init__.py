@@ -1,0 +1,1 @@
+"""First surfaces: balls, thresholds, region growing, label maps, meshes."""
