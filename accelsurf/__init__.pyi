@@ -1,6 +1,3 @@
-from .analysis.contours import Contours as Contours
-from .analysis.metrics import evaluate as evaluate
-from .analysis.surface_mesh import Surface as Surface
 from .cli.many import segment_many as segment_many
 from .errors import AccelsurfError as AccelsurfError
 from .errors import EmptyResultError as EmptyResultError
@@ -16,6 +13,9 @@ from .io import read as read
 from .io import read_labels as read_labels
 from .io import read_sequence as read_sequence
 from .io import write as write
+from .measure.contours import Contours as Contours
+from .measure.metrics import evaluate as evaluate
+from .measure.surface_mesh import Surface as Surface
 from .report.document import report_of as report_of
 from .segmentation.api import evolve as evolve
 from .segmentation.api import segment as segment

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from accelsurf import io
-from accelsurf.analysis import metrics
 from accelsurf.image.volume import Volume
+from accelsurf.measure import metrics
 from accelsurf.phantoms import recipe_files, recipes
 from accelsurf.report.document import versions
 from benchmarks import typed

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf import io, segment
-from accelsurf.analysis import metrics
 from accelsurf.levelset import LevelSet
+from accelsurf.measure import metrics
 from benchmarks.real_scans import CASES
 from tests.support import exact
 from tests.support.follow import STEP, WIDTH, follow, lattice, order

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.analysis.metrics import dice
 from accelsurf.errors import AccelsurfError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
+from accelsurf.measure.metrics import dice
 from accelsurf.phantoms import recipes, tissues
 from accelsurf.segmentation.api import segment
 from benchmarks.clicks.objects import ClickObject, chosen, load

@@ -4,7 +4,7 @@ Results are made on phantoms (several energies, noises and starts) and on the ob
 simulated person's first clicks: an exact game and a jittered one of each object, ``accelsurf segment`` at the first
 click and ``accelsurf refine`` at each later one. By default only its tuning half; ``--half report`` measures the other
 half with the models as they are, and calibrates nothing. One call writes the features of each result and its Dice into
-benchmarks/results/quality.json, the models into accelsurf/analysis/good_result.json, and the page's figure and table.
+benchmarks/results/quality.json, the models into accelsurf/measure/good_result.json, and the page's figure and table.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 import accelsurf
-from accelsurf.analysis import quality
-from accelsurf.analysis.metrics import dice
-from accelsurf.analysis.quality import click_features, image_features
 from accelsurf.errors import AccelsurfError
 from accelsurf.image.volume import Volume
+from accelsurf.measure import quality
+from accelsurf.measure.metrics import dice
+from accelsurf.measure.quality import click_features, image_features
 from accelsurf.phantoms import recipes
 from benchmarks.clicks.objects import HALVES, chosen, load
 from benchmarks.clicks.own import Refined

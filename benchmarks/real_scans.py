@@ -20,8 +20,8 @@ import numpy as np
 from scipy import ndimage
 
 from accelsurf import io
-from accelsurf.analysis import metrics
 from accelsurf.image.volume import Volume
+from accelsurf.measure import metrics
 from accelsurf.report.document import versions
 from accelsurf.segmentation.evolving_object import ROOM
 from accelsurf.starts import objects

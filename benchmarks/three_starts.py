@@ -25,7 +25,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from accelsurf.analysis.metrics import dice
+from accelsurf.measure.metrics import dice
 from accelsurf.phantoms.recipes import load_recipe, make
 from accelsurf.segmentation.api import Result, segment
 from accelsurf.settings.run_config import RunConfig

@@ -21,7 +21,7 @@ import numpy as np
 from PIL import Image
 
 from accelsurf import io
-from accelsurf.analysis.metrics import dice
+from accelsurf.measure.metrics import dice
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ("first-scan", "by-clicks")

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from accelsurf import io
-from accelsurf.analysis import metrics
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
+from accelsurf.measure import metrics
 from benchmarks.clicks.person import PersonClick, next_click
 
 #: What rows keep of a run's report.

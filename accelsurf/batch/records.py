@@ -85,7 +85,7 @@ def _dice(task: CaseTask, report: Mapping[str, Any], record: Mapping[str, Any]) 
 
 def dice_with(found: Volume, truth: Volume) -> float | None:
     """Return the Dice of all labels above 0; None where both are empty."""
-    from accelsurf.analysis import metrics
+    from accelsurf.measure import metrics
 
     value = metrics.dice(found.array, truth.array)
     return None if math.isnan(value) else value

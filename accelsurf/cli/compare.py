@@ -205,7 +205,7 @@ def _describe_run(name: str, result: Result, truth: Volume | None) -> dict[str, 
 
 def _agreement(result: Result, truth: Volume) -> dict[str, Any]:
     """Measures of agreement with the reference; of several objects also the Dice of each id."""
-    from accelsurf.analysis import metrics
+    from accelsurf.measure import metrics
 
     found: dict[str, Any] = dict(metrics.evaluate(result.labels_volume(), truth).to_dict())
     if result.has_ids:
@@ -224,7 +224,7 @@ def _table_line(run: Mapping[str, Any], result: Result) -> tuple[str, ...]:
 
 
 def _agreement_of_runs(results: Mapping[str, Result]) -> dict[str, float]:
-    from accelsurf.analysis import metrics
+    from accelsurf.measure import metrics
 
     return {
         f"{a} / {b}": metrics.dice(results[a].labels > 0, results[b].labels > 0) for a, b in combinations(results, 2)

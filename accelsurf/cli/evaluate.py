@@ -182,8 +182,8 @@ def _try(pair: Pair, requested: Request) -> CaseResult:
 def _result(pair: Pair, requested: Request) -> CaseResult:
     """Compare a pair."""
     from accelsurf import io
-    from accelsurf.analysis.label_metrics import LabelMap, evaluate_labels, evaluate_object
     from accelsurf.io.file_set import finish_killed_runs
+    from accelsurf.measure.label_metrics import LabelMap, evaluate_labels, evaluate_object
     from accelsurf.report.evaluation import CaseResult
 
     if pair.pred is None or pair.ref is None:

@@ -11,8 +11,8 @@ from accelsurf.io.headers import UNIT_KEY
 from accelsurf.settings.wording import place_text, size_option, size_text, volume_text
 
 if TYPE_CHECKING:
-    from accelsurf.analysis.quality import Quality
     from accelsurf.cli.case import Finished
+    from accelsurf.measure.quality import Quality
     from accelsurf.segmentation.result import Result, SegmentedObject
 
 #: Other sizes are not named where the first one is as sure as this.

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf import __version__
-from accelsurf.analysis.contours import in_slices
 from accelsurf.errors import UsageError
 from accelsurf.io.dicom.segmentation import Algorithm, segmentation_bytes
 from accelsurf.io.dicom.source_images import SourceImages, read_source_images
@@ -16,6 +15,7 @@ from accelsurf.io.dicom.structure_set import Region, structure_set_bytes
 from accelsurf.io.files import naming, write_bytes
 from accelsurf.io.formats import dicom
 from accelsurf.io.headers import DICOM_KEY
+from accelsurf.measure.contours import in_slices
 from accelsurf.segmentation.result import Result, SegmentedObject
 from accelsurf.segmentation.run_checkpoint import digest_of
 from accelsurf.settings.catalogue import entry

@@ -22,10 +22,10 @@ from accelsurf.errors import AccelsurfError
 from accelsurf.io import sha256
 
 if TYPE_CHECKING:
-    from accelsurf.analysis.quality import Quality
     from accelsurf.grid.geometry import Geometry
     from accelsurf.grid.window import Window
     from accelsurf.io.file_set import FileSet
+    from accelsurf.measure.quality import Quality
     from accelsurf.segmentation.result import Result, SegmentedObject
     from accelsurf.settings.run_config import RunConfig
 

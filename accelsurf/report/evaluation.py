@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from accelsurf.analysis.label_metrics import LabelAgreement, over_cases
+from accelsurf.measure.label_metrics import LabelAgreement, over_cases
 from accelsurf.settings.labels import LabelTable
 
 #: Columns of the table that is printed: heading, and the number that it shows.

@@ -11,8 +11,8 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import mesh_size
 
 if TYPE_CHECKING:
-    from accelsurf.analysis.mesh_shaping import MeshOptions
-    from accelsurf.analysis.surface_mesh import Surface
+    from accelsurf.measure.mesh_shaping import MeshOptions
+    from accelsurf.measure.surface_mesh import Surface
 
 
 @dataclass
@@ -48,14 +48,14 @@ def check(config: RunConfig) -> None:
         When a package lacks.
     """
     if config.mesh_faces or config.mesh_error:
-        from accelsurf.analysis.mesh_shaping import library
+        from accelsurf.measure.mesh_shaping import library
 
         library("fast_simplification")
 
 
 def options_of(config: RunConfig) -> MeshOptions:
     """Return what the settings want of meshes."""
-    from accelsurf.analysis.mesh_shaping import MeshOptions
+    from accelsurf.measure.mesh_shaping import MeshOptions
 
     faces, side = (None, None) if config.mesh_faces is None else mesh_size(config.mesh_faces)
     return MeshOptions(config.mesh_smooth, faces, side, config.mesh_error)
@@ -72,7 +72,7 @@ def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any]
     InputError
         When a package lacks.
     """
-    from accelsurf.analysis.mesh_shaping import ShapedMesh, is_sound, shape, smallest_angles
+    from accelsurf.measure.mesh_shaping import ShapedMesh, is_sound, shape, smallest_angles
 
     try:
         mesh = shape(surface, options_of(config))

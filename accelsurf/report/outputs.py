@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf import io
-from accelsurf.analysis import shared_walls
-from accelsurf.analysis.contours import Contours
 from accelsurf.image.grey_window import parse_window
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import LABELS_KEY, UNIT_KEY, is_anatomical
+from accelsurf.measure import shared_walls
+from accelsurf.measure.contours import Contours
 from accelsurf.report import layouts, output_names, preview, tables
 from accelsurf.report.document import describe_objects
 from accelsurf.report.label_files import given_labels, is_named, table_of
@@ -29,7 +29,7 @@ from accelsurf.settings.registry import load
 from accelsurf.settings.wording import size_text, volume_text
 
 if TYPE_CHECKING:
-    from accelsurf.analysis.surface_mesh import Surface
+    from accelsurf.measure.surface_mesh import Surface
     from accelsurf.segmentation.result import Result
 
 #: Kind of a file, its name, and the function that writes it.

@@ -17,8 +17,8 @@ from accelsurf.report.canvas import object_color
 from accelsurf.settings.labels import LabelEntry, LabelTable
 
 if TYPE_CHECKING:
-    from accelsurf.analysis.surface_mesh import Surface
     from accelsurf.evolution.records import StepRecord
+    from accelsurf.measure.surface_mesh import Surface
 
 
 #: The label of the one object of a run without ids.

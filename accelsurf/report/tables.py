@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from accelsurf.analysis.statistics import statistics
 from accelsurf.io.headers import VALUE_UNIT_KEY
+from accelsurf.measure.statistics import statistics
 from accelsurf.report.document import to_json
 from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.trace_columns import TRACE_COLUMNS, row_values

@@ -10,13 +10,13 @@ from types import TracebackType
 from typing import Any
 
 from accelsurf import io
-from accelsurf.analysis import contours, surface_mesh
-from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
 from accelsurf.io.file_set import FileSet, refuse_links
 from accelsurf.io.files import write_bytes
+from accelsurf.measure import contours, surface_mesh
+from accelsurf.measure.surface_mesh import Surface
 from accelsurf.report import output_folder, result_sets, track_document, track_slices
 from accelsurf.report.document import describe_drafts
 from accelsurf.report.inputs import inputs_of

@@ -12,10 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.analysis import contours
-from accelsurf.analysis.contours import Contours
-from accelsurf.analysis.quality import Quality, RestNote, ValueRange, assess
-from accelsurf.analysis.surface_mesh import Surface, extract
 from accelsurf.energies.seeded import Sureness
 from accelsurf.errors import InputError
 from accelsurf.evolution.multilevel import LevelSummary
@@ -26,6 +22,10 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
 from accelsurf.image import thumbnail
 from accelsurf.image.volume import Volume
+from accelsurf.measure import contours
+from accelsurf.measure.contours import Contours
+from accelsurf.measure.quality import Quality, RestNote, ValueRange, assess
+from accelsurf.measure.surface_mesh import Surface, extract
 from accelsurf.segmentation.ensemble import overall_stop
 from accelsurf.segmentation.rest_points import RestPoint
 from accelsurf.segmentation.run_state import RunState

@@ -57,7 +57,7 @@ class MeshFormat:
         return self.surface if shape == "surface" else self.contour
 
 
-_SURFACE, _CONTOUR = f"{_FORMATS}.surface_files", "accelsurf.analysis.contours"
+_SURFACE, _CONTOUR = f"{_FORMATS}.surface_files", "accelsurf.measure.contours"
 
 MESH_FORMATS: Registry[MeshFormat] = Registry(
     "mesh format",

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from accelsurf.analysis import surface_mesh
 from accelsurf.grid.geometry import Geometry
+from accelsurf.measure import surface_mesh
 from accelsurf.segmentation.region_of_interest import cropped
 from accelsurf.tracking.evidence import Profile
 from accelsurf.tracking.frame_run import Measured

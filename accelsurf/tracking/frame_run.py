@@ -46,7 +46,7 @@ class Measured(NamedTuple):
         On the frame's grid; a box of no voxels where nothing is left.
     volume_mm3, area_mm2 : float
     quality : float
-        Chance that it is good, as `accelsurf.analysis.quality`.
+        Chance that it is good, as `accelsurf.measure.quality`.
     """
 
     surface: SurfacePiece

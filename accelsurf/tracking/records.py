@@ -79,7 +79,7 @@ class TrackedObject:
     seen : bool
         Whether the frame showed it; otherwise the prediction stands uncorrected.
     quality : float
-        Chance that the surface is good in this frame, as `accelsurf.analysis.quality`; 0 where it is not seen.
+        Chance that the surface is good in this frame, as `accelsurf.measure.quality`; 0 where it is not seen.
     mesh : CarriedMesh or None
         With correspondence, where that was asked for.
     """

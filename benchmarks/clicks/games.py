@@ -11,9 +11,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.analysis.metrics import dice
 from accelsurf.errors import AccelsurfError
 from accelsurf.image.volume import Volume
+from accelsurf.measure.metrics import dice
 from benchmarks.clicks.person import PersonClick, next_click
 
 Mask = NDArray[np.bool_]

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.analysis.metrics import dice
 from accelsurf.grid.boxes import bounding_box
 from accelsurf.image.volume import Volume
+from accelsurf.measure.metrics import dice
 from benchmarks.clicks.person import Mask, PersonClick
 
 #: Voxels around the object that are shown, as a part of its extent; pictures beyond so many are left out.

@@ -8,8 +8,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from accelsurf.analysis.surface_mesh import extract
 from accelsurf.image.volume import Volume
+from accelsurf.measure.surface_mesh import extract
 from benchmarks.figures.common import FINE, Task, agreement, box, make, run_all, write
 from benchmarks.figures.planar import save, show, tell
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from accelsurf.analysis.metrics import dice
+from accelsurf.measure.metrics import dice
 from accelsurf.phantoms.recipes import Recipe, make
 from accelsurf.phantoms.tissues import membrane_cells
 from benchmarks.peers.objects import mean_dice

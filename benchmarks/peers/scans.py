@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from accelsurf.analysis.metrics import dice
 from accelsurf.image.volume import Volume
+from accelsurf.measure.metrics import dice
 from accelsurf.starts import starts
 from benchmarks.peers.measure import Trial, best, ranked, search, timed
 from benchmarks.peers.programs import PEERS, Peer

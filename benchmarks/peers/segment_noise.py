@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from accelsurf.analysis.metrics import dice
+from accelsurf.measure.metrics import dice
 from accelsurf.segmentation.api import segment
 from benchmarks.peers.baselines import BASELINES
 from benchmarks.peers.contest import (

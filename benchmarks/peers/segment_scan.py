@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from accelsurf import io
-from accelsurf.analysis.metrics import dice
+from accelsurf.measure.metrics import dice
 from benchmarks.peers.baselines import BASELINES
 from benchmarks.peers.contest import (
     CARRIED,

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import pyvista
 
-from accelsurf.analysis.contours import Contours, extract, in_slices
-from accelsurf.analysis.surface_mesh import extract as extract_surface
 from accelsurf.errors import EmptyResultError, InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
+from accelsurf.measure.contours import Contours, extract, in_slices
+from accelsurf.measure.surface_mesh import extract as extract_surface
 
 GRID = Geometry((1, 40, 50), (7.0, 1.0, 0.5))
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-from accelsurf.analysis.diameters import diameters
 from accelsurf.grid.geometry import Geometry
+from accelsurf.measure.diameters import diameters
 
 
 def turned(seed=5):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.analysis.evidence import doubtful_places, gather
+from accelsurf.measure.evidence import doubtful_places, gather
 
 SHAPE, SPACING = (36, 44, 48), (1.5, 1.0, 0.8)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.analysis import evidence
+from accelsurf.measure import evidence
 
 SPACING = (1.2, 0.7, 0.9)
 

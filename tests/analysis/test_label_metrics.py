@@ -7,10 +7,10 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from accelsurf.analysis.label_metrics import LabelMap, evaluate_labels, evaluate_object, label_boxes, over_cases
-from accelsurf.analysis.metrics import evaluate, surface_dice
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.image.volume import Volume
+from accelsurf.measure.label_metrics import LabelMap, evaluate_labels, evaluate_object, label_boxes, over_cases
+from accelsurf.measure.metrics import evaluate, surface_dice
 
 H = (2.5, 1.0, 0.5)
 

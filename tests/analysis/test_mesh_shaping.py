@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from accelsurf.analysis.mesh_distance import TriangleIndex, largest_distance, mean_side, sides
-from accelsurf.analysis.mesh_shaping import MeshOptions, is_sound, shape, smallest_angles, smoothed
-from accelsurf.analysis.surface_mesh import Surface, extract
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
+from accelsurf.measure.mesh_distance import TriangleIndex, largest_distance, mean_side, sides
+from accelsurf.measure.mesh_shaping import MeshOptions, is_sound, shape, smallest_angles, smoothed
+from accelsurf.measure.surface_mesh import Surface, extract
 
 CENTRE = np.array([12.0, 13.0, 14.0])
 
@@ -43,7 +43,7 @@ def test_a_spike_is_found_from_either_side(ball: Surface) -> None:
 
 
 def test_nearest_triangles_are_those_of_a_plain_search(ball: Surface) -> None:
-    from accelsurf.analysis.mesh_distance import nearest_in
+    from accelsurf.measure.mesh_distance import nearest_in
 
     coarse = shape(ball, MeshOptions(faces=60)).surface
     points = CENTRE + np.random.default_rng(1).normal(0, 7, (200, 3))

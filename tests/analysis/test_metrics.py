@@ -8,9 +8,9 @@ import pytest
 import SimpleITK as sitk
 from scipy.spatial.distance import cdist
 
-from accelsurf.analysis.metrics import border_points, dice, evaluate, surface_distances
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.image.volume import Volume
+from accelsurf.measure.metrics import border_points, dice, evaluate, surface_distances
 
 SPACING = (2.0, 1.0, 1.0)  # (z, y, x): 1 x 1 x 2 mm
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.analysis import quality
-from accelsurf.analysis.metrics import dice
-from accelsurf.analysis.quality import RestNote, assess, click_features, features
 from accelsurf.energies.seeded import Proposal, Sureness
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.image.volume import Volume
+from accelsurf.measure import quality
+from accelsurf.measure.metrics import dice
+from accelsurf.measure.quality import RestNote, assess, click_features, features
 from accelsurf.report.document import describe_quality, to_json
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.refine import refine
@@ -243,8 +243,8 @@ def test_nothing_left_and_one_slice():
 
 @pytest.mark.parametrize("shape", [(12, 14, 9), (1, 20, 13)])
 def test_gradients_of_some_voxels_are_those_of_all(shape):
-    from accelsurf.analysis.quality import gradients
     from accelsurf.energies.geodesic import gradient_magnitude
+    from accelsurf.measure.quality import gradients
 
     image = np.random.default_rng(1).normal(size=shape).astype(np.float32)
     some = np.arange(0, image.size, 3)
@@ -253,7 +253,7 @@ def test_gradients_of_some_voxels_are_those_of_all(shape):
 
 
 def test_a_sample_of_the_inside_tells_as_much(monkeypatch):
-    from accelsurf.analysis import quality as edges
+    from accelsurf.measure import quality as edges
 
     z, y, x = coordinates()
     r = np.sqrt(z**2 + y**2 + x**2)
@@ -265,8 +265,8 @@ def test_a_sample_of_the_inside_tells_as_much(monkeypatch):
 
 
 def test_slabs_make_no_difference(monkeypatch):
-    from accelsurf.analysis import quality as edges
     from accelsurf.grid import boxes
+    from accelsurf.measure import quality as edges
 
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from accelsurf.analysis import shared_walls
 from accelsurf.grid.geometry import Geometry
+from accelsurf.measure import shared_walls
 
 
 @dataclass

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from accelsurf.analysis.contours import extract as extract_contours
-from accelsurf.analysis.surface_mesh import extract
-from accelsurf.analysis.vertex_placement import cubic_at
 from accelsurf.grid.geometry import Geometry
+from accelsurf.measure.contours import extract as extract_contours
+from accelsurf.measure.surface_mesh import extract
+from accelsurf.measure.vertex_placement import cubic_at
 
 
 def drawn_capsule(draw, radius, spacing, length):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from accelsurf import segment
-from accelsurf.analysis.statistics import statistics
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
+from accelsurf.measure.statistics import statistics
 
 SPACING = (2.0, 0.5, 1.0)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from accelsurf.analysis.metrics import surface_dice, surface_elements
+from accelsurf.measure.metrics import surface_dice, surface_elements
 
 H = (3.0, 1.5, 0.5)  # mm, z y x
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from accelsurf.analysis.surface_mesh import Surface, extract
 from accelsurf.errors import EmptyResultError, InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
+from accelsurf.measure.surface_mesh import Surface, extract
 from accelsurf.phantoms.recipes import Recipe, distance_at, signed_distance
 
 MIRROR = np.diag([1.0, -1.0, 1.0])

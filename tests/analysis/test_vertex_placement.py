@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from accelsurf.analysis.contours import extract as extract_contours
-from accelsurf.analysis.surface_mesh import extract
-from accelsurf.analysis.vertex_placement import balanced, on_edges
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet
+from accelsurf.measure.contours import extract as extract_contours
+from accelsurf.measure.surface_mesh import extract
+from accelsurf.measure.vertex_placement import balanced, on_edges
 from accelsurf.phantoms.recipes import Recipe, distance_at, signed_distance
 
 MARGIN = 1e-4

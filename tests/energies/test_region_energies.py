@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from accelsurf.analysis.metrics import dice
 from accelsurf.energies import (
     Area,
     Balloon,
@@ -23,6 +22,7 @@ from accelsurf.energies.likelihood import BINS
 from accelsurf.energies.threshold import threshold_field
 from accelsurf.errors import InputError, UsageError
 from accelsurf.levelset import LevelSet
+from accelsurf.measure.metrics import dice
 from accelsurf.segmentation.api import segment
 from tests.support import reference
 from tests.support.gradient_check import (

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from accelsurf.analysis.metrics import dice
 from accelsurf.energies import (
     ChanVese,
     ImageEnergy,
@@ -20,6 +19,7 @@ from accelsurf.energies import (
 )
 from accelsurf.errors import InputError, UsageError
 from accelsurf.levelset import LevelSet
+from accelsurf.measure.metrics import dice
 from accelsurf.segmentation.api import evolve, segment
 from accelsurf.settings.run_config import RunConfig
 

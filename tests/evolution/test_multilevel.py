@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from accelsurf.analysis.metrics import dice
 from accelsurf.cli import execute
 from accelsurf.errors import UsageError
 from accelsurf.evolution import multilevel
@@ -15,6 +14,7 @@ from accelsurf.flows import StepLimits
 from accelsurf.image.volume import Volume
 from accelsurf.io import write
 from accelsurf.levelset import LevelSet
+from accelsurf.measure.metrics import dice
 from accelsurf.phantoms.recipes import make, recipe_from
 from accelsurf.segmentation.api import evolve, segment
 from accelsurf.segmentation.energy_assembly import make_energy

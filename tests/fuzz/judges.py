@@ -185,8 +185,8 @@ def labels(given: Input, folder: Path) -> None:
 
 def evaluate(given: Input, folder: Path) -> str:
     """Two label maps, or a table of pairs of them."""
-    from accelsurf.analysis.label_metrics import LabelMap, evaluate_labels, evaluate_object
     from accelsurf.batch.pairs import in_table
+    from accelsurf.measure.label_metrics import LabelMap, evaluate_labels, evaluate_object
 
     if given.case == "table":
         for pair in in_table(folder / "pairs.csv"):

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from accelsurf import io
-from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
+from accelsurf.measure.surface_mesh import extract
 from accelsurf.starts import region_growing, starts
 
 TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])

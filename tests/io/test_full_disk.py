@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from accelsurf import io
-from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.errors import OutputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
+from accelsurf.measure.surface_mesh import Surface
 
 resource = pytest.importorskip("resource")
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are forked")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io import meshes
 from accelsurf.io.formats import surface_files
+from accelsurf.measure.surface_mesh import Surface
 
 SEEDS = range(4)
 #: Size and place of a ball, mm: one beside 0, one of a cell far from 0, one of a large object.

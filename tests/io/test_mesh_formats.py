@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.errors import InputError
 from accelsurf.io import meshes
+from accelsurf.measure.surface_mesh import Surface
 from accelsurf.settings.labels import LabelEntry
 from accelsurf.settings.mesh_formats import MESH_FORMATS, mesh_formats
 

@@ -8,11 +8,11 @@ import pytest
 
 from accelsurf import cli
 from accelsurf import io as images
-from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.io import meshes
 from accelsurf.io.formats import glb, surface_files
+from accelsurf.measure.surface_mesh import Surface
 from accelsurf.settings.mesh_formats import MESH_FORMATS
 
 CORNERS = np.array([[10.0, 20, 30], [11, 20, 30], [10, 22, 30], [10, 20, 33]])

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import pyvista
 
-from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io import meshes
+from accelsurf.measure.surface_mesh import extract
 from accelsurf.settings.mesh_formats import MESH_FORMATS
 
 #: Of meshes that can be read.

@@ -9,9 +9,9 @@ import pytest
 
 import accelsurf
 from accelsurf import io
-from accelsurf.analysis.metrics import dice
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
+from accelsurf.measure.metrics import dice
 from accelsurf.report import dicom_seg
 from accelsurf.settings.labels import LabelEntry, LabelTable
 from accelsurf.settings.reading import ReadOptions

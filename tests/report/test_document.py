@@ -5,12 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from accelsurf.analysis.quality import Quality
 from accelsurf.errors import InputError
 from accelsurf.evolution.loop import Stop
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import Level
+from accelsurf.measure.quality import Quality
 from accelsurf.report import document
 from accelsurf.settings.run_config import RunConfig
 from tests.support.records import step_record

@@ -15,10 +15,10 @@ from matplotlib.colors import to_hex
 from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 
-from accelsurf.analysis.surface_mesh import Surface, extract
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.grey_window import GreyWindow, window_of
+from accelsurf.measure.surface_mesh import Surface, extract
 from accelsurf.report import canvas, preview
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
 from accelsurf.report.slice_views import click_views, doubt_views, main_views, shown_ranges, whole_ranges

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.analysis.surface_mesh import extract
+from accelsurf.measure.surface_mesh import extract
 from accelsurf.report.rasterizer import render
 from tests.support.shapes import ball_on_grid
 

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 import accelsurf
-from accelsurf.analysis.metrics import dice
 from accelsurf.errors import InputError, UsageError
 from accelsurf.image.filters import ImageFilters
 from accelsurf.image.volume import Volume
+from accelsurf.measure.metrics import dice
 from accelsurf.phantoms.recipes import distance_at, make, recipe_from
 from accelsurf.segmentation.api import evolve, segment
 from accelsurf.segmentation.preprocessing import apply, filtered_volume, scale_of

@@ -12,7 +12,6 @@ import pytest
 
 import accelsurf
 from accelsurf import io
-from accelsurf.analysis.metrics import dice
 from accelsurf.cli import execute
 from accelsurf.energies import ChanVese
 from accelsurf.errors import GeometryError, InputError, UsageError
@@ -20,6 +19,7 @@ from accelsurf.evolution import serialization
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
+from accelsurf.measure.metrics import dice
 from accelsurf.segmentation import run_checkpoint
 from accelsurf.segmentation.api import result_of, segment, segment_objects
 from accelsurf.segmentation.evolving_object import roomy_box

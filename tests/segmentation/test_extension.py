@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from accelsurf.analysis import metrics
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
+from accelsurf.measure import metrics
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.run import Run
 from accelsurf.segmentation.run_checkpoint import header_of, load_checkpoint, save_checkpoint

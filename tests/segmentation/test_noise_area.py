@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from accelsurf.analysis.metrics import dice
 from accelsurf.image.noise import WEIGHT
+from accelsurf.measure.metrics import dice
 from accelsurf.segmentation import start_checks
 from accelsurf.segmentation.api import segment, segment_objects
 from accelsurf.segmentation.refine import refine

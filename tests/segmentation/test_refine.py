@@ -8,13 +8,13 @@ import pytest
 from scipy import ndimage
 
 import accelsurf
-from accelsurf.analysis.surface_mesh import extract
 from accelsurf.energies.seeded import seeded_model
 from accelsurf.energies.seeded.stages import contradicting
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import box_at, whole_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.levelset import Workers
+from accelsurf.measure.surface_mesh import extract
 from accelsurf.segmentation.corrected_surface import CorrectedSurface
 from accelsurf.segmentation.local_evolution import measures_of
 from accelsurf.segmentation.local_model import LocalModel, LocalState, ModelChange, basin_of

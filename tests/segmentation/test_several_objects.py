@@ -7,12 +7,12 @@ from scipy import ndimage
 
 import accelsurf
 from accelsurf import cli, io
-from accelsurf.analysis.metrics import dice
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.transfer import shift_fields
+from accelsurf.measure.metrics import dice
 from accelsurf.phantoms import recipes
 from accelsurf.segmentation.api import segment_objects
 from accelsurf.settings.run_config import RunConfig

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from accelsurf.analysis.metrics import dice
 from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev
+from accelsurf.measure.metrics import dice
 from accelsurf.segmentation.api import segment
 from accelsurf.segmentation.run_setup import half_width, make_flow, stop_rule
 from accelsurf.settings.energy_terms import image_terms

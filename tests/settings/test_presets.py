@@ -7,8 +7,8 @@ import pytest
 from scipy import ndimage
 
 from accelsurf import cli
-from accelsurf.analysis.metrics import dice
 from accelsurf.errors import UsageError
+from accelsurf.measure.metrics import dice
 from accelsurf.phantoms import tissues
 from accelsurf.segmentation.api import segment, segment_objects
 from accelsurf.settings.presets import PRESETS

@@ -9,9 +9,9 @@ import pyvista as pv
 from PIL import Image
 
 from accelsurf import Volume
-from accelsurf.analysis.surface_mesh import extract
 from accelsurf.errors import InputError, UsageError
 from accelsurf.io.headers import DICOM_KEY, UNIT_KEY
+from accelsurf.measure.surface_mesh import extract
 from accelsurf.report import canvas
 from accelsurf.viewer.frontends.page_document import style_sheet
 from accelsurf.viewer.scene import colors, shapes

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from accelsurf.analysis.evidence import doubtful_places, gather
+from accelsurf.measure.evidence import doubtful_places, gather
 from accelsurf.segmentation.result import Result, SegmentedObject
 
 #: Places that are offered, of all objects together.

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from accelsurf.analysis.diameters import Diameters, diameters
 from accelsurf.errors import UsageError
 from accelsurf.io.headers import VALUE_UNIT_KEY
+from accelsurf.measure.diameters import Diameters, diameters
 from accelsurf.report.label_files import table_of
 from accelsurf.report.tables import rows_of, statistics_csv
 from accelsurf.segmentation.result import Result
@@ -24,7 +24,7 @@ class Figures(NamedTuple):
     step : int
         Of the state that they are about.
     rows : tuple of dict
-        One for each object: ``id``, ``name``, and what `accelsurf.analysis.statistics.statistics` returns.
+        One for each object: ``id``, ``name``, and what `accelsurf.measure.statistics.statistics` returns.
     csv : str
         The same as a table.
     value_unit : str

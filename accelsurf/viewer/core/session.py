@@ -14,10 +14,10 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from accelsurf.analysis.diameters import Diameters
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
 from accelsurf.image.volume import Volume
+from accelsurf.measure.diameters import Diameters
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from accelsurf.analysis.diameters import Diameters
 from accelsurf.errors import UsageError
 from accelsurf.io.files import write_bytes
+from accelsurf.measure.diameters import Diameters
 from accelsurf.report import output_folder
 from accelsurf.report.tables import csv_text
 from accelsurf.settings.corrections import MAX_ID

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 
-from accelsurf.analysis.vertex_placement import balanced, on_edges
 from accelsurf.errors import EmptyResultError, InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import write_bytes
+from accelsurf.measure.vertex_placement import balanced, on_edges
 from accelsurf.settings.labels import LabelEntry
 from accelsurf.settings.mesh_formats import MESH_FORMATS, Shape, mesh_formats
 from accelsurf.settings.registry import load

@@ -19,16 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.analysis import evidence as places
 from accelsurf.grid.boxes import Box, bounding_box, slabs
 from accelsurf.grid.geometry import Geometry, axis_steps
 from accelsurf.image.smoothing import gaussian_mm
+from accelsurf.measure import evidence as places
 from accelsurf.settings.wording import place_text, volume_text
 
 if TYPE_CHECKING:
-    from accelsurf.analysis.evidence import Evidence
     from accelsurf.energies.seeded import Proposal, Sureness
     from accelsurf.evolution.records import StepRecord, Stop
+    from accelsurf.measure.evidence import Evidence
 
 #: A note is made beyond these: fraction of the surface on the border, and without an edge; contrast across the surface
 #: in units of the noise; relative growth over the last steps; share of the object unlike what was learned. A Gaussian
@@ -523,7 +523,7 @@ ModelKind = Literal["clicks", "image"]
 @functools.cache
 def calibrated_models() -> dict[str, dict[str, Any]]:
     """Return the models by kind: ``features`` (name: mean, deviation, weight), ``constant``, ``threshold``."""
-    text = (resources.files("accelsurf.analysis") / MODEL_FILE).read_text(encoding="utf-8")
+    text = (resources.files("accelsurf.measure") / MODEL_FILE).read_text(encoding="utf-8")
     found: dict[str, dict[str, Any]] = json.loads(text)
     return found
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from accelsurf.analysis.mesh_distance import TriangleIndex, largest_distance, mean_side, sides
-from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.errors import InputError, UsageError
+from accelsurf.measure.mesh_distance import TriangleIndex, largest_distance, mean_side, sides
+from accelsurf.measure.surface_mesh import Surface
 
 Floats = NDArray[np.float64]
 #: Rounds of smoothing, at most; more are needed where the length is more than about 12 sides of triangles.
@@ -61,7 +61,7 @@ class ShapedMesh:
     ----------
     surface : Surface
     distance_mm : float
-        Largest distance to the surface that was extracted, see `accelsurf.analysis.mesh_distance.largest_distance`.
+        Largest distance to the surface that was extracted, see `accelsurf.measure.mesh_distance.largest_distance`.
     warnings : tuple of str
     """
 
@@ -88,7 +88,7 @@ def shape(exact: Surface, options: MeshOptions) -> ShapedMesh:
     Examples
     --------
     >>> from accelsurf.grid.geometry import Geometry
-    >>> from accelsurf.analysis.surface_mesh import extract
+    >>> from accelsurf.measure.surface_mesh import extract
     >>> z, y, x = np.indices((16, 16, 16)) - 7.5
     >>> ball = extract((np.sqrt(x**2 + y**2 + z**2) - 5).astype(np.float32), Geometry((16, 16, 16), (1.0, 1.0, 1.0)))
     >>> coarse = shape(ball, MeshOptions(faces=200))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from accelsurf.analysis.surface_mesh import Surface
+from accelsurf.measure.surface_mesh import Surface
 
 Floats = NDArray[np.float64]
 #: Points looked up at once, for the sake of memory.

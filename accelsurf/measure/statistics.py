@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.analysis.diameters import Diameters, diameters
 from accelsurf.grid.boxes import bounding_box
 from accelsurf.grid.geometry import Geometry
+from accelsurf.measure.diameters import Diameters, diameters
 
 if TYPE_CHECKING:
     from accelsurf.segmentation.result import SegmentedObject
@@ -40,7 +40,7 @@ def statistics(segmented: SegmentedObject, values: NDArray[Any]) -> dict[str, An
         ``p99``, ``max`` of the image; ``box_first``, ``box_last`` (voxel indices x, y, z, both in the object);
         ``centroid_mm``; ``axes_mm``, the lengths of the ellipsoid with the same moments, longest first, and
         ``axes_directions``; ``diameter_mm``, ``diameter_across_mm``, ``diameter_axial_mm`` and
-        ``diameter_axial_across_mm``, see `accelsurf.analysis.diameters`; ``sphere_mm``, the diameter of a ball of the
+        ``diameter_axial_across_mm``, see `accelsurf.measure.diameters`; ``sphere_mm``, the diameter of a ball of the
         same volume; ``sphericity``, the area of that ball by its own. Places and directions are (x, y, z), LPS; an
         undefined figure is None.
     """

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects
 
-from accelsurf.analysis.metrics import Mask, Metrics, agreement, check_same_grid, surface_dice
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, enclosing, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
+from accelsurf.measure.metrics import Mask, Metrics, agreement, check_same_grid, surface_dice
 from accelsurf.settings.labels import IdRanges, holds
 
 #: Ids up to this are looked for in a list; larger ones are sorted, so many voxels at a time.

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.analysis.surface_mesh import Surface
 from accelsurf.grid.geometry import Geometry
+from accelsurf.measure.surface_mesh import Surface
 
 if TYPE_CHECKING:
     from accelsurf.segmentation.result import SegmentedObject

@@ -1,0 +1,1 @@
+"""Measures of a result: meshes, statistics, agreement with a reference, quality without one."""
