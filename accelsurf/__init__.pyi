@@ -1,4 +1,9 @@
+from .api.segment import evolve as evolve
+from .api.segment import segment as segment
+from .api.segment import segment_objects as segment_objects
 from .cli.many import segment_many as segment_many
+from .correct.refine import refine as refine
+from .correct.refiner import Refiner as Refiner
 from .errors import AccelsurfError as AccelsurfError
 from .errors import EmptyResultError as EmptyResultError
 from .errors import GeometryError as GeometryError
@@ -17,13 +22,8 @@ from .measure.contours import Contours as Contours
 from .measure.metrics import evaluate as evaluate
 from .measure.surface_mesh import Surface as Surface
 from .report.document import report_of as report_of
-from .segmentation.api import evolve as evolve
-from .segmentation.api import segment as segment
-from .segmentation.api import segment_objects as segment_objects
-from .segmentation.refine import refine as refine
-from .segmentation.refiner import Refiner as Refiner
-from .segmentation.result import ObjectsResult as ObjectsResult
-from .segmentation.result import Result as Result
+from .run.result import ObjectsResult as ObjectsResult
+from .run.result import Result as Result
 from .settings.run_config import RunConfig as RunConfig
 from .settings.track_config import TrackConfig as TrackConfig
 from .tracking.track import track as track

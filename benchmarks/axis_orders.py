@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 import accelsurf
+from accelsurf.api.segment import Result, segment, segment_objects
 from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import ball_distance
 from accelsurf.image.volume import Volume
 from accelsurf.phantoms import recipes
-from accelsurf.segmentation.api import Result, segment, segment_objects
-from accelsurf.segmentation.region_of_interest import cropped
+from accelsurf.run.region_of_interest import cropped
 from tests.support.axis_orders import WAYS, Way, permuted, stored
 
 #: Phantoms of odd and even sizes (x, y, z), the objects off the middle, in noise.

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from accelsurf import io
+from accelsurf.api.segment import segment
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.api import segment
 
 RESULTS = Path(__file__).resolve().parent / "results" / "batch.json"
 #: Wanted: seconds of a case beyond the library call.

@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from accelsurf.api.segment import segment
 from accelsurf.errors import AccelsurfError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
 from accelsurf.phantoms import recipes, tissues
-from accelsurf.segmentation.api import segment
 from benchmarks.clicks.objects import ClickObject, chosen, load
 from benchmarks.clicks.person import next_click
 from benchmarks.peers.measure import scans_folder

@@ -23,7 +23,7 @@ from accelsurf import io
 from accelsurf.image.volume import Volume
 from accelsurf.measure import metrics
 from accelsurf.report.document import versions
-from accelsurf.segmentation.evolving_object import ROOM
+from accelsurf.run.evolving_object import ROOM
 from accelsurf.starts import objects
 from benchmarks import typed
 from benchmarks.clicks.person import next_click

@@ -26,10 +26,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.api.segment import segment
+from accelsurf.correct.refiner import Refiner
 from accelsurf.image.volume import Volume
 from accelsurf.phantoms.recipes import load_recipe, make
-from accelsurf.segmentation.api import segment
-from accelsurf.segmentation.refiner import Refiner
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from benchmarks.clicks.objects import chosen, load
@@ -56,28 +56,28 @@ PARTS = (
     ("accelsurf.energies.seeded.first_click", "by_evidence", "level by evidence"),
     ("accelsurf.energies.seeded.answers", "log_ratio", "likelihood"),
     ("accelsurf.energies.seeded.first_click", "first_answer", "learned answer"),
-    ("accelsurf.segmentation.local_model", "with_click", "learned answer"),
+    ("accelsurf.correct.local_model", "with_click", "learned answer"),
     ("accelsurf.energies.seeded.model", "with_click", "learned answer"),
     ("accelsurf.energies.seeded.after_click", "mixed_answer", "mean of the answers"),
     ("accelsurf.energies.seeded.model", "mixed_answer", "mean of the answers"),
     ("accelsurf.energies.seeded.after_click", "unlike_object", "what is added far away"),
-    ("accelsurf.segmentation.local_model", "at_edges", "edges of the image"),
+    ("accelsurf.correct.local_model", "at_edges", "edges of the image"),
     ("accelsurf.energies.seeded.model", "at_edges", "edges of the image"),
     ("accelsurf.energies.seeded.model", "area_weight", "area's weight"),
     ("accelsurf.energies.seeded.model", "mean_curvature", "area's weight"),
-    ("accelsurf.segmentation.local_model", "mean_curvature", "area's weight"),
+    ("accelsurf.correct.local_model", "mean_curvature", "area's weight"),
     ("accelsurf.energies.seeded.contest", "implied", "what clicks imply"),
     ("accelsurf.energies.seeded.contest", "around", "boxes of the contests"),
     ("accelsurf.energies.seeded.contest", "_by_paths", "paths"),
     ("accelsurf.energies.seeded.contest", "_by_walks", "walks"),
-    ("accelsurf.segmentation.refiner", "basin_of", "region"),
-    ("accelsurf.segmentation.refiner", "around_clicks", "region"),
-    ("accelsurf.segmentation.local_evolution", "signed_distance", "region"),
-    ("accelsurf.segmentation.local_evolution", "near_bounds", "region"),
-    ("accelsurf.segmentation.local_evolution", "united", "region"),
-    ("accelsurf.segmentation.local_evolution", "_distance_to", "region"),
+    ("accelsurf.correct.refiner", "basin_of", "region"),
+    ("accelsurf.correct.refiner", "around_clicks", "region"),
+    ("accelsurf.correct.local_evolution", "signed_distance", "region"),
+    ("accelsurf.correct.local_evolution", "near_bounds", "region"),
+    ("accelsurf.correct.local_evolution", "united", "region"),
+    ("accelsurf.correct.local_evolution", "_distance_to", "region"),
     ("accelsurf.levelset.level_set", "LevelSet.__init__", "first band"),
-    ("accelsurf.segmentation.local_evolution", "_restore", "first band"),
+    ("accelsurf.correct.local_evolution", "_restore", "first band"),
     ("accelsurf.levelset.level_set", "LevelSet.reinitialize", "first band"),
     ("accelsurf.evolution.loop", "Evolution.step", "steps"),
 )

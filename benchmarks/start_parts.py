@@ -26,7 +26,7 @@ IMPORTS = {
     "scipy, scikit-image": ("scipy.ndimage", "skimage.measure", "skimage.graph"),
     "SimpleITK": ("SimpleITK",),
     "Pillow": ("PIL.Image", "PIL.ImageDraw", "PIL.ImageFont"),
-    "accelsurf": ("accelsurf.cli.case", "accelsurf.segmentation.api", "accelsurf.report.outputs", "accelsurf.io.itk"),
+    "accelsurf": ("accelsurf.cli.case", "accelsurf.api.segment", "accelsurf.report.outputs", "accelsurf.io.itk"),
 }
 #: Functions by the part that they are counted in, without what others of them take within.
 FUNCTIONS = {
@@ -35,10 +35,10 @@ FUNCTIONS = {
     "image": (
         "accelsurf.io.formats.nifti:import_nibabel_for", "accelsurf.io.channels:read", "accelsurf.io:sha256",
     ),
-    "first surface": ("accelsurf.segmentation.run:Run.__init__",),
-    "steps": ("accelsurf.segmentation.run:Run.step",),
-    "quality": ("accelsurf.segmentation.result:assess",),
-    "mesh": ("accelsurf.segmentation.result:extract",),
+    "first surface": ("accelsurf.run.run:Run.__init__",),
+    "steps": ("accelsurf.run.run:Run.step",),
+    "quality": ("accelsurf.run.result:assess",),
+    "mesh": ("accelsurf.run.result:extract",),
     "picture": ("accelsurf.report.preview:preview_png",),
     "files": ("accelsurf.cli.case:_write",),
 }

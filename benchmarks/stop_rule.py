@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from accelsurf.evolution.convergence import StopRule
 from accelsurf.image.volume import Volume
 from accelsurf.levelset import LevelSet
-from accelsurf.segmentation.run import Run
+from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 
 N = 32

@@ -25,9 +25,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from accelsurf.api.segment import Result, segment
 from accelsurf.measure.metrics import dice
 from accelsurf.phantoms.recipes import load_recipe, make
-from accelsurf.segmentation.api import Result, segment
 from accelsurf.settings.run_config import RunConfig
 
 #: World mm; the cube spans -24 to 24 in x, y and z.

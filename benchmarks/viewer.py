@@ -88,7 +88,7 @@ def config_of(start: str):
 def seconds_alone(source: Path, start: str, steps: int) -> tuple[float, float]:
     """Wall and processor time."""
     from accelsurf import io
-    from accelsurf.segmentation.run import Run
+    from accelsurf.run.run import Run
 
     with Run(io.read(source), config_of(start)) as run:
         run.step()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.io.headers import count_values, options_of
-from accelsurf.segmentation.memory_need import FREE_SHARE, PROCESS_BYTES, bytes_text, memory_of, run_bytes
+from accelsurf.run.setup import FREE_SHARE, PROCESS_BYTES, bytes_text, memory_of, run_bytes
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.tracking.joined_sequence import open_sequence

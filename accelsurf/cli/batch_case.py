@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
 
 #: What a case loads, so that a worker has it before its first one.
-_LOADED = ("accelsurf.segmentation.api", "accelsurf.report.outputs", "accelsurf.io.itk", "accelsurf.measure.metrics")
+_LOADED = ("accelsurf.api.segment", "accelsurf.report.outputs", "accelsurf.io.itk", "accelsurf.measure.metrics")
 _MEMORY_HINT = "raise --max-memory, lower --jobs, or crop or downsample the image"
 #: Kind of a failure -> exit code of the case, what to do.
 _FAILURES = {

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
     from accelsurf.image.volume import Volume
     from accelsurf.io.file_set import FileSet
-    from accelsurf.segmentation.result import Result
+    from accelsurf.run.result import Result
 
 
 @dataclass(frozen=True)
@@ -403,7 +403,7 @@ def evolve(
     name: str, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher, state: Path | None = None
 ) -> Result:
     """Run one or several objects with progress, without writing anything but checkpoints to the file ``state``."""
-    from accelsurf.segmentation.api import segment, segment_objects
+    from accelsurf.api.segment import segment, segment_objects
 
     with watcher.watch(name, config.max_steps):
         if config.objects is not None:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
     from accelsurf.image.volume import Volume
     from accelsurf.io.file_set import FileSet
-    from accelsurf.segmentation.result import Result
+    from accelsurf.run.result import Result
 
 #: It chooses the flow and the files itself.
 SharedSettings = settings_class("SharedSettings", leave_out=("flow",), groups=WITHOUT_FILES)

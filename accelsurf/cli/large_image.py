@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
     from accelsurf.image.volume import Volume
     from accelsurf.io.lazy_volume import LazyVolume
-    from accelsurf.segmentation.result import Result
-    from accelsurf.segmentation.windowed import LargeImage
+    from accelsurf.large.windowed import LargeImage
+    from accelsurf.run.result import Result
 
 #: Formats of label maps that are written box by box.
 STORES = ("ome.zarr", "nii")
@@ -39,7 +39,7 @@ class ImageParts:
     def allowed_bytes(self) -> int:
         """Memory that the run may take."""
         from accelsurf import io
-        from accelsurf.segmentation.memory_need import allowed_bytes
+        from accelsurf.run.setup import allowed_bytes
 
         return allowed_bytes(self.max_memory, io.available_memory())
 
@@ -61,7 +61,7 @@ def choose_computation(place: Place, config: RunConfig, image: LargeImage | None
 
 def fits(image: LargeImage, config: RunConfig) -> bool:
     """Return True if a run on the whole image is within the memory that it may take."""
-    from accelsurf.segmentation.memory_need import run_bytes
+    from accelsurf.run.setup import run_bytes
 
     values = math.prod(image.geometry.shape) * len(image.channels)
     return run_bytes(values, energy_expression.uses_model(config.energy), config.flow) <= image.max_bytes
@@ -81,7 +81,7 @@ def large_image(
     """
     from accelsurf.errors import InputError
     from accelsurf.io.headers import count_values, is_store, split_name
-    from accelsurf.segmentation.memory_need import run_bytes
+    from accelsurf.run.setup import run_bytes
     from accelsurf.settings.file_formats import image_format
 
     form = image_format(split_name(source)[1])
@@ -97,7 +97,7 @@ def large_image(
         if needed <= parts.allowed_bytes:
             return None
     from accelsurf.io.lazy_volume import open_channels
-    from accelsurf.segmentation.windowed import LargeImage
+    from accelsurf.large.windowed import LargeImage
 
     paths = (source, *map(Path, config.channel))
     channels = [channel for path in paths for channel in open_channels(path, config.reading)]
@@ -120,7 +120,7 @@ def with_level(source: Path, config: RunConfig, parts: ImageParts, quiet: bool) 
     InputError
         When the image cannot be opened.
     """
-    from accelsurf.segmentation.fitting_level import fitting_level
+    from accelsurf.large.windowed import fitting_level
 
     if config.level != "auto":
         return config
@@ -175,7 +175,7 @@ def _in_windows(image: LargeImage) -> Compute:
 
     def compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
         from accelsurf.cli.case import state_of
-        from accelsurf.segmentation.windowed import segment_in_windows
+        from accelsurf.large.windowed import segment_in_windows
 
         log.note_grid(image.geometry)
         state = state_of(place, config)

@@ -27,7 +27,7 @@ from accelsurf.settings.wording import shown
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
     from accelsurf.evolution.records import Stop
-    from accelsurf.segmentation.run import Run
+    from accelsurf.run.run import Run
     from accelsurf.viewer.frontends.drawing_process import DrawingProcess
     from accelsurf.viewer.frontends.movie_file import MovieSettings
 
@@ -110,7 +110,7 @@ def movie(
     from accelsurf.io import channels
     from accelsurf.report.inputs import inputs_of
     from accelsurf.report.output_folder import refuse_existing
-    from accelsurf.segmentation.run import Run
+    from accelsurf.run.run import Run
     from accelsurf.viewer.frontends import movie_file
     from accelsurf.viewer.frontends.drawing_process import DrawingProcess, SceneRecipe
 

@@ -18,15 +18,15 @@ from accelsurf.errors import OutputError
 from accelsurf.io.files import write_bytes
 from accelsurf.report import document, output_folder, result_sets, tables
 from accelsurf.report.document import describe_drafts, describe_input
-from accelsurf.segmentation.ensemble import overall_stop
+from accelsurf.run.ensemble import overall_stop
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Place
     from accelsurf.cli.object_work import ObjectsDone
     from accelsurf.cli.options import Display
     from accelsurf.io.file_set import FileSet
+    from accelsurf.large.windowed import LargeImage
     from accelsurf.report.group_files import GroupRecord
-    from accelsurf.segmentation.windowed import LargeImage
     from accelsurf.settings.run_config import RunConfig
 
 _BEGIN_ANEW = "add --overwrite in place of --resume, to begin anew"

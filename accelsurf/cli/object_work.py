@@ -27,18 +27,18 @@ from accelsurf.report import group_files, output_folder, output_names, result_se
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.initialization.large_object_starts import ManyStarts
+    from accelsurf.large.group_run import Boxes
+    from accelsurf.large.group_run import Group as Places
+    from accelsurf.large.many_objects import Groups
+    from accelsurf.large.object_starts import ManyStarts
+    from accelsurf.large.whole_image import Numbers
+    from accelsurf.large.windowed import LargeImage
     from accelsurf.report.group_files import GroupRecord
-    from accelsurf.segmentation.group_run import Boxes
-    from accelsurf.segmentation.group_run import Group as Places
-    from accelsurf.segmentation.many_objects import Groups
-    from accelsurf.segmentation.whole_image import Numbers
-    from accelsurf.segmentation.windowed import LargeImage
 
 #: Settings that change nothing of what a group leaves.
 _WITHOUT_EFFECT = ("threads", "checkpoint", "format")
 #: Modules that a group loads, so that a worker has it before its first one.
-_LOADED = ("accelsurf.segmentation.many_objects", "accelsurf.report.document")
+_LOADED = ("accelsurf.large.many_objects", "accelsurf.report.document")
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class GroupTask:
     image : LargeImage
         With the memory of this group.
     numbers : tuple of mapping
-        Of each whole channel, as `accelsurf.segmentation.many_objects.numbers_needed` returns them.
+        Of each whole channel, as `accelsurf.large.many_objects.numbers_needed` returns them.
     config : RunConfig
     starts : ManyStarts
         Those of the group alone.
@@ -94,8 +94,8 @@ def run_task(task: GroupTask) -> GroupEnd:
     ----------
     task : GroupTask
     """
-    from accelsurf.segmentation.group_run import MeetsOthers, TooLarge, run_group
-    from accelsurf.segmentation.many_objects import failure_text
+    from accelsurf.large.group_run import MeetsOthers, TooLarge, run_group
+    from accelsurf.large.many_objects import failure_text
 
     whole = task.image.whole(task.config, task.numbers)
     try:
@@ -129,7 +129,7 @@ def run_objects(
     AccelsurfError
         When nothing can be run, or not be written.
     """
-    from accelsurf.segmentation.group_run import check_settings
+    from accelsurf.large.group_run import check_settings
 
     config = large_image.settings_in_windows(place, config)
     check_settings(config)
@@ -208,8 +208,8 @@ class _Work:
     def __init__(
         self, place: Place, config: RunConfig, image: LargeImage, options: ObjectOptions, folder: Path
     ) -> None:
-        from accelsurf.segmentation.many_objects import Groups, many_starts, numbers_needed
-        from accelsurf.segmentation.windowed import notes_of
+        from accelsurf.large.many_objects import Groups, many_starts, numbers_needed
+        from accelsurf.large.windowed import notes_of
 
         jobs = options.jobs or 1
         self._options, self._whole_image = options, image

@@ -13,12 +13,12 @@ from accelsurf.settings.wording import place_text, size_option, size_text, volum
 if TYPE_CHECKING:
     from accelsurf.cli.case import Finished
     from accelsurf.measure.quality import Quality
-    from accelsurf.segmentation.result import Result, SegmentedObject
+    from accelsurf.run.result import Result, SegmentedObject
 
 #: Other sizes are not named where the first one is as sure as this.
 SURE = 0.95
 EMPTY = ("vanished", "filled")
-#: The checks before the first step that foretell these, see `accelsurf.segmentation.start_checks`.
+#: The checks before the first step that foretell these, see `accelsurf.run.start_checks`.
 CAUSES = {"vanished": ("start", "area"), "filled": ("size", "window", "start")}
 _LATER = "raise --max-steps; the outputs show how far it got"
 _LOOK = "look at the picture; without --strict it is a warning"

@@ -15,8 +15,8 @@ from accelsurf.settings.corrections import Correction, corrections_of
 if TYPE_CHECKING:
     from accelsurf.cli.case import Finished, Log, Place
     from accelsurf.cli.progress import Watcher
-    from accelsurf.segmentation.result import Result
-    from accelsurf.segmentation.state_file import StateFile
+    from accelsurf.correct.state_file import StateFile
+    from accelsurf.run.result import Result
     from accelsurf.settings.run_config import RunConfig
 
 _STATE = "the state of a run is written with clicks, or with --keep-state yes"
@@ -129,8 +129,8 @@ class _Refinement:
 
     def __call__(self, place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
         from accelsurf.cli.case import read_image
-        from accelsurf.segmentation.refiner import Refiner
-        from accelsurf.segmentation.restored_result import restored
+        from accelsurf.correct.refiner import Refiner
+        from accelsurf.correct.restored import restored
 
         volume, *more = read_image(place, config, log)
         _check_image(self._source, log.checksum)
@@ -193,7 +193,7 @@ def _source_of(path: Path, image: Path | None) -> _Source:
     state_path = report.parent / name
     if not state_path.is_file() or sha256(state_path) != checksum:
         raise InputError(f"{state_path}: is not as its report says: missing, damaged or of another run", _STATE)
-    from accelsurf.segmentation.state_file import read_state  # loads what a run needs
+    from accelsurf.correct.state_file import read_state  # loads what a run needs
 
     state = read_state(state_path)
     where = image if image is not None else Path(source)

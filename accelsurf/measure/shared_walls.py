@@ -25,7 +25,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.surface_mesh import Surface
 
 if TYPE_CHECKING:
-    from accelsurf.segmentation.result import SegmentedObject
+    from accelsurf.run.result import SegmentedObject
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]

@@ -17,7 +17,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.diameters import Diameters, diameters
 
 if TYPE_CHECKING:
-    from accelsurf.segmentation.result import SegmentedObject
+    from accelsurf.run.result import SegmentedObject
 
 Floats = NDArray[np.float64]
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)

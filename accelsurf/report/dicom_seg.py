@@ -16,8 +16,8 @@ from accelsurf.io.files import naming, write_bytes
 from accelsurf.io.formats import dicom
 from accelsurf.io.headers import DICOM_KEY
 from accelsurf.measure.contours import in_slices
-from accelsurf.segmentation.result import Result, SegmentedObject
-from accelsurf.segmentation.run_checkpoint import digest_of
+from accelsurf.run.checkpoint import digest_of
+from accelsurf.run.result import Result, SegmentedObject
 from accelsurf.settings.catalogue import entry
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.labels import LabelTable

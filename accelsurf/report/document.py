@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from accelsurf.grid.window import Window
     from accelsurf.io.file_set import FileSet
     from accelsurf.measure.quality import Quality
-    from accelsurf.segmentation.result import Result, SegmentedObject
+    from accelsurf.run.result import Result, SegmentedObject
     from accelsurf.settings.run_config import RunConfig
 
 #: Raised when a key of the report or a column of the trace changes its name or its meaning.

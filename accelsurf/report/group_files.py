@@ -27,7 +27,7 @@ from accelsurf.report import output_names
 from accelsurf.report.document import describe_object, describe_window
 
 if TYPE_CHECKING:
-    from accelsurf.segmentation.group_run import GroupResult
+    from accelsurf.large.group_run import GroupResult
 
 _RECORD, _LABELS = "record.json", "labels.npz"
 
@@ -47,7 +47,7 @@ class GroupRecord:
     boxes : list of tuple of slice
         Part of the whole grid that each object has.
     low, high : ndarray (n, 3) of int64
-        As of `accelsurf.segmentation.group_run.GroupResult`.
+        As of `accelsurf.large.group_run.GroupResult`.
     stops : list of Stop
     meshes : list of dict of str to str
         Of each object: name of the file by kind.

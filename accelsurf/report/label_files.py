@@ -17,7 +17,7 @@ from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
-    from accelsurf.segmentation.result import Result
+    from accelsurf.run.result import Result
 
 
 def entries_of(result: Result, table: LabelTable) -> list[LabelEntry]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf import io
+from accelsurf.correct.state_file import state_bytes
 from accelsurf.image.grey_window import parse_window
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import LABELS_KEY, UNIT_KEY, is_anatomical
@@ -22,7 +23,6 @@ from accelsurf.report.document import describe_objects
 from accelsurf.report.label_files import given_labels, is_named, table_of
 from accelsurf.report.mesh_files import MeshNotes, is_shaped, shaped
 from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
-from accelsurf.segmentation.state_file import state_bytes
 from accelsurf.settings.labels import LabelEntry
 from accelsurf.settings.mesh_formats import LABEL_OUTPUTS
 from accelsurf.settings.registry import load
@@ -30,7 +30,7 @@ from accelsurf.settings.wording import size_text, volume_text
 
 if TYPE_CHECKING:
     from accelsurf.measure.surface_mesh import Surface
-    from accelsurf.segmentation.result import Result
+    from accelsurf.run.result import Result
 
 #: Kind of a file, its name, and the function that writes it.
 Writer = tuple[str, str, Callable[[Path], None]]

@@ -17,7 +17,7 @@ from accelsurf.settings.trace_columns import TRACE_COLUMNS, row_values
 
 if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord
-    from accelsurf.segmentation.result import Result
+    from accelsurf.run.result import Result
 
 
 def trace_csv(history: Iterable[StepRecord]) -> str:

@@ -22,7 +22,7 @@ from accelsurf.report.document import describe_drafts
 from accelsurf.report.inputs import inputs_of
 from accelsurf.report.track_files import TrackFiles, is_of_frame, labels_name, mesh_name
 from accelsurf.report.track_frames import FrameStore, TrackSet, frame_digits, remove_store
-from accelsurf.segmentation.region_of_interest import cropped
+from accelsurf.run.region_of_interest import cropped
 from accelsurf.settings.registry import load
 from accelsurf.settings.track_fields import TRACK_FORMATS
 from accelsurf.tracking.records import FrameResult, Lineage, TrackedObject

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from accelsurf.api import warmup
 from accelsurf.report.rasterizer import render
-from accelsurf.segmentation import warmup
 from accelsurf.tracking import track
 
 

@@ -72,7 +72,7 @@ class TermSpec:
     help : str
         What it is, in a few words.
     make : str or callable
-        ``"module:function"`` or a function: of `accelsurf.segmentation.image_context.TermInputs`, returns the energy
+        ``"module:function"`` or a function: of `accelsurf.run.image_context.TermInputs`, returns the energy
         and a dict of the settings that it has in the run, for the report.
     settings : mapping of str to Number or Word
         Its settings after the colon, in the order in which values without a key are assigned.
@@ -147,7 +147,7 @@ _EPSILON = Number(0.0, 2.5, help="half width of the smeared interface, voxels")
 #: In the image's unit, a percentile, Otsu's threshold, learned from the start's values, half-way between their mean
 #: and a value, or open.
 _BOUND = Number(words=("auto", "learned", ""), percent=True)
-_MAKERS = "accelsurf.segmentation.term_makers"
+_MAKERS = "accelsurf.run.makers"
 
 TERMS: Registry[TermSpec] = Registry(
     "term",

@@ -39,7 +39,7 @@ class FlowSpec:
 
 
 _MOMENTUM = ("k", "t0", "lam", "rho", "friction", "noise", "noise_length", "noise_time", "diffusion")
-_MAKERS = "accelsurf.segmentation.flow_makers"
+_MAKERS = "accelsurf.run.makers"
 
 FLOWS: Registry[FlowSpec] = Registry(
     "flow",

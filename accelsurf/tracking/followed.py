@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure import surface_mesh
-from accelsurf.segmentation.region_of_interest import cropped
+from accelsurf.run.region_of_interest import cropped
 from accelsurf.tracking.evidence import Profile
 from accelsurf.tracking.frame_run import Measured
 from accelsurf.tracking.momentum import SurfaceMomentum, Triple

@@ -14,7 +14,7 @@ from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.image.volume import Volume
 from accelsurf.levelset import Workers
-from accelsurf.segmentation.run_setup import EnergyLike
+from accelsurf.run.setup import EnergyLike
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig

@@ -10,17 +10,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.correct.finished import result_of
+from accelsurf.correct.refiner import Refiner
 from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing, overlap, placed_at, shared, widened
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.preprocessing import uses_model
-from accelsurf.segmentation.refiner import Refiner
-from accelsurf.segmentation.region_of_interest import cropped
-from accelsurf.segmentation.result import Result, SegmentedObject
-from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_result import result_of
-from accelsurf.segmentation.run_setup import EnergyLike, window_reach
+from accelsurf.run.preprocessing import uses_model
+from accelsurf.run.region_of_interest import cropped
+from accelsurf.run.result import Result, SegmentedObject
+from accelsurf.run.run import Run
+from accelsurf.run.setup import EnergyLike, window_reach
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig

@@ -10,16 +10,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from accelsurf.api.segment import segment, segment_objects
+from accelsurf.correct.refiner import Refiner
 from accelsurf.errors import EmptyResultError, InputError, UsageError
 from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.boxes import whole_box
 from accelsurf.image.sequence import ImageSequence, VolumeSequence
 from accelsurf.image.volume import Volume
 from accelsurf.levelset import Workers
-from accelsurf.segmentation.api import segment, segment_objects
-from accelsurf.segmentation.refiner import Refiner
-from accelsurf.segmentation.result import Result
-from accelsurf.segmentation.run_setup import EnergyLike, ObjectsLike, seeded, thread_count
+from accelsurf.run.result import Result
+from accelsurf.run.setup import EnergyLike, ObjectsLike, seeded, thread_count
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig

@@ -10,7 +10,7 @@ from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.io.files import bytes_within, write_bytes
-from accelsurf.segmentation.run_checkpoint import FREE, digest_of, versions
+from accelsurf.run.checkpoint import FREE, digest_of, versions
 from accelsurf.settings import budgets
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.settings.wording import shown

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from accelsurf.api.segment import segment
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.api import segment
 from accelsurf.settings.run_config import RunConfig
 from benchmarks.clicks.games import Segmenter
 from benchmarks.clicks.person import Mask, PersonClick, ball_voxels
@@ -59,7 +59,7 @@ class Refined:
 
     def click(self, click: PersonClick) -> Mask:
         """Labels after one click more."""
-        from accelsurf.segmentation.refine import refine
+        from accelsurf.correct.refine import refine
 
         given: dict[str, Any] = {click.side: (text_of(click, self.image),)}
         if self.result is None:

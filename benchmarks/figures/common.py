@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from accelsurf.api.segment import Result, segment
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice, evaluate
-from accelsurf.segmentation.api import Result, segment
 from accelsurf.settings.run_config import RunConfig
 
 PROCESSES = 2

@@ -24,8 +24,8 @@ import numpy as np
 
 import accelsurf
 from accelsurf.io import LabelStore
-from accelsurf.segmentation.many_objects import segment_many_objects
-from accelsurf.segmentation.windowed import LargeImage
+from accelsurf.large.many_objects import segment_many_objects
+from accelsurf.large.windowed import LargeImage
 from benchmarks.large.study import RESULT
 
 #: Bytes of the store (one a voxel), workers, and what the store delivers, bytes a second; unpacked bytes, as measured.

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from accelsurf.api.segment import segment, segment_objects
 from accelsurf.grid.boxes import connected_to
-from accelsurf.segmentation.api import segment, segment_objects
 from benchmarks.peers.baselines import gaussian_otsu, graph_cut, largest_part, tv_otsu
 from benchmarks.peers.hard_works import Work, drawn, seeds_of
 from benchmarks.peers.measure import combinations

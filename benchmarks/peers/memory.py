@@ -109,7 +109,7 @@ def phantom(side: int) -> np.ndarray:
 
 def child(what: str, side: int) -> None:
     """The process that is measured: both load everything and compile nothing new; one of them segments."""
-    from accelsurf.segmentation.api import segment
+    from accelsurf.api.segment import segment
 
     segment(phantom(24), start="ball:11,11,11,5vox", max_steps=STEPS)
     image = phantom(side)

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from accelsurf.api.segment import segment
 from accelsurf.measure.metrics import dice
-from accelsurf.segmentation.api import segment
 from benchmarks.peers.baselines import BASELINES
 from benchmarks.peers.contest import (
     CARRIED,

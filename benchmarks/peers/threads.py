@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from accelsurf import io
+from accelsurf.correct.finished import result_of
 from accelsurf.levelset import Workers
-from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_result import result_of
+from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 from benchmarks.peers.advance import grow
 from benchmarks.peers.clock import Clock

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
+from accelsurf.api.segment import segment
+from accelsurf.correct.refine import refine
 from accelsurf.energies.seeded import Proposal, Sureness
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.geometry import Geometry
@@ -15,8 +17,6 @@ from accelsurf.measure import quality
 from accelsurf.measure.metrics import dice
 from accelsurf.measure.quality import RestNote, assess, click_features, features
 from accelsurf.report.document import describe_quality, to_json
-from accelsurf.segmentation.api import segment
-from accelsurf.segmentation.refine import refine
 from accelsurf.starts import starts
 from tests.support.records import step_record
 

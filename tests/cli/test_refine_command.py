@@ -8,11 +8,11 @@ import pytest
 
 import accelsurf
 from accelsurf import cli, io
+from accelsurf.correct import state_file
+from accelsurf.correct.state_file import read_state, state_bytes, surface_of
 from accelsurf.errors import InputError
 from accelsurf.evolution.serialization import to_bytes
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation import state_file
-from accelsurf.segmentation.state_file import read_state, state_bytes, surface_of
 from accelsurf.settings.run_config import RunConfig
 
 CLICK = ("--outside", "point:21,14,12vox")

@@ -13,7 +13,7 @@ import pytest
 from accelsurf import cli, io
 from accelsurf.batch import pool as pools
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.checkpoint_file import CheckpointFile
+from accelsurf.run.checkpoint_file import CheckpointFile
 from tests.support.batch_jobs import InlinePool
 
 PROGRAM = (sys.executable, "-m", "accelsurf")

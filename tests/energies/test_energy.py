@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from accelsurf.api.segment import segment
 from accelsurf.energies import CheckedEnergy, Energy, WeightedSum
 from accelsurf.energies.constraints.contact import NonOverlap
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.levelset import BandChange, LevelSet
-from accelsurf.segmentation.api import segment
 
 SHAPE = (14, 15, 16)
 

@@ -7,13 +7,13 @@ import pytest
 from scipy import special
 
 from accelsurf import cli, io
+from accelsurf.api.segment import segment
 from accelsurf.energies import Geodesic, edge_contrast, edge_indicator
 from accelsurf.energies.geodesic import gradient_magnitude
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
-from accelsurf.segmentation.api import segment
-from accelsurf.segmentation.energy_assembly import make_energy
+from accelsurf.run.energy import make_energy
 from accelsurf.settings.run_config import RunConfig
 from tests.support.gradient_check import (
     GRIDS,

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from accelsurf.api.segment import segment
 from accelsurf.energies import (
     Area,
     Balloon,
@@ -23,7 +24,6 @@ from accelsurf.energies.threshold import threshold_field
 from accelsurf.errors import InputError, UsageError
 from accelsurf.levelset import LevelSet
 from accelsurf.measure.metrics import dice
-from accelsurf.segmentation.api import segment
 from tests.support import reference
 from tests.support.gradient_check import (
     GRIDS,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from accelsurf.api.segment import evolve, segment
 from accelsurf.energies import (
     ChanVese,
     ImageEnergy,
@@ -20,7 +21,6 @@ from accelsurf.energies import (
 from accelsurf.errors import InputError, UsageError
 from accelsurf.levelset import LevelSet
 from accelsurf.measure.metrics import dice
-from accelsurf.segmentation.api import evolve, segment
 from accelsurf.settings.run_config import RunConfig
 
 GUIDE = Path(__file__).parents[2] / "docs" / "how-to" / "own-energy.md"

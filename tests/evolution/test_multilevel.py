@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from accelsurf.api.segment import evolve, segment
 from accelsurf.cli import execute
 from accelsurf.errors import UsageError
 from accelsurf.evolution import multilevel
@@ -16,9 +17,8 @@ from accelsurf.io import write
 from accelsurf.levelset import LevelSet
 from accelsurf.measure.metrics import dice
 from accelsurf.phantoms.recipes import make, recipe_from
-from accelsurf.segmentation.api import evolve, segment
-from accelsurf.segmentation.energy_assembly import make_energy
-from accelsurf.segmentation.run_setup import half_width, make_flow
+from accelsurf.run.energy import make_energy
+from accelsurf.run.setup import half_width, make_flow
 from accelsurf.starts import starts
 
 NOISY = {"kind": "cube", "shape": [64, 64, 64], "spacing": [1.0, 1.0, 1.0], "side": 32.0, "noise": 0.6, "seed": 3}

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from accelsurf.api.segment import segment
 from accelsurf.energies import RegionField
 from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.records import StepRecord
 from accelsurf.flows import ConstantDensity, FlowableMass, Noise, StepLimits
 from accelsurf.levelset import LevelSet
-from accelsurf.segmentation.api import segment
 
 FLAT = (12, 40, 40)
 

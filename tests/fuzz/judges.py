@@ -228,8 +228,8 @@ def cases(given: Input, folder: Path) -> None:
 
 def state(given: Input, folder: Path) -> None:
     """The state of a finished run, and its result again."""
-    from accelsurf.segmentation.restored_result import restored
-    from accelsurf.segmentation.state_file import read_state
+    from accelsurf.correct.restored import restored
+    from accelsurf.correct.state_file import read_state
 
     found = read_state(folder / "input.npz")
     result = restored(found, Volume.from_array(runs.image(), 1.0))
@@ -239,8 +239,8 @@ def state(given: Input, folder: Path) -> None:
 
 def checkpoint(given: Input, folder: Path) -> None:
     """A checkpoint, and the run that goes on from it."""
-    from accelsurf.segmentation.run import Run
-    from accelsurf.segmentation.run_checkpoint import load_checkpoint, read_checkpoint
+    from accelsurf.run.checkpoint import load_checkpoint, read_checkpoint
+    from accelsurf.run.run import Run
 
     path = folder / "input.npz"
     _, found = read_checkpoint(path)

@@ -27,11 +27,11 @@ def every() -> list[Input]:
 
 
 def _of_segment():
+    from accelsurf.api.segment import segment
+    from accelsurf.correct.state_file import state_bytes
     from accelsurf.image.volume import Volume
-    from accelsurf.segmentation.api import segment
-    from accelsurf.segmentation.run import Run
-    from accelsurf.segmentation.run_checkpoint import header_of, save_checkpoint
-    from accelsurf.segmentation.state_file import state_bytes
+    from accelsurf.run.checkpoint import header_of, save_checkpoint
+    from accelsurf.run.run import Run
     from accelsurf.settings.run_config import RunConfig
 
     volume = Volume.from_array(image(), 1.0)

@@ -10,9 +10,9 @@ from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid import boxes
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.initialization import large_object_starts
-from accelsurf.initialization.large_object_starts import LabelMap
 from accelsurf.io import LazyVolume
+from accelsurf.large import object_starts
+from accelsurf.large.object_starts import LabelMap
 from accelsurf.starts import objects
 
 SHAPE, MARGIN = (20, 17, 15), 2
@@ -53,7 +53,7 @@ def test_a_map_in_slabs(labels):
 def test_some_ids_of_a_file_also_in_another_process(labels, tmp_path):
     io.write_labels(labels, tmp_path / "map.nii")
     name = f"{tmp_path / 'map.nii'}@3,6-80000"
-    found = large_object_starts.opened(name, GEOMETRY, MARGIN)
+    found = object_starts.opened(name, GEOMETRY, MARGIN)
     want = objects.read(name, GEOMETRY, MARGIN)
     assert_as_read(found, want)
     assert_as_read(pickle.loads(pickle.dumps(found.only([0, 2]))), [want[0], want[2]])
@@ -62,7 +62,7 @@ def test_some_ids_of_a_file_also_in_another_process(labels, tmp_path):
 def test_a_table(tmp_path):
     file = tmp_path / "balls.csv"
     file.write_text("id,x_vox,y_vox,z_vox,r_vox\n9,4,4,4,3\n2,8,4,4,3\n9,3,12,15,2\n4,11,12,14,2\n")
-    found = large_object_starts.opened(str(file), GEOMETRY, MARGIN)
+    found = object_starts.opened(str(file), GEOMETRY, MARGIN)
     want = objects.read(str(file), GEOMETRY, MARGIN)
     assert_as_read(found, want)
     assert_as_read(pickle.loads(pickle.dumps(found.only([0, 2]))), [want[0], want[2]])
@@ -83,12 +83,12 @@ def test_another_grid_and_clicks(labels, tmp_path):
         LabelMap("map", LazyVolume.of_array(labels), Geometry(SHAPE, (1.0, 1.0, 1.0)), MARGIN)
     (tmp_path / "clicks.csv").write_text("# first\nid,x_vox,y_vox,z_vox, side\n1,2,2,2,inside\n")
     with pytest.raises(UsageError, match="column side"):
-        large_object_starts.opened(str(tmp_path / "clicks.csv"), GEOMETRY, MARGIN)
+        object_starts.opened(str(tmp_path / "clicks.csv"), GEOMETRY, MARGIN)
 
 
 @pytest.mark.parametrize("z", [0, 3, SHAPE[0] - 1])
 def test_the_place_of_a_bad_label_is_that_in_the_whole_map(z, monkeypatch):
-    monkeypatch.setattr(large_object_starts, "slabs", lambda shape: [slice(n, n + 1) for n in range(shape[0])])
+    monkeypatch.setattr(object_starts, "slabs", lambda shape: [slice(n, n + 1) for n in range(shape[0])])
     values = np.zeros(SHAPE, np.float32)
     values[z, 1, 2] = 0.5
     with pytest.raises(InputError, match=f"first at index x=2, y=1, z={z}"):

@@ -225,8 +225,8 @@ def states(made, array):
     import io as streams
     import zipfile
 
-    from accelsurf.segmentation.run_checkpoint import read_checkpoint
-    from accelsurf.segmentation.state_file import read_state
+    from accelsurf.correct.state_file import read_state
+    from accelsurf.run.checkpoint import read_checkpoint
 
     def archive(content, kind):
         stream = streams.BytesIO()
@@ -282,7 +282,7 @@ def tables(made, small):
 
 
 def main(folder):
-    import accelsurf.segmentation.state_file  # noqa: F401 - counts as imports
+    import accelsurf.correct.state_file  # noqa: F401 - counts as imports
     from accelsurf.errors import AccelsurfError
 
     out = {kind: [] for kind in KINDS}

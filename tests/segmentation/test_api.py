@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 
 import accelsurf
+from accelsurf.api.segment import evolve, segment
 from accelsurf.errors import InputError, UsageError
 from accelsurf.image.filters import ImageFilters
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
 from accelsurf.phantoms.recipes import distance_at, make, recipe_from
-from accelsurf.segmentation.api import evolve, segment
-from accelsurf.segmentation.preprocessing import apply, filtered_volume, scale_of
-from accelsurf.segmentation.run import Run
+from accelsurf.run.preprocessing import apply, filtered_volume, scale_of
+from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 
 #: Antialiased: only then does the image tell where in a voxel the surface is.

@@ -5,7 +5,7 @@ import pytest
 
 import accelsurf
 from accelsurf.errors import InputError, UsageError
-from accelsurf.segmentation import checkpoint_file, run_checkpoint
+from accelsurf.run import checkpoint, checkpoint_file
 
 SHAPE, SPACING = (16, 22, 30), (1.5, 1.0, 1.0)
 
@@ -153,7 +153,7 @@ def test_another_image_start_or_setting_is_refused_by_name(tmp_path):
 def test_other_versions_and_processors_are_said(tmp_path, monkeypatch):
     kept = tmp_path / "state.npz"
     with monkeypatch.context() as there:
-        there.setattr(run_checkpoint, "processor_name", lambda: "abacus")
+        there.setattr(checkpoint, "processor_name", lambda: "abacus")
         with pytest.raises(Killed):
             run(RUNS["levels"], kept, 3)
     said = []

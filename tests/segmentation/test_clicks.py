@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from accelsurf import io
+from accelsurf.api.segment import evolve, result_of, segment, segment_objects
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Clicks
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.api import evolve, result_of, segment, segment_objects
-from accelsurf.segmentation.given import given_clicks, psi_of
-from accelsurf.segmentation.run import Run
+from accelsurf.run.arguments import given_clicks, psi_of
+from accelsurf.run.run import Run
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig

@@ -9,11 +9,11 @@ from accelsurf.grid.pyramid import levels, restrict
 from accelsurf.image.filters import ImageFilters
 from accelsurf.image.volume import Volume
 from accelsurf.io.lazy_volume import LazyVolume
+from accelsurf.large.whole_image import WholeImage
 from accelsurf.levelset import LevelSet
-from accelsurf.segmentation.energy_assembly import make_energy
-from accelsurf.segmentation.image_context import ImageContext
-from accelsurf.segmentation.preprocessing import apply, filtered_volume, scale_of
-from accelsurf.segmentation.whole_image import WholeImage
+from accelsurf.run.energy import make_energy
+from accelsurf.run.image_context import ImageContext
+from accelsurf.run.preprocessing import apply, filtered_volume, scale_of
 from accelsurf.settings.run_config import RunConfig
 
 SHAPE, SPACING, SIGMA = (44, 60, 64), (1.2, 1.0, 0.9), 0.8

@@ -12,6 +12,7 @@ import pytest
 
 import accelsurf
 from accelsurf import io
+from accelsurf.api.segment import result_of, segment, segment_objects
 from accelsurf.cli import execute
 from accelsurf.energies import ChanVese
 from accelsurf.errors import GeometryError, InputError, UsageError
@@ -20,11 +21,10 @@ from accelsurf.evolution.records import StepRecord
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
-from accelsurf.segmentation import run_checkpoint
-from accelsurf.segmentation.api import result_of, segment, segment_objects
-from accelsurf.segmentation.evolving_object import roomy_box
-from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_checkpoint import header_of, load_checkpoint, save_checkpoint
+from accelsurf.run import checkpoint
+from accelsurf.run.checkpoint import header_of, load_checkpoint, save_checkpoint
+from accelsurf.run.evolving_object import roomy_box
+from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 
 SHAPE, SPACING = (20, 28, 44), (1.4, 1.0, 1.0)
@@ -291,7 +291,7 @@ def test_a_checkpoint_of_another_version_is_refused(pair, tmp_path, monkeypatch)
         assert load_checkpoint(path, run).step == 1
         fields = [name for name in StepRecord._fields if name != "returned"]
         older = NamedTuple("StepRecord", [(name, object) for name in fields])
-        monkeypatch.setitem(run_checkpoint.TYPES, "StepRecord", older)
+        monkeypatch.setitem(checkpoint.TYPES, "StepRecord", older)
         with pytest.raises(InputError, match="another version of accelsurf"):
             load_checkpoint(path, run)
 

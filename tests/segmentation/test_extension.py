@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from accelsurf.api.segment import segment
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.measure import metrics
-from accelsurf.segmentation.api import segment
-from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_checkpoint import header_of, load_checkpoint, save_checkpoint
+from accelsurf.run.checkpoint import header_of, load_checkpoint, save_checkpoint
+from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 
 SHAPE, SPACING = (20, 28, 40), (1.5, 1.0, 1.0)

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.image_force import image_forces
-from accelsurf.segmentation.run import Run
+from accelsurf.run.image_force import image_forces
+from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 
 SHAPE = (32, 40, 48)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from accelsurf.segmentation.api import segment, segment_objects
-from accelsurf.segmentation.late_growth import nearest_inside
-from accelsurf.segmentation.refine import refine
+from accelsurf.api.segment import segment, segment_objects
+from accelsurf.correct.refine import refine
+from accelsurf.run.late_growth import nearest_inside
 
 
 def dumbbell():

@@ -5,15 +5,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from accelsurf.api.segment import segment_objects
 from accelsurf.errors import AccelsurfError
 from accelsurf.image.volume import Volume
 from accelsurf.io import LazyVolume
-from accelsurf.segmentation import group_run, many_objects
-from accelsurf.segmentation.api import segment_objects
-from accelsurf.segmentation.group_run import Boxes, MeetsOthers, VisitedBoxes, united
-from accelsurf.segmentation.many_objects import Groups, segment_many_objects
-from accelsurf.segmentation.memory_need import PROCESS_BYTES
-from accelsurf.segmentation.windowed import LargeImage
+from accelsurf.large import group_run, many_objects
+from accelsurf.large.group_run import Boxes, MeetsOthers, VisitedBoxes, united
+from accelsurf.large.many_objects import Groups, segment_many_objects
+from accelsurf.large.windowed import LargeImage
+from accelsurf.run.setup import PROCESS_BYTES
 from tests.support.many_balls import BALLS, GEOMETRY, SHAPE, label_map, scene, write_table
 
 FAST = {"max_steps": 80, "threads": 1}

@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
+from accelsurf.correct.local_evolution import WIN_REACH, _restore, _win
+from accelsurf.correct.refiner import Refiner
+from accelsurf.correct.region import NearRegion, near_bounds, united
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.levelset import LevelSet
-from accelsurf.segmentation.local_evolution import WIN_REACH, _restore, _win
-from accelsurf.segmentation.near_region import NearRegion, near_bounds, united
-from accelsurf.segmentation.refiner import Refiner
 from accelsurf.settings.corrections import Correction
 from tests.segmentation.test_refine import first_run, two_balls, world
 

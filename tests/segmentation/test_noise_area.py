@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from accelsurf.api.segment import segment, segment_objects
+from accelsurf.correct.refine import refine
 from accelsurf.image.noise import WEIGHT
 from accelsurf.measure.metrics import dice
-from accelsurf.segmentation import start_checks
-from accelsurf.segmentation.api import segment, segment_objects
-from accelsurf.segmentation.refine import refine
+from accelsurf.run import start_checks
 
 N = 48
 START = "ball:27,20,25,5vox"

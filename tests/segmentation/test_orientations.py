@@ -5,9 +5,9 @@ import pytest
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from accelsurf.api.segment import Result, evolve, segment
 from accelsurf.image.volume import Volume
 from accelsurf.phantoms import recipes
-from accelsurf.segmentation.api import Result, evolve, segment
 from tests.support.axis_orders import WAYS, Way, restored, stored
 
 SPACING = (1.0, 0.8, 1.6)

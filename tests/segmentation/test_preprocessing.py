@@ -7,14 +7,14 @@ import pytest
 import SimpleITK as sitk
 
 from accelsurf import cli, io
+from accelsurf.api.segment import evolve, segment
 from accelsurf.energies.constraints.mask import mask_distance
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels
 from accelsurf.measure.metrics import dice
-from accelsurf.segmentation.api import evolve, segment
-from accelsurf.segmentation.region_of_interest import cropped, region_of_interest
+from accelsurf.run.region_of_interest import cropped, region_of_interest
 from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.run_config import RunConfig
 

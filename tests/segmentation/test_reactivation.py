@@ -7,8 +7,8 @@ import pytest
 
 from accelsurf.evolution.records import Stop
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.ensemble import REACTIVATION_DEPTH, Ensemble
-from accelsurf.segmentation.run import Run
+from accelsurf.run.ensemble import REACTIVATION_DEPTH, Ensemble
+from accelsurf.run.run import Run
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 

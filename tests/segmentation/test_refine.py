@@ -8,6 +8,12 @@ import pytest
 from scipy import ndimage
 
 import accelsurf
+from accelsurf.correct.corrected_surface import CorrectedSurface
+from accelsurf.correct.local_evolution import measures_of
+from accelsurf.correct.local_model import LocalModel, LocalState, ModelChange, basin_of
+from accelsurf.correct.refine import refine
+from accelsurf.correct.refiner import Refiner
+from accelsurf.correct.region import rim_width
 from accelsurf.energies.seeded import seeded_model
 from accelsurf.energies.seeded.stages import contradicting
 from accelsurf.errors import InputError, UsageError
@@ -15,13 +21,7 @@ from accelsurf.grid.boxes import box_at, whole_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.levelset import Workers
 from accelsurf.measure.surface_mesh import extract
-from accelsurf.segmentation.corrected_surface import CorrectedSurface
-from accelsurf.segmentation.local_evolution import measures_of
-from accelsurf.segmentation.local_model import LocalModel, LocalState, ModelChange, basin_of
-from accelsurf.segmentation.near_region import rim_width
-from accelsurf.segmentation.refine import refine
-from accelsurf.segmentation.refiner import Refiner
-from accelsurf.segmentation.run_setup import PATIENCE, correction_rule, half_width
+from accelsurf.run.setup import PATIENCE, correction_rule, half_width
 from accelsurf.settings.corrections import Correction, corrections_of
 from accelsurf.settings.run_config import RunConfig
 

@@ -7,6 +7,7 @@ from scipy import ndimage
 
 import accelsurf
 from accelsurf import cli, io
+from accelsurf.api.segment import segment_objects
 from accelsurf.errors import GeometryError, InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
@@ -14,7 +15,6 @@ from accelsurf.levelset import LevelSet
 from accelsurf.levelset.transfer import shift_fields
 from accelsurf.measure.metrics import dice
 from accelsurf.phantoms import recipes
-from accelsurf.segmentation.api import segment_objects
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts import objects
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from accelsurf.api.segment import segment
 from accelsurf.flows import ConstantDensity, FlowableMass, Gradient, HeavyBall, Sobolev
 from accelsurf.measure.metrics import dice
-from accelsurf.segmentation.api import segment
-from accelsurf.segmentation.run_setup import half_width, make_flow, stop_rule
+from accelsurf.run.setup import half_width, make_flow, stop_rule
 from accelsurf.settings.energy_terms import image_terms
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
+from accelsurf.api.segment import segment
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.api import segment
 
 SHAPE = (40, 40, 48)
 START = "ball:20,20,20,5vox"
@@ -120,7 +120,7 @@ def test_a_few_outliers_do_not_change_what_is_learned():
 def test_several_objects_are_named(tmp_path):
     labels = np.zeros(SHAPE, int)
     labels[18:22, 18:22, 18:22], labels[2:5, 2:5, 40:44] = 3, 9
-    from accelsurf.segmentation.api import segment_objects
+    from accelsurf.api.segment import segment_objects
 
     found = segment_objects(scan(), labels, energy="threshold:60,", max_steps=1)
     assert [line.split(":")[0] for line in found.warnings] == ["object 9"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.grid.pyramid import levels, restrict
-from accelsurf.segmentation.start_pyramid import StartPyramid, coarser_box, finer_box, touched_box
+from accelsurf.run.start_pyramid import StartPyramid, coarser_box, finer_box, touched_box
 from accelsurf.starts.objects import ObjectStart
 
 

@@ -10,12 +10,13 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.cli.case import Place, exit_code_of_finished
+from accelsurf.correct import state_file
 from accelsurf.errors import InputError
 from accelsurf.evolution import serialization
 from accelsurf.image.volume import Volume
 from accelsurf.io import sha256
 from accelsurf.report import result_sets
-from accelsurf.segmentation import run_checkpoint, state_file
+from accelsurf.run import checkpoint as run_checkpoint
 from accelsurf.settings.run_config import RunConfig
 
 START = ("--start", "ball:8,8,7,3", "--threads", "1", "--seed", "1", "--quiet")
@@ -54,7 +55,7 @@ def stopped(scan, folder, steps=6):
     """The checkpoint of a run that was ended after some steps, as by a kill."""
     import os
 
-    from accelsurf.segmentation import checkpoint_file
+    from accelsurf.run import checkpoint_file
 
     kept = checkpoint_file.save_checkpoint
 

@@ -16,8 +16,8 @@ from accelsurf.image.filters import ImageFilters
 from accelsurf.image.noise import noise_of
 from accelsurf.image.volume import Volume, check_image
 from accelsurf.io.lazy_volume import LazyVolume
-from accelsurf.segmentation.preprocessing import apply, filtered_volume, scale_of
-from accelsurf.segmentation.whole_image import ImageSlabs, WholeImage
+from accelsurf.large.whole_image import ImageSlabs, WholeImage
+from accelsurf.run.preprocessing import apply, filtered_volume, scale_of
 from accelsurf.starts.region_growing import otsu_level
 
 SPACING = (2.5, 1.0, 0.8)

@@ -9,9 +9,9 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import LazyVolume
-from accelsurf.segmentation.given import with_options
-from accelsurf.segmentation.memory_need import run_bytes
-from accelsurf.segmentation.windowed import LargeImage, segment_in_windows
+from accelsurf.large.windowed import LargeImage, segment_in_windows
+from accelsurf.run.arguments import with_options
+from accelsurf.run.setup import run_bytes
 
 SPACING = (1.2, 1.0, 1.0)
 SHAPE = (97, 110, 123)
@@ -32,7 +32,7 @@ def image():
 @pytest.fixture
 def small_windows(monkeypatch):
     """First windows hardly larger than the start."""
-    monkeypatch.setattr("accelsurf.segmentation.first_window.MIN_MARGIN", 9)
+    monkeypatch.setattr("accelsurf.large.first_window.MIN_MARGIN", 9)
 
 
 def both(image, **options):
@@ -214,7 +214,7 @@ def test_statistics_of_an_image_with_many_voxels_are_those_of_a_coarser_level(im
     pytest.importorskip("zarr")
     values = np.clip(image.array, 0, 255).astype(np.uint8)
     io.write(Volume(values, image.geometry), tmp_path / "a.ome.zarr")
-    monkeypatch.setattr("accelsurf.segmentation.windowed.MAX_STREAMED", values.size // 4)
+    monkeypatch.setattr("accelsurf.large.windowed.MAX_STREAMED", values.size // 4)
     options = {"start": "ball:66,57,56,5", "presmooth": 0.0, "max_steps": 30, "threads": 1}
     fine = io.open_volume(tmp_path / "a.ome.zarr")
     coarse = fine.coarser()
@@ -230,7 +230,7 @@ def test_statistics_of_an_image_with_many_voxels_are_those_of_a_coarser_level(im
 
 
 def test_an_image_without_coarser_levels_is_read_through(image, tmp_path, monkeypatch):
-    monkeypatch.setattr("accelsurf.segmentation.windowed.MAX_STREAMED", 1000)
+    monkeypatch.setattr("accelsurf.large.windowed.MAX_STREAMED", 1000)
     io.write(image, tmp_path / "a.nii")
     options = {"start": "ball:66,57,56,5", "presmooth": 1.0, "threads": 1}
     whole = accelsurf.segment(io.read(tmp_path / "a.nii"), **options)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from accelsurf import io
+from accelsurf.api.segment import result_of, segment
 from accelsurf.energies import ChanVese
 from accelsurf.errors import InputError, UsageError
 from accelsurf.image.volume import Volume
 from accelsurf.levelset import LevelSet, checkpoint_surface, restore_surface
-from accelsurf.segmentation.api import result_of, segment
-from accelsurf.segmentation.run import Run
+from accelsurf.run.run import Run
 from accelsurf.settings.corrections import Correction, corrections_of
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig

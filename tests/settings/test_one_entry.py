@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
+from accelsurf.api.segment import segment
 from accelsurf.energies import ImageEnergy, sample_at_front
 from accelsurf.errors import InputError, UsageError
 from accelsurf.flows import Gradient
@@ -25,8 +26,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels, headers, meshes
 from accelsurf.report import output_names
-from accelsurf.segmentation.api import segment
-from accelsurf.segmentation.run_setup import choose_levels, window_reach
+from accelsurf.run.setup import choose_levels, window_reach
 from accelsurf.settings.catalogue import help_of
 from accelsurf.settings.energy_terms import TERMS, Number, TermSpec, examples
 from accelsurf.settings.file_formats import IMAGE_FORMATS, ImageFormat

@@ -7,10 +7,10 @@ import pytest
 from scipy import ndimage
 
 from accelsurf import cli
+from accelsurf.api.segment import segment, segment_objects
 from accelsurf.errors import UsageError
 from accelsurf.measure.metrics import dice
 from accelsurf.phantoms import tissues
-from accelsurf.segmentation.api import segment, segment_objects
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 

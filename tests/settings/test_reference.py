@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from accelsurf.segmentation.api import segment
+from accelsurf.api.segment import segment
 from docs.reference import generate
 from docs.reference.generate import HERE
 from docs.reference.report_keys import REPORT_KEYS

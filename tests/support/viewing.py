@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from accelsurf import Volume
-from accelsurf.segmentation.run import Run
+from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.region_of_interest import region_of_interest
+from accelsurf.run.region_of_interest import region_of_interest
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.box import BoxOverlay, VoxelBox

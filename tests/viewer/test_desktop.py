@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from accelsurf import io
+from accelsurf.api.segment import segment
 from accelsurf.cli import execute as command
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.api import segment
 from accelsurf.settings.run_config import RunConfig
 from tests.support import viewing
 from tests.support.screen import own_screen

@@ -3,7 +3,7 @@
 import pytest
 
 from accelsurf import io
-from accelsurf.segmentation.api import segment
+from accelsurf.api.segment import segment
 from accelsurf.settings.run_config import RunConfig
 from tests.viewer.test_desktop import needs_screen, person, scan, screen
 

@@ -8,7 +8,7 @@ from accelsurf.evolution.records import StepFields
 from accelsurf.grid import pyramid
 from accelsurf.levelset import LevelSet
 from accelsurf.report import tables
-from accelsurf.segmentation.run import Run
+from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, ObjectState
 

@@ -11,7 +11,7 @@ import pytest
 from accelsurf import cli, io, segment_objects
 from accelsurf.cli import view
 from accelsurf.errors import OutputError, UsageError
-from accelsurf.segmentation.run import Run
+from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.session import Session

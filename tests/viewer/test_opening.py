@@ -13,7 +13,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.headers import outside_data_allowed
-from accelsurf.segmentation.memory_need import run_bytes
+from accelsurf.run.setup import run_bytes
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import opening as core
 from accelsurf.viewer.core.recent_files import MAX_RECENT, RecentFiles, recent_file

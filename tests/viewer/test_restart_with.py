@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from accelsurf.api.segment import segment
 from accelsurf.errors import InputError, UsageError
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.api import segment
-from accelsurf.segmentation.image_force import image_forces
+from accelsurf.run.image_force import image_forces
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session

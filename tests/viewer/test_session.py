@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from accelsurf import io
+from accelsurf.api.segment import segment
 from accelsurf.cli import execute as command
 from accelsurf.energies.chan_vese import ChanVese
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.api import segment
-from accelsurf.segmentation.run import Run
+from accelsurf.run.run import Run
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame

@@ -15,7 +15,7 @@ from accelsurf import cli, io, segment_objects, show
 from accelsurf.grid import pyramid
 from accelsurf.levelset import LevelSet
 from accelsurf.report import outputs, preview
-from accelsurf.segmentation.run import Run
+from accelsurf.run.run import Run
 from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, ObjectState

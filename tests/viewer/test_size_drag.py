@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from accelsurf import io
+from accelsurf.api.segment import segment
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.api import segment
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.size_drag import Dragging, SizeDrag

@@ -10,8 +10,8 @@ from accelsurf.clicks.reading import read_clicks
 from accelsurf.image.grey_window import GreyWindow
 from accelsurf.image.volume import Volume
 from accelsurf.io.headers import DICOM_KEY
-from accelsurf.segmentation.image_force import image_forces
-from accelsurf.segmentation.region_of_interest import region_of_interest
+from accelsurf.run.image_force import image_forces
+from accelsurf.run.region_of_interest import region_of_interest
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.measurements import Measurement
 from accelsurf.viewer.core.session import Session

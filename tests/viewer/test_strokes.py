@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from accelsurf import io
+from accelsurf.api.segment import segment
 from accelsurf.clicks.reading import read_clicks
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.api import segment
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.colors import INSIDE, OUTSIDE

@@ -16,8 +16,8 @@ from tests.viewer.test_desktop import ROOT, needs_screen, screen  # noqa: F401
 #: What a run needs and a picture of an image does not.
 SOLVER = (
     "numba", "llvmlite", "skimage", "scipy.ndimage", "accelsurf.kernels._jit", "accelsurf.levelset",
-    "accelsurf.energies", "accelsurf.flows", "accelsurf.evolution.loop", "accelsurf.segmentation.run",
-    "accelsurf.segmentation.ensemble", "accelsurf.segmentation.refiner",
+    "accelsurf.energies", "accelsurf.flows", "accelsurf.evolution.loop", "accelsurf.run.run",
+    "accelsurf.run.ensemble", "accelsurf.correct.refiner",
 )  # fmt: skip
 
 NOTE = f"""

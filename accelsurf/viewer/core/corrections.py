@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.reading import on_image
+from accelsurf.correct.finished import result_of, state_at_end
+from accelsurf.correct.refiner import Change, Refiner
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, counted_from, enclosing, placed_at
 from accelsurf.report.preview_content import marks_of
-from accelsurf.segmentation.ensemble import overall_stop
-from accelsurf.segmentation.refiner import Change, Refiner
-from accelsurf.segmentation.result import Result
-from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_result import result_of, state_at_end
-from accelsurf.segmentation.run_state import BoxMask
+from accelsurf.run.ensemble import overall_stop
+from accelsurf.run.result import BoxMask, Result
+from accelsurf.run.run import Run
 from accelsurf.settings.corrections import Correction
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame, histories_of_run
 from accelsurf.viewer.core.nearest_object import distance_of, place_of

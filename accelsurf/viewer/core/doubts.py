@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from accelsurf.measure.evidence import doubtful_places, gather
-from accelsurf.segmentation.result import Result, SegmentedObject
+from accelsurf.run.result import Result, SegmentedObject
 
 #: Places that are offered, of all objects together.
 COUNT = 5

@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from accelsurf.correct.finished import result_of
 from accelsurf.errors import UsageError
 from accelsurf.io.headers import VALUE_UNIT_KEY
 from accelsurf.measure.diameters import Diameters, diameters
 from accelsurf.report.label_files import table_of
 from accelsurf.report.tables import rows_of, statistics_csv
-from accelsurf.segmentation.result import Result
-from accelsurf.segmentation.run_result import result_of
+from accelsurf.run.result import Result
 from accelsurf.viewer.core.timeline import Timeline
 
 

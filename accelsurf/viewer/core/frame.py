@@ -19,8 +19,8 @@ from accelsurf.report.preview_content import ClickMark, marks_of
 if TYPE_CHECKING:
     from accelsurf.flows import Flow
     from accelsurf.levelset import LevelSet
-    from accelsurf.segmentation.result import Result, SegmentedObject
-    from accelsurf.segmentation.run import Run
+    from accelsurf.run.result import Result, SegmentedObject
+    from accelsurf.run.run import Run
 
 #: What the surface can be coloured by; ``plain`` is one colour.
 COLORS = ("plain", "speed", "force", "density")
@@ -295,7 +295,7 @@ class Frame:
         Examples
         --------
         >>> from accelsurf import Volume
-        >>> from accelsurf.segmentation.run import Run
+        >>> from accelsurf.run.run import Run
         >>> from accelsurf.settings.run_config import RunConfig
         >>> image = np.zeros((24, 24, 24))
         >>> image[6:18, 6:18, 6:18] = 1

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box, Corner
 from accelsurf.grid.geometry import Geometry
-from accelsurf.segmentation.evolving_object import EvolvingObject
-from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_clicks import BallEdit
+from accelsurf.run.clicks import BallEdit
+from accelsurf.run.evolving_object import EvolvingObject
+from accelsurf.run.run import Run
 from accelsurf.starts import starts
 
 

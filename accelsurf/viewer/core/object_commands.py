@@ -20,8 +20,8 @@ from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Clicks, Side
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.report.label_files import given_labels
-from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_state import BoxMask
+from accelsurf.run.result import BoxMask
+from accelsurf.run.run import Run
 from accelsurf.settings.labels import colored, named
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.corrections import Corrections

@@ -13,10 +13,10 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels, headers
 from accelsurf.io.files import naming
+from accelsurf.large.windowed import fitting_level
 from accelsurf.phantoms import recipe_files, recipes
 from accelsurf.report.track_surfaces import SavedTracks
-from accelsurf.segmentation.fitting_level import fitting_level
-from accelsurf.segmentation.memory_need import allowed_bytes
+from accelsurf.run.setup import allowed_bytes
 from accelsurf.settings import energy_expression
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf import __version__, io
+from accelsurf.correct.finished import result_of
 from accelsurf.errors import UsageError, check_known
 from accelsurf.io.file_set import FileSet, InputFiles
 from accelsurf.io.files import write_bytes
@@ -21,9 +22,8 @@ from accelsurf.report import (
     result_sets,
 )
 from accelsurf.report.inputs import inputs_of, named_files
-from accelsurf.segmentation.result import Result
-from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_result import result_of
+from accelsurf.run.result import Result
+from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.status import SAVED_KINDS
 

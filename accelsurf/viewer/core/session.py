@@ -24,8 +24,8 @@ from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
 from accelsurf.viewer.core.status import SAVED_KINDS, Status, View, ViewSlot, error_line
 
 if TYPE_CHECKING:
-    from accelsurf.segmentation.result import Result
-    from accelsurf.segmentation.run import Run
+    from accelsurf.run.result import Result
+    from accelsurf.run.run import Run
     from accelsurf.viewer.core.doubts import Doubt
     from accelsurf.viewer.core.figures import Figures
     from accelsurf.viewer.core.object_commands import ObjectCommands
@@ -54,7 +54,7 @@ class DoubtWatch:
 
     def find(self, version: int, run: Run, corrected: Result | None) -> tuple[Doubt, ...] | None:
         """The doubts of a version of the state; None while it is not quiet yet."""
-        from accelsurf.segmentation.run_result import result_of
+        from accelsurf.correct.finished import result_of
         from accelsurf.viewer.core.doubts import doubts_of
 
         if time.perf_counter() < self._busy_until:
@@ -489,7 +489,7 @@ def _solver() -> type[Timeline]:
     All that the thread will need is loaded here: nothing is then loaded while a person waits, and no other thread loads
     a part of it meanwhile. Two sessions that begin at once wait for one another, as both begin with the same module.
     """
-    import accelsurf.segmentation.image_force
+    import accelsurf.run.image_force
     import accelsurf.viewer.core.doubts
     import accelsurf.viewer.core.figures  # noqa: F401
     from accelsurf.viewer.core.timeline import Timeline

@@ -10,8 +10,8 @@ from accelsurf.errors import UsageError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.clicks import Side
 from accelsurf.image.volume import Volume
-from accelsurf.segmentation.run import Run
-from accelsurf.segmentation.run_checkpoint import RunCheckpoint
+from accelsurf.run.checkpoint import RunCheckpoint
+from accelsurf.run.run import Run
 from accelsurf.settings.catalogue import entry
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.entry import SettingGroup

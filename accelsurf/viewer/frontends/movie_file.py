@@ -15,7 +15,7 @@ from accelsurf.evolution.records import StepRecord
 from accelsurf.io.files import read_json
 from accelsurf.report import result_sets
 from accelsurf.report.movies import MAX_SIDE, MIN_SIDE, Picture
-from accelsurf.segmentation.run import Run
+from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, histories_of_run
 from accelsurf.viewer.frontends.drawing_process import DrawingProcess, Histories, SceneRecipe

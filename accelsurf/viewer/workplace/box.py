@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import AccelsurfError, UsageError
-from accelsurf.segmentation.region_of_interest import region_of_interest
+from accelsurf.run.region_of_interest import region_of_interest
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.box import BoxOverlay, VoxelBox
 from accelsurf.viewer.scene.space import Picked

@@ -16,7 +16,7 @@ from accelsurf.viewer.scene.force_overlay import ForceOverlay, ForceSlice
 from accelsurf.viewer.workplace.tool import Feature, Key
 
 if TYPE_CHECKING:
-    from accelsurf.segmentation.run import Run
+    from accelsurf.run.run import Run
 
 #: Seconds from one picture to the next while the run goes on: its steps are more important.
 PAUSE_SECONDS = 1.0
@@ -96,7 +96,7 @@ def _forces(
     """The forces in slices, as `ForceSlice` has them; in the session's thread, which has loaded what computes them, as
     this module is loaded before.
     """
-    from accelsurf.segmentation.image_force import image_forces
+    from accelsurf.run.image_force import image_forces
 
     planes = [
         voxels_at(stack, number) if stack.is_straight else (stack.axis, number) for stack, number in cuts

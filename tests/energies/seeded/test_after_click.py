@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from accelsurf.correct.local_model import LocalModel, LocalState
 from accelsurf.energies.seeded import after_click, seeded_model
 from accelsurf.energies.seeded.after_click import CLEAR_CONTRAST, neighbourhood, unlike_object
 from accelsurf.energies.seeded.shown import Shown
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.phantoms import recipes
-from accelsurf.segmentation.local_model import LocalModel, LocalState
 from tests.support import clicked_balls
 
 ONE = (1.0, 1.0, 1.0)

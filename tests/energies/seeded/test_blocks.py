@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from accelsurf.correct.local_model import LocalModel, LocalState
 from accelsurf.energies.seeded import blocks as module
 from accelsurf.energies.seeded import seeded_model
 from accelsurf.energies.seeded.blocks import in_blocks
@@ -12,7 +13,6 @@ from accelsurf.grid.boxes import box_at, whole_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
-from accelsurf.segmentation.local_model import LocalModel, LocalState
 from tests.energies.seeded.test_seeded_model import SHAPE, SPACING, ball, dice, distance, volume_of
 from tests.support import clicked_balls
 

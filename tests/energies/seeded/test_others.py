@@ -6,12 +6,12 @@ from functools import partial
 import numpy as np
 import pytest
 
+from accelsurf.correct.local_model import LocalModel, LocalState
 from accelsurf.energies.seeded import seeded_model
 from accelsurf.energies.seeded.contest import PATHS_REACH, WALKS_REACH, box_around
 from accelsurf.energies.seeded.model import heard
 from accelsurf.grid.boxes import box_at, whole_box
 from accelsurf.grid.clicks import Clicks
-from accelsurf.segmentation.local_model import LocalModel, LocalState
 from tests.energies.seeded.test_seeded_model import dice
 from tests.support import clicked_balls
 

@@ -10,8 +10,8 @@ from accelsurf.energies.seeded import seeded_model
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Clicks
-from accelsurf.segmentation.energy_assembly import make_energy
-from accelsurf.segmentation.image_context import ImageContext, ModelInputs, Scale
+from accelsurf.run.energy import make_energy
+from accelsurf.run.image_context import ImageContext, ModelInputs, Scale
 from accelsurf.settings.run_config import RunConfig
 from tests.support import clicked_balls, gradient_check
 from tests.support.gradient_check import assert_derivative

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from accelsurf.correct.finished import sureness_from
 from accelsurf.energies.seeded import Proposal, seeded_model
 from accelsurf.energies.seeded.proposal import spread_of
 from accelsurf.energies.seeded.shown import Shown
 from accelsurf.energies.seeded.sureness import corrections_with, sureness_of
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.segmentation.run_result import sureness_from
 from tests.energies.seeded.test_seeded_model import SHAPE, SPACING, ball, distance, volume_of
 
 LINE = (1, 1, 40)

@@ -1,0 +1,1 @@
+"""Python functions on images: segment, segment_objects, evolve."""

@@ -1,0 +1,244 @@
+"""segment(), segment_objects(), evolve(): from an image and rough starts to labels, meshes and the run's history."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.correct.finished import OnObjectStep, finished, result_of
+from accelsurf.correct.refine import with_refinements
+from accelsurf.errors import InputError, UsageError
+from accelsurf.evolution.records import Step, StepRecord
+from accelsurf.grid.clicks import SIDES
+from accelsurf.image.volume import Volume, plain_array
+from accelsurf.io import LazyVolume
+from accelsurf.run.arguments import given_clicks, psi_of, split_given, with_options
+from accelsurf.run.checkpoint_file import CheckpointFile
+from accelsurf.run.result import Result
+from accelsurf.run.run import Run
+from accelsurf.run.setup import EnergyLike, ObjectsLike
+from accelsurf.settings.catalogue import default_of
+from accelsurf.settings.registry import load
+from accelsurf.settings.run_config import RunConfig
+
+__all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment", "segment_objects"]
+
+
+#: The function that segments an object of an image that is read in parts; it lies above this room.
+IN_PARTS = "accelsurf.large.windowed:segment_lazily"
+
+
+def segment(
+    volume: Volume | LazyVolume | NDArray[Any],
+    *,
+    spacing: float | tuple[float, float, float] | None = None,
+    channels: Sequence[Volume | NDArray[Any]] = (),
+    config: RunConfig | None = None,
+    energy: EnergyLike | None = None,
+    on_step: Callable[[StepRecord], bool | None] | None = None,
+    on_warning: Callable[[str], None] | None = None,
+    checkpoint_to: str | Path | None = None,
+    **options: Any,
+) -> Result:
+    """Segment one object.
+
+    Parameters
+    ----------
+    volume : Volume, LazyVolume or ndarray (nz, ny, nx)
+        The image; never modified. Of `accelsurf.open_volume` parts near the object are read, with the same result.
+    spacing : float or (hz, hy, hx), optional
+        mm, for an array only; 1 by default.
+    channels : sequence of such images, optional
+        Further ones, on the same grid.
+    config : RunConfig, optional
+    energy : str or Energy or callable, optional
+        A name; an `accelsurf.energies.Energy`, or what makes one of `Result.image` and (hz, hy, hx) mm.
+    on_step : callable, optional
+        Called with each `StepRecord`; a true return value ends the run with the reason ``interrupted``.
+    on_warning : callable, optional
+        Called before the first step with each of `Result.warnings`.
+    checkpoint_to : path-like, optional
+        File of the run's state, see the setting ``checkpoint``: where it exists the run goes on, to the same bytes.
+    **options
+        Settings by name, over those of ``config``. A start, mask, foreground, background or click may also be an array,
+        a Volume, a mesh with ``vertices`` and ``faces``, or balls (x, y, z, r); a click also (x, y, z). All in mm, LPS.
+        Of a LazyVolume texts only, and ``max_memory`` for the run, as "4GB" (0.8 of what is free).
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    UsageError
+        When an option is unknown or out of bounds, a start cannot be parsed, or an energy is incomplete; InputError
+        when the image, the start, what an energy of your own returns, or ``checkpoint_to`` cannot be used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image = 100.0 * (((np.indices((24, 24, 24)) - 11.5) ** 2).sum(axis=0) < 8**2)
+    >>> result = segment(image, start="ball:9,9,9,4vox", max_steps=200)
+    >>> result.stop.reason, result.components, bool((result.labels == (image > 50)).mean() > 0.99)
+    ('converged', 1, True)
+    """
+    watch: OnObjectStep | None = None if on_step is None else lambda record, id: on_step(record)
+    if isinstance(volume, LazyVolume):
+        given = {"spacing": spacing, "channels": channels, "energy": energy, **options}
+        result: Result = load(IN_PARTS)(volume, config, watch, on_warning, checkpoint_to, given)
+        return result
+    checkpoints = _file_of(checkpoint_to)
+    run = _run_of(volume, spacing, channels, config, energy, options, None, checkpoints)
+    return with_refinements(finished(run, watch, on_warning, checkpoints), watch)
+
+
+def evolve(
+    volume: Volume | NDArray[Any],
+    *,
+    spacing: float | tuple[float, float, float] | None = None,
+    channels: Sequence[Volume | NDArray[Any]] = (),
+    config: RunConfig | None = None,
+    energy: EnergyLike | None = None,
+    **options: Any,
+) -> Iterator[Step]:
+    """Run as `segment` does, yielding each step; leave the loop to end the run.
+
+    Parameters
+    ----------
+    volume, spacing, channels, config, energy, **options
+        As for `segment`.
+
+    Yields
+    ------
+    Step
+        ``step.record`` is the record of the step, a line of the trace; ``step.object_id`` is the object's id;
+        ``step.surface`` is the present surface (``.psi``, ``.labels``): copy what you need, the next step moves it.
+        While ``step.record.level`` is above 0 it lies on a coarser grid than the image; with ``levels=1`` it never
+        does.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> z, y, x = np.indices((24, 24, 24)) - 11.5
+    >>> image = (x**2 + y**2 + z**2 < 8**2) * 100.0
+    >>> for step in evolve(image, start="ball:9,9,9,4vox"):
+    ...     if step.record.volume_mm3 > 1000:
+    ...         break
+    >>> step.surface.labels.shape
+    (24, 24, 24)
+    """
+    with _run_of(volume, spacing, channels, config, energy, options) as run:
+        yield from run
+
+
+def segment_objects(
+    volume: Volume | NDArray[Any],
+    objects: ObjectsLike | None = None,
+    *,
+    spacing: float | tuple[float, float, float] | None = None,
+    channels: Sequence[Volume | NDArray[Any]] = (),
+    config: RunConfig | None = None,
+    energy: EnergyLike | None = None,
+    on_step: OnObjectStep | None = None,
+    on_warning: Callable[[str], None] | None = None,
+    checkpoint_to: str | Path | None = None,
+    **options: Any,
+) -> Result:
+    """Segment several objects that do not overlap.
+
+    Parameters
+    ----------
+    volume : Volume or ndarray (nz, ny, nx)
+        The image; never modified.
+    objects : str, Volume or ndarray, optional
+        Their first voxels: a label map, or a file as for ``--objects``. By default that of ``config``.
+    energy : str or callable, optional
+        As for `segment`; one of your own is made for each object's part of the image.
+    on_step : callable, optional
+        Called with each `StepRecord` and the id of its object; a true return value ends the run.
+    on_warning, checkpoint_to : optional
+        As for `segment`.
+    spacing, channels, config, **options
+        As for `segment`; ``max_volume`` counts for each object, ``max_steps`` for the run.
+
+    Returns
+    -------
+    Result
+        With a tuple of objects; ``result.by_id[ID]`` is one of them.
+
+    Raises
+    ------
+    UsageError
+        When no objects are given, an option is unknown, or an energy is incomplete.
+    InputError
+        As `accelsurf.segment`, and when a start is empty or lies inside others.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> z, y, x = np.indices((20, 20, 36)) - np.array([9.5, 9.5, 0])[:, None, None, None]
+    >>> image = (z**2 + y**2 + np.minimum(abs(x - 10), abs(x - 25))**2 < 7**2) * 100.0
+    >>> starts = np.zeros(image.shape, int)
+    >>> starts[8:12, 8:12, 8:12], starts[8:12, 8:12, 24:28] = 3, 700
+    >>> result = segment_objects(image, starts)
+    >>> {one.id: one.stop.reason for one in result.objects}, result.labels.dtype
+    ({3: 'converged', 700: 'converged'}, dtype('uint16'))
+    """
+    if isinstance(objects, str):
+        options, objects = {**options, "objects": objects}, None
+    if objects is None and with_options(config, None, options)[0].objects is None:
+        raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
+    checkpoints = _file_of(checkpoint_to)
+    run = _run_of(volume, spacing, channels, config, energy, options, objects, checkpoints)
+    return with_refinements(finished(run, on_step, on_warning, checkpoints), on_step)
+
+
+def _file_of(path: str | Path | None) -> CheckpointFile | None:
+    return None if path is None else CheckpointFile(Path(path))
+
+
+def _run_of(
+    volume: Volume | NDArray[Any],
+    spacing: float | tuple[float, float, float] | None,
+    channels: Sequence[Volume | NDArray[Any]],
+    config: RunConfig | None,
+    energy: EnergyLike | None,
+    options: dict[str, Any],
+    objects: ObjectsLike | None = None,
+    checkpoints: CheckpointFile | None = None,
+) -> Run:
+    """The run for the arguments of `segment`, `evolve` or `segment_objects`."""
+    first = as_volume(volume, spacing)
+    others = [as_channel(channel, first) for channel in channels]
+    texts, given = split_given(options)
+    clicks = [click for side in SIDES if side in given for click in given_clicks(side, given.pop(side), first)]
+    arrays = {key: psi_of(key, value, first.geometry) for key, value in given.items()}
+    if "start" in arrays:
+        texts.setdefault("start", default_of("start"))
+    config, energy = with_options(config, energy, texts, any(click.side == "inside" for click in clicks))
+    if checkpoints is not None:
+        config = checkpoints.begun(config)
+    elif config.checkpoint is not None:
+        raise UsageError(
+            f"checkpoint: {config.checkpoint} was given without a file for it", "give segment() checkpoint_to=FILE"
+        )
+    return Run(first, config, energy, others, objects, arrays, clicks)
+
+
+def as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
+    if isinstance(volume, Volume):
+        if spacing is not None:
+            raise InputError("spacing given together with a Volume, which has its own", "leave spacing out")
+        return volume
+    return Volume.from_array(volume, 1.0 if spacing is None else spacing)
+
+
+def as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
+    if isinstance(volume, Volume):
+        return volume
+    array = plain_array(volume, "channel")
+    return Volume(array[np.newaxis] if array.ndim == 2 else array, first.geometry)

@@ -1,0 +1,1 @@
+"""A finished run goes on: corrections, objects added, merged, split; its state on the disk."""

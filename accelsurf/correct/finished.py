@@ -1,0 +1,218 @@
+"""`Result` of a run: at its end, or between two steps."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.clicks.reading import clicked_voxels, on_image
+from accelsurf.energies.seeded import Proposal, Sureness
+from accelsurf.energies.seeded.stages import Stage
+from accelsurf.energies.seeded.sureness import sureness_of
+from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.grid.boxes import Box, box_at, whole_box, widened
+from accelsurf.grid.clicks import NO_OBJECT, Clicks
+from accelsurf.grid.window import Window
+from accelsurf.run.checkpoint_file import CheckpointFile
+from accelsurf.run.evolving_object import EvolvingObject
+from accelsurf.run.late_growth import LateGrowth, nearest_inside
+from accelsurf.run.preprocessing import uses_model
+from accelsurf.run.region_of_interest import closed_on, cropped
+from accelsurf.run.result import Result, RunState, SegmentedObject, rest_points
+from accelsurf.run.run import AROUND, Run
+from accelsurf.run.setup import half_width, stop_rule
+
+#: Called with each record and the id of its object; a true value ends the run or the correction.
+OnObjectStep = Callable[[StepRecord, int], bool | None]
+
+
+class ClickModel(Protocol):
+    """A model of clicks, of a whole run or of a correction."""
+
+    @property
+    def clicks(self) -> Clicks:
+        """The clicks that it is of."""
+        ...
+
+    @property
+    def proposal(self) -> Proposal | None:
+        """The size that it proposes; None of a partition."""
+        ...
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The model click by click."""
+        ...
+
+
+def result_of(run: Run) -> Result:
+    """Return the result of a run; between two steps the present state, with the reason ``interrupted``.
+
+    Histories are copies; ``psi`` of a single object may be a view of its surface, which the next step changes.
+    """
+    config, missed = run.config, run.config.edit[run.edits_done :]
+    image = run.prepared.picture()
+    objects = _separate_objects(run, image) if run.has_ids else (_single_object(run, image),)
+    steps = max(segmented.stop.steps for segmented in objects)
+    summaries = run.summaries()
+    return Result(
+        objects=objects,
+        has_ids=run.has_ids,
+        image=image,
+        geometry=run.volume.geometry,
+        config=config,
+        energy=run.energy_name,
+        levels=summaries,
+        seconds={"start": run.start_seconds, "evolve": time.perf_counter() - run.began},
+        volume=run.volume,
+        start=run.prepared.start,
+        resolved_settings=resolved_settings_of(run, len(summaries)),
+        kernels=seconds_by_kernel(run),
+        edits_done=run.edits_done,
+        given=run.given,
+        clicks=on_image(run.clicks, run.prepared.first, run.volume.geometry.shape),
+        state=None if config.keep_state == "no" else state_at_end(run),
+        warnings=run.level_warnings
+        + [
+            f"{key} was given, but has no effect on flow {config.flow} with energy {run.energy_name}"
+            for key in config.unused()
+        ]
+        + [f"edit at step {edit.step} was not made: the run ended after {steps} steps" for edit in missed],
+    )
+
+
+def seconds_by_kernel(run: Run) -> dict[str, float]:
+    """Seconds in each kernel so far, over all objects and threads."""
+    total = dict(run.workers.seconds)
+    for evolving in run.objects if run.has_ids else ():
+        for name, seconds in evolving.workers.seconds.items():
+            total[name] = total.get(name, 0.0) + seconds
+    return total
+
+
+def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
+    """History and reason to stop of each object; the present state of one that has not stopped."""
+    out = []
+    for evolving, step in zip(run.objects, run.current(), strict=True):
+        history, stop = list(evolving.evolution.history), evolving.stop
+        if stop is None:
+            record = step.record
+            history.append(record)
+            stop = Stop("interrupted", record.step, record.t, f"not ended after {record.step} steps")
+        out.append((history, stop))
+    return out
+
+
+def _sureness(run: Run, evolving: EvolvingObject) -> Sureness | None:
+    """Return the confidence of the model of an object's clicks; None where the energy has none."""
+    named = run.energy_given is None or isinstance(run.energy_given, str)
+    return sureness_from(evolving.context.seeded_model()) if named and uses_model(run.config) else None
+
+
+def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
+    """The object of a run of one, on the whole grid."""
+    (evolving,), ((history, stop),) = run.objects, _ending(run)
+    psi = run.prepared.on_whole_grid(evolving.psi_on_finest()[1])
+    box = tuple(slice(0, n) for n in psi.shape)
+    learned = run.prepared.learned_by(evolving.context)
+    whole: Box = (box[0], box[1], box[2])
+    rests = rest_points(evolving.evolution.state.rests.found, run.prepared, whole)
+    return SegmentedObject(
+        1, whole, psi, image, run.volume.geometry, history, stop, evolving.made.terms, learned, rests,
+        clicked_voxels(run.clicks, 1, run.prepared.first, whole), _sureness(run, evolving),
+    )
+
+
+def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedObject, ...]:
+    """The objects of a run of several, each on a part of the grid a little larger than its own."""
+    geometry, objects = run.volume.geometry, []
+    for evolving, (corner, psi), (history, stop) in zip(run.objects, run.separated(), _ending(run), strict=True):
+        z, y, x = (c + first for c, first in zip(corner, run.prepared.first, strict=True))
+        box = widened(box_at((z, y, x), psi.shape), geometry.shape, (AROUND, AROUND, AROUND))
+        around = closed_on(psi, (z, y, x), box)
+        learned = run.prepared.learned_by(evolving.context)
+        objects.append(
+            SegmentedObject(
+                evolving.id,
+                box,
+                around,
+                image[box],
+                cropped(geometry, box),
+                history,
+                stop,
+                evolving.made.terms,
+                learned,
+                rest_points(evolving.evolution.state.rests.found, run.prepared, box),
+                clicked_voxels(run.clicks, evolving.id, run.prepared.first, box),
+                _sureness(run, evolving),
+            )
+        )
+    return tuple(objects)
+
+
+def resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
+    """Return the values that a run on so many levels used for settings that depend on image and grid."""
+    config, prepared = run.config, run.prepared
+    diffusion = config.diffusion
+    if diffusion == "auto":
+        diffusion = "free" if config.flow in ("constant-density", "flowable-mass") else 0.0
+    rule = stop_rule(config, levels)
+    return {
+        "presmooth_mm": prepared.filters.sigma,
+        "closing_mm": prepared.filters.closing,
+        "scale": [{"at_0": low, "at_1": low + width} for low, width in prepared.context.scales],
+        "step_voxels": config.cfl,
+        "limiter_percentile": config.percentile,
+        "diffusion": diffusion,
+        "stop": {"voxels": rule.motion, "steps": rule.window},
+        "half_width_voxels": half_width(config),
+        "levels": levels,
+    }
+
+
+def state_at_end(run: Run) -> RunState:
+    """Return the state from which a finished run is corrected, whatever the settings say of keeping it."""
+    contexts = {evolving.id: evolving.context for evolving in run.objects}
+    return RunState(run.prepared, contexts, run.energy_given, run.clicks)
+
+
+def sureness_from(model: ClickModel) -> Sureness | None:
+    """Return the confidence of a model in its object; None of a partition."""
+    if not model.stages or model.proposal is None:
+        return None
+    return sureness_of(model.stages[-1].shown, model.clicks, model.proposal, model.stages[-1].corrections)
+
+
+def finished(
+    run: Run,
+    on_step: OnObjectStep | None,
+    on_warning: Callable[[str], None] | None,
+    checkpoints: CheckpointFile | None = None,
+) -> Result:
+    """Return the result of a run that goes to the end, or until ``on_step`` returns true; no correction is made."""
+    grid = run.volume.geometry
+    growth = LateGrowth(run.window or Window(grid, whole_box(grid.shape)))
+    with run:
+        notes = [] if checkpoints is None else checkpoints.restore(run, growth)
+        if on_warning is not None:
+            for warning in (*run.level_warnings, *notes):
+                on_warning(warning)
+        while made := run.step():
+            asked = False
+            for step in (one for one in made if one.object_id != NO_OBJECT):
+                evolving = next(evolving for evolving in run.objects if evolving.id == step.object_id)
+                growth.watch(step, run.grid, evolving.corner, run.prepared.first)
+                if on_step is not None and on_step(step.record, step.object_id):
+                    asked = True
+            if checkpoints is not None:
+                checkpoints.watch(run, growth, at_once=asked)
+            if asked:
+                run.request_stop()
+        result = result_of(run)
+    late = nearest_inside(growth.place(), result.labels > 0, grid.spacing)
+    return replace(result, late_growth=late, warnings=[*result.warnings, *notes])

@@ -1,0 +1,164 @@
+"""The evolution of a part of a surface on a box of the grid, while the rest is held."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.correct.region import NearRegion, near_bounds, signed_distance, united
+from accelsurf.energies import Energy
+from accelsurf.energies.constraints.clicks import ClickConstraint
+from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.evolution.setup import SolverSetup
+from accelsurf.evolution.state import LoopState
+from accelsurf.grid.boxes import bounding_box, widened
+from accelsurf.grid.click_bounds import ClickBounds
+from accelsurf.grid.clicks import Side
+from accelsurf.grid.geometry import axis_steps
+from accelsurf.kernels.distance import distances_within
+from accelsurf.kernels.grid import Band
+from accelsurf.levelset import LevelSet, Workers
+from accelsurf.run.evolving_object import leaked_stop
+
+Spacing = tuple[float, float, float]
+#: What is called with each record; a true value ends the evolution.
+OnStep = Callable[[StepRecord], bool | None]
+#: Distances around what a click wins are computed as far as so many of the largest spacings.
+WIN_REACH = 6.0
+
+
+class LocalProblem(NamedTuple):
+    """The moving part of a surface, and the bounds that hold the rest; arrays on the box of the region.
+
+    ``psi`` (nz, ny, nx) of the surface before, mm; ``spacing``; ``region`` in which it may move; ``clicks``, the bounds
+    of all clicks there; ``won``, voxels (nz, ny, nx) that new clicks win, each with its side; ``sides`` of the new
+    clicks; ``energy`` of the box; ``setup`` of the solver; ``max_steps`` of this evolution; the ``history`` so far.
+    """
+
+    psi: NDArray[np.float32]
+    spacing: Spacing
+    region: NearRegion
+    clicks: ClickBounds
+    won: list[tuple[Side, NDArray[np.bool_]]]
+    sides: frozenset[Side]
+    energy: Energy
+    setup: SolverSetup
+    max_steps: int
+    history: list[StepRecord]
+
+
+class LocalOutcome(NamedTuple):
+    """``psi`` on the box, the same bytes beyond the region; the whole ``history``; why it ended."""
+
+    psi: NDArray[np.float32]
+    history: list[StepRecord]
+    stop: Stop
+
+
+def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None = None) -> LocalOutcome:
+    """Evolve the surface in the region to rest, from its old place with the new clicks on their sides.
+
+    Parameters
+    ----------
+    problem : LocalProblem
+    workers : Workers
+    on_step : callable, optional
+
+    Returns
+    -------
+    LocalOutcome
+        Its history has the volume and area of the whole object; the potential is that of the box.
+    """
+    psi, spacing, setup = problem.psi, problem.spacing, problem.setup
+    nothing = np.ones(psi.shape, np.float32)
+    surface = LevelSet(nothing, spacing, setup.half_width, workers, overwrite=True, extension=setup.extension)
+    _restore(surface, psi)
+    volume, area = _measures(surface)
+    before = signed_distance(psi, float(surface.gamma), spacing)
+    bounds = united(near_bounds(before, problem.region, spacing, problem.sides), problem.clicks)
+    dense = surface.dense.psi.reshape(surface.shape)
+    dense[...] = before
+    for side, basin in problem.won:
+        _win(dense, basin & problem.region.mask, side, spacing)
+    bounds.apply(dense)
+    surface.reinitialize(setup.half_width)
+    past = problem.history
+    volume_offset, area_offset = past[-1].volume_mm3 - volume, past[-1].area_mm2 - area
+    # The last record of the run before has the final state, which is not final any more.
+    now = len(past) - 1
+    state = LoopState(past[:-1], past[-1].t, edits=1, first=now, judged_at=now, returned_at=now)
+    setup = setup._replace(stop_at_rest=False, end="lowest")
+    energy = ClickConstraint(problem.energy, bounds)
+    evolution = Evolution.of(surface, energy, setup, now + problem.max_steps, 0, state)
+    stop = to_rest(evolution, setup, on_step, volume_offset, area_offset)
+    psi_after = np.where(problem.region.mask, surface.psi, psi)
+    return LocalOutcome(psi_after, list(evolution.history), stop)
+
+
+def to_rest(
+    evolution: Evolution, setup: SolverSetup, on_step: OnStep | None, volume: float = 0.0, area: float = 0.0
+) -> Stop:
+    """Run an evolution to its end; ``volume`` and ``area``, mm3 and mm2, of the object beyond its box are added."""
+    leaked = False
+    for step in evolution:
+        record = step.record
+        if volume or area:
+            record = record._replace(volume_mm3=record.volume_mm3 + volume, area_mm2=record.area_mm2 + area)
+            evolution.history[-1] = record
+        leaked = setup.max_volume is not None and record.volume_mm3 > setup.max_volume
+        if leaked or (on_step is not None and on_step(record)):
+            evolution.request_stop()
+    assert evolution.stop is not None
+    return leaked_stop(evolution.stop, setup) if leaked else evolution.stop
+
+
+def _restore(surface: LevelSet, psi: NDArray[np.float32]) -> None:
+    """Make a surface that of ``psi``, a signed distance in the band: nothing is solved again."""
+    flat, grid = psi.reshape(-1), surface.grid
+    cells = np.flatnonzero(np.abs(flat) < surface.gamma * np.float32(1.0 - 1e-6))
+    slopes = np.zeros((cells.size, 3), np.float32)
+    for axis, h in enumerate((grid.hz, grid.hy, grid.hx)):
+        if psi.shape[axis] > 1:
+            slopes[:, axis] = np.gradient(psi, h, axis=axis).reshape(-1)[cells]
+    length = np.maximum(np.sqrt((slopes**2).sum(axis=1, keepdims=True)), np.float32(1e-6))
+    band = Band(cells, flat[cells], -flat[cells, None] * slopes / length)
+    inside = psi < 0
+    beyond = int(np.count_nonzero(inside)) - int(np.count_nonzero(band.psi < 0))
+    surface.restore(band, inside.reshape(-1), beyond, surface.requested_half_width)
+
+
+def _win(psi: NDArray[np.float32], basin: NDArray[np.bool_], side: Side, spacing: Spacing) -> None:
+    """Bring voxels of a basin to their side, in place, with distances around them as far as a band may go."""
+    margin = [math.ceil(WIN_REACH * max(axis_steps(psi.shape, spacing)) / h) for h in spacing]
+    box = bounding_box(basin)
+    if box is None:
+        return
+    box = widened(box, psi.shape, margin)
+    part, distance = psi[box], _distance_to(basin[box], spacing)
+    np.copyto(part, np.minimum(part, distance) if side == "inside" else np.maximum(part, -distance))
+
+
+def _distance_to(mask: NDArray[np.bool_], spacing: Spacing) -> NDArray[np.float32]:
+    """Signed distance, mm, to some voxels, negative in them; no number is larger than that of `WIN_REACH`."""
+    steps = axis_steps(mask.shape, spacing)
+    reach, half = np.float32(WIN_REACH * max(steps)), np.float32(0.5 * min(steps))
+    to_mask, to_others = (distances_within(side, spacing, float(reach)) for side in (np.array(mask), ~mask))
+    return np.where(mask, half - np.minimum(to_others, reach), np.minimum(to_mask, reach) - half)
+
+
+def _measures(surface: LevelSet) -> tuple[float, float]:
+    """Volume and area of a surface on its box, mm3 and mm2."""
+    fraction, area = surface.fraction_and_area()
+    return surface.volume(fraction), math.fsum(area)
+
+
+def measures_of(
+    psi: NDArray[np.float32], spacing: Spacing, half_width: float, workers: Workers
+) -> tuple[float, float]:
+    """Volume and area of a surface on a box, mm3 and mm2."""
+    return _measures(LevelSet(psi, spacing, half_width, workers))

@@ -1,0 +1,313 @@
+"""The clicks' model of an object that is corrected: which voxels another click wins. Each click costs its own box."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.correct.corrected_surface import CorrectedSurface
+from accelsurf.correct.region import around_clicks, automatic_near
+from accelsurf.energies.seeded import Proposal, SeededModel
+from accelsurf.energies.seeded.after_click import stage_after
+from accelsurf.energies.seeded.answers import Answer, with_click
+from accelsurf.energies.seeded.appearance import learn
+from accelsurf.energies.seeded.contest import Balance, contest, field_of
+from accelsurf.energies.seeded.edge import at_edges, mean_curvature
+from accelsurf.energies.seeded.first_click import BEYOND, FARTHER
+from accelsurf.energies.seeded.model import going_on, later_times
+from accelsurf.energies.seeded.stages import Stage, first_and_last, in_order, mostly_left
+from accelsurf.grid.boxes import (
+    Box,
+    bounding_box,
+    box_at,
+    connected_to,
+    corner_of,
+    counted_from,
+    enclosing,
+    on_box,
+    placed_at,
+    whole_box,
+    widened,
+)
+from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.kernels.arrival import Tissue
+from accelsurf.run.image_context import ImageContext
+from accelsurf.run.preprocessing import PreprocessedInput
+from accelsurf.run.setup import thread_count
+from accelsurf.settings.run_config import RunConfig
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Spacing = tuple[float, float, float]
+#: The first box of a march has so many times the radius of a ball of as many voxels as the march may accept.
+REACH = 2.5
+#: A slice is as thick as two voxels where its spacing is so many of the smallest.
+THICK_SLICES = 2.0
+#: Between what a march accepts and the border of its box lie at least so many voxels, so that the box changes nothing.
+CLEAR = 2
+
+
+class LocalState(NamedTuple):
+    """A model between two clicks, as a value, on a ``box`` of the grid; beyond it F is 1 and nothing is inside.
+
+    ``clicks`` that it was made from, on the whole grid's indices; ``images``, the channels as the model sees them, on
+    the whole grid; ``field`` F and ``start`` on the box; ``sized``, whether a size was stated; ``proposal`` of the
+    first click; ``stages`` from which it goes on, the last with all clicks that are heard; none of a partition.
+    """
+
+    clicks: Clicks
+    images: tuple[Image, ...]
+    box: Box
+    field: Image
+    start: Mask
+    sized: bool = False
+    proposal: Proposal | None = None
+    stages: tuple[Stage, ...] = ()
+
+    @classmethod
+    def of(cls, model: SeededModel) -> LocalState:
+        """Return the state of a whole model."""
+        if not model.stages:
+            return cls(model.clicks, model.images, whole_box(model.field.shape), model.field, model.start)
+        box = bounding_box((model.field != 1.0) | model.start, 0) or whole_box(model.field.shape)
+        field, start = model.field[box].copy(), model.start[box].copy()
+        return cls(model.clicks, model.images, box, field, start, model.sized, model.proposal, model.stages)
+
+
+class ModelChange(NamedTuple):
+    """The change by a click: the ``mask`` on a ``box`` of the grid where the object has changed; and before."""
+
+    box: Box
+    mask: Mask
+    before: LocalState
+
+
+class LocalModel:
+    """The model of an object, click by click.
+
+    Parameters
+    ----------
+    state : LocalState
+    images : sequence of ndarray (nz, ny, nx), float32
+        The channels, as they are evolved.
+    spacing : (hz, hy, hx)
+        mm.
+    passes : ndarray of bool or None
+        The mask of the run.
+    whole : callable
+        Makes the whole model of clicks: needed for a partition, where a click takes voxels from an earlier one, and
+        where one says that the first proposal was far too large.
+    threads : int, optional
+        What a click needs is computed in so many threads; the result is the same for any number.
+    """
+
+    def __init__(
+        self,
+        state: LocalState,
+        images: Sequence[Image],
+        spacing: Spacing,
+        passes: Mask | None,
+        whole: Callable[[Clicks], SeededModel],
+        threads: int = 1,
+    ) -> None:
+        self.state = state
+        self._images, self.spacing, self._passes, self._threads = images, spacing, passes, threads
+        self._whole = whole
+
+    def field_on(self, box: Box) -> Image:
+        """F on a box of the grid: the surface grows where it is below 0."""
+        return on_box(self.state.field, self.state.box, box, 1.0)
+
+    def mean_curvature(self) -> float:
+        """Mean curvature of the model's object, 1/mm; 0 of a partition, see `SeededModel.mean_curvature`."""
+        return mean_curvature(self.state.start, self.spacing) if self.state.stages else 0.0
+
+    def add(self, click: Click) -> ModelChange:
+        """Go on to the model with one more click, at the cost of a box.
+
+        It is the model of all clicks; but where the click takes a small part of others, what was shown before stands
+        beside the answers to what is left of them, see `mostly_left`.
+
+        Parameters
+        ----------
+        click : Click
+            On the grid of the model, as its object sees it.
+        """
+        before, clicks = self.state, self.state.clicks.with_later([click])
+        self.state = self._going_on(clicks) or LocalState.of(self._whole(clicks))
+        box = enclosing(self.state.box, before.box)
+        now = on_box(self.state.start, self.state.box, box, False)
+        return ModelChange(box, now != on_box(before.start, before.box, box, False), before)
+
+    def _going_on(self, clicks: Clicks) -> LocalState | None:
+        """The state after some clicks, from the last stage that none of them changes; None where none is known."""
+        known, stages, left = going_on(self.state.stages, clicks, self.spacing)
+        if not stages:
+            return None
+        with ThreadPoolExecutor(max(self._threads, 1)) as pool:
+            is_taken = not clicks.starts_with(self.state.clicks) and len(left) > 1
+            if is_taken and left[-1] is clicks.clicks[-1] and mostly_left(self.state.clicks, clicks):
+                after = [self._stage_beside(known, stages[-1].answer, left, pool)]
+            else:
+                after = list(self._stages_after(stages[-1], left, pool))
+            stages = first_and_last((*stages, *after))
+            seen = self._images, self.state.images, self.spacing, known, self._passes
+            stated = self.state.proposal.volume_mm3 if self.state.sized and self.state.proposal is not None else None
+            box, field, start = at_edges(stages[-1].shown, *seen, pool, stated_mm3=stated)
+        return self.state._replace(clicks=clicks, box=box, field=field, start=start, stages=stages)
+
+    def _stages_after(self, stage: Stage, left: Sequence[Click], pool: ThreadPoolExecutor) -> Iterator[Stage]:
+        """The stages after some more clicks: contests ask for no answers, which are made beside them."""
+        answering = pool.submit(lambda: list(self._answers(stage.answer, left)))
+        known = [stage.clicks.with_more(left[: i + 1]) for i in range(len(left))]
+        fought = [contest(self._images, self.spacing, it, self._passes, stage.answer.count, pool) for it in known]
+        for clicks, answer, parts in zip(known, answering.result(), fought, strict=True):
+            stage = self._stage_of(stage, clicks, answer, parts)
+            yield stage
+
+    def _stage_beside(
+        self, known: Clicks, answer: Answer, left: Sequence[Click], pool: ThreadPoolExecutor
+    ) -> Stage:
+        """The stage of the clicks ``known``, the last of which is new; those before it in ``left`` have lost voxels.
+
+        It goes on from what was shown before the last one, and from the ``answer`` to the clicks before all of them.
+        """
+        before = self.state.stages[-1]
+        answering = pool.submit(lambda: [answer, *self._answers(answer, left)][-1])
+        clicks = in_order(known)
+        parts = contest(self._images, self.spacing, clicks, self._passes, answer.count, pool)
+        return self._stage_of(before, clicks, answering.result(), parts)
+
+    def _stage_of(self, before: Stage, clicks: Clicks, answer: Answer, parts: Sequence[Balance]) -> Stage:
+        """The stage of some clicks, of which the last one is new, by their answer and contests, after another."""
+        given = answer, parts, self.state.sized, self._images, self.spacing, self._passes
+        return stage_after(before, clicks, *given)
+
+    def _answers(self, answer: Answer, left: Sequence[Click]) -> Iterator[Answer]:
+        """The answer after each of some more clicks."""
+        for click in left:
+            answer = self._answered(answer, click)
+            yield answer
+
+    def _answered(self, answer: Answer, click: Click) -> Answer:
+        """The answer to one more click, computed on a box that its march does not come near the border of."""
+        blocks, block_click = answer.blocks, answer.blocks.click(click, answer.clicks)
+        if block_click is None:
+            return answer
+        tissue = learn(self.state.images, self.spacing, click)
+        count = FARTHER * BEYOND * blocks.count(answer.count)
+        axes = [n for n in blocks.shape if n > 1]
+        reach = REACH * (count * (3.0 / (4.0 * math.pi) if len(axes) == 3 else 1.0 / math.pi)) ** (1.0 / len(axes))
+        mean = math.prod(blocks.spacing) ** (1.0 / 3.0)
+        margin = [math.ceil(reach * mean / h) + CLEAR for h in blocks.spacing]
+        while True:
+            box = enclosing(widened(block_click.box, blocks.shape, margin), answer.box)
+            found = _answer_on_box(answer, block_click, tissue, box)
+            if found is not None:
+                return found
+            margin = [2 * m for m in margin]
+
+    def undo(self, change: ModelChange) -> None:
+        """Take back the last change."""
+        self.state = change.before
+
+
+def basin_of(click: Click, change: ModelChange, model: LocalModel, surface: CorrectedSurface) -> Click:
+    """Return the basin of a click, as a click: its voxels, and those that the model relabels to its side.
+
+    Of those, what the model has given because of the click: also what an outside click cuts off, whose field is as it
+    was, but which is connected to no inside click any more. Far from the click only pieces thicker than a voxel: any
+    click moves the model's boundary by parts of a voxel everywhere, and the surface need not be run again for that.
+    And what lies around the click, connected to it: the surface has left what the model gave it before, and the click
+    says that this was wrong.
+
+    Parameters
+    ----------
+    click : Click
+    change : ModelChange
+        That it made.
+    model : LocalModel
+        After the click.
+    surface : CorrectedSurface
+    """
+    spacing = model.spacing
+    near = automatic_near(surface.psi, [click._replace(box=counted_from(click.box, surface.corner))], spacing)
+    around = around_clicks([click], near, 0.0, model.state.clicks.shape, spacing, 0.0)
+    box = enclosing(around.box, change.box)
+    on_side = on_box(model.state.start, model.state.box, box, False) == (click.side == "inside")
+    changed, near_it = (
+        on_side & on_box(change.mask, change.box, box, False),
+        on_box(around.mask, around.box, box, False),
+    )
+    changed = connected_to(changed, changed & (near_it | _thicker_than_a_voxel(changed, spacing)))
+    on_side &= near_it
+    on_side &= (on_box(surface.psi, box_at(surface.corner, surface.psi.shape), box, 1.0) < 0) != (
+        click.side == "inside"
+    )
+    clicked = click.mask_on(box)
+    return click._replace(box=box, mask=changed | connected_to(on_side | clicked, clicked))
+
+
+def _thicker_than_a_voxel(mask: Mask, spacing: Spacing) -> Mask:
+    """The first voxels of the blocks in a mask of two voxels along each axis; of one along axes that are as coarse."""
+    out = mask.copy()
+    fine = [h < THICK_SLICES * min(spacing) for h in spacing]
+    for axis in (i for i, n in enumerate(mask.shape) if n > 1 and fine[i]):
+        here: list[slice] = [slice(None)] * 3
+        here[axis] = slice(None, -1)
+        last, following = list(here), list(here)
+        last[axis], following[axis] = slice(-1, None), slice(1, None)
+        pairs = out[tuple(here)] & out[tuple(following)]
+        out[tuple(here)], out[tuple(last)] = pairs, False
+    return out
+
+
+def local_model(
+    prepared: PreprocessedInput, context: ImageContext, settings: RunConfig, state: LocalState
+) -> LocalModel:
+    """The model of an object of a finished run, from its ``state`` on."""
+    distance = prepared.mask_distance
+    passes = None if distance is None else np.asarray(distance < 0)
+    spacing, threads = prepared.geometry.spacing, thread_count(settings)
+    return LocalModel(state, prepared.images, spacing, passes, _maker(context), threads)
+
+
+def _maker(context: ImageContext) -> Callable[[Clicks], SeededModel]:
+    return lambda clicks: context.with_clicks(clicks).seeded_model()
+
+
+def _answer_on_box(answer: Answer, click: Click, tissue: Tissue, box: Box) -> Answer | None:
+    """The answer to one more click, in blocks, on a box of theirs; None where its march comes near the box's border."""
+    blocks = answer.blocks
+    images = [np.ascontiguousarray(image[box]) for image in blocks.images]
+    passes = None if blocks.passes is None else blocks.passes[box]
+    field, corner = field_of(images, blocks.spacing, passes), corner_of(box)
+    clicks = tuple(_click_counted_from(earlier, corner) for earlier in answer.clicks)
+    here = dataclasses.replace(answer, box=counted_from(answer.box, corner), clicks=clicks)
+    here_click = _click_counted_from(click, corner)
+    times = later_times(field, tissue, here_click, here)
+    if _is_near_border(times.reshape(field.shape), box, blocks.shape):
+        return None
+    after = with_click(here, field, here_click, times)
+    return dataclasses.replace(after, box=placed_at(after.box, corner), clicks=(*answer.clicks, click))
+
+
+def _click_counted_from(click: Click, corner: tuple[int, int, int]) -> Click:
+    return click._replace(box=counted_from(click.box, corner))
+
+
+def _is_near_border(times: Image, box: Box, shape: Sequence[int]) -> bool:
+    """Return True if times on a box are known near a border of the box that is none of the grid's."""
+    for axis, (side, n) in enumerate(zip(box, shape, strict=True)):
+        ends = (slice(None),) * axis
+        if side.start > 0 and np.isfinite(times[(*ends, slice(None, CLEAR))]).any():
+            return True
+        if side.stop < n and np.isfinite(times[(*ends, slice(-CLEAR, None))]).any():
+            return True
+    return False

@@ -1,0 +1,306 @@
+"""Clicks, contexts and models of the objects of a finished run, correction by correction; knows no surface."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.clicks.reading import voxel_named
+from accelsurf.correct.local_model import LocalModel, LocalState, local_model
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.boxes import Box, Corner, corner_of
+from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
+from accelsurf.grid.geometry import Geometry
+from accelsurf.run.evolving_object import MadeEnergy
+from accelsurf.run.image_context import ImageContext, ModelInputs
+from accelsurf.run.preprocessing import PreprocessedInput, uses_model
+from accelsurf.run.result import BoxMask, RunState
+from accelsurf.run.setup import energy_maker, thread_count
+from accelsurf.settings.corrections import Correction
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.toml import volume_mm3
+
+#: The energy of an object that begins at clicks after the run's end.
+NEW_ENERGY = "seeded"
+
+
+#: What corrections change of `ObjectModels`; models that clicks change are put back by the caller.
+_CHANGED = ("clicks", "contexts", "settings", "masks", "_models", "_states")
+
+
+class ObjectModels:
+    """Clicks, contexts, settings and models of each object, besides its surface.
+
+    Parameters
+    ----------
+    state : RunState
+    settings : RunConfig
+        In force at the run's end.
+
+    Attributes
+    ----------
+    prepared : PreprocessedInput
+        Image and mask of the run.
+    clicks : Clicks
+        All so far, on the grid of the region of interest.
+    contexts : dict of int to ImageContext
+        Of each object.
+    settings : dict of int to RunConfig
+        Of the objects whose settings are not those of the run.
+    masks : dict of int to BoxMask
+        By the number of the correction: voxels that its new object may not have, or that were split off.
+    """
+
+    def __init__(self, state: RunState, settings: RunConfig) -> None:
+        self._state, self._frozen = state, settings
+        self.prepared: PreprocessedInput = state.prepared
+        self.clicks = state.clicks or Clicks((), state.prepared.geometry.shape)
+        self.contexts, self.settings, self.masks = dict(state.contexts), dict(state.settings), dict(state.masks)
+        self._states, self._models = dict(state.models), dict[int, LocalModel]()
+
+    @property
+    def made(self) -> dict[int, LocalState]:
+        """The models that corrections have needed so far, as values."""
+        return {**self._states, **{id: model.state for id, model in self._models.items()}}
+
+    def settings_of(self, id: int) -> RunConfig:
+        """The settings of an object."""
+        return self.settings.get(id, self._frozen)
+
+    def model(self, id: int) -> LocalModel | None:
+        """The model of an object's clicks, made when it is first needed; None where its energy has none.
+
+        Raises
+        ------
+        UsageError
+            When nothing was clicked inside the object.
+        """
+        if not uses_model(self.settings_of(id)):
+            return None
+        if id not in self._models:
+            context = self.contexts[id]
+            if context.clicks is None or not context.clicks.ids():  # all were split off
+                context = self.contexts[id] = context.with_clicks(self.clicks.of(id))
+            known = self._states.pop(id, None) or LocalState.of(context.seeded_model())
+            self._models[id] = local_model(self.prepared, context, self._frozen, known)
+        return self._models[id]
+
+    def energy_on(self, id: int, box: Box, context: ImageContext, shared: Sequence[np.ndarray]) -> MadeEnergy:
+        """The energy of an object on a box of the grid; ``shared`` are the channels on the whole grid."""
+        images = [np.ascontiguousarray(image[box]) for image in shared]
+        model, settings = self.model(id), self.settings_of(id)
+        field, curvature = (None, None) if model is None else (lambda: model.field_on(box), model.mean_curvature)
+        given = None if id in self.settings else self._state.energy
+        make = energy_maker(given, settings, 1, True)
+        return make(images[0], self.prepared.geometry.spacing, context.with_channels(images[1:], field, curvature))
+
+    # -- changes of the objects ----------------------------------------------------------------------------
+
+    def add(self, clicks: Sequence[Click]) -> None:
+        """Note new clicks."""
+        self.clicks = self.clicks.with_later(clicks)
+
+    def begin_object(self, number: int, refinement: Correction, taken: BoxMask | None) -> None:
+        """Begin an object at clicks that have been noted.
+
+        Parameters
+        ----------
+        number : int
+            Of the correction.
+        refinement : Correction
+            With ``new``.
+        taken : BoxMask or None
+            Voxels that it may not have.
+        """
+        id, prepared = refinement.new, self.prepared
+        assert id is not None
+        self.settings[id] = self._frozen.replace(
+            objects=None, inside=(), outside=(), box=None, start=("clicks",), energy=NEW_ENERGY, size=refinement.size
+        )
+        passes = None if prepared.mask_distance is None else np.asarray(prepared.mask_distance < 0)
+        if taken is not None:
+            self.masks[number] = taken
+            passes = np.ones(prepared.geometry.shape, np.bool_) if passes is None else passes
+            passes[taken.box] &= ~taken.mask
+        size = None if refinement.size is None else volume_mm3(refinement.size)
+        inputs = ModelInputs(size, passes, thread_count(self._frozen))
+        self.contexts[id] = prepared.context.with_model_inputs(inputs).with_clicks(self.clicks.of(id))
+        self._forget(id)
+
+    def merge(self, ids: Sequence[int]) -> None:
+        """Give the clicks of several objects to the first; where it may be is not bounded by the others."""
+        first, others = ids[0], ids[1:]
+        self.clicks = Clicks(
+            tuple(click._replace(id=first) if click.id in others else click for click in self.clicks.clicks),
+            self.clicks.shape,
+        )
+        for id in others:
+            self._forget_object(id)
+        distance = self.prepared.mask_distance
+        passes = None if distance is None else np.asarray(distance < 0)
+        context = self.contexts[first]
+        inputs = context.model_inputs._replace(size_mm3=None, mask=passes)
+        self.contexts[first] = context.with_model_inputs(inputs).with_clicks(self.clicks.of(first))
+        self._forget(first)
+
+    def split(self, number: int, id: int, new: int, part: BoxMask, click: Click) -> None:
+        """Give the voxels clicked inside an object that lie in ``part``, and the ``click``, to a new one."""
+        out: list[Click] = []
+        for click_before in self.clicks.clicks:
+            if (click_before.side, click_before.id) != ("inside", id):
+                out.append(click_before)
+                continue
+            there = Click("inside", part.box, part.mask, new).mask_on(click_before.box)
+            out += [
+                click_before._replace(id=owner, mask=mask)
+                for owner, mask in ((id, click_before.mask & ~there), (new, click_before.mask & there))
+                if mask.any()
+            ]
+        self.clicks = Clicks((*out, click), self.clicks.shape)
+        self.masks[number] = part
+        if id in self.settings:
+            self.settings[new] = self.settings[id]
+        context = self.contexts[id]
+        for owner in (id, new):
+            self.contexts[owner] = context.with_clicks(self.clicks.of(owner))
+            self._forget(owner)
+
+    def remove(self, id: int) -> None:
+        """Forget an object and what was clicked of it."""
+        self.clicks = Clicks(tuple(click for click in self.clicks.clicks if click.id != id), self.clicks.shape)
+        self._forget_object(id)
+
+    def _forget_object(self, id: int) -> None:
+        self.contexts.pop(id, None)
+        self.settings.pop(id, None)
+        self._forget(id)
+
+    def _forget(self, id: int) -> None:
+        """Make the model of an object anew when it is needed."""
+        self._models.pop(id, None)
+        self._states.pop(id, None)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return what is known now, for `restore`."""
+        return {name: copy.copy(getattr(self, name)) for name in _CHANGED}
+
+    def restore(self, before: dict[str, Any]) -> None:
+        """Go back to what was known."""
+        vars(self).update({name: copy.copy(value) for name, value in before.items()})
+
+    def state(self, totals: Mapping[str, NDArray[np.float64]]) -> RunState:
+        """Return what a later correction goes on from; ``totals`` as of `RunState`."""
+        return replace(
+            self._state, totals=dict(totals), clicks=self.clicks, models=self.made, contexts=dict(self.contexts),
+            settings=dict(self.settings), masks=dict(self.masks),
+        )
+
+
+def point_click(voxel: Sequence[int], id: int) -> Click:
+    """A click of one voxel inside an object."""
+    z, y, x = (slice(int(i), int(i) + 1) for i in voxel)
+    return Click("inside", (z, y, x), np.ones((1, 1, 1), np.bool_), id)
+
+
+def check_id(id: int, ids: Sequence[int], what: str) -> None:
+    """Refuse an object that there is not.
+
+    Raises
+    ------
+    UsageError
+        With the ids that there are.
+    """
+    if id not in ids:
+        there = "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
+        raise UsageError(f"refine: {what} {id} was given, expected one that is in the result", there)
+
+
+def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple[Click, ...]:
+    """Clicks of the image's grid on that of the region of interest.
+
+    Raises
+    ------
+    InputError
+        When a voxel clicked inside an object lies outside of the region or the mask.
+    """
+    geometry, distance = prepared.volumes[0].geometry, prepared.mask_distance
+    placed = Clicks(tuple(clicks), geometry.shape).on_box(prepared.box).clicks
+    lost = sum(int(click.mask.sum()) for click in clicks if click.side == "inside" and click.id != NO_OBJECT)
+    for click in placed:
+        if click.side == "inside" and click.id != NO_OBJECT:
+            within = click.mask if distance is None else click.mask & (distance[click.box] <= 0)
+            lost -= int(within.sum())
+    if lost:
+        raise InputError(
+            f"refine: {lost} voxels are clicked inside that lie outside of the region of interest, the mask or the box",
+            "click within them",
+        )
+    return placed
+
+
+def clicks_on(new: Sequence[Click], id: int) -> tuple[Click, ...]:
+    """The new clicks that an object answers to, as it sees them: its own, and those on no object."""
+    mine = tuple(click for click in new if click.id in (id, NO_OBJECT))
+    return Clicks(mine, (0, 0, 0)).of(id).clicks
+
+
+def check_object(refinement: Correction, ids: Sequence[int] | None) -> None:
+    """Refuse a correction of an object that there is not; ``ids`` is None where there is one without an id.
+
+    Raises
+    ------
+    UsageError
+        With the ids that there are.
+    """
+    id = refinement.object
+    if ids is None:
+        if id not in (None, 1):
+            raise UsageError(f"refine: object {id} was given, but there is a single one", "leave object out")
+        return
+    there = "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
+    if id is None and refinement.inside:
+        raise UsageError("refine: inside was given without object, expected an object's id", there)
+    if id is not None and id not in ids:
+        raise UsageError(f"refine: object {id} was given, expected one that is in the result", there)
+
+
+def refuse_contradictions(
+    new: Sequence[Click], shape: tuple[int, int, int], ids: Sequence[int], geometry: Geometry, first: Corner
+) -> None:
+    """Refuse clicks of one correction that put a voxel on both sides of an object; costs no more than their boxes.
+
+    Parameters
+    ----------
+    new : sequence of Click
+    shape : (nz, ny, nx)
+        Of their grid.
+    ids : sequence of int
+        Of the objects.
+    geometry : Geometry
+        Of their grid.
+    first : (z, y, x)
+        Index in the image of its first voxel.
+
+    Raises
+    ------
+    InputError
+        With the voxel.
+    """
+    if len({click.side for click in new}) == 1 and len({click.id for click in new}) == 1:
+        return
+    for id in ids:
+        of_object = Clicks(tuple(new), shape).of(id)
+        for click in of_object.clicks:
+            here = of_object.on_box(click.box)
+            both = here.mask("inside") & here.mask("outside")
+            if both.any():
+                voxel = np.argwhere(both)[0] + np.array(corner_of(click.box))
+                raise InputError(
+                    f"refine: {voxel_named(voxel, geometry, first)} is clicked both inside and outside at once",
+                    "make two corrections of it: the later one wins",
+                )

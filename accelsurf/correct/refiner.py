@@ -1,0 +1,352 @@
+"""Refiner: goes on from a finished run, correction after correction, each at the cost of its neighbourhood."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.clicks.reading import check_left, clicks_of, on_image
+from accelsurf.correct import object_changes
+from accelsurf.correct.corrected_surface import (
+    CorrectedSurface,
+    box_around,
+    count_inside,
+    frozen_settings,
+    stop_of_whole,
+    wrong_part,
+)
+from accelsurf.correct.finished import OnObjectStep
+from accelsurf.correct.local_evolution import LocalProblem, evolve_near
+from accelsurf.correct.local_model import basin_of
+from accelsurf.correct.models import check_object, clicks_on, placed_clicks, point_click, refuse_contradictions
+from accelsurf.correct.objects import RefinedObjects
+from accelsurf.correct.region import NearRegion, around_clicks, automatic_near, rim_width
+from accelsurf.energies.constraints.mask import MaskConstraint
+from accelsurf.errors import UsageError
+from accelsurf.evolution.records import Stop
+from accelsurf.grid.boxes import Box, box_at, counted_from
+from accelsurf.grid.click_bounds import click_bounds
+from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.grid.pyramid import Level
+from accelsurf.io.memory import available_cores
+from accelsurf.levelset import Workers
+from accelsurf.run.late_growth import Place
+from accelsurf.run.region_totals import RegionTotals
+from accelsurf.run.result import BoxMask, Result, SegmentedObject
+from accelsurf.run.setup import correction_rule, is_maker, setup_of, window_reach
+from accelsurf.settings.corrections import Correction
+from accelsurf.settings.run_config import RunConfig
+
+#: The surface and its stencils see so many voxels of the largest spacing beyond the region, where they are held.
+MARGIN = 5.0
+
+
+class Change(NamedTuple):
+    """The effect of a correction: voxels that changed sides, in a ``box`` of the grid; seconds of the solver."""
+
+    object_id: int
+    box: Box
+    voxels: int
+    seconds: float
+    stop: Stop
+
+
+class Refiner:
+    """A finished run that is corrected, click by click.
+
+    Parameters
+    ----------
+    result : Result
+        Of `accelsurf.segment` or of a refinement; it is not changed.
+
+    Attributes
+    ----------
+    config : RunConfig
+        That of the run, with the corrections so far.
+
+    Raises
+    ------
+    UsageError
+        When the result has no state, or its energy is one of the user's own that belongs to one grid.
+    """
+
+    def __init__(self, result: Result) -> None:
+        state = result.state
+        if state is None:
+            raise UsageError("refine: the result has no state to go on from", "run with keep_state=yes")
+        if state.energy is not None and not isinstance(state.energy, str) and not is_maker(state.energy):
+            raise UsageError(
+                "refine: the energy has one image, and a correction needs it on a box",
+                "give a class or function that makes the energy of (image, spacing)",
+            )
+        self._result, self._state, self.config = result, state, result.config
+        self._settings = frozen_settings(result)
+        self._objects = RefinedObjects(result, state, self._settings)
+        self._images, self._shape, self._spacing = self._objects.images, self._objects.shape, self._objects.spacing
+        self._reach = window_reach(self._settings, state.prepared.geometry)
+        self._undo: list[RunConfig] = []
+        self._seconds = 0.0
+
+    @property
+    def surfaces(self) -> tuple[CorrectedSurface, ...]:
+        """The surfaces as they are, in order of their ids; not to be changed."""
+        return tuple(self._objects.surfaces)
+
+    @property
+    def clicks(self) -> Clicks:
+        """All clicks so far, on the grid of the region of interest."""
+        return self._objects.models.clicks
+
+    @property
+    def has_ids(self) -> bool:
+        """True if labels are ids of objects."""
+        return self._objects.has_ids
+
+    def taken(self, place: NDArray[np.float64], id: int) -> BoxMask | None:
+        """Voxels that an object which begins at a place, an index (z, y, x) of the region, may not have.
+
+        Those of the others (but for the object ``id``, which begins anew), and for one in which the place lies.
+        """
+        ids, click = self._objects.ids, point_click(np.rint(place).astype(int).tolist(), id)
+        takes = {*self._objects.holders([click]), *([ids.index(id)] if id in ids else [])}
+        return object_changes.taken_voxels(self._objects, frozenset(takes))
+
+    # -- corrections ---------------------------------------------------------------------------------------
+
+    def apply(
+        self, refinement: Correction, on_step: OnObjectStep | None = None
+    ) -> tuple[Change, ...]:
+        """Correct the objects that new clicks are about, each in a region around them; or change which objects there
+        are.
+
+        Parameters
+        ----------
+        refinement : Correction
+        clicks : sequence of Click, optional
+            Those of the refinement, on the image's grid; by default they are read from its texts.
+        on_step : callable, optional
+            Called with each record and the id of its object; a true value ends the correction.
+
+        Returns
+        -------
+        tuple of Change
+            One for each object whose surface was looked at.
+
+        Raises
+        ------
+        UsageError
+            When no object has the id.
+        InputError
+            When a voxel is clicked on both sides, or a click lies outside of region or mask, or takes all that was
+            clicked inside.
+
+        Notes
+        -----
+        Clicks take the voxels that they contradict from earlier ones.
+        All or nothing: of a correction that raises, whatever it raises, nothing stays, and it is none for `undo`.
+        """
+        objects, number = self._objects, len(self.config.refine)
+        if refinement.split is not None:
+            refinement = object_changes.completed(objects, refinement, self._result)
+        self._undo.append(self.config)
+        objects.begin_correction()
+        try:
+            self.config = self.config.replace(refine=(*self.config.refine, refinement))
+            if refinement.kind in ("clicks", "new"):
+                new = self._new_clicks(refinement)
+            objects.set_ids(self._result.has_ids or self.config.has_ids)
+            began = time.perf_counter()
+            threads = self.config.threads
+            with Workers(available_cores() if threads == "auto" else threads) as workers:
+                if refinement.kind == "clicks":
+                    objects.models.add(new)
+                    changes = self._correct_all(new, refinement.near, workers, on_step)
+                elif refinement.kind == "new":
+                    changes = self._begin_object(number, refinement, new, workers, on_step)
+                else:
+                    changes = self._rearrange(number, refinement, workers)
+            self._seconds += time.perf_counter() - began
+            return changes
+        except BaseException:  # Ctrl-C too
+            self.undo()
+            raise
+
+    def _new_clicks(self, refinement: Correction) -> tuple[Click, ...]:
+        """The clicks of a refinement on the grid of the region of interest.
+
+        Raises
+        ------
+        UsageError, InputError
+            As of `apply`.
+        """
+        objects, prepared = self._objects, self._state.prepared
+        ids = objects.ids
+        if refinement.kind == "clicks":
+            check_object(refinement, ids if objects.has_ids else None)
+        base = self._result
+        read = clicks_of(refinement, base.volume, base.image, refinement.target, objects.has_ids)
+        new = placed_clicks(read, prepared)
+        before = objects.models.clicks
+        if refinement.new in ids:  # it begins anew
+            before = Clicks(tuple(click for click in before.clicks if click.id != refinement.new), before.shape)
+        known = sorted({*ids, refinement.new or ids[0]})
+        refuse_contradictions(new, self._shape, known, prepared.geometry, prepared.first)
+        check_left(before, before.with_later(new))
+        return new
+
+    def _correct_all(
+        self, new: Sequence[Click], near: float | str, workers: Workers, on_step: OnObjectStep | None
+    ) -> tuple[Change, ...]:
+        """Correct each object that ``new`` clicks, on the grid of the region of interest, are about."""
+        changes = []
+        for place, id in enumerate(self._objects.ids):
+            if mine := clicks_on(new, id):
+                changes.append(self._correct(place, mine, near, workers, on_step))
+        return tuple(changes)
+
+    def _begin_object(
+        self, number: int, refinement: Correction, new: Sequence[Click], workers: Workers, on_step: OnObjectStep | None
+    ) -> tuple[Change, ...]:
+        """Begin an object beside the others."""
+        began, id = time.perf_counter(), refinement.new or 0
+        report = None if on_step is None else lambda record: on_step(record, id)
+        evolving, box, voxels = object_changes.begin_object(
+            self._objects, number, refinement, new, self._result, workers, self.config.max_steps, report
+        )
+        return (Change(id, box, voxels, time.perf_counter() - began, evolving.stop),)
+
+    def _rearrange(self, number: int, refinement: Correction, workers: Workers) -> tuple[Change, ...]:
+        """Merge objects, split one, or remove one: no surface moves."""
+        began, objects, voxels = time.perf_counter(), self._objects, 0
+        if refinement.removed_id is not None:
+            voxels = object_changes.remove(objects, refinement.removed_id)
+            surface = objects.surfaces[0]
+        elif refinement.merge:
+            sizes = {before.id: before.inside for before in objects.surfaces}
+            surface = object_changes.merge(objects, refinement.merge, workers)
+            voxels = surface.inside - sizes[surface.id]
+        else:
+            surface = object_changes.split(objects, number, refinement, self._result, workers)[1]
+            voxels = surface.inside
+        id = surface.id if refinement.removed_id is None else refinement.removed_id
+        return (
+            Change(id, box_at(surface.corner, surface.psi.shape), voxels, time.perf_counter() - began, surface.stop),
+        )
+
+    def undo(self) -> None:
+        """Go back to the state before the last correction that was made; with none nothing happens."""
+        if self._objects.undo():
+            self.config = self._undo.pop()
+
+    def _correct(
+        self, place: int, new: Sequence[Click], near: float | str, workers: Workers, on_step: OnObjectStep | None
+    ) -> Change:
+        """Correct one object, of which ``new`` are clicks on the grid of the region of interest."""
+        began = time.perf_counter()
+        surface = self._objects.grown(place, box_around(new))
+        won = self._won(surface, new)
+        if not won:
+            return Change(surface.id, box_at((0, 0, 0), (0, 0, 0)), 0, time.perf_counter() - began, surface.stop)
+        takes = frozenset(self._objects.holders(new)) - {place}
+        region = self._region(surface, new, won, near)
+        surface = self._objects.grown(place, region.box)
+        box = counted_from(region.box, surface.corner)
+        psi = surface.psi[box].copy()
+        totals = self._objects.totals_of(surface)
+        problem = self._problem(surface, region, psi, totals, takes)._replace(
+            won=[(click.side, click.mask_on(region.box)) for click in won], sides=frozenset(click.side for click in new)
+        )
+        outcome = evolve_near(problem, workers, None if on_step is None else lambda record: on_step(record, surface.id))
+        inside = surface.inside + count_inside(outcome.psi) - count_inside(psi)
+        stop = stop_of_whole(outcome.stop, inside, math.prod(self._shape))
+        self._objects.put(place, box, outcome.psi, surface._replace(inside=inside, history=outcome.history, stop=stop))
+        for other in sorted(takes):
+            self._objects.take_from(other, region, outcome.psi, workers)
+        changed = int(np.count_nonzero((outcome.psi < 0) != (psi < 0)))
+        return Change(surface.id, region.box, changed, time.perf_counter() - began, stop)
+
+    def _won(self, surface: CorrectedSurface, new: Sequence[Click]) -> list[Click]:
+        """Return the voxels that new clicks relabel: their own and those of their basins, where a side is wrong.
+
+        Nothing where all are on their sides already, and the model gives them nothing else.
+        """
+        won, model = list(new), self._objects.models.model(surface.id)
+        if model is not None:
+            won = []
+            for click in new:
+                change = model.add(click)
+                self._objects.note_click(model, change)
+                won.append(basin_of(click, change, model, surface))
+        wrong = [wrong_part(click, surface) for click in won]
+        return [click for click in wrong if click is not None]
+
+    def _region(
+        self, surface: CorrectedSurface, new: Sequence[Click], won: Sequence[Click], near: float | str
+    ) -> NearRegion:
+        """Return the region of motion for new clicks: within ``near``, or where they relabel, or by their depth."""
+        rim = rim_width(self._shape, self._spacing)
+        margin = max(MARGIN * max(h for h, n in zip(self._spacing, self._shape, strict=True) if n > 1), self._reach)
+        if not isinstance(near, str):
+            return around_clicks(new, near, min(rim, 0.5 * near), self._shape, self._spacing, margin)
+        if self._objects.models.model(surface.id) is not None:
+            return around_clicks([*new, *won], rim, rim, self._shape, self._spacing, margin)
+        placed = Clicks(tuple(new), self._shape).on_box(box_at(surface.corner, surface.psi.shape)).clicks
+        near = automatic_near(surface.psi, placed, self._spacing) + rim
+        return around_clicks(new, near, rim, self._shape, self._spacing, margin)
+
+    def _problem(
+        self,
+        surface: CorrectedSurface,
+        region: NearRegion,
+        psi: NDArray[np.float32],
+        totals: RegionTotals,
+        takes: frozenset[int],
+    ) -> LocalProblem:
+        """Return the evolution of a region: energy and clicks on its box."""
+        models = self._objects.models
+        settings = models.settings_of(surface.id)
+        settings = settings.replace(seed=None if self.config.seed is None else self.config.seed + surface.id)
+        context = models.contexts[surface.id].seeing_elsewhere(totals, counted_from(region.box, surface.corner))
+        energy = models.energy_on(surface.id, region.box, context, self._images).energy
+        distance = self._objects.bounding(surface.id, region.box, takes)
+        if distance is not None:
+            energy = MaskConstraint(energy, distance)
+        clicks = models.clicks.of(surface.id).on_box(region.box)
+        bounds = click_bounds(clicks, Level(0, (1, 1, 1), psi.shape, self._spacing))
+        setup = setup_of(settings, 0, 1, self._state.prepared.geometry)._replace(rule=correction_rule(settings))
+        return LocalProblem(
+            psi, self._spacing, region, bounds, [], frozenset(), energy, setup, self.config.max_steps, surface.history
+        )
+
+    # -- result --------------------------------------------------------------------------------------------
+
+    def result(self) -> Result:
+        """The present state as a result; later corrections do not change it."""
+        base, models = self._result, self._objects.models
+        objects = tuple(self._objects.segmented(surface) for surface in self._objects.surfaces)
+        seconds = {**base.seconds, "refine": base.seconds.get("refine", 0.0) + self._seconds}
+        clicks = on_image(models.clicks, self._state.prepared.first, base.geometry.shape)
+        return dataclasses.replace(
+            base, objects=objects, has_ids=self.has_ids, config=self.config, state=self._objects.state, seconds=seconds,
+            clicks=clicks, late_growth=_still_inside(base.late_growth, objects),
+        )
+
+
+def _still_inside(
+    place: Place | None, objects: Iterable[SegmentedObject]
+) -> Place | None:
+    """Return a place where an object is there, after corrections; else None."""
+    if place is None:
+        return None
+    voxel = [round(at) for at in place]
+    for segmented in objects:
+        index = tuple(at - part.start for at, part in zip(voxel, segmented.box, strict=True))
+        if all(0 <= at < n for at, n in zip(index, segmented.psi.shape, strict=True)) and segmented.psi[index] < 0:
+            return place
+    return None

@@ -1,1 +1,0 @@
-"""First surfaces: balls, seeds, masks, thresholds and meshes, for one object or several."""

@@ -1,0 +1,1 @@
+"""Images larger than memory: windows, levels of a pyramid, groups of objects."""

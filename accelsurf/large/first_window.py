@@ -1,0 +1,165 @@
+"""The first window of a run: what the person has named, and some voxels around it."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.clicks.reading import KINDS, read_clicks
+from accelsurf.energies.seeded.appearance import EVEN_REACH, MIN_EVEN_REACH, radius_of
+from accelsurf.energies.seeded.contest import WALKS_REACH
+from accelsurf.errors import InputError, UsageError
+from accelsurf.grid.boxes import Box, bounding_box, enclosing, slabs, whole_box, widened
+from accelsurf.grid.clicks import SIDES, Click, Side
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.window import GUARD, Window
+from accelsurf.image.volume import Volume
+from accelsurf.io import meshes
+from accelsurf.run.preprocessing import uses_model
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.toml import volume_mm3
+from accelsurf.settings.wording import shown
+from accelsurf.starts import starts
+
+#: Voxels around what was named: as many as its extent, and at least so many.
+MIN_MARGIN = 4 * GUARD
+
+
+def first_box(config: RunConfig, geometry: Geometry) -> Box:
+    """Return the box of a whole grid that a run begins on.
+
+    Parameters
+    ----------
+    config : RunConfig
+        Its start and its clicks are near the object.
+    geometry : Geometry
+        Of the whole grid.
+
+    Raises
+    ------
+    UsageError
+        When a start looks at values everywhere; InputError when one lies outside.
+    """
+    texts = [*config.start, *(config.foreground or ()), *(config.background or ())]
+    boxes = [extent_of(text, geometry) for text in texts if text != starts.CLICKS]
+    clicks = []
+    for side in SIDES:
+        for text in getattr(config, side):
+            found = _clicks_of(text, side, geometry)
+            boxes += [click.box for click in found] or [extent_of(text, geometry)]
+            clicks += found
+    if not boxes:
+        raise UsageError("start: there is no click inside", "give --inside point:X,Y,Z, or another start")
+    box = functools.reduce(enclosing, boxes)
+    margin = [max(MIN_MARGIN, max(s.stop - s.start for s in box)) for _ in range(3)]
+    if (config.inside or config.outside) and uses_model(config):
+        margin = _model_margin(config, geometry, clicks)
+    return widened(box, geometry.shape, margin)
+
+
+def _model_margin(config: RunConfig, geometry: Geometry, clicks: Sequence[Click]) -> list[int]:
+    """Return the voxels beyond the clicks that their model looks at, as far as known before it is made."""
+    spacing, smallest = geometry.spacing, min(geometry.steps)
+    flat = geometry.shape[0] == 1
+    widest = max(
+        (radius_of(float(np.count_nonzero(click.mask)), spacing, flat) for click in clicks if click.side == "inside"),
+        default=smallest,
+    )
+    reach = max(EVEN_REACH * widest, MIN_EVEN_REACH * smallest, 2.0 * WALKS_REACH * widest)
+    if config.size is not None:
+        voxels = volume_mm3(config.size) / math.prod(spacing)
+        reach = max(reach, WALKS_REACH * radius_of(voxels, spacing, flat))
+    return [math.ceil(reach / h) + 2 * GUARD for h in spacing]
+
+
+def _clicks_of(text: str, side: Side, geometry: Geometry) -> list[Click]:
+    """Read a click that is no start but a ball, on the whole grid; none of another start."""
+    if text.partition(":")[0] not in (*KINDS, "ball"):
+        return []
+    grid = Volume(np.zeros((1, 1, 1), np.uint8), Geometry((1, 1, 1), (1.0, 1.0, 1.0)))
+    return read_clicks([text], side, grid, window=Window(geometry, whole_box(geometry.shape)))
+
+
+def extent_of(text: str, geometry: Geometry) -> Box:
+    """Return the box of a start or click on a grid.
+
+    Parameters
+    ----------
+    text : str
+        As `accelsurf.starts.starts.parse` or `accelsurf.clicks.reading.read_clicks` take it.
+    geometry : Geometry
+
+    Raises
+    ------
+    UsageError
+        When it cannot be parsed, or looks at values everywhere; InputError when it lies outside of the grid.
+
+    Examples
+    --------
+    >>> extent_of("ball:4,4,4,2", Geometry((20, 20, 9), (1.0, 1.0, 1.0)))
+    (slice(3, 6, None), slice(3, 6, None), slice(3, 6, None))
+    """
+    if found := _clicks_of(text, "inside", geometry):
+        return functools.reduce(enclosing, (click.box for click in found))
+    start = starts.parse(text)
+    if start.kind in starts.BY_VALUES:
+        raise UsageError(
+            f"start {shown(text)!r}: it looks at values everywhere, and the image is read in parts",
+            "give --inside ball:X,Y,Z,R, or a ball, a box, a mesh or a label map as the start",
+        )
+    if start.kind == "label":
+        return _of_label(start, geometry)
+    if start.kind == "center":
+        half = 0.25 * min(n * h for n, h in zip(geometry.shape, geometry.spacing, strict=True) if n > 1)
+        middle = [0.5 * (n - 1) for n in geometry.shape]
+        points = [[m + sign * half / h for m, h in zip(middle, geometry.spacing, strict=True)] for sign in (-1, 1)]
+        return _around(np.array(points), text, geometry)
+    if start.kind == "mesh":
+        corners = meshes.read(start.file, start.word)[0]
+    else:
+        low, high = start.numbers[:3], start.numbers[3:]
+        corners = np.array([[(low, high)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)])
+        if start.vox:
+            return _around(corners[:, ::-1], text, geometry)
+    return _around(geometry.world_to_index(corners), text, geometry)
+
+
+def _around(index: NDArray[np.float64], text: str, geometry: Geometry) -> Box:
+    """The voxels around places (n, 3), as far as the grid goes."""
+    low, high = np.floor(index.min(axis=0)).astype(int), np.ceil(index.max(axis=0)).astype(int) + 1
+    z, y, x = (
+        slice(max(int(a), 0), min(int(b), n)) for a, b, n in zip(low, high, geometry.shape, strict=True)
+    )
+    return _at_faces((z, y, x), text, geometry)
+
+
+def _at_faces(box: Box, text: str, geometry: Geometry) -> Box:
+    if any(s.start >= s.stop for s in box):
+        raise InputError(f"start {shown(text)!r}: no voxel centre is inside it", starts.extent_hint(geometry))
+    return box
+
+
+def _of_label(start: starts.Start, geometry: Geometry) -> Box:
+    """The box of some labels of a map, which is read a slab at a time."""
+    found: Box | None = None
+    for planes in slabs(geometry.shape):
+        slab: Box = (planes, slice(0, geometry.shape[1]), slice(0, geometry.shape[2]))
+        labels = starts.label_box(start.file, Window(geometry, slab), f"start label:{start.file}")
+        found_box = bounding_box(start.mask_of(labels))
+        if found_box is not None:
+            here = (
+                slice(found_box[0].start + planes.start, found_box[0].stop + planes.start),
+                found_box[1],
+                found_box[2],
+            )
+            found = here if found is None else enclosing(found, here)
+    if found is None:
+        raise InputError(
+            f"start label:{shown(start.file)}: the label map has no voxel of these labels",
+            "give a map and labels that it has",
+        )
+    return found

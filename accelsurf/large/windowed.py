@@ -1,0 +1,405 @@
+"""A run on an image that is not in memory: in a window that is made larger until the surface stays within it.
+
+The result has the bytes of a run on the whole image, whatever windows came before the last one: see
+`accelsurf.grid.window`.
+
+The finest level of an image stored as a pyramid that fits into the memory.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from accelsurf.correct.finished import OnObjectStep, finished
+from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.grid import pyramid
+from accelsurf.grid.boxes import widened
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.window import GUARD, LeavesWindow, NeedsLevels, Window, aligned, enlarged
+from accelsurf.image.volume import Volume
+from accelsurf.io import available_memory
+from accelsurf.io.headers import options_of
+from accelsurf.io.lazy_volume import LazyVolume, open_channels, open_with
+from accelsurf.large.first_window import first_box
+from accelsurf.large.whole_image import Numbers, WholeImage
+from accelsurf.run.arguments import split_given, with_options
+from accelsurf.run.checkpoint_file import CheckpointFile
+from accelsurf.run.preprocessing import filters_of, uses_model
+from accelsurf.run.region_of_interest import cropped, region_of_run
+from accelsurf.run.result import Result
+from accelsurf.run.run import Run
+from accelsurf.run.setup import allowed_bytes, bytes_text, run_bytes, seeded, values_within
+from accelsurf.run.window_input import WindowInput, has_region
+from accelsurf.settings import energy_expression
+from accelsurf.settings.energy_terms import TERMS
+from accelsurf.settings.run_config import RunConfig
+
+#: Statistics of an image of more voxels are those of a coarser level, where one of at most so many is stored.
+MAX_STREAMED = 1 << 31
+#: A window grows by so many times its extent where it was left, or by less where memory does not hold that.
+GROWTH = 1.0
+#: Levels for which a first window has room, where their number is chosen by the start.
+FIRST_LEVELS = 3
+#: What the voxels of a region of interest have around them: a result ends half a voxel beyond the region.
+AROUND_REGION = 2
+
+
+@dataclass(frozen=True)
+class LargeImage:
+    """The channels of an image that is read in parts, and the memory that a run on it may take.
+
+    Attributes
+    ----------
+    channels : tuple of LazyVolume
+        On one grid.
+    max_bytes : int
+        Estimates of a run's peak (`accelsurf.run.setup`) stay within it.
+    statistics : tuple of LazyVolume or None
+        A coarser level of each channel that percentiles and the like are taken from; None: the channel itself.
+    """
+
+    channels: tuple[LazyVolume, ...]
+    max_bytes: int
+    statistics: tuple[LazyVolume | None, ...] = ()
+
+    @classmethod
+    def of(cls, channels: Sequence[LazyVolume], max_bytes: int) -> LargeImage:
+        """The image, with statistics of a coarser level where it has more than `MAX_STREAMED` voxels and one is stored.
+
+        Raises
+        ------
+        InputError
+            When a coarser level cannot be read.
+        """
+        return cls(tuple(channels), max_bytes, tuple(_for_statistics(channel) for channel in channels))
+
+    @property
+    def geometry(self) -> Geometry:
+        """The whole grid."""
+        return self.channels[0].geometry
+
+    def check(self) -> None:
+        """Refuse channels that lie on different grids.
+
+        Raises
+        ------
+        GeometryError
+        """
+        for channel in self.channels[1:]:
+            if not channel.geometry.matches(self.geometry):
+                raise GeometryError(
+                    f"channel {channel.source or ''}: on another grid than the image: "
+                    f"{channel.geometry.difference(self.geometry)}",
+                    "resample it to the image's grid first",
+                )
+
+    def whole(self, config: RunConfig, numbers: Sequence[Numbers] = ()) -> tuple[WholeImage, ...]:
+        """Return the numbers of each whole channel, which is read through when it is first asked for.
+
+        ``numbers`` are those of each channel that are known already.
+        """
+        filters = filters_of(config, self.geometry)
+        levels, known = self.statistics or (None,) * len(self.channels), numbers or [{}] * len(self.channels)
+        return tuple(
+            WholeImage(channel, filters, coarse, numbers=numbers_of)
+            for channel, coarse, numbers_of in zip(self.channels, levels, known, strict=True)
+        )
+
+
+def _for_statistics(image: LazyVolume) -> LazyVolume | None:
+    found: LazyVolume | None = image
+    while found is not None and math.prod(found.geometry.shape) > MAX_STREAMED:
+        found = found.coarser()
+    return None if found is image else found
+
+
+def segment_lazily(
+    volume: LazyVolume,
+    config: RunConfig | None,
+    on_step: OnObjectStep | None,
+    on_warning: Callable[[str], None] | None,
+    checkpoint_to: str | Path | None,
+    options: dict[str, Any],
+) -> Result:
+    """Segment one object of an image that is read in parts: `accelsurf.segment` of a `LazyVolume`.
+
+    Raises
+    ------
+    UsageError
+        When something is given as an array, or the energy is one of the user's own.
+    """
+    spacing, channels, energy = (options.pop(key) for key in ("spacing", "channels", "energy"))
+    max_memory = options.pop("max_memory", None)
+    texts, given = split_given(options)
+    wrong = [*given, *(["spacing"] if spacing is not None else [])]
+    wrong += [] if energy is None or isinstance(energy, str) else ["energy"]
+    wrong += [] if all(isinstance(channel, LazyVolume) for channel in channels) else ["channels"]
+    if wrong:
+        raise UsageError(
+            f"{wrong[0]}: an array or a function was given with an image that is read in parts",
+            "give texts and open_volume(), or read the image with accelsurf.read",
+        )
+    config, _ = with_options(config, energy, texts)
+    others = [*channels, *(open_with(file, config.reading) for file in config.channel)]
+    image = LargeImage.of((volume, *others), allowed_bytes(max_memory, available_memory()))
+    return segment_in_windows(image, config, on_step, on_warning, checkpoint_to=checkpoint_to)
+
+
+def segment_in_windows(
+    image: LargeImage,
+    config: RunConfig,
+    on_step: OnObjectStep | None = None,
+    on_warning: Callable[[str], None] | None = None,
+    on_window: Callable[[Window], None] | None = None,
+    checkpoint_to: str | Path | None = None,
+) -> Result:
+    """Segment one object in an image that is read in parts.
+
+    Parameters
+    ----------
+    image : LargeImage
+    config : RunConfig
+        Its start and clicks are near the object, or it has a region of interest.
+    on_step, on_warning : callable, optional
+        As of `accelsurf.segment`; steps of a window that is left are told too.
+    on_window : callable, optional
+        Called with each window before its run begins.
+    checkpoint_to : str or Path, optional
+        As of `accelsurf.segment`.
+
+    Returns
+    -------
+    Result
+        On the grid of its ``window``.
+
+    Raises
+    ------
+    UsageError
+        When a setting needs the whole image in memory.
+    InputError
+        As of `accelsurf.segment`, and when the window that the object needs is larger than memory.
+    """
+    checkpoints = None if checkpoint_to is None else CheckpointFile(Path(checkpoint_to))
+    config = seeded(config if checkpoints is None else checkpoints.begun(config))
+    check_settings(config)
+    image.check()
+    saved = None if checkpoints is None else checkpoints.window(image.geometry)
+    window = saved or first_window(config, image.geometry)
+    whole = () if has_region(config) else image.whole(config)
+    while True:
+        refuse_too_large(window, image, config)
+        if on_window is not None:
+            on_window(window)
+        try:
+            return _in(window, whole, image, config, on_step, on_warning, checkpoints)
+        except LeavesWindow as face:
+            if checkpoints is not None:
+                checkpoints.clear()
+            most = values_within(image.max_bytes, uses_model(config), config.flow) // len(image.channels)
+            window = larger(window, face, most)
+        except NeedsLevels as more:
+            window = on_levels(window, more.count)
+
+
+def first_window(config: RunConfig, geometry: Geometry) -> Window:
+    """Return the window that a run begins in.
+
+    Parameters
+    ----------
+    config : RunConfig
+    geometry : Geometry
+        Of the whole grid.
+    """
+    if has_region(config):
+        return Window(geometry, widened(region_of_run(config, geometry), geometry.shape, [AROUND_REGION] * 3))
+    window = Window(geometry, first_box(config, geometry))
+    return on_levels(window, FIRST_LEVELS if config.levels == "auto" else config.levels)
+
+
+def on_levels(window: Window, count: int) -> Window:
+    """Return the smallest window around another whose blocks are those of the whole grid on so many levels."""
+    return Window(window.geometry, aligned(window.box, window.geometry, blocks_of(window.geometry, count)), count)
+
+
+def _in(
+    window: Window,
+    whole: tuple[WholeImage, ...],
+    image: LargeImage,
+    config: RunConfig,
+    on_step: OnObjectStep | None,
+    on_warning: Callable[[str], None] | None,
+    checkpoints: CheckpointFile | None,
+) -> Result:
+    """The result of a run in a window."""
+    run = run_in(window, whole, image, config)
+    result = finished(run, on_step, on_warning, checkpoints)
+    objects = tuple(
+        replace(
+            segmented, rests=tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in segmented.rests)
+        )
+        for segmented in result.objects
+    )
+    return replace(result, objects=objects, window=window, state=None, warnings=[*result.warnings, *notes_of(whole)])
+
+
+def notes_of(whole: Sequence[WholeImage]) -> list[str]:
+    """Return what numbers of the whole image are taken from, where not from all of it."""
+    found = {channel.statistics for channel in whole} - {"exact"}
+    return [f"values of the whole image are those of {where}" for where in sorted(found)]
+
+
+def run_in(
+    window: Window, whole: tuple[WholeImage, ...], image: LargeImage, config: RunConfig, starts: Any = None
+) -> Run:
+    """Return the run in a window.
+
+    Parameters
+    ----------
+    window : Window
+    whole : tuple of WholeImage
+        Of each channel; empty with a region of interest.
+    image : LargeImage
+    config : RunConfig
+    starts : tuple of ObjectStart, optional
+        As of `WindowInput`.
+
+    Raises
+    ------
+    LeavesWindow
+        When the window is too small for the model of clicks.
+    """
+    geometry = cropped(window.geometry, window.box)
+    volumes = [
+        Volume(channel.read(window.box), geometry, dict(channel.metadata), channel.source) for channel in image.channels
+    ]
+    channels = whole or image.whole(config)
+    smoothed = tuple(channel.window(window.box) for channel in channels)
+    return Run(volumes[0], config, channels=volumes[1:], part=WindowInput(window, smoothed, whole, starts))
+
+
+def blocks_of(geometry: Geometry, count: int) -> tuple[int, int, int]:
+    """Voxels of a block of the coarsest of so many levels, as far as there are so many, along each axis."""
+    return pyramid.levels(geometry.shape, geometry.spacing, count)[-1].factors
+
+
+def refuse_too_large(window: Window, image: LargeImage, config: RunConfig) -> None:
+    """Refuse a window whose run would take more memory than it may.
+
+    Raises
+    ------
+    InputError
+        With the estimate.
+    """
+    values = math.prod(window.shape) * len(image.channels)
+    needed = run_bytes(values, uses_model(config), config.flow)
+    if needed > image.max_bytes:
+        size = " x ".join(str(n) for n in reversed(window.shape))
+        what = "the region has" if has_region(config) else "the object needs a window of"
+        unsized = uses_model(config) and config.size is None and not has_region(config)
+        raise InputError(
+            f"{what} {size} voxels, for which a run takes about {bytes_text(needed)} of memory; "
+            f"{bytes_text(image.max_bytes)} are allowed",
+            ("say about how large it is (--size), " if unsized else "")
+            + "take a coarser level of the image (--level), a smaller --roi, or more --max-memory",
+        )
+
+
+def larger(window: Window, face: LeavesWindow, most: int) -> Window:
+    """Return the next window: larger where it was left, with at most so many voxels.
+
+    Where that does not go far enough, the smallest that is larger is returned, which is refused then.
+    """
+    factor, blocks = GROWTH, blocks_of(window.geometry, window.levels)
+    while True:
+        box = enlarged(window, face, blocks, factor)
+        if math.prod(s.stop - s.start for s in box) <= most:
+            break
+        if all(factor * (s.stop - s.start) <= GUARD for s in window.box):
+            break
+        factor *= 0.7
+    return Window(window.geometry, box, window.levels)
+
+
+def check_settings(config: RunConfig) -> None:
+    """Refuse what a run in a window cannot do.
+
+    Raises
+    ------
+    UsageError
+        Naming the setting.
+    """
+    hint = "give --roi around the object, or let the image be read into memory (more --max-memory)"
+    for name in ("edit", "refine"):
+        if getattr(config, name):
+            raise UsageError(f"{name}: it was given, and the image is read in parts", hint)
+    if has_region(config):
+        return
+    if config.noise > 0:
+        raise UsageError(f"noise: {config.noise:g} was given, which is laid over the whole image", hint)
+    if config.flow == "flowable-mass":
+        raise UsageError("flow: flowable-mass compares masses on a lattice over the whole image", hint)
+    if config.flow == "region-mass":
+        raise UsageError("flow: region-mass has mass in the whole image, which is read in parts", hint)
+    for term in energy_expression.parse(config.energy):
+        if TERMS[term.name].needs_whole:
+            raise UsageError(f"energy: {term.name} looks at the whole image, which is read in parts", hint)
+    if config.mask is not None and uses_model(config):
+        raise UsageError("mask: it was given with clicks, whose model looks at all of it", "give --box, or --roi")
+
+
+@dataclass(frozen=True)
+class FittingLevel:
+    """A level that fits.
+
+    Attributes
+    ----------
+    level : int
+    levels : int
+        How many there are.
+    grid : Geometry
+        Of the level.
+    """
+
+    level: int
+    levels: int
+    grid: Geometry
+
+    @property
+    def text(self) -> str:
+        """A line about the level for the user."""
+        size = " x ".join(map(str, self.grid.size))
+        place = f"level {self.level} of 0 to {self.levels - 1}"
+        return f"{place} is read, the finest that fits into the memory: {size} voxels"
+
+
+def fitting_level(source: Path, config: RunConfig, allowed_bytes: int) -> FittingLevel | None:
+    """Return the finest level whose run fits into the memory, else the coarsest; None for a file without levels.
+
+    Parameters
+    ----------
+    source : Path
+    config : RunConfig
+        Of the run.
+    allowed_bytes : int
+        Memory that the run may take.
+
+    Raises
+    ------
+    InputError
+        When the image cannot be opened.
+    """
+    if "level" not in options_of(source):
+        return None
+    finest = open_channels(source, replace(config.reading, level=0))
+    grids, channels = finest[0].layout.levels, len(finest) + len(config.channel)
+    uses_model = energy_expression.uses_model(config.energy)
+    within = (
+        n for n, grid in enumerate(grids)
+        if run_bytes(channels * math.prod(grid.shape), uses_model, config.flow) <= allowed_bytes
+    )
+    level = next(within, len(grids) - 1)
+    return FittingLevel(level, len(grids), grids[level])

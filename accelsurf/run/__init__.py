@@ -1,0 +1,1 @@
+"""One run: its image is prepared, its energy made, its objects evolved; it leaves a Result."""

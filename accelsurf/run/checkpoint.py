@@ -1,0 +1,251 @@
+"""A run between two steps, as a value and as a file."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from accelsurf import __version__
+from accelsurf.errors import AccelsurfError, InputError
+from accelsurf.evolution.lowest import LowestState
+from accelsurf.evolution.multilevel import LevelSummary
+from accelsurf.evolution.records import StepFields, StepRecord, Stop
+from accelsurf.evolution.rests import FoundRest, RestWatch, Slowest
+from accelsurf.evolution.serialization import from_bytes, to_bytes
+from accelsurf.evolution.state import Checkpoint, EnergyBudget, LoopState
+from accelsurf.flows import EnergyRates
+from accelsurf.grid.pyramid import Level
+from accelsurf.grid.window import Window
+from accelsurf.io.files import bytes_within, write_bytes
+from accelsurf.kernels.storage import compiler_version, processor_name
+from accelsurf.levelset import Snapshot, SurfaceState
+from accelsurf.run.evolving_object import ObjectCheckpoint
+from accelsurf.run.late_growth import GrowthState
+from accelsurf.run.preprocessing import PreprocessedInput
+from accelsurf.settings import budgets
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.wording import shown
+
+
+class RunCheckpoint(NamedTuple):
+    """A run between two steps, before the edits of the coming one.
+
+    Attributes
+    ----------
+    step : int
+        Number of the coming step.
+    settings : RunConfig
+        In force.
+    edits_done : int
+        How many edits were applied.
+    level : int
+    objects : tuple of ObjectCheckpoint
+    summaries : tuple of LevelSummary
+        Of the levels before.
+    warnings : tuple of str
+    growth : GrowthState or None
+        Of what watches the run (`accelsurf.run.late_growth`), where it is to go on.
+    """
+
+    step: int
+    settings: RunConfig
+    edits_done: int
+    level: int
+    objects: tuple[ObjectCheckpoint, ...]
+    summaries: tuple[LevelSummary, ...] = ()
+    warnings: tuple[str, ...] = ()
+    growth: GrowthState | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """Upper bound of its memory, bytes."""
+        return sum(segmented.nbytes for segmented in self.objects)
+
+
+#: Settings that do not change what a run has done up to a step, or only what is written at the end.
+FREE = frozenset({
+    "threads", "max_steps", "mesh", "mesh_space", "save_sdf", "format", "reproducible", "keep_state", "checkpoint",
+})
+_BEGIN = "begin anew without --resume, with --overwrite"
+
+
+class CheckpointHeader(NamedTuple):
+    """Identity of the run of a checkpoint.
+
+    Attributes
+    ----------
+    versions : dict of str to str
+        Of accelsurf and of what its numbers depend on; ``processor`` is the one that the code was compiled for.
+    run : str
+        `run_digest`.
+    settings : dict
+        Those that the run began with, with the seed that was drawn.
+    window : tuple of int or None
+        First voxel and shape of the part of a large image that the run was made on, and for how many levels it has the
+        blocks of the whole; None for the whole.
+    """
+
+    versions: dict[str, str]
+    run: str
+    settings: dict[str, Any]
+    window: tuple[int, ...] | None = None
+
+
+#: The types in a checkpoint, by the names under which they are written.
+TYPES: dict[str, type] = {
+    kind.__name__: kind
+    for kind in (
+        Checkpoint, CheckpointHeader, EnergyBudget, EnergyRates, FoundRest, GrowthState, Level, LevelSummary, LoopState,
+        LowestState, ObjectCheckpoint, RestWatch, RunCheckpoint, Slowest, Snapshot, StepFields, StepRecord, Stop,
+        SurfaceState,
+    )
+}
+
+
+class Source(Protocol):
+    """Identity of a run; see `accelsurf.run.run.Run`."""
+
+    config: RunConfig
+    prepared: PreprocessedInput
+    given_digest: str
+    window: Window | None
+
+    @property
+    def energy_name(self) -> str:
+        """Name of the energy."""
+        ...
+
+
+def versions() -> dict[str, str]:
+    """Return the versions on which the bytes of a result depend besides image and settings."""
+    return {
+        "accelsurf": __version__,
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "numba": compiler_version(),
+        "processor": processor_name(),
+    }
+
+
+def header_of(run: Source) -> CheckpointHeader:
+    """The header of a run's checkpoints, the same at every step."""
+    window = None if run.window is None else (*run.window.corner, *run.window.shape, run.window.levels)
+    return CheckpointHeader(versions(), run_digest(run), run.config.model_dump(mode="json"), window)
+
+
+def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: CheckpointHeader) -> None:
+    """Write a checkpoint, completely or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+    checkpoint : RunCheckpoint
+    header : CheckpointHeader
+        From `header_of`: for a run with another image, start or configuration the file is refused.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    TypeError
+        When the state of an energy of one's own is not made of numbers and arrays.
+    """
+    objects = tuple(segmented._replace(evolution=segmented.evolution.without_costs) for segmented in checkpoint.objects)
+    settings: Any = checkpoint.settings.model_dump(mode="json")
+    state = checkpoint._replace(objects=objects, settings=settings)
+    write_bytes(Path(path), to_bytes((header, state), TYPES))
+
+
+def read_checkpoint(path: str | Path) -> tuple[CheckpointHeader, RunCheckpoint]:
+    """Read a checkpoint of any run.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read or is damaged.
+    """
+    content = bytes_within(path, budgets.STATE_FILE)
+    try:
+        header, state = from_bytes(content, TYPES)
+        if not isinstance(header, CheckpointHeader) or not isinstance(state, RunCheckpoint):
+            raise ValueError("not the state of a run")
+        _check_header(header)
+        return header, RunCheckpoint(*state._replace(settings=RunConfig(**state.settings)))  # type: ignore[arg-type]
+    except InputError as error:
+        raise InputError(f"{path}: {error.message}", _BEGIN) from None
+    except (AccelsurfError, ValueError, TypeError) as error:
+        raise InputError(f"{path}: the checkpoint is damaged ({error})", _BEGIN) from None
+
+
+def _check_header(header: CheckpointHeader) -> None:
+    texts = header.versions if isinstance(header.versions, dict) else {"": None}
+    if not all(isinstance(text, str) for text in (header.run, *texts, *texts.values())):
+        raise ValueError("it does not say of which run it is")
+    if not isinstance(header.settings, dict):
+        raise ValueError("it has no settings")
+    window = header.window
+    if window is not None and not (len(window) == 7 and all(isinstance(n, int) and n >= 0 for n in window)):
+        raise ValueError("its window is none")
+
+
+def load_checkpoint(path: str | Path, run: Source) -> RunCheckpoint:
+    """Read a checkpoint of a run with this image, start and configuration.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, is damaged, or is of another run; what differs is named.
+    """
+    header, state = read_checkpoint(path)
+    refuse_another_run(path, header, header_of(run))
+    return state
+
+
+def refuse_another_run(path: str | Path, header: CheckpointHeader, here: CheckpointHeader) -> None:
+    """Refuse a checkpoint that is not of the run with header ``here``; its settings that differ are named.
+
+    Raises
+    ------
+    InputError
+    """
+    if header.run == here.run:
+        return
+    there = header.settings
+    other = [key for key in here.settings if key not in FREE and there.get(key) != here.settings[key]]
+    what = "another image or start"
+    if other:
+        key = other[0]
+        more = f" and {len(other) - 1} more" if len(other) > 1 else ""
+        what = f"other settings: {key} was {shown(there.get(key))}, is {shown(here.settings[key])}{more}"
+    raise InputError(f"{path}: a checkpoint of {what}", "give those of the run that wrote it, or begin anew")
+
+
+def run_digest(run: Source) -> str:
+    """SHA-256 of what determines the steps of a run: voxels, grid, starts and settings, but not the number of threads.
+
+    Of an energy of one's own it is the name.
+    """
+    sha = hashlib.sha256()
+    for volume in run.prepared.volumes:
+        geometry = volume.geometry
+        sha.update(f"{geometry.spacing}{geometry.origin}".encode())
+        sha.update(np.ascontiguousarray(geometry.direction).tobytes())
+        sha.update(digest_of({"image": volume.array}).encode())
+    sha.update(f"{run.energy_name}{run.given_digest}{run.config.model_dump_json(exclude=set(FREE))}".encode())
+    return sha.hexdigest()
+
+
+def digest_of(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """SHA-256 of arrays by name."""
+    sha = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        sha.update(f"{name}{array.dtype.str}{array.shape}".encode())
+        sha.update(array.tobytes())
+    return sha.hexdigest()

@@ -1,0 +1,256 @@
+"""Makers of each term of an energy; `accelsurf.settings.energy_terms` names these functions.
+
+Each returns the energy and the settings that it has in the run, also those that were taken from the image; image values
+in the file's unit.
+
+Makers of each flow from a configuration; `accelsurf.settings.flow_specs` names these functions.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from accelsurf.energies import (
+    Area,
+    Balloon,
+    ChanVese,
+    Energy,
+    GaussianLikelihood,
+    Geodesic,
+    HistogramLikelihood,
+    LocalRegion,
+    Parzen,
+    RegionField,
+    Threshold,
+)
+from accelsurf.energies.chan_vese import TENT
+from accelsurf.energies.geodesic import edge_contrast as strong_edge
+from accelsurf.energies.geodesic import edge_indicator_of, gradient_magnitude
+from accelsurf.energies.likelihood import (
+    TwoGaussians,
+    TwoHistograms,
+    gaussian_of_sums,
+    least_variance,
+    robust_gaussian_of,
+)
+from accelsurf.energies.region_sums import RegionMoments, moments_of
+from accelsurf.energies.threshold import soft_edge
+from accelsurf.errors import UsageError
+from accelsurf.flows import (
+    ConstantDensity,
+    Flow,
+    FlowableMass,
+    Gradient,
+    HeavyBall,
+    Noise,
+    RegionMass,
+    RegionPressure,
+    Sobolev,
+)
+from accelsurf.grid.geometry import axis_steps
+from accelsurf.image.noise import area_against_noise, noise_of
+from accelsurf.run.image_context import TermInputs
+from accelsurf.settings import budgets, energy_expression
+from accelsurf.settings.energy_terms import Values
+from accelsurf.settings.run_config import RunConfig
+
+
+def constant_density(config: RunConfig) -> Flow:
+    """Momentum of a surface of constant density."""
+    return ConstantDensity(**_heavy_ball(config))
+
+
+def flowable_mass(config: RunConfig) -> Flow:
+    """Momentum of a surface whose mass is conserved and flows along it."""
+    terms = energy_expression.parse(config.energy)
+    area_weight = config.smoothness + sum(term.weight for term in terms if term.name == "area")
+    return FlowableMass(config.gravity, area_weight, **_heavy_ball(config))
+
+
+def region_mass(config: RunConfig) -> Flow:
+    """Momentum of mass on the whole grid, or with gravity inside the surface."""
+    if config.gravity > 0:
+        return RegionPressure(config.gravity, **_clock(config))
+    return RegionMass(**_clock(config))
+
+
+def gradient(config: RunConfig) -> Flow:
+    """Descent. With diffusion ``auto`` it has no diffusion: it is the plain baseline."""
+    return Gradient(0.0 if config.diffusion == "auto" else _number(config.diffusion))
+
+
+def sobolev(config: RunConfig) -> Flow:
+    """Descent along the smoothed force."""
+    return Sobolev(_number(config.sobolev_length))
+
+
+def heavy_ball(config: RunConfig) -> Flow:
+    """Descent that adds a fraction of the last step."""
+    return HeavyBall(config.blend)
+
+
+def _heavy_ball(config: RunConfig) -> dict[str, Any]:
+    """Arguments of both flows with momentum of the surface."""
+    return {**_clock(config), "diffusion": _number(config.diffusion), "noise": _noise(config)}
+
+
+def _clock(config: RunConfig) -> dict[str, Any]:
+    """Arguments of all flows with momentum."""
+    return {
+        "k": config.k,
+        "lambda_": config.lam,
+        "rho": config.rho,
+        "friction": _number(config.friction),
+        "t0": _number(config.t0),
+    }
+
+
+def _noise(config: RunConfig) -> Noise | None:
+    if config.noise == 0:
+        return None
+    if config.seed is None:
+        raise ValueError("noise needs a seed: accelsurf.run.run.seeded draws one")
+    return Noise(config.noise, _number(config.noise_length), config.seed, _number(config.noise_time))
+
+
+def _number(value: float | str) -> float | None:
+    """A setting that is a number or a word: None for the word."""
+    return None if isinstance(value, str) else value
+
+
+#: R of local-region unless given, voxels of the largest spacing.
+WINDOW_VOXELS = 8.0
+
+Made = tuple[Energy, dict[str, Any]]
+
+
+def chan_vese(inputs: TermInputs) -> Made:
+    """Two regions, each with its own mean."""
+    balance = inputs.number("balance", inputs.config.balance)
+    epsilon = inputs.number("epsilon", inputs.config.epsilon)
+    context, channel = inputs.context, inputs.channel
+    elsewhere = context.moments_elsewhere(channel)
+    by_noise = area_against_noise(context.once(noise_of, channel), context.images[channel].shape, context.spacing)
+    area = inputs.number("area", by_noise)
+    energy = ChanVese(
+        inputs.image, inputs.alpha + area, None, epsilon, balance, elsewhere, _moments_of_whole(inputs)
+    )
+    return energy, {"balance": balance, "epsilon": epsilon, "area": area}
+
+
+def _moments_of_whole(inputs: TermInputs) -> RegionMoments | None:
+    """Sums over the whole image where the one at hand is a window of it."""
+    sums = inputs.context.whole_sums(inputs.channel, inputs.spacing, "moments", moments_of)
+    return None if sums is None else RegionMoments(*(float(v) for v in sums))
+
+
+def local_region(inputs: TermInputs) -> Made:
+    """Two regions, each with its mean in a window."""
+    context = inputs.context
+    # Of the image's own grid, on every level.
+    radius = inputs.number("R", WINDOW_VOXELS * max(axis_steps(context.images[0].shape, context.spacing)))
+    epsilon = inputs.number("epsilon", inputs.config.epsilon)
+    return LocalRegion(inputs.image, radius, inputs.alpha, epsilon), {"R": radius, "epsilon": epsilon}
+
+
+def local_region_reach(settings: Values, largest_spacing: float) -> float:
+    """Return the reach of the windows of local-region beyond an object, mm.
+
+    An object cuts windows whose middle is half a width away, and these reach half a width further.
+    """
+    return 2.0 * TENT * float(settings.get("R", WINDOW_VOXELS * largest_spacing))
+
+
+def likelihood(inputs: TermInputs) -> Made:
+    """Two regions by their distributions.
+
+    Raises
+    ------
+    UsageError
+        When training voxels are given that it would not use.
+    """
+    image, context, channel = inputs.image, inputs.context, inputs.channel
+    given = bool(inputs.config.foreground or inputs.config.background)
+    update = inputs.settings.get("update", "no" if given else "yes")
+    if update == "yes" and given:
+        raise UsageError(
+            "energy: likelihood:update=yes was given with --foreground or --background, which it would not use",
+            "with update=no it learns from them once; with update=yes from the surface, again in each step",
+        )
+    # Sharp unless given: a smeared interface mixes in values from across the edge, and under a narrow distribution
+    # these are so unlikely that they push the surface away from the edge.
+    model, epsilon = inputs.settings.get("model", "gauss"), inputs.number("epsilon", 0.0)
+    used: dict[str, Any] = {"model": model, "update": update, "epsilon": epsilon}
+    if model == "histogram":
+        parzen = context.once(Parzen.of_image, channel)
+        learned = None
+        if update == "no":
+            counts = parzen.histogram(context.sample(channel))
+            learned = TwoHistograms(counts, context.sums_of_background(channel, "histogram", parzen.histogram))
+        elsewhere = context.histograms_elsewhere(channel, parzen)
+        whole = context.whole_sums(channel, inputs.spacing, "histogram", parzen.histogram)
+        return HistogramLikelihood(image, inputs.alpha, learned, epsilon, parzen, elsewhere, whole), used
+    least = context.once(least_variance, channel)
+    everything = _moments_of_whole(inputs)
+    if update == "yes":
+        moments = context.moments_elsewhere(channel)
+        return GaussianLikelihood(image, inputs.alpha, None, epsilon, moments, everything, least), used
+    # Outliers of a sample of the object are no part of it; the background is of many kinds, which all count.
+    inside = robust_gaussian_of(context.sample(channel), least)
+    other = gaussian_of_sums(RegionMoments(*context.sums_of_background(channel, "moments", moments_of)), least)
+    low, width = context.scales[channel]
+    for name, (mean, variance) in (("inside", inside), ("outside", other)):
+        used[name] = {"mean": low + width * mean, "deviation": width * variance**0.5}
+    return GaussianLikelihood(image, inputs.alpha, TwoGaussians(inside, other), epsilon, whole=everything), used
+
+
+def threshold(inputs: TermInputs) -> Made:
+    """A window of values."""
+    context, channel = inputs.context, inputs.channel
+    low, high = (context.bound(channel, inputs.settings.get(key, ""), key == "HI") for key in ("LO", "HI"))
+    start, width = context.scales[channel]
+    given = inputs.settings.get("soft")
+    soft = soft_edge(context.once(np.ptp, channel), low, high) if given is None else float(given) / width
+    used = {key: None if v is None else start + width * v for key, v in (("LO", low), ("HI", high))}
+    return Threshold(inputs.image, low, high, soft, inputs.alpha), {**used, "soft": soft * width}
+
+
+def geodesic(inputs: TermInputs) -> Made:
+    """The area, counted less on edges."""
+    image, spacing, config = inputs.image, inputs.spacing, inputs.config
+    scale = inputs.settings.get("scale", config.edge_scale)
+    contrast = inputs.settings.get("contrast", config.edge_contrast)
+    balloon = inputs.number("balloon", config.balloon)
+    scale = max(axis_steps(image.shape, spacing)) if isinstance(scale, str) else float(scale)
+    voxels = math.ceil(scale / min(axis_steps(image.shape, spacing)))
+    budgets.SMOOTHING.check(voxels, f"edge-scale: a sigma of {scale:g} mm", kind=UsageError)
+    gradient = gradient_magnitude(image, spacing, scale)
+    contrast = strong_edge(gradient) if isinstance(contrast, str) else float(contrast)
+    used = {"scale": scale, "contrast": contrast, "balloon": balloon}
+    return Geodesic(edge_indicator_of(gradient, contrast), inputs.alpha, balloon), used
+
+
+def seeded(inputs: TermInputs) -> Made:
+    """The field of the model of clicks, which is made of all channels."""
+    from accelsurf.energies.seeded.edge import offset
+
+    model = inputs.context.seeded_model()
+    area = inputs.number("area", model.area_weight_mm)
+    # The area smooths the object; how large it is, the clicks have said.
+    lower = offset(area, inputs.context.model_curvature())
+    energy: Energy = RegionField(inputs.context.model_field() - np.float32(lower), inputs.alpha + area)
+    used = {"area": area, "offset": lower, "volume_mm3": model.proposal.volume_mm3, "sureness": model.proposal.sureness}
+    return energy, used
+
+
+def balloon(inputs: TermInputs) -> Made:
+    """The volume."""
+    return Balloon(), {}
+
+
+def area(inputs: TermInputs) -> Made:
+    """The area."""
+    return Area(), {}

@@ -1,0 +1,565 @@
+"""Result of a run: an object or several, each with its surface, measures and quality.
+
+Rests of an object's front before it broke through, on the image's grid, with a place in mm.
+
+State of a finished run besides its result, from which it can be refined.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.energies.seeded import Sureness
+from accelsurf.errors import InputError
+from accelsurf.evolution.multilevel import LevelSummary
+from accelsurf.evolution.records import StepRecord, Stop
+from accelsurf.evolution.rests import FoundRest
+from accelsurf.grid import pyramid
+from accelsurf.grid.boxes import Box, shared
+from accelsurf.grid.clicks import Clicks
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.window import Window
+from accelsurf.image import thumbnail
+from accelsurf.image.volume import Volume
+from accelsurf.levelset.checkpoint import psi_of
+from accelsurf.measure import contours
+from accelsurf.measure.contours import Contours
+from accelsurf.measure.quality import Quality, RestNote, ValueRange, assess
+from accelsurf.measure.surface_mesh import Surface, extract
+from accelsurf.run.ensemble import overall_stop
+from accelsurf.run.image_context import ImageContext
+from accelsurf.run.preprocessing import PreprocessedInput
+from accelsurf.run.setup import EnergyLike
+from accelsurf.run.start_pyramid import to_finest
+from accelsurf.settings.run_config import RunConfig
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SegmentedObject:
+    """One object of a result, on its part of the image's grid: the whole grid for a single object.
+
+    Attributes
+    ----------
+    id : int
+        Its value in the label map.
+    box : tuple of slice
+        That part of the image's grid.
+    psi : ndarray (nz, ny, nx), float32
+        Signed distance in the band, mm, negative inside; +-gamma outside it.
+    image : ndarray (nz, ny, nx), float32
+        The image as the energy saw it.
+    geometry : Geometry
+    history : list of StepRecord
+        One record per step; the last is the final state.
+    stop : Stop
+        Why it ended.
+    terms : list of dict
+        The terms of the energy with every setting as it was in the run; empty for an energy of the user's own.
+    learned : (float, float) or None
+        Lowest and highest value, on the scale of ``image``, that the learned model expects in the object.
+    rests : tuple of RestPoint
+        Where its front rested before it broke through to something else.
+    clicked : ndarray (nz, ny, nx) of bool, or None
+        Voxels of its part that a person clicked, on either side.
+    sureness : Sureness or None
+        How sure the model of the clicks is; None where the energy has none.
+    """
+
+    id: int
+    box: Box
+    psi: NDArray[np.float32]
+    image: NDArray[np.float32]
+    geometry: Geometry
+    history: list[StepRecord]
+    stop: Stop
+    terms: list[dict[str, Any]] = field(default_factory=list)
+    learned: tuple[float, float] | None = None
+    rests: tuple[RestPoint, ...] = ()
+    clicked: NDArray[np.bool_] | None = None
+    sureness: Sureness | None = None
+
+    def __repr__(self) -> str:
+        return f"SegmentedObject(id={self.id}, {self.volume_mm3:.6g} mm3, {self.stop.reason})"
+
+    def _repr_html_(self) -> str:
+        """A slice with the outline of the object, and the repr, for notebooks."""
+        return thumbnail.as_html(repr(self), self.image, self.geometry, self.labels)
+
+    @cached_property
+    def labels(self) -> NDArray[np.uint8]:
+        """1 where a voxel's centre is inside, (nz, ny, nx)."""
+        return (self.psi < 0).view(np.uint8)
+
+    @property
+    def has_surface(self) -> bool:
+        """True if something of the grid is inside and something outside."""
+        return bool(self.labels.any()) and self.stop.reason not in ("vanished", "filled")
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The surface as a closed mesh in world mm (LPS), normals outward; extracted once."""
+        return extract(self.psi, self.geometry)
+
+    @cached_property
+    def contours(self) -> Contours:
+        """The contours of an image of one slice, in world mm (LPS), the object on their left; extracted once.
+
+        Raises
+        ------
+        InputError
+            For a volume: it has a `surface`.
+        """
+        return contours.extract(self.psi, self.geometry)
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume of the object, mm3, sub-voxel."""
+        return self.history[-1].volume_mm3
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of its surface, mm2: the mesh's, with the caps where the volume's border cuts the object.
+
+        In an image of one slice: the contour's length times the thickness of the slice.
+        """
+        if not self.has_surface:
+            return 0.0
+        if self.length_mm is not None and self._thickness is not None:
+            return self.length_mm * self._thickness
+        return self.surface.area
+
+    @property
+    def length_mm(self) -> float | None:
+        """Length of the contours of an image of one slice, mm, with the parts along its border; None for a volume."""
+        if self._thickness is None:
+            return None
+        return self.contours.length if self.has_surface else 0.0
+
+    @property
+    def enclosed_mm2(self) -> float | None:
+        """Area of the object in an image of one slice, mm2, sub-pixel; None for a volume."""
+        return None if self._thickness is None else self.volume_mm3 / self._thickness
+
+    @property
+    def _thickness(self) -> float | None:
+        axis = self.geometry.slice_axis
+        return None if axis is None else self.geometry.spacing[axis]
+
+    @cached_property
+    def components(self) -> int:
+        """Number of 6-connected parts of the label map."""
+        return int(ndimage.label(self.labels)[1])
+
+    @cached_property
+    def touches_border(self) -> bool:
+        """True if a voxel of the object lies on the border of its grid (axes with one slice do not count)."""
+        axes = [axis for axis, n in enumerate(self.labels.shape) if n > 1]
+        return any(bool(np.take(self.labels, end, axis=axis).any()) for axis in axes for end in (0, -1))
+
+    @cached_property
+    def quality(self) -> Quality:
+        """Measures of quality that need no reference."""
+        rests = [RestNote(rest.step, rest.volume_mm3, rest.left_at, rest.place) for rest in self.rests]
+        seen = self.labels, self.image, self.geometry, self.history, self.stop
+        learned = None if self.learned is None else ValueRange(*self.learned)
+        return assess(*seen, learned, rests, self.clicked, self.sureness)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """The result of a run of one or several objects.
+
+    Attributes
+    ----------
+    objects : tuple of SegmentedObject
+        In order of their ids.
+    has_ids : bool
+        Whether objects with ids were given; else there is one, and its label is 1.
+    image : ndarray (nz, ny, nx), float32
+        The image as the energy saw it: presmoothed, 0 and 1 at its `preprocessing.SCALE_PERCENTILES`.
+    geometry : Geometry
+    config : RunConfig
+    energy : str
+        Name of the energy: that of ``config``, or ``custom: ClassName``.
+    volume : Volume
+        The input.
+    seconds : dict of str to float
+        Wall time of the parts ``start`` and ``evolve``.
+    levels : list of LevelSummary
+        The grids that it ran on, coarsest first, with the steps made on each; the last is the image's own.
+    kernels : dict of str to float
+        Seconds in each kernel while it evolved, over all threads.
+    warnings : list of str
+    start : ndarray or None
+        psi of the start, for an image of one slice; None for volumes, where it would cost memory.
+    given : tuple of str
+        Settings that were given as arrays, meshes or lists in place of texts.
+    edits_done : int
+        Number of edits of ``config`` that were applied.
+    resolved_settings : dict
+        Values used for settings that depend on image and grid: see `accelsurf.report.document`.
+    late_growth : (float, float, float) or None
+        Index (z, y, x) of the voxel near which the surfaces grew most in the last quarter of their growth; None without
+        any, or where no object is any more.
+    clicks : Clicks or None
+        What a person has clicked, on the image's grid.
+    state : RunState or None
+        What `accelsurf.refine` goes on from; None where it is not to be kept.
+    window : Window or None
+        What part of a larger grid ``geometry`` is; None where it is the whole.
+    """
+
+    objects: tuple[SegmentedObject, ...]
+    has_ids: bool
+    image: NDArray[np.float32]
+    geometry: Geometry
+    config: RunConfig
+    energy: str
+    volume: Volume
+    seconds: dict[str, float] = field(default_factory=dict)
+    levels: list[LevelSummary] = field(default_factory=list)
+    kernels: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    start: NDArray[np.float32] | None = None
+    edits_done: int = 0
+    given: tuple[str, ...] = ()
+    resolved_settings: dict[str, Any] = field(default_factory=dict)
+    late_growth: tuple[float, float, float] | None = None
+    clicks: Clicks | None = None
+    state: RunState | None = None
+    window: Window | None = None
+
+    def __repr__(self) -> str:
+        size = " x ".join(str(n) for n in self.geometry.size)
+        what = f"{len(self.objects)} objects" if self.has_ids else "1 object"
+        return f"Result({what}, {self.volume_mm3:.6g} mm3, {self.stop.reason}, {size} voxels)"
+
+    def _repr_html_(self) -> str:
+        """A slice with the outlines of the objects, and the repr, for notebooks."""
+        return thumbnail.as_html(repr(self), self.image, self.geometry, self.labels)
+
+    @property
+    def _one(self) -> SegmentedObject:
+        return self.objects[0]
+
+    @cached_property
+    def by_id(self) -> Mapping[int, SegmentedObject]:
+        """The objects by their ids."""
+        return {segmented.id: segmented for segmented in self.objects}
+
+    @cached_property
+    def labels(self) -> NDArray[np.unsignedinteger[Any]]:
+        """The id of the object that a voxel's centre is inside of, 0 of none; (nz, ny, nx), uint8, uint16 or uint32."""
+        if not self.has_ids:
+            return self._one.labels
+        largest = self.objects[-1].id
+        kind = next(t for t in (np.uint8, np.uint16, np.uint32) if largest <= np.iinfo(t).max)
+        labels = np.zeros(self.geometry.shape, kind)
+        for segmented in self.objects:
+            labels[segmented.box][segmented.labels > 0] = segmented.id
+        return labels
+
+    @cached_property
+    def psi(self) -> NDArray[np.float32]:
+        """The smallest psi of all objects, mm, negative inside of any; a constant away from all."""
+        if not self.has_ids:
+            return self._one.psi
+        far = max(float(np.abs(segmented.psi).max()) for segmented in self.objects)
+        out = np.full(self.geometry.shape, far, np.float32)
+        for segmented in self.objects:
+            np.minimum(out[segmented.box], segmented.psi, out=out[segmented.box])
+        return out
+
+    @cached_property
+    def stop(self) -> Stop:
+        """Why the run ended; of several objects ``converged`` if all that remain did, ``vanished`` if none remains,
+        else the worst reason.
+        """
+        return overall_stop([segmented.stop for segmented in self.objects]) if self.has_ids else self._one.stop
+
+    @cached_property
+    def history(self) -> list[StepRecord]:
+        """The record of each step; of several objects, sums and largest values over them.
+
+        See `accelsurf.run.result.combined_history`.
+        """
+        if not self.has_ids:
+            return self._one.history
+        return combined_history([segmented.history for segmented in self.objects if segmented.history])
+
+    @cached_property
+    def run_history(self) -> list[StepRecord]:
+        """`history` without corrections, whose potentials are those of their boxes and compare with no others."""
+        edits = {edit.step for edit in self.config.edit[: self.edits_done]}
+        histories = [before_corrections(segmented.history, edits) for segmented in self.objects if segmented.history]
+        return combined_history(histories) if self.has_ids else [*histories, []][0]
+
+    @cached_property
+    def terms(self) -> list[dict[str, Any]]:
+        """The terms of the energy with their settings; "by object" where they differ between objects."""
+        return common_terms([segmented.terms for segmented in self.objects]) if self.has_ids else self._one.terms
+
+    @property
+    def learned(self) -> tuple[float, float] | None:
+        """Range of values that the learned model expects in a single object; None for several."""
+        return None if self.has_ids else self._one.learned
+
+    @cached_property
+    def surface(self) -> Surface:
+        """All surfaces as one mesh in world mm (LPS), normals outward.
+
+        Raises
+        ------
+        InputError
+            When no object is left.
+        """
+        if not self.has_ids:
+            return self._one.surface
+        meshes = [segmented.surface for segmented in self.objects if segmented.has_surface]
+        if not meshes:
+            raise InputError("no object is left, so there is no surface", "start closer to the objects")
+        first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+        faces = [mesh.faces + start for mesh, start in zip(meshes, first[:-1], strict=True)]
+        return Surface(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
+
+    @cached_property
+    def contours(self) -> Contours:
+        """The contours of all objects of an image of one slice, in world mm (LPS).
+
+        Raises
+        ------
+        InputError
+            For a volume: it has a `surface`.
+        """
+        if not self.has_ids:
+            return self._one.contours
+        return Contours(
+            tuple(loop for segmented in self.objects if segmented.has_surface for loop in segmented.contours.loops)
+        )
+
+    def labels_volume(self) -> Volume:
+        """The labels on the input's grid with its header."""
+        return self.volume.with_array(self.labels)
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume of all objects, mm3, sub-voxel."""
+        return sum(segmented.volume_mm3 for segmented in self.objects)
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of their surfaces, mm2; where two touch, it counts for both."""
+        return sum(segmented.area_mm2 for segmented in self.objects)
+
+    @property
+    def enclosed_mm2(self) -> float | None:
+        """Area of all objects in an image of one slice, mm2; None for a volume."""
+        is_2d = self.geometry.slice_axis is not None
+        return sum(segmented.enclosed_mm2 or 0.0 for segmented in self.objects) if is_2d else None
+
+    @property
+    def length_mm(self) -> float | None:
+        """Length of all contours in an image of one slice, mm; None for a volume."""
+        is_2d = self.geometry.slice_axis is not None
+        return sum(segmented.length_mm or 0.0 for segmented in self.objects) if is_2d else None
+
+    @property
+    def components(self) -> int:
+        """Number of 6-connected parts of all objects."""
+        return sum(segmented.components for segmented in self.objects)
+
+    @property
+    def touches_border(self) -> bool:
+        """True if any object lies on the border of its grid."""
+        return any(segmented.touches_border for segmented in self.objects)
+
+    @property
+    def quality(self) -> Quality | None:
+        """Measures of quality of a single object, without a reference; None for several, which have their own."""
+        if self.has_ids:
+            return None
+        found: Quality = self._one.quality
+        if self.window is None or found.next_click is None:
+            return found
+        return found._replace(next_click=self.window.place_on_whole(found.next_click))
+
+    def plot(self, **options: Any) -> Any:
+        """Show the result in a notebook or a window, or write a picture or a page; options as of `accelsurf.show`."""
+        # By its public name and only when called: the viewer is a layer above this one.
+        import accelsurf
+
+        return accelsurf.show(self, **options)
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """The run as the JSON report has it, without files."""
+        # By its public name: the report is a layer above this one.
+        import accelsurf
+
+        described: dict[str, Any] = accelsurf.report_of(self)
+        return described
+
+
+#: Public name of a result of several objects: it is a `Result`.
+ObjectsResult = Result
+
+#: Columns of the history that are summed over objects, and those of which the largest counts.
+SUMMED = (
+    "potential", "kinetic", "mass_potential", "friction_work", "smoothing_work", "noise_work", "mass", "volume_mm3",
+    "area_mm2", "band_cells", "cells_visited", "seconds",
+)
+LARGEST = ("mass_correction", "clamped_fraction", "motion_voxels", "limited_fraction")
+
+
+def combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
+    """The history of several objects together, by step.
+
+    Energies, mass, volume and area are summed; the columns of `LARGEST` have the largest value of any object; the other
+    columns are those of the first. An object that has stopped counts with its last record.
+    """
+    records = []
+    for step in range(max(map(len, histories))):
+        now = [history[min(step, len(history) - 1)] for history in histories]
+        sums = {key: sum(getattr(record, key) for record in now) for key in SUMMED}
+        largest = {key: max((getattr(record, key) for record in now), key=abs) for key in LARGEST}
+        records.append(now[0]._replace(step=step, restarted=False, **sums, **largest))
+    return records
+
+
+def before_corrections(history: list[StepRecord], edits: set[int]) -> list[StepRecord]:
+    """The records of a run without those of corrections after it; ``edits`` are the steps of edits of the run itself.
+
+    A correction counts as an edit before its first step, and replaces the record of the final state.
+    """
+    begun = [n for n, row in enumerate(history) if n and row.edits and row.step not in edits]
+    return history[: begun[0]] if begun else history
+
+
+def common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """The terms of all objects; "by object" where a setting differs. Objects that began later may have other terms.
+
+    Examples
+    --------
+    >>> common_terms([[{"term": "threshold", "LO": 3}], [{"term": "threshold", "LO": 4}]])
+    [{'term': 'threshold', 'LO': 'by object'}]
+    >>> common_terms([[{"term": "chan-vese"}], [{"term": "seeded"}]])
+    [{'term': 'chan-vese'}, {'term': 'seeded'}]
+    """
+    same: dict[tuple[Any, int], list[dict[str, Any]]] = {}
+    for of_object in terms:
+        counts = Counter[Any]()
+        for term in of_object:
+            name = term.get("term")
+            same.setdefault((name, counts[name]), []).append(term)
+            counts[name] += 1
+    return [
+        {
+            key: value if all(other.get(key) == value for other in alike) else "by object"
+            for key, value in alike[0].items()
+        }
+        for alike in same.values()
+    ]
+
+
+class RestPoint(NamedTuple):
+    """A rest of an object's front.
+
+    Attributes
+    ----------
+    step : int
+        When it rested.
+    volume_mm3 : float
+        Its volume then.
+    left_at : int
+        Step in which it was seen to break through.
+    place : (x, y, z)
+        Where it grew fastest then, world mm.
+    labels : ndarray (nz, ny, nx), uint8
+        1 where it was inside then, on the object's part of the image's grid.
+    """
+
+    step: int
+    volume_mm3: float
+    left_at: int
+    place: tuple[float, float, float]
+    labels: NDArray[np.uint8]
+
+
+def rest_points(rests: Sequence[FoundRest], prepared: PreprocessedInput, box: Box) -> tuple[RestPoint, ...]:
+    """The rests of an object whose part of the image's grid is ``box``."""
+    return tuple(_point(rest, prepared, box) for rest in rests)
+
+
+def on_larger_box(rests: Sequence[RestPoint], before: Box, box: Box) -> tuple[RestPoint, ...]:
+    """The rests of an object whose part of the image's grid was ``before``, and is now the larger ``box``."""
+    around = [(a.start - b.start, b.stop - a.stop) for a, b in zip(before, box, strict=True)]
+    return tuple(rest._replace(labels=np.pad(rest.labels, around)) for rest in rests)
+
+
+def _point(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> RestPoint:
+    geometry, at = prepared.geometry, rest.at
+    grids = pyramid.levels(geometry.shape, geometry.spacing, at.level + 1)
+    far = float(np.abs(at.surface.psi).max(initial=0.0)) or 1.0
+    corner, psi = to_finest(at.corner, psi_of(at.surface, at.shape, far), at.level, grids)
+    labels = np.zeros(tuple(s.stop - s.start for s in box), np.uint8)
+    first = prepared.first
+    on_image = (corner[0] + first[0], corner[1] + first[1], corner[2] + first[2])
+    mine, theirs = shared((box[0].start, box[1].start, box[2].start), labels.shape, on_image, psi.shape)
+    labels[mine] = psi[theirs] < 0
+    return RestPoint(at.step, at.volume_mm3, rest.left_at, _place(rest, grids[at.level], geometry), labels)
+
+
+def _place(rest: FoundRest, grid: pyramid.Level, geometry: Geometry) -> tuple[float, float, float]:
+    middle = [f + i * width for f, i, width in zip(grid.first, rest.place, grid.factors, strict=True)]
+    x, y, z = (float(v) for v in geometry.index_to_world(middle))
+    return x, y, z
+
+
+class BoxMask(NamedTuple):
+    """Voxels: a ``mask`` of bool on a ``box`` of the grid."""
+
+    box: Box
+    mask: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class RunState:
+    """Inputs of a correction besides the surfaces and settings of a `Result`.
+
+    Attributes
+    ----------
+    prepared : PreprocessedInput
+        Image and mask of the run.
+    contexts : mapping of int to ImageContext
+        Of each object.
+    energy : Energy or callable or None
+        One of the user's own; None for one with a name.
+    clicks : Clicks or None
+        All clicks so far, on the grid of the region of interest; None for none.
+    models : mapping of int to LocalState
+        Of each object whose model refinements have needed, after all of them.
+    totals : mapping of str to ndarray (2, m)
+        Of `accelsurf.run.region_totals.RegionTotals`; empty before the first refinement.
+    settings : mapping of int to RunConfig
+        Of objects whose settings are not those of the run: those that refinements have begun.
+    masks : mapping of int to BoxMask
+        By the number of a refinement, on the grid of the region of interest: voxels that its new object may not have,
+        or that were split off.
+    """
+
+    prepared: PreprocessedInput
+    contexts: Mapping[int, ImageContext] = field(default_factory=dict)
+    energy: EnergyLike | None = None
+    clicks: Clicks | None = None
+    models: Mapping[int, Any] = field(default_factory=dict)
+    totals: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    settings: Mapping[int, RunConfig] = field(default_factory=dict)
+    masks: Mapping[int, BoxMask] = field(default_factory=dict)

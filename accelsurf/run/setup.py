@@ -1,0 +1,358 @@
+"""Levels, flow, stop rule, band and makers of energies of a run under given settings.
+
+Memory that a run takes, by the number of its voxels, and the message where it is too much.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+import secrets
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.energies import CheckedEnergy, Energy
+from accelsurf.errors import UsageError
+from accelsurf.evolution.convergence import Restart, StopRule
+from accelsurf.evolution.setup import SolverSetup
+from accelsurf.flows import Flow, StepLimits
+from accelsurf.grid import pyramid
+from accelsurf.grid.geometry import Geometry
+from accelsurf.grid.pyramid import AUTO_MIN_VOXELS, count_resolved_levels
+from accelsurf.grid.window import NeedsLevels, Window
+from accelsurf.image.volume import Volume
+from accelsurf.io.memory import available_cores
+from accelsurf.run.energy import make_energy
+from accelsurf.run.evolving_object import EnergyMaker, MadeEnergy
+from accelsurf.run.image_context import ImageContext
+from accelsurf.settings import energy_expression
+from accelsurf.settings.catalogue import default_of, energy_settings
+from accelsurf.settings.energy_terms import TERMS
+from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.registry import load
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts.objects import ObjectStart
+
+#: Ratio of the spacings from which on slices are thick.
+THICK = 4.0
+#: What `segment` takes for an energy: a name, an energy, or a function that makes one of the image, (nz, ny, nx)
+#: float32 as in `Result.image`, and the spacing, (hz, hy, hx) mm.
+EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
+#: What `segment_objects` takes for the first voxels of objects: a file, a label map, first surfaces.
+ObjectsLike = str | Volume | NDArray[Any] | Sequence[ObjectStart]
+
+
+def choose_levels(
+    config: RunConfig,
+    geometry: Geometry,
+    psi: NDArray[np.float32] | None,
+    has_name: bool,
+    window: Window | None = None,
+) -> list[pyramid.Level]:
+    """The levels of a configuration, finest first; record 0014 defines ``auto``.
+
+    Parameters
+    ----------
+    config : RunConfig
+    geometry : Geometry
+        Of the region of interest.
+    psi : ndarray or None
+        Of the start; None for several objects, for which ``auto`` is the image's own grid.
+    has_name : bool
+        Whether the energy is one with a name.
+    window : Window, optional
+        What ``geometry`` is of a larger grid: there are as many levels as that has.
+
+    Raises
+    ------
+    UsageError
+        When the grid does not have so many; NeedsLevels when the window may be too small for all that there are.
+    """
+    spacing, wanted = geometry.spacing, config.levels
+    shape = geometry.shape if window is None else window.geometry.shape
+
+    def in_window(grids: list[pyramid.Level]) -> list[pyramid.Level]:
+        if window is None:
+            return grids
+        return pyramid.levels(geometry.shape, spacing, min(len(grids), window.levels), min_voxels=1)
+
+    if wanted == "auto":
+        terms = energy_expression.parse(config.energy)
+        if psi is None or not has_name or any(TERMS[term.name].keeps_fine_edges for term in terms):
+            return in_window(pyramid.levels(shape, spacing, 1))
+        possible = pyramid.levels(shape, spacing, min_voxels=AUTO_MIN_VOXELS)
+        grids = in_window(possible)
+        count = count_resolved_levels(grids, psi)
+        if window is not None and count == window.levels < len(possible):
+            raise NeedsLevels(count + 1)
+        return grids[:count]
+    grids = pyramid.levels(shape, spacing, wanted)
+    if len(grids) < wanted:
+        raise UsageError(
+            f"levels: {wanted} was given, expected at most {len(grids)} for this image",
+            f"the coarsest grid has at least {pyramid.MIN_VOXELS} voxels along an axis that is halved",
+        )
+    return in_window(grids)
+
+
+def setup_of(settings: RunConfig, place: int, levels: int, geometry: Geometry) -> SolverSetup:
+    """Solver settings of the object at a position in the run; each has its own random numbers."""
+    seed = None if settings.seed is None else settings.seed + place
+    return SolverSetup(
+        make_flow(settings.replace(seed=seed) if place else settings),
+        StepLimits(settings.cfl, settings.percentile),
+        Restart() if settings.restart == "auto" else None,
+        half_width(settings),
+        stop_rule(settings, levels),
+        settings.max_volume,
+        window_reach(settings, geometry),
+        settings.stop_at_rest,
+        settings.extension,
+        settings.end,
+    )
+
+
+def energy_maker(energy: EnergyLike | None, settings: RunConfig, levels: int, has_ids: bool) -> EnergyMaker:
+    """The function that makes the energy on each grid; an energy object belongs to one grid only.
+
+    Raises
+    ------
+    UsageError
+        When an energy object was given for several levels or objects.
+    """
+    if energy is None or isinstance(energy, str):
+        return functools.partial(_named_energy, settings)
+    if (levels > 1 or has_ids) and not is_maker(energy):
+        what = f"levels: {levels} was given, expected 1" if levels > 1 else "objects: several were given"
+        raise UsageError(
+            f"{what}: the energy has one image, and each {'level' if levels > 1 else 'object'} needs its own",
+            "give a class or function that makes the energy of (image, spacing), or levels=1 and one object",
+        )
+    return functools.partial(_own_energy, energy, settings)
+
+
+def needs_seed(config: RunConfig) -> bool:
+    """Return True if a configuration has noise at any time, and no seed."""
+    noisy = config.noise > 0 or any(config.at(edit.step).noise > 0 for edit in config.edit if "noise" in edit.settings)
+    return noisy and config.seed is None
+
+
+def seeded(config: RunConfig) -> RunConfig:
+    """The configuration, with a seed if it needs one; drawn once, so that it repeats the run."""
+    return config.replace(seed=secrets.randbelow(2**31)) if needs_seed(config) else config
+
+
+def thin_start_warnings(starts: Sequence[ObjectStart], geometry: Geometry, has_ids: bool) -> list[str]:
+    """A line for each start that lies in a single thick slice, where its surface is known to within a slice only.
+
+    Examples
+    --------
+    >>> psi = np.ones((5, 9, 9), np.float32)
+    >>> psi[2, 3:6, 3:6] = -1.0
+    >>> thin_start_warnings([ObjectStart(1, (0, 0, 0), psi)], Geometry((5, 9, 9), (7.5, 0.5, 0.5)), False)
+    ['start: all of it lies in one slice of 7.5 mm; give one that spans two slices, if the object does']
+    """
+    steps = [h if n > 1 else 0.0 for h, n in zip(geometry.spacing, geometry.shape, strict=True)]
+    axis = int(np.argmax(steps))
+    if steps[axis] < THICK * min(geometry.steps):
+        return []
+    lines = []
+    for start in starts:
+        others = tuple(a for a in range(3) if a != axis)
+        if int((start.psi < 0).any(axis=others).sum()) == 1:
+            name = f"object {start.id}: start" if has_ids else "start"
+            lines.append(
+                f"{name}: all of it lies in one slice of {steps[axis]:g} mm; give one that spans two slices, if the "
+                "object does"
+            )
+    return lines
+
+
+def thread_count(config: RunConfig) -> int:
+    """Return the number of threads of a run."""
+    return available_cores() if config.threads == "auto" else config.threads
+
+
+def _named_energy(
+    settings: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float], context: ImageContext
+) -> MadeEnergy:
+    made = make_energy(settings, image, spacing, context)
+    return MadeEnergy(made.energy, settings.energy, made.terms)
+
+
+def _own_energy(
+    energy: Any,
+    settings: RunConfig,
+    image: NDArray[np.float32],
+    spacing: tuple[float, float, float],
+    context: ImageContext,
+) -> MadeEnergy:
+    checked = own_energy(energy, settings, image, spacing)
+    return MadeEnergy(checked, checked.name, [])
+
+
+def energy_key(config: RunConfig) -> tuple[Any, ...]:
+    """The values of the settings that the energy depends on."""
+    return tuple(getattr(config, key) for key in ("energy", *energy_settings()))
+
+
+def window_reach(settings: RunConfig, geometry: Geometry) -> float:
+    """Return the reach of the energy's terms beyond an object, mm; 0 where none has a window."""
+    reaches = ((TERMS[term.name].reach, term.settings) for term in energy_expression.parse(settings.energy))
+    largest = max(geometry.steps)
+    return max((load(reach)(given, largest) for reach, given in reaches if reach is not None), default=0.0)
+
+
+#: Motion in the steps to come, by the trend, that a converged surface may still make, as a share of the tolerance: the
+#: trend tells it too low by up to this.
+FURTHER = 0.7
+#: Flows whose surface moves slowly also where it has not converged, and the share of the tolerance that it then moves.
+SHORT_STEPS, SLOW = ("flowable-mass", "region-mass", "sobolev"), 0.4
+#: A correction has converged when so many steps have found no lower energy: an oscillation from step to step finds it
+#: in two.
+PATIENCE = 3
+
+
+def stop_rule(config: RunConfig, levels: int) -> StopRule:
+    """When a run on so many levels has converged on the finest one.
+
+    After a coarser level, and where objects part the space between them, whose start has the boundaries of the model,
+    the run begins near its end and is checked more often. The window has an even number of
+    steps, so that an oscillation from step to step cancels. The waves of flowable-mass and region-mass keep their steps
+    short, and the Sobolev gradient is small where forces are uneven: there a slow surface has not converged yet.
+    """
+    further = FURTHER * config.tolerance
+    slow = SLOW * config.tolerance
+    if levels == 1 and not energy_expression.parts_space(config.energy):
+        waves = config.flow in ("flowable-mass", "region-mass")
+        return StopRule(motion=slow if waves else config.tolerance, further=further)
+    if config.flow in SHORT_STEPS:
+        return StopRule(10, slow, further=further)
+    return StopRule(6, config.tolerance, further=further)
+
+
+def correction_rule(config: RunConfig) -> StopRule:
+    """When a correction has converged: it begins near its end, as a run does after a coarser level."""
+    rule = stop_rule(config, 2)
+    return rule if config.flow in SHORT_STEPS else rule._replace(patience=PATIENCE)
+
+
+def half_width(config: RunConfig) -> float:
+    """Half width of the band in voxels; ``auto`` is the one that the flow needs."""
+    if config.half_width == "auto":
+        return float(FLOWS[config.flow].half_width)
+    return float(config.half_width)
+
+
+def own_energy(
+    energy: Any, config: RunConfig, image: NDArray[np.float32], spacing: tuple[float, float, float]
+) -> CheckedEnergy:
+    """An energy of the user's own, made of image and spacing if a class or function is given, with checks.
+
+    Raises
+    ------
+    UsageError
+        When it is incomplete, or a setting was given that it would ignore.
+    """
+    for key in energy_settings():
+        if getattr(config, key) != default_of(key):
+            raise UsageError(
+                f"{key}: {getattr(config, key)} was given, but the energy is one of your own and would ignore it",
+                "give it to the energy itself",
+            )
+    return CheckedEnergy(energy(image, spacing) if is_maker(energy) else energy)
+
+
+def is_maker(energy: Any) -> bool:
+    """Return True if an energy of the user's own is a class or function that makes it of ``(image, spacing)``."""
+    return isinstance(energy, type) or (callable(energy) and not hasattr(energy, "force"))
+
+
+def make_flow(config: RunConfig) -> Flow:
+    """The flow of a configuration."""
+    flow: Flow = load(FLOWS[config.flow].make)(config)
+    return flow
+
+
+#: Bytes of a process that has loaded what a run needs, and of a run by its values: with clicks, and without.
+PROCESS_BYTES, CLICKS_BYTES, PLAIN_BYTES = 450 << 20, 60, 36
+#: Share of the free memory that a run, or a batch, takes unless it is told.
+FREE_SHARE = 0.8
+
+_MEMORY = re.compile(r"([0-9]{1,9}(?:\.[0-9]{0,6})?) *([kmgt]i?)?b?", re.IGNORECASE)
+_UNITS = {"": 1, **{letter: 1000**n for n, letter in enumerate("kmgt", 1)}}
+_UNITS |= {f"{letter}i": 1024**n for n, letter in enumerate("kmgt", 1)}
+
+
+def allowed_bytes(text: str | None, free: int) -> int:
+    """Return the memory that a run may take: what was said, else most of what is free.
+
+    Examples
+    --------
+    >>> allowed_bytes("4GB", 10), allowed_bytes(None, 10)
+    (4000000000, 8)
+    """
+    return int(FREE_SHARE * free) if text is None else memory_of(text)
+
+
+def run_bytes(values: int, clicks: bool, flow: str = "constant-density") -> int:
+    """Return the estimated peak of a process that runs on so many values, all channels together.
+
+    Parameters
+    ----------
+    values : int
+    clicks : bool
+        Whether the run learns from clicks, which takes more.
+    flow : str
+        Its name.
+    """
+    return PROCESS_BYTES + values * _value_bytes(clicks, flow)
+
+
+def values_within(bytes: int, clicks: bool, flow: str = "constant-density") -> int:
+    """Return how many values a run may have within some memory; the inverse of `run_bytes`.
+
+    Examples
+    --------
+    >>> values_within(run_bytes(1000, True), True)
+    1000
+    """
+    return max(0, bytes - PROCESS_BYTES) // _value_bytes(clicks, flow)
+
+
+def _value_bytes(clicks: bool, flow: str) -> int:
+    return (CLICKS_BYTES if clicks else PLAIN_BYTES) + FLOWS[flow].voxel_bytes
+
+
+def bytes_text(size: int) -> str:
+    """Return a size as people read it.
+
+    Examples
+    --------
+    >>> bytes_text(1_234_000_000), bytes_text(56_000_000)
+    ('1.23 GB', '56 MB')
+    """
+    return f"{size / 1e9:.3g} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
+
+
+def memory_of(text: str) -> int:
+    """Return bytes that are written with a unit.
+
+    Raises
+    ------
+    UsageError
+        When they are not.
+
+    Examples
+    --------
+    >>> memory_of("4GB"), memory_of("512 MiB"), memory_of("1.5g")
+    (4000000000, 536870912, 1500000000)
+    """
+    found = _MEMORY.fullmatch(text.strip())
+    size = int(float(found[1]) * _UNITS[(found[2] or "").lower()]) if found is not None else 0
+    if size < 1_000_000:
+        raise UsageError(f"--max-memory: {text} was given, expected at least 1MB", "as in --max-memory 4GB")
+    return size

@@ -1,0 +1,198 @@
+"""Start of a run: its image, its clicks, and the first surface of each object."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.clicks import tables
+from accelsurf.errors import UsageError
+from accelsurf.grid.boxes import bounding_box, corner_of, widened
+from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
+from accelsurf.grid.geometry import Geometry
+from accelsurf.image.volume import Volume
+from accelsurf.io.channels import read_further
+from accelsurf.run.arguments import given_arrays, surfaces_of
+from accelsurf.run.checkpoint import digest_of
+from accelsurf.run.ensemble import union_of, within
+from accelsurf.run.image_context import ImageContext
+from accelsurf.run.preprocessing import PreprocessedInput, preprocess, uses_model
+from accelsurf.run.window_input import WindowInput
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts import objects as object_starts
+from accelsurf.starts.objects import ObjectStart, core_of
+
+#: Voxels around an object's own grid that belong to its part of a result.
+AROUND = 2
+#: So many models are made at once: each marches on arrays of the whole grid, and has threads of its own for its parts.
+MODELS_AT_ONCE = 2
+
+
+@dataclass(frozen=True, eq=False)
+class RunStart:
+    """Image, clicks and first surfaces of a run.
+
+    Attributes
+    ----------
+    config : RunConfig
+        With the energy that clicks on several objects choose where none was given.
+    has_ids : bool
+        Whether objects with ids were given.
+    given : tuple of str
+        Settings given as arrays in place of texts.
+    given_digest : str
+        Their SHA-256.
+    prepared : PreprocessedInput
+    starts : list of ObjectStart
+        On the grid of the region of interest, in order of their ids; 0 first, where something competes that is no
+        object.
+    contexts : list of ImageContext
+        Of the same objects.
+    """
+
+    config: RunConfig
+    has_ids: bool
+    given: tuple[str, ...]
+    given_digest: str
+    prepared: PreprocessedInput
+    starts: list[ObjectStart]
+    contexts: list[ImageContext]
+
+
+def start_of_run(
+    volume: Volume,
+    config: RunConfig,
+    channels: Sequence[Volume],
+    objects: Any,
+    arrays: Mapping[str, NDArray[np.float32]] | None,
+    clicks: Sequence[Click],
+    part: WindowInput | None = None,
+) -> RunStart:
+    """Read and prepare what a run begins with; the parameters are those of `accelsurf.run.run.Run`.
+
+    Raises
+    ------
+    UsageError, InputError
+        As of `accelsurf.segment`.
+    """
+    labels = config.objects if objects is None else objects
+    surfaces = surfaces_of(labels)
+    by_array = given_arrays(labels, arrays) | _masks_of(clicks, volume.geometry)
+    table = None if labels is None or surfaces else tables.read(labels, volume.geometry)
+    if table is not None:
+        clicks = [*clicks, *table.clicks]
+        if "energy" not in config.model_fields_set:
+            config = config.replace(energy="seeded")
+    if labels is not None and any(click.id == 1 for click in clicks) and table is None and not surfaces:
+        raise UsageError("inside: clicks were given with objects", "give a table of objects with a column side")
+    volumes = [volume, *channels, *([] if part is not None else read_further(config.channel, config.reading))]
+    has_ids = labels is not None
+    if surfaces:
+        several = surfaces
+    elif part is not None and part.starts is not None:
+        several, has_ids = list(part.starts), True
+    else:
+        several = _several(labels, table, clicks, config, volume.geometry)
+    union = {"start": union_of(several, volume.geometry)} if several else {}
+    prepared, psi = preprocess(volumes, config, {**(arrays or {}), **union}, clicks, has_ids, part)
+    contexts, starts = [prepared.context], [ObjectStart(1, (0, 0, 0), psi)]
+    if not has_ids:
+        if contexts[0].clicks is None:
+            contexts = [_with_clicks(contexts[0], prepared.clicks, 1)]
+    else:
+        if not several or several[0].id != NO_OBJECT:
+            several = _no_object(prepared, config) + several
+        starts = [within(start, prepared) for start in several]
+        contexts = [_context_of(start, prepared, bool(surfaces)) for start in starts]
+        if table is not None and uses_model(config):
+            starts = _of_models(starts, contexts, prepared.geometry)
+    return RunStart(config, has_ids, tuple(by_array), digest_of(by_array), prepared, starts, contexts)
+
+
+def _context_of(start: ObjectStart, prepared: PreprocessedInput, is_surface: bool) -> ImageContext:
+    """The context of one of several objects.
+
+    Of a first surface that was given, a prediction, the rim may be wrong: models learn from its core, and that of the
+    clicks takes its size for the object's.
+    """
+    spacing = prepared.geometry.spacing
+    context = prepared.context.of_object(start.corner, core_of(start.psi, spacing) if is_surface else start.psi < 0)
+    if is_surface and context.model_inputs.size_mm3 is None:
+        size = float(np.count_nonzero(start.psi < 0)) * prepared.geometry.voxel_volume
+        context = context.with_model_inputs(context.model_inputs._replace(size_mm3=size))
+    return _with_clicks(context, prepared.clicks, start.id)
+
+
+def _masks_of(clicks: Sequence[Click], geometry: Geometry) -> dict[str, NDArray[Any]]:
+    """Clicks that were given as arrays, by side."""
+    given = Clicks(tuple(clicks), geometry.shape)
+    sides = {click.side for click in clicks}
+    return {side: given.mask(side).view(np.uint8) for side in sorted(sides)}
+
+
+def _several(
+    labels: Any, table: Clicks | None, clicks: Sequence[Click], config: RunConfig, geometry: Geometry
+) -> list[ObjectStart]:
+    """First surfaces of several objects on the image's grid; none for a single one."""
+    if labels is None:
+        return []
+    if table is None:
+        return object_starts.read(labels, geometry, AROUND)
+    # With a model the competition is in the force: what is no object needs no surface.
+    starts = tables.starts_of(table, geometry, AROUND)
+    return [start for start in starts if start.id != NO_OBJECT or not uses_model(config)]
+
+
+def _no_object(prepared: PreprocessedInput, config: RunConfig) -> list[ObjectStart]:
+    """The surface that competes for what is no object, where --outside was given with objects."""
+    if prepared.clicks is None or uses_model(config):
+        return []
+    whole = Clicks(
+        tuple(click for click in prepared.clicks.clicks if click.id == NO_OBJECT), prepared.clicks.shape
+    )
+    found = tables.starts_of(whole, prepared.geometry, AROUND)
+    first = prepared.first
+    return [start._replace(corner=_plus(start.corner, first)) for start in found]
+
+
+def _plus(first: tuple[int, int, int], other: tuple[int, int, int]) -> tuple[int, int, int]:
+    return first[0] + other[0], first[1] + other[1], first[2] + other[2]
+
+
+def _with_clicks(context: ImageContext, clicks: Clicks | None, id: int) -> ImageContext:
+    return context if clicks is None else context.with_clicks(clicks.of(id))
+
+
+def _make_models(contexts: Sequence[ImageContext]) -> None:
+    """Make the models of several objects, some at a time; those of a partition share too much for that."""
+    inputs = contexts[0].model_inputs
+    at_once = min(inputs.threads, MODELS_AT_ONCE)
+    if inputs.partition is not None or at_once < 2:
+        return
+    contexts[0].images_to_learn()  # once: they would each begin with it
+    with ThreadPoolExecutor(at_once) as pool:
+        for _ in pool.map(ImageContext.seeded_model, contexts):
+            pass
+
+
+def _of_models(starts: list[ObjectStart], contexts: list[ImageContext], geometry: Geometry) -> list[ObjectStart]:
+    """First surfaces of several objects by the model of each; where two overlap, the lower id has the voxels."""
+    _make_models(contexts)
+    out = []
+    taken = np.zeros(geometry.shape, np.bool_)
+    for start, context in zip(starts, contexts, strict=True):
+        psi = context.model_start()
+        inside = (psi < 0) & ~taken
+        tight = bounding_box(inside)
+        if tight is None:
+            out.append(start)
+            continue
+        taken |= inside
+        box = widened(tight, geometry.shape, (AROUND, AROUND, AROUND))
+        out.append(ObjectStart(start.id, corner_of(box), np.where(inside[box], psi[box], np.abs(psi[box]))))
+    return out

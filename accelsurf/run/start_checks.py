@@ -1,0 +1,324 @@
+"""Checks before step 1: what a start, the energy's bounds and the area weight will do to each other; one line each.
+
+Each line names one command to try.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.energies.constraints.clicks import without_clicks
+from accelsurf.energies.likelihood import NORMAL_MAD
+from accelsurf.evolution.loop import Evolution
+from accelsurf.grid.boxes import Corner, bounding_box, box_at, corner_of, widened
+from accelsurf.grid.clicks import Click
+from accelsurf.grid.geometry import Geometry
+from accelsurf.levelset import LevelSet
+from accelsurf.run.evolving_object import EvolvingObject
+from accelsurf.run.preprocessing import PreprocessedInput
+from accelsurf.settings.wording import place_text, volume_text
+from accelsurf.starts.objects import ObjectStart
+
+#: A start will shrink if less than this part of its values lies within the bounds; a window takes in the surroundings
+#: if it has more than this part of the voxels from so many to so many radii of the start around it.
+MIN_WITHIN, MAX_AROUND, SHELL = 0.2, 0.5, (3.0, 8.0)
+#: A start has outliers if its standard deviation is so many times the median-based one; they lie beyond so many of it.
+OUTLYING, FAR = 2.0, 4.0
+#: A click has values of two kinds if more than this part lies beyond so many of its median-based spreads: of a normal
+#: distribution, and of one with tails, hardly any do. What is less is left out by a model that learns robustly.
+OTHER_KIND, BEYOND_KIND = 0.1, 6.0
+#: Fewest voxels of a start that outliers are looked for in; the surroundings are sampled at about so many voxels.
+MIN_VOXELS, SAMPLES = 20, 1 << 18
+#: The area cannot pull in a start whose curvature it weighs less than this part of the squared contrast.
+SAFE = 0.25
+
+
+class Bounds(NamedTuple):
+    """Values between which the energy takes an object's to be, in the file's unit; None for an open side."""
+
+    low: float | None
+    high: float | None
+
+
+def start_checks(
+    objects: Sequence[EvolvingObject], starts: Sequence[ObjectStart], prepared: PreprocessedInput, has_ids: bool
+) -> list[str]:
+    """A line for each doubt about a start, with what to try; to be called before the first step.
+
+    Parameters
+    ----------
+    objects : sequence of EvolvingObject
+        On the level that they begin on.
+    starts : sequence of ObjectStart
+        Of each, on the grid of the region of interest.
+    prepared : PreprocessedInput
+    has_ids : bool
+        Whether lines name the object.
+    """
+    lines = []
+    for segmented, start in zip(objects, starts, strict=True):
+        # The seeded model chooses start and weight to go together.
+        seeded = any(term["term"] == "seeded" for term in segmented.made.terms)
+        found = [*_of_values(segmented, start, prepared, has_ids)]
+        found += [*_of_size(segmented, prepared), *_of_clicks(segmented, prepared, has_ids)] if seeded else _of_area(
+            segmented, start, prepared
+        )
+        lines += [f"object {segmented.id}: {line}" if has_ids else line for line in found]
+    return lines
+
+
+def _of_values(evolving: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
+    """The checks of the start's values, in the file's unit."""
+    inside = start.psi < 0
+    tight = bounding_box(inside)
+    if tight is None:
+        return []
+    low, width = prepared.context.scales[0]
+    image = prepared.images[0][box_at(start.corner, start.psi.shape)]
+    values = low + width * image[tight][inside[tight]].astype(np.float64)
+    lines = []
+    if prepared.learns:
+        clicked = evolving.context.clicks is not None and bool(evolving.context.clicks.ids())
+        lines = outlier_line(values, inside, start.corner, prepared.geometry, _option(evolving, clicked, has_ids))
+    for term in evolving.made.terms:
+        if term["term"] != "threshold" or "LO" not in term:
+            continue
+        window = Bounds(term["LO"], term["HI"])
+        if line := bounds_line(values, window):
+            lines.append(line)
+        elif line := surroundings_line(low + width * image, inside, start.corner, prepared.geometry, window):
+            lines.append(line)
+    return lines
+
+
+def _option(evolving: EvolvingObject, clicked: bool, has_ids: bool) -> str:
+    """Return the option with a ball as the start or click of an object; the ball replaces the star."""
+    if has_ids:
+        return f"{evolving.id},*{',inside' if clicked else ''} as a row of --objects TABLE"
+    return f"--{'inside' if clicked else 'start'} ball:*"
+
+
+def _of_size(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
+    """Check that the stated size is not more than there is."""
+    size, geometry = evolving.context.model_inputs.size_mm3, prepared.geometry
+    whole = math.prod(geometry.shape) * geometry.voxel_volume
+    if size is None or size < whole:
+        return []
+    return [
+        f"size: {volume_text(size)} was given, and the image has {volume_text(whole)}: the object will fill it; "
+        "try it without --size"
+    ]
+
+
+def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
+    """Check that no click inside has values of two kinds, of which the model learns one."""
+    low, width = prepared.context.scales[0]
+    lines = []
+    for click in () if evolving.context.clicks is None else evolving.context.clicks.clicks:
+        if click.side == "inside":
+            values = low + width * prepared.images[0][click.box][click.mask].astype(np.float64)
+            lines += two_kinds_line(values, click, prepared.geometry, _option(evolving, True, has_ids))
+    return lines
+
+
+def two_kinds_line(values: NDArray[np.float64], click: Click, geometry: Geometry, option: str) -> list[str]:
+    """Check that no good part of a click is unlike the rest; a note: the model learns the rest.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+        Of the click's voxels.
+    click : Click
+    geometry : Geometry
+    option : str
+        What to try, with a star in place of the ball.
+    """
+    middle = float(np.median(values))
+    robust = NORMAL_MAD * float(np.median(np.abs(values - middle)))
+    unlike = np.abs(values - middle) > BEYOND_KIND * robust
+    if values.size < MIN_VOXELS or not robust > 0 or unlike.mean() <= OTHER_KIND:
+        return []
+    rest = click.mask.copy()
+    rest[click.mask] = ~unlike
+    ball = _deepest_ball(rest, corner_of(click.box), geometry)
+    return [
+        f"note: click: {unlike.mean():.0%} of it is unlike the rest (about {np.median(values[unlike]):.4g} beside "
+        f"{middle:.4g}), and what is learned leaves it out; try {option.replace('*', ball)}"
+    ]
+
+
+def _deepest_ball(mask: NDArray[np.bool_], corner: Sequence[int], geometry: Geometry) -> str:
+    """The largest ball in some voxels, as X,Y,Z,R in mm."""
+    steps = geometry.steps
+    around = [(0, 0) if n == 1 else (1, 1) for n in geometry.shape]
+    depth = ndimage.distance_transform_edt(np.pad(mask, around), sampling=geometry.spacing)
+    deepest = np.array(np.unravel_index(int(np.argmax(depth)), depth.shape))
+    index = deepest - [before for before, _ in around] + np.array(corner)
+    radius = float(depth.max()) - 0.5 * min(steps)
+    return f"{place_text(geometry.index_to_world(index.tolist()), steps)},{radius:.2g}"
+
+
+def bounds_line(values: NDArray[np.float64], window: Bounds) -> str:
+    """Check that not nearly all of the start lies beyond the energy's bounds.
+
+    Examples
+    --------
+    >>> bounds_line(np.array([110.0, 112.0]), Bounds(226.0, None))
+    'start: its median is 111, the bound 226: everything will shrink; try --energy threshold:learned,learned'
+    """
+    low, high = window
+    within = _within(values, window)
+    if within.mean() >= MIN_WITHIN:
+        return ""
+    middle = float(np.median(values))
+    bound = low if low is not None and middle < low else high
+    return (
+        f"start: its median is {middle:.4g}, the bound {bound:.4g}: everything will shrink; try --energy "
+        "threshold:learned,learned"
+    )
+
+
+def _within(values: NDArray[Any], window: Bounds) -> NDArray[np.bool_]:
+    low, high = window
+    return np.asarray((values >= (-np.inf if low is None else low)) & (values <= (np.inf if high is None else high)))
+
+
+def surroundings_line(
+    image: NDArray[Any],
+    inside: NDArray[np.bool_],
+    corner: Corner,
+    geometry: Geometry,
+    window: Bounds,
+) -> str:
+    """Check that the energy's window does not take in the surroundings; with a place to click.
+
+    ``corner`` is the first voxel of image and start.
+    """
+    tight, spacing = bounding_box(inside), geometry.spacing
+    assert tight is not None
+    radius = 0.5 * max((s.stop - s.start) * h for s, h, n in zip(tight, spacing, inside.shape, strict=True) if n > 1)
+    margins = [int(np.ceil(SHELL[1] * radius / h)) for h in spacing]
+    box = widened(tight, inside.shape, (margins[0], margins[1], margins[2]))
+    part = inside[box]
+    every = max(1, int(np.ceil((part.size / SAMPLES) ** (1.0 / max(sum(n > 1 for n in part.shape), 1)))))
+    thin = tuple(slice(None, None, every if n > 1 else 1) for n in part.shape)
+    part, values = part[thin], image[box][thin]
+    if not part.any():
+        return ""
+    away = ndimage.distance_transform_edt(~part, sampling=[h * every for h in spacing])
+    shell = (away > (SHELL[0] - 1.0) * radius) & (away < SHELL[1] * radius)
+    if not shell.any():
+        return ""
+    within = shell & _within(values, window)
+    share = np.count_nonzero(within) / np.count_nonzero(shell)
+    if share <= MAX_AROUND:
+        return ""
+    farthest = np.unravel_index(int(np.argmax(np.where(within, away, -1.0))), away.shape)
+    index = [int(i) * (t.step or 1) + s.start + c for i, t, s, c in zip(farthest, thin, box, corner, strict=True)]
+    place = place_text(geometry.index_to_world(index), geometry.steps)
+    return (
+        f"window: it takes in {share:.0%} of the surroundings of the start: it will leak; try --outside point:{place}, "
+        "where it is not the object, in place of --energy"
+    )
+
+
+def outlier_line(
+    values: NDArray[np.float64], inside: NDArray[np.bool_], corner: Corner, geometry: Geometry, option: str
+) -> list[str]:
+    """Check that no values in the start are far from the others, and find the farthest.
+
+    Parameters
+    ----------
+    values : ndarray (n,)
+        Of the start's voxels.
+    inside : ndarray of bool
+        These, from voxel ``corner`` on.
+    corner : (int, int, int)
+    geometry : Geometry
+    option : str
+        What to try, with a star in place of a ball.
+    """
+    middle = float(np.median(values))
+    spread, robust = float(values.std()), NORMAL_MAD * float(np.median(np.abs(values - middle)))
+    if values.size < MIN_VOXELS or not spread > OUTLYING * robust > 0:
+        return []
+    unlike = np.abs(values - middle) > FAR * robust
+    voxels = np.argwhere(inside)
+    farthest = voxels[int(np.argmax(np.abs(values - middle)))] + np.array(corner)
+    place = place_text(geometry.index_to_world(farthest.tolist()), geometry.steps)
+    tight = bounding_box(inside)
+    assert tight is not None
+    rest = inside[tight].copy()
+    rest[inside[tight]] = ~unlike
+    ball = _deepest_ball(rest, np.add(corner_of(tight), corner).tolist(), geometry)
+    return [
+        f"start: {unlike.mean():.1%} of it is unlike the rest (standard deviation {spread:.3g}, median-based "
+        f"{robust:.3g}), the farthest near {place}; what is learned leaves it out; try {option.replace('*', ball)}"
+    ]
+
+
+def _of_area(evolving: EvolvingObject, start: ObjectStart, prepared: PreprocessedInput) -> list[str]:
+    """The check of the area weight; of a weight by noise alone only where the start is small, as it needs memory."""
+    # The start's psi may be no distance any more: its memory is the surface's.
+    of_terms, alpha = _area_of(evolving.made.terms), evolving.evolution.energy.alpha
+    if 0 < alpha <= of_terms * (1.0 + 1e-9):
+        inside, image = start.psi < 0, prepared.images[0]
+        values = image[box_at(start.corner, start.psi.shape)][inside].astype(np.float64)
+        outside = (float(image.sum(dtype=np.float64)) - values.sum()) / max(image.size - values.size, 1)
+        steps = prepared.geometry.steps
+        size = values.size * math.prod(steps)
+        radius = (0.75 * size / math.pi) ** (1 / 3) if len(steps) == 3 else math.sqrt(size / math.pi)
+        if 2.0 * alpha / radius < SAFE * (values.mean() - outside) ** 2:
+            return []
+    return area_line(evolving.evolution, of_terms)
+
+
+def _area_of(terms: Sequence[dict[str, Any]]) -> float:
+    """Weight of the area that terms of chan-vese have of their own, mm."""
+    found = [(term["weight"], term.get("channels", [term])) for term in terms if term["term"] == "chan-vese"]
+    return sum(weight * sum(channel["area"] for channel in seen) / len(seen) for weight, seen in found)
+
+
+def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
+    """Check that the area weight, ``of_terms`` of it not of --smoothness, does not pull in a growing start."""
+    alpha = evolution.energy.alpha
+    surface = evolution.surface
+    if not alpha > 0 or surface.size == 0:
+        return []
+    # On a copy: what a surface has measured of itself is counted with its first step. Where the surface touches a
+    # click nothing acts into it; what would act there tells whether all but the clicks vanishes.
+    energy, front_surface = without_clicks(evolution.energy), surface
+    spacing = (front_surface.grid.hz, front_surface.grid.hy, front_surface.grid.hx)
+    surface = LevelSet(
+        np.array(front_surface.psi), spacing, front_surface.requested_half_width, front_surface.workers, overwrite=True
+    )
+    energy.start(surface)
+    fraction, area = surface.fraction_and_area()
+    energy.value(surface, fraction, area)
+    front = surface.front()
+    variation = surface.area_variation(front, surface.curvature(front))
+    there = (area > 0) & front
+    if not there.any():
+        evolution.energy.start(front_surface)
+        return []
+    weights = area[there]
+    image, both = (
+        float(np.average(energy.force(surface, front, part)[there], weights=weights))
+        for part in (np.zeros_like(variation), variation)
+    )
+    evolution.energy.start(front_surface)
+    if not image < 0.0 < both:
+        return []
+    radius = 2.0 * alpha / (both - image)
+    less = 0.5 * alpha * -image / (both - image)
+    given = f"--smoothness {less - of_terms:.2g}" if less > of_terms else f"--energy chan-vese:area={less:.2g}"
+    return [
+        f"area: the start's radius is about {radius:.3g} mm; under the area weight {alpha:.3g} mm it shrinks below "
+        f"{2.0 * alpha / -image:.3g} mm; try {given}"
+    ]
