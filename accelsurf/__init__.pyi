@@ -21,7 +21,7 @@ from .io import write as write
 from .measure.contours import Contours as Contours
 from .measure.metrics import evaluate as evaluate
 from .measure.surface_mesh import Surface as Surface
-from .report.document import report_of as report_of
+from .output.document import report_of as report_of
 from .run.result import ObjectsResult as ObjectsResult
 from .run.result import Result as Result
 from .settings.run_config import RunConfig as RunConfig

@@ -21,8 +21,8 @@ import numpy as np
 from accelsurf import io
 from accelsurf.image.volume import Volume
 from accelsurf.measure import metrics
+from accelsurf.output.document import versions
 from accelsurf.phantoms import recipe_files, recipes
-from accelsurf.report.document import versions
 from benchmarks import typed
 from benchmarks.clicks.person import next_click
 from benchmarks.pages import head_of, put_table, row_of

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from accelsurf.report.document import versions
+from accelsurf.output.document import versions
 from benchmarks.figures.common import plain
 from tests.support import exact
 from tests.support.follow import WIDTH, lattice, surface_points

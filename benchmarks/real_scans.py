@@ -22,7 +22,7 @@ from scipy import ndimage
 from accelsurf import io
 from accelsurf.image.volume import Volume
 from accelsurf.measure import metrics
-from accelsurf.report.document import versions
+from accelsurf.output.document import versions
 from accelsurf.run.evolving_object import ROOM
 from accelsurf.starts import objects
 from benchmarks import typed

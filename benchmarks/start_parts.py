@@ -26,7 +26,7 @@ IMPORTS = {
     "scipy, scikit-image": ("scipy.ndimage", "skimage.measure", "skimage.graph"),
     "SimpleITK": ("SimpleITK",),
     "Pillow": ("PIL.Image", "PIL.ImageDraw", "PIL.ImageFont"),
-    "accelsurf": ("accelsurf.cli.case", "accelsurf.api.segment", "accelsurf.report.outputs", "accelsurf.io.itk"),
+    "accelsurf": ("accelsurf.cli.case", "accelsurf.api.segment", "accelsurf.output.outputs", "accelsurf.io.itk"),
 }
 #: Functions by the part that they are counted in, without what others of them take within.
 FUNCTIONS = {
@@ -39,7 +39,7 @@ FUNCTIONS = {
     "steps": ("accelsurf.run.run:Run.step",),
     "quality": ("accelsurf.run.result:assess",),
     "mesh": ("accelsurf.run.result:extract",),
-    "picture": ("accelsurf.report.preview:preview_png",),
+    "picture": ("accelsurf.output.pictures.preview:preview_png",),
     "files": ("accelsurf.cli.case:_write",),
 }
 

@@ -15,7 +15,7 @@ from accelsurf.errors import InputError
 from accelsurf.io import split_name
 from accelsurf.io.files import naming
 from accelsurf.io.headers import name_of
-from accelsurf.report.inputs import FILE_KINDS, PLACES
+from accelsurf.output.folder import FILE_KINDS, PLACES
 from accelsurf.settings import budgets
 from accelsurf.settings.output_fields import SettingFields
 from accelsurf.settings.track_config import FRAME_SETTINGS, setting_entry

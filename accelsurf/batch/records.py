@@ -16,9 +16,9 @@ from accelsurf.batch.outcome import CaseTask, Outcome, outcome_of_report
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.image.volume import Volume
 from accelsurf.io.files import read_json, write_bytes
-from accelsurf.report.document import to_json
-from accelsurf.report.inputs import named_files
-from accelsurf.report.result_sets import is_of, is_output, load_report, report_name
+from accelsurf.output.document import to_json
+from accelsurf.output.folder import named_files
+from accelsurf.output.result_sets import is_of, is_output, load_report, report_name
 
 
 def record_path(task: CaseTask) -> Path:

@@ -19,8 +19,8 @@ from accelsurf.batch.tables import TableNames, Tables
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.io.file_set import FileSet, recover
 from accelsurf.io.memory import available_cores, available_memory
-from accelsurf.report import layouts
-from accelsurf.report.result_sets import is_failure_report, report_name
+from accelsurf.output import layouts
+from accelsurf.output.result_sets import is_failure_report, report_name
 from accelsurf.settings.track_config import TrackConfig
 
 #: Makes the line of a case whose worker could not.

@@ -16,8 +16,8 @@ from accelsurf.batch.cases import Shard
 from accelsurf.batch.outcome import COLUMNS, Outcome
 from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
-from accelsurf.report.document import to_json, versions
-from accelsurf.report.output_folder import naming_final
+from accelsurf.output.document import to_json, versions
+from accelsurf.output.folder import naming_final
 
 #: Raised when a key of the report or a column of the table changes its name or its meaning.
 SCHEMA_VERSION = 1

@@ -234,7 +234,7 @@ def _run(
     from accelsurf.cli import batch_case
     from accelsurf.cli.progress import BatchProgress
     from accelsurf.io.file_set import uninterrupted
-    from accelsurf.report.output_folder import opened_set
+    from accelsurf.output.folder import opened_set
 
     interrupts = Interrupts.current()
     with opened_set(folder, work.names.set) as files:

@@ -26,7 +26,7 @@ from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
 from accelsurf.io import channels, read_labels
 from accelsurf.io.file_set import InputFiles
 from accelsurf.io.headers import outside_data_allowed
-from accelsurf.report.result_sets import load_report, outdated_inputs, report_name
+from accelsurf.output.result_sets import load_report, outdated_inputs, report_name
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
 
 #: What a case loads, so that a worker has it before its first one.
-_LOADED = ("accelsurf.api.segment", "accelsurf.report.outputs", "accelsurf.io.itk", "accelsurf.measure.metrics")
+_LOADED = ("accelsurf.api.segment", "accelsurf.output.outputs", "accelsurf.io.itk", "accelsurf.measure.metrics")
 _MEMORY_HINT = "raise --max-memory, lower --jobs, or crop or downsample the image"
 #: Kind of a failure -> exit code of the case, what to do.
 _FAILURES = {

@@ -21,10 +21,24 @@ from accelsurf.errors import AccelsurfError, GeometryError, OutputError
 from accelsurf.io import is_stored, sha256
 from accelsurf.io.file_set import finish_killed_runs
 from accelsurf.io.files import write_bytes
-from accelsurf.report import document, label_files, layouts, mesh_files, output_folder, output_names, result_sets
-from accelsurf.report.document import describe_drafts, describe_input
-from accelsurf.report.inputs import inputs_of
-from accelsurf.report.mesh_files import MeshNotes
+from accelsurf.output import (
+    document,
+    label_files,
+    layouts,
+    result_sets,
+)
+from accelsurf.output import (
+    folder as output_folder,
+)
+from accelsurf.output import (
+    names as output_names,
+)
+from accelsurf.output import (
+    outputs as mesh_files,
+)
+from accelsurf.output.document import describe_drafts, describe_input
+from accelsurf.output.folder import inputs_of
+from accelsurf.output.outputs import MeshNotes
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
@@ -262,7 +276,7 @@ def run_case(
 
 def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finished:
     """Write the outputs of a result, those of a failed run beside a result that stands; remove its checkpoint."""
-    from accelsurf.report import outputs
+    from accelsurf.output import outputs
 
     place, files, log, config = case.place, case.files, case.log, result.config
     title = outputs.outcome_title(place.name, result)

@@ -77,9 +77,8 @@ def compare(
     from accelsurf.cli.case import check_reference
     from accelsurf.cli.progress import Watcher
     from accelsurf.io.channels import read as read_channels
-    from accelsurf.report.document import describe_input
-    from accelsurf.report.inputs import inputs_of
-    from accelsurf.report.output_folder import opened_set, refuse_existing
+    from accelsurf.output.document import describe_input
+    from accelsurf.output.folder import inputs_of, opened_set, refuse_existing
 
     display = display or Display()
     source, folder = required(input, "INPUT"), required(output, "-o DIR, the output folder,")
@@ -149,10 +148,11 @@ def conclude(
     from accelsurf.cli import INTERRUPTED
     from accelsurf.cli.progress import table
     from accelsurf.io.files import write_bytes
-    from accelsurf.report import document, preview
-    from accelsurf.report.document import describe_drafts
-    from accelsurf.report.output_folder import naming_final
-    from accelsurf.report.outputs import preview_content
+    from accelsurf.output import document
+    from accelsurf.output.document import describe_drafts
+    from accelsurf.output.folder import naming_final
+    from accelsurf.output.outputs import preview_content
+    from accelsurf.output.pictures import preview
 
     runs = [_describe_run(name, result, truth) for name, result in results.items()]
     lines = [_table_line(run, result) for run, result in zip(runs, results.values(), strict=True)]
@@ -180,8 +180,8 @@ def conclude(
 
 def _heading(code: int, config: RunConfig) -> dict[str, Any]:
     """The first keys of the comparison."""
-    from accelsurf.report import document
-    from accelsurf.report.document import versions
+    from accelsurf.output import document
+    from accelsurf.output.document import versions
 
     return {
         "schema_version": document.SCHEMA_VERSION,
@@ -195,7 +195,7 @@ def _heading(code: int, config: RunConfig) -> dict[str, Any]:
 
 def _describe_run(name: str, result: Result, truth: Volume | None) -> dict[str, Any]:
     """The entry of a run; its seconds are without those of files and pictures, which do not depend on the flow."""
-    from accelsurf.report import document
+    from accelsurf.output import document
 
     measures = _agreement(result, truth) if truth is not None else None
     seconds = sum(result.seconds.values())
@@ -277,9 +277,9 @@ def demo(
     from accelsurf import io
     from accelsurf.cli.case import Place, run_case
     from accelsurf.cli.progress import Watcher
+    from accelsurf.output.document import describe_input
+    from accelsurf.output.folder import naming_final, opened_set, refuse_existing
     from accelsurf.phantoms import recipes
-    from accelsurf.report.document import describe_input
-    from accelsurf.report.output_folder import naming_final, opened_set, refuse_existing
 
     display = display or Display()
     recipe, image, labels = recipes.load_recipe("cube_noisy"), output / "cube.nii.gz", output / "cube_truth.nii.gz"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from accelsurf.analysis.tracking_scores import TrackingScores
     from accelsurf.batch.pairs import LabelFile, Pair
     from accelsurf.image.volume import Volume
-    from accelsurf.report.evaluation import CaseResult
+    from accelsurf.output.evaluation import CaseResult
 
 SOME_FAILED = 9
 #: A leading hyphen is allowed for `-`, which prints the table.
@@ -89,7 +89,7 @@ def evaluate(
     sides = [side for pair in found for side in (pair.pred, pair.ref) if side is not None]
     _refuse_input_as_table(table, [pairs, names, *(side.path for side in sides)])
     results = [(_try if many else _result)(pair, requested) for pair in found]
-    from accelsurf.report.evaluation import document, table_csv
+    from accelsurf.output.evaluation import document, table_csv
 
     _put(
         table, as_json, lambda: table_csv(results, known),
@@ -169,7 +169,7 @@ def _try(pair: Pair, requested: Request) -> CaseResult:
     """Compare a pair; an error is noted and does not stop the others."""
     from accelsurf.cli.interrupts import say
     from accelsurf.errors import AccelsurfError
-    from accelsurf.report.evaluation import CaseResult
+    from accelsurf.output.evaluation import CaseResult
 
     try:
         return _result(pair, requested)
@@ -184,7 +184,7 @@ def _result(pair: Pair, requested: Request) -> CaseResult:
     from accelsurf import io
     from accelsurf.io.file_set import finish_killed_runs
     from accelsurf.measure.label_metrics import LabelMap, evaluate_labels, evaluate_object
-    from accelsurf.report.evaluation import CaseResult
+    from accelsurf.output.evaluation import CaseResult
 
     if pair.pred is None or pair.ref is None:
         raise InputError(f"there is no {'prediction' if pair.pred is None else 'reference'} of this name")
@@ -223,7 +223,7 @@ def _put(
 ) -> None:
     """Write the table, and print it, or the numbers as JSON or for a person."""
     from accelsurf.io.files import write_bytes
-    from accelsurf.report.document import to_json
+    from accelsurf.output.document import to_json
 
     if table == "-":
         print(csv(), end="")
@@ -240,7 +240,7 @@ def _put(
 
 def _one_pair(result: CaseResult, names: LabelTable) -> dict[str, Any]:
     """One pair for JSON: the numbers of the object, or a list of labels."""
-    from accelsurf.report.evaluation import document
+    from accelsurf.output.evaluation import document
 
     case = document([result], names)["cases"][0]
     head, said = {"pred": result.pred, "ref": result.ref}, {"notes": case["notes"]}
@@ -249,7 +249,7 @@ def _one_pair(result: CaseResult, names: LabelTable) -> dict[str, Any]:
 
 
 def _show(results: list[CaseResult], names: LabelTable, many: bool) -> None:
-    from accelsurf.report.evaluation import notes
+    from accelsurf.output.evaluation import notes
 
     agreements = results[0].agreements if results else ()
     if many or not agreements or agreements[0].label is not None:
@@ -268,7 +268,7 @@ def _print_values(values: Mapping[str, float | int | None], notes: Iterable[str]
 
 def _print_table(results: list[CaseResult], names: LabelTable, many: bool) -> None:
     from accelsurf.cli.progress import table
-    from accelsurf.report.evaluation import label_entry, label_name, notes, printed_rows, summaries
+    from accelsurf.output.evaluation import label_entry, label_name, notes, printed_rows, summaries
 
     named = any(label_name(found, names) for result in results for found in result.agreements)
     head, rows, said = (("case",) if many else ()) + ("label",) + (("name",) if named else ()), [], []
@@ -298,7 +298,7 @@ def _evaluate_tracks(pred: str | None, ref: str | None, as_json: bool, table: st
     """Compare tracks with a reference; the table has a row for each frame."""
     from accelsurf.analysis.tracked_files import compare, open_tracks
     from accelsurf.io.file_set import finish_killed_runs
-    from accelsurf.report.tables import csv_text
+    from accelsurf.output.tables import csv_text
 
     sides = [Path(name) for name in _both(pred, ref)]
     for path in sides:

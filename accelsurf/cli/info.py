@@ -38,7 +38,7 @@ def info(
     if image is not None:
         _show_image(image, as_json, run_config(reading).reading)
         return 0
-    from accelsurf.report.document import to_json
+    from accelsurf.output.document import to_json
     from accelsurf.settings.presets import PRESETS
     from accelsurf.settings.run_config import RunConfig
 
@@ -62,7 +62,7 @@ def info(
 
 def _show_image(path: Path, as_json: bool, requested: ReadOptions) -> None:
     """Print what an image is."""
-    from accelsurf.report.document import to_json
+    from accelsurf.output.document import to_json
 
     volumes = _listing(path)
     if volumes is not None and requested.series is None:
@@ -91,7 +91,7 @@ def _listing(path: Path) -> list[dict[str, Any]] | None:
 
 def _show_volumes(volumes: list[dict[str, Any]], as_json: bool) -> None:
     """Print the volumes of a folder, a block of lines each."""
-    from accelsurf.report.document import to_json
+    from accelsurf.output.document import to_json
 
     if as_json:
         print(to_json({"volumes": volumes}))
@@ -171,8 +171,8 @@ def _known() -> dict[str, Any]:
     """Names by kind: lists of them, or dictionaries with the meaning of each."""
     from accelsurf.cli import EXIT_CODES
     from accelsurf.evolution.records import StopReason
+    from accelsurf.output.document import versions
     from accelsurf.phantoms import recipe_files
-    from accelsurf.report.document import versions
     from accelsurf.settings.energy_terms import TERMS, image_terms
     from accelsurf.settings.file_formats import image_suffixes
     from accelsurf.settings.flow_specs import FLOWS

@@ -62,8 +62,7 @@ def look(
     from accelsurf.image.grey_window import parse_window
     from accelsurf.io.file_set import InputFiles
     from accelsurf.io.files import write_bytes
-    from accelsurf.report.inputs import inputs_of
-    from accelsurf.report.output_folder import make_writable
+    from accelsurf.output.folder import inputs_of, make_writable
 
     source = required(input, "IMAGE")
     shown = parse_window(window)
@@ -73,7 +72,7 @@ def look(
         raise OutputError(f"{path}: exists already", "choose another with -o, or add --overwrite")
     volumes, grid = _read(source, level, run_config(reading).reading)
     _say_notes(volumes)
-    from accelsurf.report.look import look_png  # loads what draws
+    from accelsurf.output.pictures.look import look_png  # loads what draws
 
     geometry = volumes[0].geometry
     place = None if at is None else _place(at, grid)

@@ -22,7 +22,7 @@ from accelsurf.cli import batch_case
 from accelsurf.cli.interrupts import say
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.io.file_set import FileSet
-from accelsurf.report.output_folder import opened_set
+from accelsurf.output.folder import opened_set
 from accelsurf.settings.run_config import RunConfig
 
 #: What a case may be: a path, or a mapping with ``image`` and, if wanted, ``id``, ``reference`` and settings.

@@ -108,8 +108,7 @@ def movie(
     """
     from accelsurf.cli.progress import Watcher
     from accelsurf.io import channels
-    from accelsurf.report.inputs import inputs_of
-    from accelsurf.report.output_folder import refuse_existing
+    from accelsurf.output.folder import inputs_of, refuse_existing
     from accelsurf.run.run import Run
     from accelsurf.viewer.frontends import movie_file
     from accelsurf.viewer.frontends.drawing_process import DrawingProcess, SceneRecipe
@@ -139,7 +138,7 @@ def movie(
 
 def _check_target(target: Path, preview: bool, size: tuple[int, int]) -> None:
     """Refuse a file that cannot be written here, before anything is computed."""
-    from accelsurf.report import movies
+    from accelsurf.output.pictures import movies
 
     if not preview:
         if target.suffix.lower() == ".png":
@@ -169,7 +168,7 @@ def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, Run
 
 def _draw(run: Run, drawing: DrawingProcess, target: Path, movie: MovieSettings | None, watcher: Watcher) -> str:
     """Run to the end; write the movie, or without its settings a picture of the last step; describe the file."""
-    from accelsurf.report import movies
+    from accelsurf.output.pictures import movies
     from accelsurf.viewer.frontends import movie_file
 
     if movie is None:

@@ -16,8 +16,8 @@ from accelsurf.cli.interrupts import Interrupts
 from accelsurf.cli.outcome import file_lines
 from accelsurf.errors import OutputError
 from accelsurf.io.files import write_bytes
-from accelsurf.report import document, output_folder, result_sets, tables
-from accelsurf.report.document import describe_drafts, describe_input
+from accelsurf.output import document, folder, result_sets, tables
+from accelsurf.output.document import describe_drafts, describe_input
 from accelsurf.run.ensemble import overall_stop
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from accelsurf.cli.options import Display
     from accelsurf.io.file_set import FileSet
     from accelsurf.large.windowed import LargeImage
-    from accelsurf.report.group_files import GroupRecord
+    from accelsurf.output.group_files import GroupRecord
     from accelsurf.settings.run_config import RunConfig
 
 _BEGIN_ANEW = "add --overwrite in place of --resume, to begin anew"
@@ -59,7 +59,7 @@ def write_outputs(
     names = place.names(config, image.geometry.slice_axis is not None)
     rows = rows_of(done)
     code = SOME_FAILED if done.failures else 0
-    with interrupts.patience("finishing the files"), output_folder.naming_final(files):
+    with interrupts.patience("finishing the files"), folder.naming_final(files):
         kinds = {names["labels"]: "labels", names["objects"]: "objects", **_link_meshes(done, files, place.name)}
         _write_labels(files.drafts / names["labels"], image, done)
         write_bytes(files.drafts / names["objects"], tables.objects_csv(rows).encode())

@@ -23,7 +23,9 @@ from accelsurf.cli.options import Display
 from accelsurf.cli.progress import BatchProgress
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io.file_set import refuse_links
-from accelsurf.report import group_files, output_folder, output_names, result_sets
+from accelsurf.output import folder as output_folder
+from accelsurf.output import group_files, result_sets
+from accelsurf.output import names as output_names
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
@@ -33,12 +35,12 @@ if TYPE_CHECKING:
     from accelsurf.large.object_starts import ManyStarts
     from accelsurf.large.whole_image import Numbers
     from accelsurf.large.windowed import LargeImage
-    from accelsurf.report.group_files import GroupRecord
+    from accelsurf.output.group_files import GroupRecord
 
 #: Settings that change nothing of what a group leaves.
 _WITHOUT_EFFECT = ("threads", "checkpoint", "format")
 #: Modules that a group loads, so that a worker has it before its first one.
-_LOADED = ("accelsurf.large.many_objects", "accelsurf.report.document")
+_LOADED = ("accelsurf.large.many_objects", "accelsurf.output.document")
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from accelsurf.cli.interrupts import MAX_ERROR, Interrupts, doubt_line, printable, say
 from accelsurf.cli.options import Display, ProgressKind
-from accelsurf.report.document import to_json
+from accelsurf.output.document import to_json
 from accelsurf.settings.trace_columns import row_values
 
 if TYPE_CHECKING:

@@ -170,7 +170,7 @@ def _source_of(path: Path, image: Path | None) -> _Source:
     """
     from accelsurf.io import sha256
     from accelsurf.io.file_set import finish_killed_runs
-    from accelsurf.report import result_sets
+    from accelsurf.output import result_sets
 
     folder = path if path.is_dir() else path.parent
     if not path.exists():
@@ -212,7 +212,7 @@ def _check_image(source: _Source, checksum: str | None) -> None:
 
 def _refuse_changed(place: Place, source: _Source) -> None:
     """Refuse to replace files that are not the run's any more."""
-    from accelsurf.report import result_sets
+    from accelsurf.output import result_sets
 
     of_run = {*result_sets.unchanged_outputs(source.report, ()), source.report.name}
     others = [path for path in place.paths(source.state.config).values() if path.exists() and path.name not in of_run]

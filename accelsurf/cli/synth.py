@@ -14,12 +14,12 @@ from accelsurf.cli.options import Output, Overwrite, required
 from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
 from accelsurf.io.sequences.writing import SequenceWriter
+from accelsurf.output.document import describe_drafts, to_json, versions
+from accelsurf.output.folder import naming_final, opened_set, refuse_existing
+from accelsurf.output.tables import csv_text
 from accelsurf.phantoms import recipes
 from accelsurf.phantoms.motions import MotionRecipe, MovingPhantom
 from accelsurf.phantoms.recipes import Recipe
-from accelsurf.report.document import describe_drafts, to_json, versions
-from accelsurf.report.output_folder import naming_final, opened_set, refuse_existing
-from accelsurf.report.tables import csv_text
 from accelsurf.report.track_document import ML
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from accelsurf.cli.case import Place
 from accelsurf.errors import AccelsurfError, OutputError
-from accelsurf.report import output_folder, result_sets
+from accelsurf.output import folder, result_sets
 
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
@@ -128,7 +128,7 @@ def report_failure(case: TrackCase, error: BaseException) -> None:
 
 def _look_at_state(case: TrackCase) -> None:
     """Refuse to lose the work of a killed run, or take it away where that was asked for."""
-    output_folder.refuse_folder(case.state)
+    folder.refuse_folder(case.state)
     there = [path for path in (case.state, case.store) if path.exists()]
     if there and not (case.place.resume or case.place.overwrite):
         raise OutputError(

@@ -25,7 +25,7 @@ def warmup(
     import time
 
     from accelsurf.kernels import storage
-    from accelsurf.report import warmup as runs
+    from accelsurf.output import warmup as runs
 
     began = time.perf_counter()
     if storage.STORAGE is None:

@@ -1,4 +1,4 @@
-"""Triangles sampled into a depth buffer, for `accelsurf.report.rasterizer`."""
+"""Triangles sampled into a depth buffer, for `accelsurf.output.pictures.rasterizer`."""
 
 from __future__ import annotations
 

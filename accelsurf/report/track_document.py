@@ -1,4 +1,4 @@
-"""The report of a tracking as JSON, after the model of `accelsurf.report.document`, and its tables as CSV text."""
+"""The report of a tracking as JSON, after the model of `accelsurf.output.document`, and its tables as CSV text."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.image.sequence import ImageSequence
-from accelsurf.report import document
-from accelsurf.report.document import SCHEMA_VERSION, Status, describe_input, peak_rss_mb, to_json, versions
-from accelsurf.report.tables import csv_text
+from accelsurf.output import document
+from accelsurf.output.document import SCHEMA_VERSION, Status, describe_input, peak_rss_mb, to_json, versions
+from accelsurf.output.tables import csv_text
 from accelsurf.report.track_frames import TrackSet
 from accelsurf.report.track_slices import beats_of
 
@@ -47,7 +47,7 @@ def build(
     warnings : sequence of str, optional
     seconds : mapping of str to float, optional
     outputs : sequence of mapping, optional
-        From `accelsurf.report.document.describe_output`.
+        From `accelsurf.output.document.describe_output`.
 
     Returns
     -------

@@ -9,7 +9,7 @@ from typing import Literal
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.report.result_sets import report_name
+from accelsurf.output.result_sets import report_name
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS
 from accelsurf.settings.mesh_formats import Shape, mesh_formats
 from accelsurf.settings.registry import load

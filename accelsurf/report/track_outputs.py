@@ -17,9 +17,11 @@ from accelsurf.io.file_set import FileSet, refuse_links
 from accelsurf.io.files import write_bytes
 from accelsurf.measure import contours, surface_mesh
 from accelsurf.measure.surface_mesh import Surface
-from accelsurf.report import output_folder, result_sets, track_document, track_slices
-from accelsurf.report.document import describe_drafts
-from accelsurf.report.inputs import inputs_of
+from accelsurf.output import folder as output_folder
+from accelsurf.output import result_sets
+from accelsurf.output.document import describe_drafts
+from accelsurf.output.folder import inputs_of
+from accelsurf.report import track_document, track_slices
 from accelsurf.report.track_files import TrackFiles, is_of_frame, labels_name, mesh_name
 from accelsurf.report.track_frames import FrameStore, TrackSet, frame_digits, remove_store
 from accelsurf.run.region_of_interest import cropped

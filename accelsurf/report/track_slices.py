@@ -21,8 +21,8 @@ from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow
 from accelsurf.image.volume import Volume
 from accelsurf.io.headers import UNIT_KEY
-from accelsurf.report import movies
-from accelsurf.report.canvas import (
+from accelsurf.output.pictures import movies
+from accelsurf.output.pictures.canvas import (
     DARK,
     PALE,
     REFERENCE,
@@ -37,8 +37,9 @@ from accelsurf.report.canvas import (
     write_legend,
     write_scales,
 )
-from accelsurf.report.movies import Picture
-from accelsurf.report.slice_plot import (
+from accelsurf.output.pictures.movies import Picture
+from accelsurf.output.pictures.slice_views import MARGIN, Ranges, SliceView, displayed, native_plane, ranges_around
+from accelsurf.output.pictures.slices import (
     REFERENCE_DASHES,
     NamedLine,
     ShownImage,
@@ -49,7 +50,6 @@ from accelsurf.report.slice_plot import (
     name_section,
     write_line_names,
 )
-from accelsurf.report.slice_views import MARGIN, Ranges, SliceView, displayed, native_plane, ranges_around
 from accelsurf.report.track_frames import DrawnObject, FrameRow, TrackSet
 from accelsurf.tracking.records import SurfacePiece
 
@@ -256,12 +256,12 @@ def picked(rows: tuple[FrameRow, ...]) -> list[FrameRow]:
 
 
 def check_mp4(geometry: Geometry) -> None:
-    """Refuse to begin without the encoder of mp4; errors as `accelsurf.report.movies.check_target`."""
+    """Refuse to begin without the encoder of mp4; errors as `accelsurf.output.pictures.movies.check_target`."""
     movies.check_target(Path("movie.mp4"), MOVIE_SIZE)
 
 
 def check_webp(geometry: Geometry) -> None:
-    """Refuse to begin without the encoder of webp; errors as `accelsurf.report.movies.check_target`."""
+    """Refuse to begin without the encoder of webp; errors as `accelsurf.output.pictures.movies.check_target`."""
     movies.check_target(Path("movie.webp"), MOVIE_SIZE)
 
 

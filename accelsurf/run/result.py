@@ -205,7 +205,7 @@ class Result:
     edits_done : int
         Number of edits of ``config`` that were applied.
     resolved_settings : dict
-        Values used for settings that depend on image and grid: see `accelsurf.report.document`.
+        Values used for settings that depend on image and grid: see `accelsurf.output.document`.
     late_growth : (float, float, float) or None
         Index (z, y, x) of the voxel near which the surfaces grew most in the last quarter of their growth; None without
         any, or where no object is any more.

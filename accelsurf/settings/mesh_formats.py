@@ -130,22 +130,22 @@ class LabelOutput:
 LABEL_OUTPUTS: Registry[LabelOutput] = Registry(
     "label output",
     LabelOutput(
-        "seg.nrrd", "segmentation of 3D Slicer", "segmentation.seg.nrrd", "accelsurf.report.label_files:seg_nrrd"
+        "seg.nrrd", "segmentation of 3D Slicer", "segmentation.seg.nrrd", "accelsurf.output.label_files:seg_nrrd"
     ),
-    LabelOutput("itk-snap", "label descriptions of ITK-SNAP", "labels.txt", "accelsurf.report.label_files:itk_snap"),
-    LabelOutput("ctbl", "colour table of 3D Slicer", "labels.ctbl", "accelsurf.report.label_files:color_table"),
-    LabelOutput("tsv", "table of labels as in BIDS", "dseg.tsv", "accelsurf.report.label_files:bids_table"),
+    LabelOutput("itk-snap", "label descriptions of ITK-SNAP", "labels.txt", "accelsurf.output.label_files:itk_snap"),
+    LabelOutput("ctbl", "colour table of 3D Slicer", "labels.ctbl", "accelsurf.output.label_files:color_table"),
+    LabelOutput("tsv", "table of labels as in BIDS", "dseg.tsv", "accelsurf.output.label_files:bids_table"),
     LabelOutput(
         "dicom-seg", "DICOM segmentation, of an image in DICOM", "segmentation.dcm",
-        "accelsurf.report.dicom_seg:write_segmentation", needs_dicom=True,
+        "accelsurf.output.dicom:write_segmentation", needs_dicom=True,
     ),
     LabelOutput(
         "dicom-labelmap", "the same as a label map, which is smaller; few programs read it", "labelmap.dcm",
-        "accelsurf.report.dicom_seg:write_labelmap", needs_dicom=True,
+        "accelsurf.output.dicom:write_labelmap", needs_dicom=True,
     ),
     LabelOutput(
         "rtstruct", "DICOM structure set, of an image in DICOM", "rtstruct.dcm",
-        "accelsurf.report.dicom_seg:write_structure_set", needs_dicom=True,
+        "accelsurf.output.dicom:write_structure_set", needs_dicom=True,
     ),
 )
 

@@ -59,7 +59,7 @@ def main() -> None:
                 rows.append({"size": size, "run": name, "way": way, **row})
                 print(json.dumps(rows[-1]), flush=True)
     rows.sort(key=lambda row: (row["size"], list(RUNS).index(row["run"]), row["way"]))
-    from accelsurf.report.document import versions
+    from accelsurf.output.document import versions
 
     result = {"versions": versions(), "load": os.getloadavg(), "limits": LIMITS, "planned": PLANNED, "runs": rows}
     RESULT.write_text(json.dumps(result, indent=1) + "\n")

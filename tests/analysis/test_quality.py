@@ -16,7 +16,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.measure import quality
 from accelsurf.measure.metrics import dice
 from accelsurf.measure.quality import RestNote, assess, click_features, features
-from accelsurf.report.document import describe_quality, to_json
+from accelsurf.output.document import describe_quality, to_json
 from accelsurf.starts import starts
 from tests.support.records import step_record
 

@@ -13,7 +13,7 @@ from accelsurf.batch.outcome import CaseTask, Outcome
 from accelsurf.batch.run import Batch
 from accelsurf.batch.tables import Tables
 from accelsurf.errors import OutputError
-from accelsurf.report.output_folder import opened_set
+from accelsurf.output.folder import opened_set
 from accelsurf.settings.run_config import RunConfig
 from tests.support.batch_jobs import InlinePool
 

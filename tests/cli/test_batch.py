@@ -22,7 +22,7 @@ from accelsurf.batch.outcome import Outcome
 from accelsurf.cli import batch_case, case
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.report import preview
+from accelsurf.output.pictures import preview
 from tests.support.batch_jobs import InlinePool
 
 SIZE = 16

@@ -392,7 +392,7 @@ def test_readers_finish_the_moves_of_a_killed_run(scans, tmp_path, capsys, monke
 
 
 def test_a_file_that_appears_while_the_run_goes_on_is_not_replaced(scans, tmp_path, capsys, monkeypatch):
-    from accelsurf.report import preview
+    from accelsurf.output.pictures import preview
 
     def precious(*args):
         (tmp_path / "ball_trace.csv").write_text("precious")
@@ -467,7 +467,7 @@ def test_internal_error_is_a_line_a_report_and_with_debug_a_traceback(scans, tmp
 
 
 def test_write_that_fails_half_way_is_reported(scans, tmp_path, capsys, monkeypatch):
-    from accelsurf.report import preview
+    from accelsurf.output.pictures import preview
 
     def full(*args):
         raise OSError(28, "No space left on device")

@@ -118,7 +118,7 @@ def test_look_shows_a_level_that_is_not_too_large(scans, tmp_path, capsys, monke
 def test_a_run_in_parts_reads_no_byte_for_a_checksum(scans, tmp_path, monkeypatch):
     pytest.importorskip("zarr")
     hashed = []
-    for name in ("accelsurf.cli.case.sha256", "accelsurf.report.result_sets.sha256", "accelsurf.io.sha256"):
+    for name in ("accelsurf.cli.case.sha256", "accelsurf.output.result_sets.sha256", "accelsurf.io.sha256"):
         monkeypatch.setattr(name, lambda path: hashed.append(path) or "x")
     assert segment(scans / "a.ome.zarr", tmp_path / "good", "--max-memory", LITTLE) == 0
     assert segment(scans / "a.ome.zarr", tmp_path / "none", "--max-memory", "475MB") == 3

@@ -10,7 +10,7 @@ import pytest
 from accelsurf import cli, io
 from accelsurf.batch import pool
 from accelsurf.image.volume import Volume
-from accelsurf.report.layouts import BidsName
+from accelsurf.output.layouts import BidsName
 from tests.support.batch_jobs import InlinePool
 
 #: The rule of BIDS for label maps in derivatives: entities in this order, each at most once, then the suffix.

@@ -7,7 +7,7 @@ from matplotlib import image as mpl_image
 from accelsurf import cli, io
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.report import canvas
+from accelsurf.output.pictures import canvas
 from tests.io.formats.test_ome_zarr import make_store
 
 

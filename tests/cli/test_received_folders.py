@@ -381,7 +381,7 @@ def test_a_folder_in_the_place_of_a_state_is_a_documented_error(received, capfd)
 
 @pytest.mark.parametrize("plant", ["a link", "a name elsewhere", "a name of another image"])
 def test_a_record_of_a_group_that_was_planted_brings_no_file(plant, tmp_path):
-    from accelsurf.report import group_files
+    from accelsurf.output import group_files
 
     folder = tmp_path / ".scan_objects" / "group-1-0123"
     real = folder.parent / "real" if plant == "a link" else folder

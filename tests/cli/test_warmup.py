@@ -13,8 +13,8 @@ import pytest
 from accelsurf import cli, io
 from accelsurf.image.volume import Volume
 from accelsurf.kernels import storage
+from accelsurf.output import warmup
 from accelsurf.phantoms import recipes
-from accelsurf.report import warmup
 from accelsurf.settings.flow_specs import FLOWS
 
 PACKAGE = Path(cli.__file__).parents[1]
@@ -23,7 +23,7 @@ PACKAGE = Path(cli.__file__).parents[1]
 CODE = """
 import gc, json
 from numba.core.dispatcher import Dispatcher
-from accelsurf.report.warmup import small_runs
+from accelsurf.output.warmup import small_runs
 
 for run in small_runs().values():
     run()

@@ -278,7 +278,7 @@ def track_toml(given: Input, folder: Path) -> None:
 
 def report(given: Input, folder: Path) -> None:
     """A report with the state that it names, as ``refine``, ``batch --resume``, ``movie`` and ``view`` read it."""
-    from accelsurf.report import result_sets
+    from accelsurf.output import result_sets
     from accelsurf.settings.run_config import RunConfig
     from accelsurf.viewer.frontends.movie_file import run_of_folder
 

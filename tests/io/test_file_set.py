@@ -512,7 +512,7 @@ def test_without_a_place_for_journals_a_set_is_written_and_a_line_says_so(state,
 def test_an_output_folder_that_goes_away_is_an_error_of_its_name(tmp_path):
     import shutil
 
-    from accelsurf.report.output_folder import naming_final, opened_set
+    from accelsurf.output.folder import naming_final, opened_set
 
     folder = tmp_path / "out"
     with pytest.raises(OutputError, match="out"), opened_set(folder, "scan") as files, naming_final(files):

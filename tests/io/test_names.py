@@ -12,7 +12,9 @@ from accelsurf import io
 from accelsurf.errors import InputError, OutputError
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels, images
-from accelsurf.report import canvas, document, output_folder
+from accelsurf.output import document
+from accelsurf.output import folder as output_folder
+from accelsurf.output.pictures import canvas
 from accelsurf.starts import starts
 
 VALUES = np.arange(120, dtype=np.int16).reshape(4, 5, 6)
@@ -171,7 +173,7 @@ def test_a_user_without_a_home():
         "import pwd\n"
         "def unknown(uid): raise KeyError(uid)\n"
         "pwd.getpwuid = unknown\n"
-        "import accelsurf.kernels._jit as j, accelsurf.report.canvas as c\n"
+        "import accelsurf.kernels._jit as j, accelsurf.output.pictures.canvas as c\n"
         "c.Canvas(20, 20, 'a').png(); print('fine')"
     )
     environment = {k: v for k, v in os.environ.items() if k not in ("HOME", "NUMBA_CACHE_DIR", "MPLCONFIGDIR", "USER")}

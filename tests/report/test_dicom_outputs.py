@@ -12,7 +12,7 @@ from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.metrics import dice
-from accelsurf.report import dicom_seg
+from accelsurf.output import dicom
 from accelsurf.settings.labels import LabelEntry, LabelTable
 from accelsurf.settings.reading import ReadOptions
 from tests.support.dicom_sources import SERIES, write_slices
@@ -84,7 +84,7 @@ def shell(tmp_path_factory):
     return shell_run(tmp_path_factory.mktemp("shell") / "scan")
 
 
-@pytest.mark.parametrize("write", [dicom_seg.write_segmentation, dicom_seg.write_labelmap])
+@pytest.mark.parametrize("write", [dicom.write_segmentation, dicom.write_labelmap])
 def test_segmentation_has_the_same_voxels_in_the_world(tmp_path, shell, write):
     found = highdicom.seg.segread(bytes_io.BytesIO(contents(tmp_path, shell, write)))
     volume = found.get_volume(combine_segments=True)
@@ -100,7 +100,7 @@ def test_segmentation_has_the_same_voxels_in_the_world(tmp_path, shell, write):
 
 
 def test_structure_set_has_holes_and_the_areas_of_the_surface(tmp_path, shell):
-    dataset = pydicom.dcmread(bytes_io.BytesIO(contents(tmp_path, shell, dicom_seg.write_structure_set)))
+    dataset = pydicom.dcmread(bytes_io.BytesIO(contents(tmp_path, shell, dicom.write_structure_set)))
     ((mask, planes),) = rasterised(dataset, shell.geometry)
     assert max(map(len, planes.values())) == 2  # the hollow
     assert dice(mask, shell.labels > 0) >= 0.99
@@ -115,13 +115,13 @@ def test_structure_set_has_holes_and_the_areas_of_the_surface(tmp_path, shell):
 
 def test_several_objects(tmp_path):
     result = many_run(tmp_path / "scan")
-    table = contents(tmp_path, result, dicom_seg.write_structure_set)
+    table = contents(tmp_path, result, dicom.write_structure_set)
     dataset = pydicom.dcmread(bytes_io.BytesIO(table))
     assert [roi.ROIName for roi in dataset.StructureSetROISequence] == ["liver", "tumour"]
     assert [roi.ReferencedROINumber for roi in dataset.ROIContourSequence] == [1, 4]
     for (mask, _), label in zip(rasterised(dataset, result.geometry), (1, 4), strict=True):
         assert dice(mask, result.labels == label) >= 0.99
-    found = highdicom.seg.segread(bytes_io.BytesIO(contents(tmp_path, result, dicom_seg.write_segmentation)))
+    found = highdicom.seg.segread(bytes_io.BytesIO(contents(tmp_path, result, dicom.write_segmentation)))
     assert [found.get_segment_description(n).segment_label for n in (1, 2)] == ["liver", "tumour"]
     counts = [int((found.get_volume(segment_numbers=[n]).array > 0).sum()) for n in (1, 2)]
     assert counts == [int((result.labels == label).sum()) for label in (1, 4)]
@@ -133,7 +133,7 @@ def test_same_run_same_bytes_and_another_run_other_identifiers(tmp_path, shell):
     moved = accelsurf.segment(
         io.read(tmp_path / "scan"), start=shell.labels > 0, flow="gradient", max_steps=7, smoothness=0.02
     )
-    for write in (dicom_seg.write_segmentation, dicom_seg.write_labelmap, dicom_seg.write_structure_set):
+    for write in (dicom.write_segmentation, dicom.write_labelmap, dicom.write_structure_set):
         content = contents(tmp_path, shell, write)
         assert contents(tmp_path, again, write) == content == contents(tmp_path, other, write)
         uids = [
@@ -141,7 +141,7 @@ def test_same_run_same_bytes_and_another_run_other_identifiers(tmp_path, shell):
             for one in (content, contents(tmp_path, moved, write), contents(tmp_path, shell, write, LabelTable()))
         ]
         assert len(set(uids)) == 3
-    kinds = (dicom_seg.write_segmentation, dicom_seg.write_labelmap, dicom_seg.write_structure_set)
+    kinds = (dicom.write_segmentation, dicom.write_labelmap, dicom.write_structure_set)
     series = {pydicom.dcmread(bytes_io.BytesIO(contents(tmp_path, shell, write))).SeriesInstanceUID for write in kinds}
     assert len(series) == 3
 
@@ -149,7 +149,7 @@ def test_same_run_same_bytes_and_another_run_other_identifiers(tmp_path, shell):
 def test_settings_of_files_and_threads_change_nothing(tmp_path, shell):
     config = shell.config.replace(threads=2, mesh="stl", save_sdf=True)
     changed = accelsurf.Result(**{**vars_of(shell), "config": config})
-    write = dicom_seg.write_segmentation
+    write = dicom.write_segmentation
     assert contents(tmp_path, changed, write) == contents(tmp_path, shell, write)
 
 
@@ -166,21 +166,21 @@ def test_a_resampled_series(tmp_path):
     options = ReadOptions(resample=True)
     volume = io.read(folder, options=options)
     result = accelsurf.segment(volume, start=far < 11, flow="gradient", max_steps=2, resample=True)
-    dataset = pydicom.dcmread(bytes_io.BytesIO(contents(tmp_path, result, dicom_seg.write_structure_set)))
+    dataset = pydicom.dcmread(bytes_io.BytesIO(contents(tmp_path, result, dicom.write_structure_set)))
     ((mask, planes),) = rasterised(dataset, result.geometry)
     assert dice(mask, result.labels > 0) >= 0.99 and 5 in planes
     for item in dataset.ROIContourSequence[0].ContourSequence:
         k = round((float(item.ContourData[2]) - 7.0) / 2)
         assert ("ContourImageSequence" in item) == (k != 5)
-    found = highdicom.seg.segread(bytes_io.BytesIO(contents(tmp_path, result, dicom_seg.write_segmentation)))
+    found = highdicom.seg.segread(bytes_io.BytesIO(contents(tmp_path, result, dicom.write_segmentation)))
     assert int(found.get_volume(combine_segments=True).array.sum()) == int((result.labels > 0).sum())
 
 
 def test_refusals(tmp_path, shell):
     plain = accelsurf.segment(shell.volume.array, start=shell.labels > 0, flow="gradient", max_steps=1)
     with pytest.raises(UsageError, match="not read from DICOM"):
-        dicom_seg.write_segmentation(plain, TABLE, tmp_path / "a.dcm")
+        dicom.write_segmentation(plain, TABLE, tmp_path / "a.dcm")
     result = shell_run(tmp_path / "empty", StudyInstanceUID="")
     with pytest.raises(InputError, match="has no StudyInstanceUID"):
-        dicom_seg.write_structure_set(result, TABLE, tmp_path / "a.dcm")
+        dicom.write_structure_set(result, TABLE, tmp_path / "a.dcm")
     assert not (tmp_path / "a.dcm").exists()

@@ -19,9 +19,9 @@ from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.measure.surface_mesh import Surface, extract
-from accelsurf.report import canvas, preview
-from accelsurf.report.preview_content import ObjectShape, PreviewContent, marks_of
-from accelsurf.report.slice_views import click_views, doubt_views, main_views, shown_ranges, whole_ranges
+from accelsurf.output.pictures import canvas, preview
+from accelsurf.output.pictures.preview_content import ObjectShape, PreviewContent, marks_of
+from accelsurf.output.pictures.slice_views import click_views, doubt_views, main_views, shown_ranges, whole_ranges
 from accelsurf.settings.wording import volume_text
 from tests.support.records import step_record
 from tests.support.shapes import ball_on_grid
@@ -273,7 +273,7 @@ def test_window_is_that_of_the_object_and_its_surroundings():
 def test_the_plotting_library_is_loaded_by_the_first_picture_and_never_pyplot():
     code = (
         "import sys, numpy as np; from accelsurf.grid.geometry import Geometry\n"
-        "from accelsurf.report import preview; from accelsurf.report.preview_content import PreviewContent\n"
+        "from accelsurf.report import preview; from accelsurf.output.pictures.preview_content import PreviewContent\n"
         "assert 'matplotlib' not in sys.modules\n"
         "psi = np.ones((5, 6, 7), np.float32); psi[2, 2:4, 2:4] = -1\n"
         "made = PreviewContent(psi, psi, Geometry(psi.shape, (1.0, 1.0, 1.0)), [], None, 'a')\n"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.measure.surface_mesh import extract
-from accelsurf.report.rasterizer import render
+from accelsurf.output.pictures.rasterizer import render
 from tests.support.shapes import ball_on_grid
 
 

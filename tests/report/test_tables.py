@@ -6,7 +6,7 @@ import io
 import numpy as np
 
 from accelsurf.evolution.loop import StepRecord
-from accelsurf.report import tables
+from accelsurf.output import tables
 from accelsurf.settings.trace_columns import TRACE_COLUMNS
 from tests.support.records import step_record
 

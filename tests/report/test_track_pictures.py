@@ -6,8 +6,8 @@ import pytest
 from PIL import Image, ImageColor
 
 from accelsurf.grid.geometry import Geometry
+from accelsurf.output.pictures.canvas import GREEN, ORANGE, SKY
 from accelsurf.report import track_slices
-from accelsurf.report.canvas import GREEN, ORANGE, SKY
 from accelsurf.report.track_files import TrackFiles
 from accelsurf.report.track_frames import FrameStore, TrackSet
 from accelsurf.report.track_outputs import TrackOutputs

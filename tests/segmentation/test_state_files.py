@@ -15,7 +15,7 @@ from accelsurf.errors import InputError
 from accelsurf.evolution import serialization
 from accelsurf.image.volume import Volume
 from accelsurf.io import sha256
-from accelsurf.report import result_sets
+from accelsurf.output import result_sets
 from accelsurf.run import checkpoint as run_checkpoint
 from accelsurf.settings.run_config import RunConfig
 

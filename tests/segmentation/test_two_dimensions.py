@@ -11,8 +11,8 @@ import accelsurf
 from accelsurf import cli, io
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.report import canvas, preview
-from accelsurf.report.preview_content import PreviewContent
+from accelsurf.output.pictures import canvas, preview
+from accelsurf.output.pictures.preview_content import PreviewContent
 from accelsurf.settings.run_config import RunConfig
 
 START = ("--start", "ball:20,22,0,6")

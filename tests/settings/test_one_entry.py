@@ -25,7 +25,7 @@ from accelsurf.flows import Gradient
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import channels, headers, meshes
-from accelsurf.report import output_names
+from accelsurf.output import names
 from accelsurf.run.setup import choose_levels, window_reach
 from accelsurf.settings.catalogue import help_of
 from accelsurf.settings.energy_terms import TERMS, Number, TermSpec, examples
@@ -251,7 +251,7 @@ def test_a_run_with_its_files(toys, tmp_path, ending):
 def test_a_mesh_that_holds_no_contours_is_refused_for_a_slice(toys):
     grid = Geometry((1, 8, 9), (1.0, 1.0, 1.0))
     with pytest.raises(UsageError, match="toymesh was given for an image of one slice.*expected vtp, csv"):
-        output_names.check(RunConfig(mesh="toymesh"), "toy", grid)
+        names.check(RunConfig(mesh="toymesh"), "toy", grid)
 
 
 # --------------------------------------------------------------------------------------------------- command line

@@ -13,7 +13,7 @@ from accelsurf.correct.refine import refine
 from accelsurf.correct.refiner import Refiner
 from accelsurf.errors import InputError, UsageError
 from accelsurf.image.volume import Volume
-from accelsurf.report.document import describe_quality, to_json
+from accelsurf.output.document import describe_quality, to_json
 from accelsurf.settings.corrections import corrections_of
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session

@@ -7,7 +7,7 @@ from accelsurf import Volume
 from accelsurf.evolution.records import StepFields
 from accelsurf.grid import pyramid
 from accelsurf.levelset import LevelSet
-from accelsurf.report import tables
+from accelsurf.output import tables
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, ObjectState

@@ -16,7 +16,7 @@ from PIL import Image, ImageSequence
 
 from accelsurf import cli, io
 from accelsurf.errors import InputError, UsageError
-from accelsurf.report import movies
+from accelsurf.output.pictures import movies
 from accelsurf.run.run import Run
 from accelsurf.viewer.frontends import drawing_process, movie_file
 from tests.support import dying_scene, viewing

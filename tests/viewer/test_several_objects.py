@@ -14,7 +14,8 @@ from skimage import color
 from accelsurf import cli, io, segment_objects, show
 from accelsurf.grid import pyramid
 from accelsurf.levelset import LevelSet
-from accelsurf.report import outputs, preview
+from accelsurf.output import outputs
+from accelsurf.output.pictures import preview
 from accelsurf.run.run import Run
 from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.run_config import RunConfig

@@ -15,7 +15,7 @@ from accelsurf.correct.refiner import Change, Refiner
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, counted_from, enclosing, placed_at
-from accelsurf.report.preview_content import marks_of
+from accelsurf.output.pictures.preview_content import marks_of
 from accelsurf.run.ensemble import overall_stop
 from accelsurf.run.result import BoxMask, Result
 from accelsurf.run.run import Run

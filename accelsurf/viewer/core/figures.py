@@ -10,8 +10,8 @@ from accelsurf.correct.finished import result_of
 from accelsurf.errors import UsageError
 from accelsurf.io.headers import VALUE_UNIT_KEY
 from accelsurf.measure.diameters import Diameters, diameters
-from accelsurf.report.label_files import table_of
-from accelsurf.report.tables import rows_of, statistics_csv
+from accelsurf.output.label_files import table_of
+from accelsurf.output.tables import rows_of, statistics_csv
 from accelsurf.run.result import Result
 from accelsurf.viewer.core.timeline import Timeline
 

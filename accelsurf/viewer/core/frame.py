@@ -14,7 +14,7 @@ from accelsurf.clicks.reading import on_image
 from accelsurf.evolution.records import StepFields, StepRecord
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import bounding_box, corner_of
-from accelsurf.report.preview_content import ClickMark, marks_of
+from accelsurf.output.pictures.preview_content import ClickMark, marks_of
 
 if TYPE_CHECKING:
     from accelsurf.flows import Flow

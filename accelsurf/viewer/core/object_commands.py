@@ -19,7 +19,7 @@ from accelsurf.energies.seeded.model import SMOOTHING
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Clicks, Side
 from accelsurf.image.smoothing import gaussian_mm
-from accelsurf.report.label_files import given_labels
+from accelsurf.output.label_files import given_labels
 from accelsurf.run.result import BoxMask
 from accelsurf.run.run import Run
 from accelsurf.settings.labels import colored, named

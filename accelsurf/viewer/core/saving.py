@@ -13,15 +13,10 @@ from accelsurf.correct.finished import result_of
 from accelsurf.errors import UsageError, check_known
 from accelsurf.io.file_set import FileSet, InputFiles
 from accelsurf.io.files import write_bytes
-from accelsurf.report import (
-    document,
-    label_files,
-    output_folder,
-    output_names,
-    outputs,
-    result_sets,
-)
-from accelsurf.report.inputs import inputs_of, named_files
+from accelsurf.output import document, label_files, outputs, result_sets
+from accelsurf.output import folder as output_folder
+from accelsurf.output import names as output_names
+from accelsurf.output.folder import inputs_of, named_files
 from accelsurf.run.result import Result
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord
 from accelsurf.image.volume import Volume
-from accelsurf.report.movies import Picture
+from accelsurf.output.pictures.movies import Picture
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame
 

@@ -13,8 +13,8 @@ from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import StepRecord
 from accelsurf.io.files import read_json
-from accelsurf.report import result_sets
-from accelsurf.report.movies import MAX_SIDE, MIN_SIDE, Picture
+from accelsurf.output import result_sets
+from accelsurf.output.pictures.movies import MAX_SIDE, MIN_SIDE, Picture
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, histories_of_run

@@ -15,7 +15,7 @@ from accelsurf.api.segment import Result
 from accelsurf.errors import UsageError, check_known
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.report.movies import png_bytes
+from accelsurf.output.pictures.movies import png_bytes
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.frontends.export import html_page, write_html
 from accelsurf.viewer.scene.colors import given_styles

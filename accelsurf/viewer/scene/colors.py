@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
-from accelsurf.report import canvas
-from accelsurf.report.canvas import GREEN, PURPLE, VERMILION, YELLOW, object_color
-from accelsurf.report.label_files import given_labels
+from accelsurf.output.label_files import given_labels
+from accelsurf.output.pictures import canvas
+from accelsurf.output.pictures.canvas import GREEN, PURPLE, VERMILION, YELLOW, object_color
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.scene.overlay import round_up

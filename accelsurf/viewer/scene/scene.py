@@ -22,7 +22,7 @@ from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.image.slice_stack import SliceStack
 from accelsurf.image.volume import Volume
 from accelsurf.io.headers import UNIT_KEY, is_anatomical
-from accelsurf.report.movies import write_png
+from accelsurf.output.pictures.movies import write_png
 from accelsurf.viewer.core.frame import COLORS, Frame
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.chart import EnergyChart

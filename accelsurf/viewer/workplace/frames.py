@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from accelsurf.errors import UsageError
-from accelsurf.report.canvas import object_color
+from accelsurf.output.pictures.canvas import object_color
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.colors import ObjectStyle, unnamed

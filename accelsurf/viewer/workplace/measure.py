@@ -14,8 +14,8 @@ import numpy as np
 from accelsurf.errors import UsageError
 from accelsurf.io.files import write_bytes
 from accelsurf.measure.diameters import Diameters
-from accelsurf.report import output_folder
-from accelsurf.report.tables import csv_text
+from accelsurf.output import folder as output_folder
+from accelsurf.output.tables import csv_text
 from accelsurf.settings.corrections import MAX_ID
 from accelsurf.settings.wording import in_unit, size_text
 from accelsurf.viewer.core.measurements import COLUMNS, Measurement, Measurements

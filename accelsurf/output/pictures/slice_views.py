@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, PLANES, DisplayOrientation
-from accelsurf.report.preview_content import PreviewContent
+from accelsurf.output.pictures.preview_content import PreviewContent
 
 #: What is shown around the object: so much of its extent to each side, and at least so many voxels.
 MARGIN, MIN_MARGIN = 0.3, 6

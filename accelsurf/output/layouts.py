@@ -16,7 +16,7 @@ from accelsurf import __version__
 from accelsurf.errors import UsageError
 from accelsurf.io import split_name
 from accelsurf.io.files import write_bytes
-from accelsurf.report.result_sets import FAILED
+from accelsurf.output.result_sets import FAILED
 from accelsurf.settings.run_config import RunConfig
 
 BIDS_VERSION = "1.9.0"

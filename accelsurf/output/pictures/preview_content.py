@@ -13,7 +13,7 @@ from accelsurf.grid.boxes import Box
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.grey_window import GreyWindow
-from accelsurf.report.canvas import object_color
+from accelsurf.output.pictures.canvas import object_color
 from accelsurf.settings.labels import LabelEntry, LabelTable
 
 if TYPE_CHECKING:

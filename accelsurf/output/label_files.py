@@ -10,7 +10,7 @@ from accelsurf.io import label_tables
 from accelsurf.io.file_set import InputFiles
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import DICOM_KEY, LABELS_KEY
-from accelsurf.report.inputs import named_files
+from accelsurf.output.folder import named_files
 from accelsurf.settings.labels import LabelEntry, LabelTable
 from accelsurf.settings.mesh_formats import LABEL_OUTPUTS
 from accelsurf.settings.run_config import RunConfig

@@ -194,7 +194,7 @@ def is_named_as_output(name: str, case: str) -> bool:
     for begin in (f"{case}{FAILED}_", f"{case}_"):
         if name.startswith(begin):
             return _KINDS.fullmatch(name[len(begin) :]) is not None
-    stem, suffix = split_name(name)  # of the layouts, see `accelsurf.report.layouts`
+    stem, suffix = split_name(name)  # of the layouts, see `accelsurf.output.layouts`
     return "_seg-accelsurf_" in name or (bool(suffix) and stem in (case, re.sub(r"_\d{4}$", "", case)))
 
 

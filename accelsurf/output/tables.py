@@ -11,7 +11,7 @@ import numpy as np
 
 from accelsurf.io.headers import VALUE_UNIT_KEY
 from accelsurf.measure.statistics import statistics
-from accelsurf.report.document import to_json
+from accelsurf.output.document import to_json
 from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.trace_columns import TRACE_COLUMNS, row_values
 

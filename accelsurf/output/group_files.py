@@ -23,8 +23,8 @@ from accelsurf.grid.boxes import Box
 from accelsurf.io.file_set import sync
 from accelsurf.io.files import read_json
 from accelsurf.io.set_journals import sync_folder
-from accelsurf.report import output_names
-from accelsurf.report.document import describe_object, describe_window
+from accelsurf.output import names as output_names
+from accelsurf.output.document import describe_object, describe_window
 
 if TYPE_CHECKING:
     from accelsurf.large.group_run import GroupResult
@@ -43,7 +43,7 @@ class GroupRecord:
     near : tuple of int
         Ids of objects that begin where one of the group came to; then there is nothing else.
     rows : list of dict
-        As of `accelsurf.report.document.describe_object`.
+        As of `accelsurf.output.document.describe_object`.
     boxes : list of tuple of slice
         Part of the whole grid that each object has.
     low, high : ndarray (n, 3) of int64

@@ -13,9 +13,10 @@ from accelsurf.grid.orientation import DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.image.volume import Volume
 from accelsurf.io.headers import UNIT_KEY, is_anatomical
-from accelsurf.report.canvas import SKY, SURFACE, TICK_SIZE, YELLOW, Box, Canvas, object_color
-from accelsurf.report.preview import BELOW, LEFT, PANEL, TOP, WIDTH, panel_at
-from accelsurf.report.slice_plot import (
+from accelsurf.output.pictures.canvas import SKY, SURFACE, TICK_SIZE, YELLOW, Box, Canvas, object_color
+from accelsurf.output.pictures.preview import BELOW, LEFT, PANEL, TOP, WIDTH, panel_at
+from accelsurf.output.pictures.slice_views import SliceView, displayed, whole_ranges
+from accelsurf.output.pictures.slices import (
     ShownImage,
     Slice,
     draw_contour,
@@ -24,7 +25,6 @@ from accelsurf.report.slice_plot import (
     open_slice,
     write_letters,
 )
-from accelsurf.report.slice_views import SliceView, displayed, whole_ranges
 
 #: Opacity of the lines of the grid.
 GRID_OPACITY = 0.5

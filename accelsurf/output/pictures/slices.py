@@ -19,7 +19,7 @@ from accelsurf.grid.clicks import NO_OBJECT
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, LETTERS, DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow
-from accelsurf.report.canvas import (
+from accelsurf.output.pictures.canvas import (
     DARK,
     GREEN,
     LABEL_SIZE,
@@ -40,8 +40,8 @@ from accelsurf.report.canvas import (
     write_scales,
     write_title,
 )
-from accelsurf.report.preview_content import ClickMark, PreviewContent
-from accelsurf.report.slice_views import Ranges, SliceView, displayed, fitted, plane_name
+from accelsurf.output.pictures.preview_content import ClickMark, PreviewContent
+from accelsurf.output.pictures.slice_views import Ranges, SliceView, displayed, fitted, plane_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

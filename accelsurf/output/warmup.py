@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from accelsurf.api import warmup
-from accelsurf.report.rasterizer import render
+from accelsurf.output.pictures.rasterizer import render
 from accelsurf.tracking import track
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow, window_of
-from accelsurf.report.canvas import (
+from accelsurf.output.pictures.canvas import (
     BLUE,
     HEADING_SIZE,
     INK,
@@ -34,9 +34,17 @@ from accelsurf.report.canvas import (
     write_scales,
     write_title,
 )
-from accelsurf.report.preview_content import PreviewContent
-from accelsurf.report.slice_plot import draw_slice
-from accelsurf.report.slice_views import Ranges, SliceView, box_of, click_views, doubt_views, main_views, shown_ranges
+from accelsurf.output.pictures.preview_content import PreviewContent
+from accelsurf.output.pictures.slice_views import (
+    Ranges,
+    SliceView,
+    box_of,
+    click_views,
+    doubt_views,
+    main_views,
+    shown_ranges,
+)
+from accelsurf.output.pictures.slices import draw_slice
 
 if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord
@@ -250,7 +258,7 @@ def draw_surface(
         canvas.text(panel.middle, "no surface", LABEL_SIZE, anchor="mm")
         return
     # Not with the module: a picture of slices alone needs no compiled code.
-    from accelsurf.report.rasterizer import render
+    from accelsurf.output.pictures.rasterizer import render
 
     paint: NDArray[np.float64] = _light(color or content.color())
     counts = [shape.vertices for shape in content.objects]
