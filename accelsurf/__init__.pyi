@@ -26,7 +26,7 @@ from .run.result import ObjectsResult as ObjectsResult
 from .run.result import Result as Result
 from .settings.run_config import RunConfig as RunConfig
 from .settings.track_config import TrackConfig as TrackConfig
-from .tracking.track import track as track
+from .track.track import track as track
 from .viewer.frontends.notebook import show as show
 
 __version__: str

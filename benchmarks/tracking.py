@@ -25,8 +25,8 @@ import numpy as np
 from accelsurf.image.volume import Volume
 from accelsurf.phantoms.motions import MotionRecipe, MovingPhantom, motion_from
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.tracking.records import FrameResult
-from accelsurf.tracking.track import Tracking
+from accelsurf.track.records import FrameResult
+from accelsurf.track.track import Tracking
 
 ROOT = Path(__file__).parents[1]
 MODELS = ("flowable-mass", "constant-density", "last-displacement", "none")

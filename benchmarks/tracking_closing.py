@@ -25,8 +25,8 @@ from accelsurf.image.volume import Volume
 from accelsurf.levelset import LevelSet
 from accelsurf.phantoms.motions import MovingPhantom, motion_from
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.tracking.records import SurfacePiece
-from accelsurf.tracking.track import Tracking
+from accelsurf.track.records import SurfacePiece
+from accelsurf.track.track import Tracking
 
 ROOT = Path(__file__).parents[1]
 #: The most that two surfaces may be apart, voxels, on average.

@@ -21,10 +21,10 @@ from scipy import ndimage
 from skimage.filters import threshold_otsu
 
 from accelsurf import io
-from accelsurf.analysis.tracking_scores import stretches
 from accelsurf.image.volume import Volume
-from accelsurf.report.challenge_files import track_lines
-from accelsurf.tracking.track import Tracking
+from accelsurf.track.output.outputs import track_lines
+from accelsurf.track.scores import stretches
+from accelsurf.track.track import Tracking
 
 Labels = NDArray[np.integer[Any]]
 #: Of the segmentation of a frame: blur in voxels, and the smallest part in voxels.

@@ -32,7 +32,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.phantoms.motions import MovingPhantom, load_motion
 from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.tracking.track import Tracking
+from accelsurf.track.track import Tracking
 from benchmarks.tracking_peers import (
     LINKERS,
     Followed,

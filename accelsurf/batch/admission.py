@@ -12,7 +12,7 @@ from accelsurf.io.headers import count_values, options_of
 from accelsurf.run.setup import FREE_SHARE, PROCESS_BYTES, bytes_text, memory_of, run_bytes
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.tracking.joined_sequence import open_sequence
+from accelsurf.track.track import open_sequence
 
 #: Bytes by the values of a frame that is held beside the one that is run on: its voxels, as numbers and as labels.
 _HELD_BYTES = 8

@@ -128,7 +128,7 @@ def outcome_of_report(task: CaseTask, report: Mapping[str, Any], dice: float | N
     ----------
     task : CaseTask
     report : mapping
-        From `accelsurf.output.document.build`, or `accelsurf.report.track_document.build`.
+        From `accelsurf.output.document.build`, or `accelsurf.track.output.document.build`.
     dice : float or None
     """
     error = report["error"]

@@ -15,11 +15,11 @@ from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.settings.labels import IdRanges, LabelTable, parse_ids
 
 if TYPE_CHECKING:
-    from accelsurf.analysis.tracked_files import TrackedFile
-    from accelsurf.analysis.tracking_scores import TrackingScores
     from accelsurf.batch.pairs import LabelFile, Pair
     from accelsurf.image.volume import Volume
     from accelsurf.output.evaluation import CaseResult
+    from accelsurf.track.scored_files import TrackedFile
+    from accelsurf.track.scores import TrackingScores
 
 SOME_FAILED = 9
 #: A leading hyphen is allowed for `-`, which prints the table.
@@ -296,9 +296,9 @@ def _cells(case: str, entry: dict[str, Any], named: bool, many: bool) -> tuple[s
 
 def _evaluate_tracks(pred: str | None, ref: str | None, as_json: bool, table: str | None) -> int:
     """Compare tracks with a reference; the table has a row for each frame."""
-    from accelsurf.analysis.tracked_files import compare, open_tracks
     from accelsurf.io.file_set import finish_killed_runs
     from accelsurf.output.tables import csv_text
+    from accelsurf.track.scored_files import compare, open_tracks
 
     sides = [Path(name) for name in _both(pred, ref)]
     for path in sides:

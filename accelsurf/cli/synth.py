@@ -20,7 +20,7 @@ from accelsurf.output.tables import csv_text
 from accelsurf.phantoms import recipes
 from accelsurf.phantoms.motions import MotionRecipe, MovingPhantom
 from accelsurf.phantoms.recipes import Recipe
-from accelsurf.report.track_document import ML
+from accelsurf.track.output.document import ML
 
 
 def synth(

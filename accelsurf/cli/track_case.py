@@ -18,11 +18,11 @@ from accelsurf.output import folder, result_sets
 
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
-    from accelsurf.report.track_files import TrackFiles
-    from accelsurf.report.track_outputs import TrackOutputs
     from accelsurf.settings.track_config import TrackConfig
-    from accelsurf.tracking.records import Lineage
-    from accelsurf.tracking.track import Tracking
+    from accelsurf.track.output.files import TrackFiles
+    from accelsurf.track.output.outputs import TrackOutputs
+    from accelsurf.track.records import Lineage
+    from accelsurf.track.track import Tracking
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class TrackCase:
     @property
     def files(self) -> TrackFiles:
         """The files that are written."""
-        from accelsurf.report.track_files import TrackFiles
+        from accelsurf.track.output.files import TrackFiles
 
         said = self.config
         return TrackFiles(said.format, said.per_frame, said.mesh, said.mesh_space, said.also)
@@ -81,7 +81,7 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
     AccelsurfError
         When there is no result; an earlier one is as it was.
     """
-    from accelsurf.report.track_outputs import TrackOutputs
+    from accelsurf.track.output.outputs import TrackOutputs
 
     _look_at_state(case)
     resumed = case.state.exists()
@@ -115,7 +115,7 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
 def report_failure(case: TrackCase, error: BaseException) -> None:
     """Write the report of a tracking that could not begin, or whose process is gone; a warning when that fails too."""
     from accelsurf.cli.interrupts import say
-    from accelsurf.report.track_outputs import write_failure
+    from accelsurf.track.output.outputs import write_failure
 
     try:
         write_failure(
@@ -140,7 +140,7 @@ def _look_at_state(case: TrackCase) -> None:
 
 
 def _remove_state(case: TrackCase) -> None:
-    from accelsurf.report.track_frames import remove_store
+    from accelsurf.track.output.frames import remove_store
 
     case.state.unlink(missing_ok=True)
     remove_store(case.store)
@@ -148,8 +148,7 @@ def _remove_state(case: TrackCase) -> None:
 
 def _begun(case: TrackCase, watcher: Watcher) -> Tracking:
     """The tracking, from its start or from its state."""
-    from accelsurf.tracking.joined_sequence import open_sequence
-    from accelsurf.tracking.track import Tracking
+    from accelsurf.track.track import Tracking, open_sequence
 
     return Tracking(
         open_sequence(case.place.source, case.config), case.config, meshes=bool(case.config.mesh),

@@ -7,7 +7,7 @@ from typing import Any
 
 from accelsurf.api import warmup
 from accelsurf.output.pictures.rasterizer import render
-from accelsurf.tracking import track
+from accelsurf.track import track
 
 
 def small_runs() -> dict[str, Callable[[], Any]]:

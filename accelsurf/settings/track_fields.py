@@ -32,7 +32,7 @@ class TrackFormat:
     ending : str
         Of its name, after the name of the sequence.
     write : str or callable
-        Of an `accelsurf.report.track_frames.TrackSet` and a Path, writes it.
+        Of an `accelsurf.track.output.frames.TrackSet` and a Path, writes it.
     check : str or callable, optional
         Of the grid, refuses what cannot be written here, before anything is computed.
     mark : str
@@ -51,25 +51,25 @@ TRACK_FORMATS: Registry[TrackFormat] = Registry(
     "format of tracks",
     TrackFormat(
         "ctc", "folder of the Cell Tracking Challenge: res_track.txt and a TIFF for each frame", "RES",
-        "accelsurf.report.challenge_files:write", mark="res_track.txt",
+        "accelsurf.track.output.outputs:write", mark="res_track.txt",
     ),
     TrackFormat(
-        "geff", "folder of the Graph Exchange File Format", "tracks.geff", "accelsurf.report.geff_file:write",
-        "accelsurf.report.geff_file:check", mark=".zattrs",
+        "geff", "folder of the Graph Exchange File Format", "tracks.geff", "accelsurf.track.output.geff_file:write",
+        "accelsurf.track.output.geff_file:check", mark=".zattrs",
     ),
     TrackFormat(
         "surfaces", "folder of surfaces, prediction beside correction, for accelsurf view --tracks", "surfaces",
-        "accelsurf.report.track_surfaces:write", mark="surfaces.json",
+        "accelsurf.track.output.surfaces:write", mark="surfaces.json",
     ),
-    TrackFormat("trackmate", "XML file of TrackMate", "trackmate.xml", "accelsurf.report.trackmate_file:write"),
+    TrackFormat("trackmate", "XML file of TrackMate", "trackmate.xml", "accelsurf.track.output.trackmate_file:write"),
     TrackFormat(
         "mp4", "movie of slices, prediction beside correction", "movie.mp4",
-        "accelsurf.report.track_slices:write_movie", "accelsurf.report.track_slices:check_mp4",
+        "accelsurf.track.output.slices:write_movie", "accelsurf.track.output.slices:check_mp4",
     ),
-    TrackFormat("gif", "the same as GIF", "movie.gif", "accelsurf.report.track_slices:write_movie"),
+    TrackFormat("gif", "the same as GIF", "movie.gif", "accelsurf.track.output.slices:write_movie"),
     TrackFormat(
-        "webp", "the same as WebP", "movie.webp", "accelsurf.report.track_slices:write_movie",
-        "accelsurf.report.track_slices:check_webp",
+        "webp", "the same as WebP", "movie.webp", "accelsurf.track.output.slices:write_movie",
+        "accelsurf.track.output.slices:check_webp",
     ),
 )
 

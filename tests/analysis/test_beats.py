@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.analysis.beats import find_beat
+from accelsurf.track.beats import find_beat
 
 
 @pytest.mark.parametrize("period", [3.1, 5.0, 9.1])

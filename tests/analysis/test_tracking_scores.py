@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.analysis.tracking_scores import Operations, Stretch, TrackedLabels, score, stretches
+from accelsurf.track.scores import Operations, Stretch, TrackedLabels, score, stretches
 
 
 def line(*runs):

@@ -15,7 +15,7 @@ from accelsurf.batch.pool import Failure
 from accelsurf.cli import batch_case
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.tracking.track import Tracking
+from accelsurf.track.track import Tracking
 from tests.support.batch_jobs import InlinePool
 
 GRID = Geometry((1, 26, 40), (1.0, 0.5, 0.5))

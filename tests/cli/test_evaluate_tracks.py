@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
-from accelsurf.analysis.tracked_files import table_beside
 from accelsurf.image.volume import Volume
-from accelsurf.report.track_files import TrackFiles
-from accelsurf.report.track_outputs import TrackOutputs
+from accelsurf.track.output.files import TrackFiles
+from accelsurf.track.output.outputs import TrackOutputs
+from accelsurf.track.scored_files import table_beside
 from tests.support.trackings import dividing_cells
 
 #: Two objects in three frames: 1 is 4 voxels, 2 is 6.

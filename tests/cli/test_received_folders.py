@@ -310,7 +310,7 @@ def test_frames_of_a_tracking_that_goes_on_bring_no_other_files(received, monkey
     for number in range(3):
         image(data / "frames" / f"t{number}.nii", number)
     words = ("track", "frames", "-o", ".", "--mesh", "ply", *BALL)
-    from accelsurf.tracking.track import Tracking
+    from accelsurf.track.track import Tracking
 
     real = Tracking.__iter__
 

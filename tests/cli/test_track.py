@@ -10,7 +10,7 @@ import pytest
 from accelsurf import io
 from accelsurf.cli import execute
 from accelsurf.grid.geometry import Geometry
-from accelsurf.tracking.track import Tracking
+from accelsurf.track.track import Tracking
 
 GRID = Geometry((1, 32, 56), (1.0, 0.5, 0.5))
 

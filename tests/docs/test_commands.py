@@ -16,8 +16,8 @@ from accelsurf import cli, io
 from accelsurf.batch import pool
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.report.track_files import TrackFiles
-from accelsurf.report.track_outputs import TrackOutputs
+from accelsurf.track.output.files import TrackFiles
+from accelsurf.track.output.outputs import TrackOutputs
 from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
 from tests.support.batch_jobs import InlinePool
 from tests.support.dicom_series import Series, save

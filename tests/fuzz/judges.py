@@ -208,7 +208,7 @@ def evaluate(given: Input, folder: Path) -> str:
 
 def tracks(given: Input, folder: Path) -> None:
     """Tracks with their tables, scored by themselves."""
-    from accelsurf.analysis.tracked_files import compare, open_tracks
+    from accelsurf.track.scored_files import compare, open_tracks
 
     path = folder / "a_labels.nii" if given.case == "labels" else folder
     found = open_tracks(path)
@@ -251,14 +251,14 @@ def checkpoint(given: Input, folder: Path) -> None:
 
 def track_state(given: Input, folder: Path) -> None:
     """The state of a tracking, and the tracking that goes on from it."""
-    from accelsurf.tracking import track_state as states
+    from accelsurf.track import track as states
 
     states.read(folder / "input.npz")
 
 
 def store(given: Input, folder: Path) -> None:
     """Frames that a tracking was killed after: those that cannot be read are made again."""
-    from accelsurf.report.track_frames import FrameStore
+    from accelsurf.track.output.frames import FrameStore
 
     found = FrameStore(folder / "frames")
     for number in found.numbers():

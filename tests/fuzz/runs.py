@@ -65,9 +65,9 @@ def _result(config, state: bytes) -> dict[str, bytes]:
 def _of_track():
     from accelsurf.image.sequence import VolumeSequence
     from accelsurf.image.volume import Volume
-    from accelsurf.report.track_frames import FrameStore
     from accelsurf.settings.track_config import TrackConfig
-    from accelsurf.tracking.track import track
+    from accelsurf.track.output.frames import FrameStore
+    from accelsurf.track.track import track
 
     frames = [Volume.from_array(np.roll(image(), n, axis=2), 1.0) for n in range(2)]
     with tempfile.TemporaryDirectory() as base:

@@ -5,10 +5,10 @@ import pytest
 
 from accelsurf import io
 from accelsurf.errors import OutputError
-from accelsurf.report import challenge_files, geff_file, trackmate_file
-from accelsurf.report.track_frames import FrameStore, TrackSet
-from accelsurf.report.trackmate_file import spots_of
-from accelsurf.tracking.records import Lineage, Track
+from accelsurf.track.output import geff_file, outputs, trackmate_file
+from accelsurf.track.output.frames import FrameStore, TrackSet
+from accelsurf.track.output.trackmate_file import spots_of
+from accelsurf.track.records import Lineage, Track
 from tests.support.trackings import Ball, dividing_cells, flat_cells, tracking
 
 
@@ -31,7 +31,7 @@ def flat(tmp_path):
 
 
 def test_challenge_has_a_new_track_after_a_gap_and_the_parents_of_a_division(cells, tmp_path):
-    challenge_files.write(cells, tmp_path / "RES")
+    outputs.write(cells, tmp_path / "RES")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 1 0\n2 0 2 0\n3 3 4 2\n4 3 4 2\n5 3 4 1\n"
     for number, ids in enumerate(({1: 1, 2: 2}, {1: 1, 2: 2}, {2: 2}, {1: 5, 3: 3, 4: 4}, {1: 5, 3: 3, 4: 4})):
         found = io.read(tmp_path / "RES" / f"mask{number:03d}.tif").array
@@ -45,21 +45,21 @@ def test_challenge_has_a_new_track_after_a_gap_and_the_parents_of_a_division(cel
 
 
 def test_challenge_has_one_parent_of_several(flat, tmp_path):
-    challenge_files.write(flat, tmp_path / "RES")
+    outputs.write(flat, tmp_path / "RES")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 2 0\n2 0 2 0\n3 3 3 1\n"
 
 
 def test_challenge_refuses_labels_beyond_16_bits(tmp_path):
     made = tracking(flat_cells().sequence.geometry, [{70000: Ball((0.0, 12.0, 12.0), 2.0)}])
     with pytest.raises(OutputError, match="label 70000"):
-        challenge_files.write(set_of(made, tmp_path), tmp_path / "RES")
+        outputs.write(set_of(made, tmp_path), tmp_path / "RES")
     assert not (tmp_path / "RES").exists()
 
 
 def test_an_object_without_a_voxel_is_in_no_frame_of_the_challenge(tmp_path):
     made = tracking(flat_cells().sequence.geometry, [{1: Ball((0.0, 12.0, 12.0), 2.0)}] * 3)
     made.results[1].objects[0].surface.psi[...] = 1.0  # shrunk between the voxels, and still tracked
-    challenge_files.write(set_of(made, tmp_path), tmp_path / "RES")
+    outputs.write(set_of(made, tmp_path), tmp_path / "RES")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 0 0\n2 2 2 1\n"
 
 
@@ -146,7 +146,7 @@ def test_tracks_of_no_object_can_be_written(tmp_path):
     made = tracking(flat_cells().sequence.geometry, [{}, {}])
     empty = set_of(made, tmp_path)
     empty = TrackSet("none", empty.sequence, empty.rows, Lineage((), ()), empty.store)
-    challenge_files.write(empty, tmp_path / "RES")
+    outputs.write(empty, tmp_path / "RES")
     trackmate_file.write(empty, tmp_path / "none.xml")
     geff_file.write(empty, tmp_path / "none.geff")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == ""
@@ -156,5 +156,5 @@ def test_tracks_of_no_object_can_be_written(tmp_path):
 def test_a_track_that_is_never_seen_has_no_line(tmp_path):
     made = tracking(flat_cells().sequence.geometry, [{1: Ball((0.0, 12.0, 12.0), 2.0)}])
     more = Lineage((*made.lineage.tracks, Track(2, 0, 0, (), "vanished")), ())
-    challenge_files.write(set_of(made._replace(lineage=more), tmp_path), tmp_path / "RES")
+    outputs.write(set_of(made._replace(lineage=more), tmp_path), tmp_path / "RES")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 0 0\n"

@@ -11,10 +11,10 @@ import trimesh
 
 from accelsurf import io
 from accelsurf.errors import InputError, OutputError, UsageError
-from accelsurf.report.track_files import TrackFiles
-from accelsurf.report.track_outputs import TrackOutputs
 from accelsurf.settings.track_fields import TRACK_FORMATS, TrackFormat
-from accelsurf.tracking.records import CarriedMesh
+from accelsurf.track.output.files import TrackFiles
+from accelsurf.track.output.outputs import TrackOutputs
+from accelsurf.track.records import CarriedMesh
 from tests.support.trackings import dividing_cells, flat_cells
 
 PLAIN = TrackFiles(labels="nrrd", per_frame=True)
@@ -212,7 +212,7 @@ def test_a_report_that_cannot_be_written_does_not_hide_what_went_wrong(tmp_path,
     def fail(path, content):
         raise OutputError("the disk is full")
 
-    monkeypatch.setattr("accelsurf.report.track_outputs.write_bytes", fail)
+    monkeypatch.setattr("accelsurf.track.output.outputs.write_bytes", fail)
     with pytest.raises(InputError, match="frame 3"), TrackOutputs(tmp_path, "cells", dividing_cells().sequence):
         raise InputError("frame 3 cannot be read")
     assert list(tmp_path.iterdir()) == []

@@ -12,7 +12,7 @@ from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import VolumeSequence
 from accelsurf.image.volume import Volume
-from accelsurf.tracking.records import FrameResult, Lineage, Link, SurfacePiece, Track, TrackedObject
+from accelsurf.track.records import FrameResult, Lineage, Link, SurfacePiece, Track, TrackedObject
 
 
 class Ball(NamedTuple):

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.tracking.momentum import SurfaceMomentum
-from accelsurf.tracking.records import SurfacePiece
+from accelsurf.track.momentum import SurfaceMomentum
+from accelsurf.track.records import SurfacePiece
 
 CUBE = Geometry((24, 24, 24), (1.0, 1.0, 1.0))
 

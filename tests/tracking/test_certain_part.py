@@ -7,10 +7,10 @@ import pytest
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import Workers
-from accelsurf.tracking.boxed_surface import BoxedSurface, boxed_surface
-from accelsurf.tracking.momentum import Gains
-from accelsurf.tracking.momentum_models import make_momentum
-from accelsurf.tracking.observer import certain_part
+from accelsurf.track.boxed_surface import BoxedSurface, boxed_surface
+from accelsurf.track.momentum import Gains
+from accelsurf.track.momentum_models import make_momentum
+from accelsurf.track.observer import certain_part
 from tests.support.travelling import ball, off_ellipsoid, whole
 
 ROOM = Geometry((32, 32, 32), (1.0, 1.0, 1.0))

@@ -10,8 +10,8 @@ import pytest
 from accelsurf.flows import ConstantDensity, FlowableMass
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import Workers
-from accelsurf.tracking.boxed_surface import BoxedSurface, boxed_surface
-from accelsurf.tracking.momentum_models import coast, make_momentum
+from accelsurf.track.boxed_surface import BoxedSurface, boxed_surface
+from accelsurf.track.momentum_models import coast, make_momentum
 from tests.support.travelling import CUBE, ball, ellipsoid, off_ellipsoid
 
 NO_POINTS = np.zeros((0, 3))

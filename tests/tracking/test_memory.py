@@ -14,7 +14,7 @@ from accelsurf.phantoms.motions import MovingPhantom, motion_from
 _RUN = """
 import resource, sys
 from accelsurf.io import read_sequence
-from accelsurf.tracking.track import track
+from accelsurf.track.track import track
 for result in track(read_sequence(sys.argv[1]), start="otsu", threads=1, levels=1):
     del result
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)

@@ -9,9 +9,9 @@ import pytest
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import Workers
-from accelsurf.tracking.momentum import Gains, SurfaceMomentum
-from accelsurf.tracking.momentum_models import MODELS, FlowableMomentum, make_momentum
-from accelsurf.tracking.observer import Fit
+from accelsurf.track.momentum import Gains, SurfaceMomentum
+from accelsurf.track.momentum_models import MODELS, FlowableMomentum, make_momentum
+from accelsurf.track.observer import Fit
 from tests.support.travelling import CUBE, ball, ellipsoid, off_ellipsoid, whole
 
 ROOM = Geometry((20, 22, 36), (1.0, 1.0, 1.0))

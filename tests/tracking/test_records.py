@@ -4,7 +4,7 @@ import numpy as np
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.tracking.records import FrameResult, Lineage, Link, SurfacePiece, TrackedObject
+from accelsurf.track.records import FrameResult, Lineage, Link, SurfacePiece, TrackedObject
 
 
 def tracked(number: int, corner: tuple[int, int, int], psi: np.ndarray, seen: bool = True) -> TrackedObject:

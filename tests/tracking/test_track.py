@@ -11,13 +11,12 @@ from accelsurf.image.sequence import VolumeSequence
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.objects import ObjectStart
-from accelsurf.tracking import track_state
-from accelsurf.tracking.evidence import Profile
-from accelsurf.tracking.follower import appearing
-from accelsurf.tracking.frame_run import following_settings, measure
-from accelsurf.tracking.lineage import Identities
-from accelsurf.tracking.records import FrameResult, Lineage, SurfacePiece
-from accelsurf.tracking.track import Tracking, track
+from accelsurf.track import track as track_state
+from accelsurf.track.evidence import Profile
+from accelsurf.track.follower import appearing
+from accelsurf.track.frame_run import following_settings, measure
+from accelsurf.track.records import FrameResult, Identities, Lineage, SurfacePiece
+from accelsurf.track.track import Tracking, track
 
 Discs = Sequence[tuple[float, float, float]]
 SHAPE = (40, 64)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from accelsurf.errors import InputError
-from accelsurf.report.track_files import TrackFiles
-from accelsurf.report.track_outputs import TrackOutputs
-from accelsurf.report.track_surfaces import SavedTracks
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.track.output.files import TrackFiles
+from accelsurf.track.output.outputs import TrackOutputs
+from accelsurf.track.output.surfaces import SavedTracks
 from accelsurf.viewer.core.sequence_view import MAX_FRAMES, SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene

@@ -15,11 +15,11 @@ from accelsurf.io import channels, headers
 from accelsurf.io.files import naming
 from accelsurf.large.windowed import fitting_level
 from accelsurf.phantoms import recipe_files, recipes
-from accelsurf.report.track_surfaces import SavedTracks
 from accelsurf.run.setup import allowed_bytes
 from accelsurf.settings import energy_expression
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.track.output.surfaces import SavedTracks
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
 

@@ -8,8 +8,8 @@ from accelsurf.evolution.records import StepRecord
 from accelsurf.grid import pyramid
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
-from accelsurf.report.track_surfaces import SavedTracks
-from accelsurf.tracking.records import SurfacePiece
+from accelsurf.track.output.surfaces import SavedTracks
+from accelsurf.track.records import SurfacePiece
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 
 #: Frames that stay in memory.

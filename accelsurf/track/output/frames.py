@@ -27,7 +27,7 @@ from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.io.file_set import refuse_links
 from accelsurf.io.images import label_type
-from accelsurf.tracking.records import FrameResult, Lineage, SurfacePiece, TrackedObject
+from accelsurf.track.records import FrameResult, Lineage, SurfacePiece, TrackedObject
 
 #: psi is written up to so many times the largest voxel size from the surface: what contours need.
 _BAND = 3.0
@@ -41,7 +41,7 @@ _MESH = re.compile(r".*_(surface|contour)_\d+_t\d{3,}\.[a-z0-9.]+|\..*\.accelsur
 
 @dataclass(frozen=True)
 class ObjectRow:
-    """One object in one frame: the numbers of `accelsurf.tracking.records.TrackedObject`, of the same names."""
+    """One object in one frame: the numbers of `accelsurf.track.records.TrackedObject`, of the same names."""
 
     id: int
     seen: bool

@@ -13,10 +13,10 @@ from scipy import ndimage
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure import surface_mesh
 from accelsurf.run.region_of_interest import cropped
-from accelsurf.tracking.evidence import Profile
-from accelsurf.tracking.frame_run import Measured
-from accelsurf.tracking.momentum import SurfaceMomentum, Triple
-from accelsurf.tracking.records import CarriedMesh, SurfacePiece, TrackedObject
+from accelsurf.track.evidence import Profile
+from accelsurf.track.frame_run import Measured
+from accelsurf.track.momentum import SurfaceMomentum, Triple
+from accelsurf.track.records import CarriedMesh, SurfacePiece, TrackedObject
 
 #: A new mesh is made where the volume of a carried one differs from that of its surface by more than this part, or
 #: where more than this part of its triangles has turned over.

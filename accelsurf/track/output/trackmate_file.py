@@ -18,8 +18,8 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from accelsurf.io.files import write_bytes
-from accelsurf.report.track_document import ML
-from accelsurf.report.track_frames import FrameRow, ObjectRow, TrackSet
+from accelsurf.track.output.document import ML
+from accelsurf.track.output.frames import FrameRow, ObjectRow, TrackSet
 
 _VERSION = "7.11.1"
 #: Features of spots, edges and tracks: name, what it is, dimension, whether it is a whole number.

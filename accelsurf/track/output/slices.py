@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.analysis.beats import Beat, find_beat
 from accelsurf.errors import OutputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
@@ -50,8 +49,9 @@ from accelsurf.output.pictures.slices import (
     name_section,
     write_line_names,
 )
-from accelsurf.report.track_frames import DrawnObject, FrameRow, TrackSet
-from accelsurf.tracking.records import SurfacePiece
+from accelsurf.track.beats import Beat, find_beat
+from accelsurf.track.output.frames import DrawnObject, FrameRow, TrackSet
+from accelsurf.track.records import SurfacePiece
 
 #: Ids are not written into a picture of more objects than these.
 MAX_NAMES = 40

@@ -1,13 +1,23 @@
-"""The files of a tracking: frames are taken one at a time, in any order, and all files appear at once at the end."""
+"""The files of a tracking: frames are taken one at a time, in any order, and all files appear at once at the end.
+
+Tracks as the Cell Tracking Challenge has them: ``res_track.txt``, and a 16-bit TIFF of labels for each frame.
+
+Its "Naming and file content conventions" want a line "L B E P" for each track: label, first and last frame, parent or
+0; and a track has its label in every frame from B to E. So an object that is not seen for some frames becomes several
+tracks, each the parent of the next: its "Annotation procedure" says of an object that reappears "link its track to its
+predecessor using a parent link". A track has one parent at most: of several that merged, the one of the lowest id.
+"""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
+
+import numpy as np
 
 from accelsurf import io
 from accelsurf.errors import AccelsurfError, OutputError
@@ -21,13 +31,56 @@ from accelsurf.output import folder as output_folder
 from accelsurf.output import result_sets
 from accelsurf.output.document import describe_drafts
 from accelsurf.output.folder import inputs_of
-from accelsurf.report import track_document, track_slices
-from accelsurf.report.track_files import TrackFiles, is_of_frame, labels_name, mesh_name
-from accelsurf.report.track_frames import FrameStore, TrackSet, frame_digits, remove_store
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.settings.registry import load
 from accelsurf.settings.track_fields import TRACK_FORMATS
-from accelsurf.tracking.records import FrameResult, Lineage, TrackedObject
+from accelsurf.track.output import document as track_document
+from accelsurf.track.output import slices
+from accelsurf.track.output.files import TrackFiles, is_of_frame, labels_name, mesh_name
+from accelsurf.track.output.frames import FrameStore, TrackSet, frame_digits, remove_store
+from accelsurf.track.records import FrameResult, Lineage, TrackedObject
+from accelsurf.track.scores import Stretch, stretches
+
+#: The largest label of 16 bits.
+MAX_LABEL = 65535
+
+
+def write(tracks: TrackSet, folder: Path) -> None:
+    """Write the folder of a sequence: ``res_track.txt`` and ``maskTTT.tif``.
+
+    Raises
+    ------
+    OutputError
+        When a file cannot be written, or labels do not fit.
+    """
+    lineage = tracks.lineage
+    found = stretches(tracks.frames_shown(), {track.id: lineage.parents(track.id) for track in lineage.tracks})
+    largest = max((stretch.label for stretch in found), default=0)
+    if largest > MAX_LABEL:
+        raise OutputError(
+            f"{folder.name}: a track has the label {largest}, the Cell Tracking Challenge has 1 to {MAX_LABEL}",
+            "leave --also ctc out",
+        )
+    folder.mkdir()
+    digits = frame_digits(len(tracks.sequence))
+    for number in range(len(tracks.sequence)):
+        label_of = np.zeros(max((stretch.id for stretch in found), default=0) + 1, np.uint16)
+        for stretch in found:
+            if stretch.first <= number <= stretch.last:
+                label_of[stretch.id] = stretch.label
+        io.write(Volume(label_of[tracks.labels(number)], tracks.geometry), folder / f"mask{number:0{digits}d}.tif")
+    write_bytes(folder / "res_track.txt", track_lines(found).encode())
+
+
+def track_lines(found: Iterable[Stretch]) -> str:
+    """The text of ``res_track.txt``.
+
+    Examples
+    --------
+    >>> track_lines([Stretch(1, 1, 0, 4), Stretch(2, 2, 5, 9, (1, 7))]).splitlines()
+    ['1 0 4 0', '2 5 9 1']
+    """
+    return "".join(f"{track.label} {track.first} {track.last} {(*track.parents, 0)[0]}\n" for track in found)
 
 
 class TrackOutputs:
@@ -243,7 +296,7 @@ class TrackOutputs:
         for kind, text in (texts | ({"config": self._toml} if self._toml else {})).items():
             write_bytes(self._set.drafts / names[kind], text.encode())
             kinds[names[kind]] = kind
-        pictures = {"preview": track_slices.film_strip_png(tracks), "curves-picture": track_slices.curves_png(tracks)}
+        pictures = {"preview": slices.film_strip_png(tracks), "curves-picture": slices.curves_png(tracks)}
         for kind, picture in pictures.items():
             write_bytes(self._set.drafts / names[kind], picture)
             kinds[names[kind]] = kind

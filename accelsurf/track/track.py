@@ -1,7 +1,13 @@
-"""track(): objects through a sequence of images, frame by frame, from a first frame that is segmented as an image."""
+"""track(): objects through a sequence of images, frame by frame, from a first frame that is segmented as an image.
+
+Several sequences of one scene as the channels of one, as the settings of a tracking name them.
+
+The state of a tracking after a frame, as a file from which it goes on to the same bytes.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
@@ -12,24 +18,88 @@ import numpy as np
 
 from accelsurf.api.segment import segment, segment_objects
 from accelsurf.correct.refiner import Refiner
-from accelsurf.errors import EmptyResultError, InputError, UsageError
+from accelsurf.errors import AccelsurfError, EmptyResultError, GeometryError, InputError, UsageError
 from accelsurf.evolution.records import StepRecord
+from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.grid.boxes import whole_box
 from accelsurf.image.sequence import ImageSequence, VolumeSequence
 from accelsurf.image.volume import Volume
+from accelsurf.io import read_sequence
+from accelsurf.io.files import bytes_within, write_bytes
 from accelsurf.levelset import Workers
+from accelsurf.run.checkpoint import FREE, digest_of, versions
 from accelsurf.run.result import Result
 from accelsurf.run.setup import EnergyLike, ObjectsLike, seeded, thread_count
+from accelsurf.settings import budgets
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.tracking import track_state
-from accelsurf.tracking.boxed_surface import separate_parts
-from accelsurf.tracking.follower import Arrival, Follower
-from accelsurf.tracking.frame_run import Measured, measured
-from accelsurf.tracking.lineage import Identities
-from accelsurf.tracking.momentum import Triple
-from accelsurf.tracking.records import FrameResult, Lineage
+from accelsurf.settings.wording import shown
+from accelsurf.track.boxed_surface import separate_parts
+from accelsurf.track.follower import Arrival, Follower
+from accelsurf.track.frame_run import Measured, measured
+from accelsurf.track.momentum import Triple
+from accelsurf.track.records import FrameResult, Identities, Lineage, SurfacePiece
+
+
+class JoinedSequence(ImageSequence):
+    """The channels of several sequences, frame by frame; times and grid are those of the first.
+
+    Parameters
+    ----------
+    first : ImageSequence
+    others : sequence of ImageSequence
+
+    Raises
+    ------
+    InputError
+        When they have different numbers of frames; GeometryError when grids differ.
+    """
+
+    def __init__(self, first: ImageSequence, others: Sequence[ImageSequence]) -> None:
+        self._sequences = (first, *others)
+        self.times, self.time_unit, self.geometry, self.source = (
+            first.times, first.time_unit, first.geometry, first.source,
+        )
+        self.notes = tuple(dict.fromkeys(note for sequence in self._sequences for note in sequence.notes))
+        for sequence in others:
+            if len(sequence) != len(first):
+                raise InputError(f"channel {sequence.source}: it has {len(sequence)} frames, {len(first)} expected")
+            if difference := first.geometry.difference(sequence.geometry):
+                raise GeometryError(f"channel {sequence.source}: on another grid than the first: {difference}")
+
+    @property
+    def frame_values(self) -> int:
+        """Number of values of a frame, all channels together."""
+        return sum(sequence.frame_values for sequence in self._sequences)
+
+    def _channels(self, number: int) -> list[Volume]:
+        return [volume for sequence in self._sequences for volume in sequence.channels(number)]
+
+
+def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:
+    """Open what is tracked, with the channels that the settings add; the headers are read.
+
+    Parameters
+    ----------
+    source : Path
+        A file with time, a folder of frames, or a pattern of their names.
+    config : TrackConfig
+
+    Raises
+    ------
+    InputError, UsageError
+        As `accelsurf.read_sequence`; InputError and GeometryError where channels do not fit together.
+    """
+    first, *others = (
+        read_sequence(
+            path, frame_time=config.frame_time, frames_from_slices=config.frames_from_slices,
+            options=config.run.reading,
+        )
+        for path in (source, *(Path(file) for file in config.run.channel))
+    )
+    return JoinedSequence(first, others) if others else first
+
 
 #: Called with each step and the id of its object; a true value ends the run.
 OnStep = Callable[[StepRecord, int], bool | None]
@@ -306,24 +376,24 @@ class Tracking:
         """Write the state after a frame."""
         if self._path is None or self.interrupted:
             return
-        track_state.write(self._path, self._state(), self._header)
+        write(self._path, self._state(), self._header)
 
     @cached_property
-    def _header(self) -> track_state.Header:
+    def _header(self) -> Header:
         # Once: it reads the first frame.
-        return track_state.header_of(self.sequence, self.config, self._meshes)
+        return header_of(self.sequence, self.config, self._meshes)
 
-    def _state(self) -> track_state.TrackState:
-        return track_state.TrackState(
+    def _state(self) -> TrackState:
+        return TrackState(
             self.done, self.config.run.seed, self._first, dict(self._velocities), self._identities.state(),
             tuple(self._follower.state()), tuple(self.warnings),
         )
 
     def _restore(self, path: Path) -> None:
-        header, state = track_state.read(path)
+        header, state = read(path)
         if state.seed is not None and self.config.run.seed != state.seed:
             self.config = self.config.replace(run=self.config.run.replace(seed=state.seed))
-        track_state.refuse_another(path, header, self._header)
+        refuse_another(path, header, self._header)
         self._identities.restore(state.identities)
         self._follower = self._new_follower()
         self._follower.restore(state.objects)
@@ -409,3 +479,110 @@ def _warm_up(model: str) -> None:
 def _warmup_frame(shift: float) -> Volume:
     z, y, x = np.indices([WARMUP_SIDE] * 3) - WARMUP_SIDE / 2
     return Volume.from_array((z**2 + y**2 + (x - shift) ** 2 < WARMUP_RADIUS**2).astype(np.float32), 1.0)
+
+
+#: Version of the file; raised when its content changes.
+VERSION = 1
+_BEGIN = "begin anew without --resume, with --overwrite"
+
+
+class Header(NamedTuple):
+    """Header of a state: ``version`` of the file, ``versions`` of what the numbers depend on, ``digest`` of
+    the sequence, and ``settings``.
+    """
+
+    version: int
+    versions: dict[str, str]
+    digest: str
+    settings: dict[str, Any]
+
+
+class TrackState(NamedTuple):
+    """A tracking after a frame.
+
+    Attributes
+    ----------
+    done : int
+        How many frames are done.
+    seed : int or None
+    first : tuple of (int, Measured)
+        Objects of the first frame.
+    velocities : dict of int to (x, y, z)
+        Of these, after the first step.
+    identities : dict
+    objects : tuple of dict
+        Those that are followed.
+    warnings : tuple of str
+    """
+
+    done: int
+    seed: int | None
+    first: tuple[tuple[int, Measured], ...]
+    velocities: dict[int, Triple]
+    identities: dict[str, Any]
+    objects: tuple[dict[str, Any], ...]
+    warnings: tuple[str, ...]
+
+
+TYPES: dict[str, type] = {kind.__name__: kind for kind in (Header, Measured, SurfacePiece, TrackState)}
+
+
+def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Header:
+    """The header of a tracking's states, the same at every frame.
+
+    Of the sequence it has grid, times and the voxels of the first frame that is done.
+    """
+    sha, geometry = hashlib.sha256(), sequence.geometry
+    sha.update(f"{geometry.shape}{geometry.spacing}{geometry.origin}{sequence.times}{sequence.time_unit}".encode())
+    sha.update(digest_of({"direction": geometry.direction, "image": sequence.frame(config.frame).array}).encode())
+    run = config.run.model_dump(mode="json", exclude=set(FREE))
+    tracking = config.model_dump(mode="json", exclude={"run"})
+    return Header(VERSION, versions(), sha.hexdigest(), {**run, **tracking, "meshes": meshes})
+
+
+def write(path: Path, state: TrackState, header: Header) -> None:
+    """Write a state, completely or not at all.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    write_bytes(path, to_bytes((header, state), TYPES))
+
+
+def read(path: Path) -> tuple[Header, TrackState]:
+    """Read a state of any tracking.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read or is damaged.
+    """
+    content = bytes_within(path, budgets.STATE_FILE)
+    try:
+        header, state = from_bytes(content, TYPES)
+        if not isinstance(header, Header) or not isinstance(state, TrackState) or header.version != VERSION:
+            raise ValueError("not the state of a tracking of this version")
+        return header, state
+    except InputError as error:
+        raise InputError(f"{path}: {error.message}", _BEGIN) from None
+    except (AccelsurfError, ValueError, TypeError) as error:
+        raise InputError(f"{path}: the state is damaged ({error})", _BEGIN) from None
+
+
+def refuse_another(path: Path, header: Header, expected: Header) -> None:
+    """Refuse the state of another tracking; what differs is named.
+
+    Raises
+    ------
+    InputError
+    """
+    if (header.digest, header.settings) == (expected.digest, expected.settings):
+        return
+    other = [key for key in expected.settings if header.settings.get(key) != expected.settings[key]]
+    what = "another sequence"
+    if other:
+        key = other[0]
+        what = f"other settings: {key} was {shown(header.settings.get(key))}, is {shown(expected.settings[key])}"
+    raise InputError(f"{path}: a state of {what}", "give those of the run that wrote it, or begin anew")

@@ -15,7 +15,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.kernels import point_sampling
 from accelsurf.levelset import LevelSet, Workers
-from accelsurf.tracking.records import SurfacePiece
+from accelsurf.track.records import SurfacePiece
 
 Floats = NDArray[np.float64]
 #: Voxels between the band and the edge of its box after the box was laid out, and the fewest before a step.

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.analysis.tracking_scores import Stretch, TrackedLabels, TrackingScores, score, stretches
 from accelsurf.errors import InputError
 from accelsurf.image.check import as_labels
 from accelsurf.image.sequence import ImageSequence
@@ -19,6 +18,7 @@ from accelsurf.io.files import naming
 from accelsurf.io.headers import split_name
 from accelsurf.io.sequences.challenge import ChallengeFolder, is_challenge, open_challenge
 from accelsurf.settings import budgets
+from accelsurf.track.scores import Stretch, TrackedLabels, TrackingScores, score, stretches
 
 #: Ends of the names of label maps, and of the table that belongs to them.
 _TRUTH, _TABLE = "_truth", "_tracks.csv"

@@ -1,7 +1,7 @@
 """The surfaces of a tracking as a folder, predictions beside corrections, and what a finished tracking left to look at.
 
 The folder has ``surfaces.json``, which says on what grid and of how many frames, and a file for each frame that was
-reached, as `accelsurf.report.track_frames.FrameStore` has them, without durations: the same run leaves the same bytes.
+reached, as `accelsurf.track.output.frames.FrameStore` has them, without durations: the same run leaves the same bytes.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.io.files import read_json, write_bytes
-from accelsurf.report.track_frames import DrawnObject, FrameStore, TrackSet
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.reading import check_readable
-from accelsurf.tracking.records import SurfacePiece
+from accelsurf.track.output.frames import DrawnObject, FrameStore, TrackSet
+from accelsurf.track.records import SurfacePiece
 
 #: What is in the folder, and its version.
 MARK, VERSION = "surfaces.json", 1

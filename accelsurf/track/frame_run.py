@@ -25,7 +25,7 @@ from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.objects import ObjectStart, apart, core_of
-from accelsurf.tracking.records import SurfacePiece
+from accelsurf.track.records import SurfacePiece
 
 #: Voxels of the image around all objects that a run on a frame sees: at least `MIN_AROUND`, and this part of the
 #: largest extent of an object.

@@ -10,8 +10,8 @@ from accelsurf.image.sequence import ImageSequence
 from accelsurf.output import document
 from accelsurf.output.document import SCHEMA_VERSION, Status, describe_input, peak_rss_mb, to_json, versions
 from accelsurf.output.tables import csv_text
-from accelsurf.report.track_frames import TrackSet
-from accelsurf.report.track_slices import beats_of
+from accelsurf.track.output.frames import TrackSet
+from accelsurf.track.output.slices import beats_of
 
 __all__ = ["Status", "build", "to_json"]
 

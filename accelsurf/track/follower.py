@@ -19,15 +19,14 @@ from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.starts.objects import ObjectStart
-from accelsurf.tracking import evidence
-from accelsurf.tracking.boxed_surface import groups_of, separate_parts, touching
-from accelsurf.tracking.evidence import FACTOR, Profile, profile, volume_in_grid
-from accelsurf.tracking.followed import Followed, MeshCarrier, Whole, lies_on_border, restored
-from accelsurf.tracking.frame_run import Measured, following_settings, measure
-from accelsurf.tracking.lineage import Identities
-from accelsurf.tracking.momentum import Gains, SurfaceMomentum, Triple
-from accelsurf.tracking.momentum_models import make_momentum
-from accelsurf.tracking.records import BAND, SurfacePiece, TrackedObject
+from accelsurf.track import evidence
+from accelsurf.track.boxed_surface import groups_of, separate_parts, touching
+from accelsurf.track.evidence import FACTOR, Profile, profile, volume_in_grid
+from accelsurf.track.followed import Followed, MeshCarrier, Whole, lies_on_border, restored
+from accelsurf.track.frame_run import Measured, following_settings, measure
+from accelsurf.track.momentum import Gains, SurfaceMomentum, Triple
+from accelsurf.track.momentum_models import make_momentum
+from accelsurf.track.records import BAND, Identities, SurfacePiece, TrackedObject
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from accelsurf.flows import ConstantDensity, FlowableMass, StepInput, StepLimits
 from accelsurf.flows.accelerated import Accelerated
 from accelsurf.flows.protocol import voxel_rates
 from accelsurf.levelset import Motion, Workers
-from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, sample_fields, transferred
-from accelsurf.tracking.momentum import Gains, SurfaceMomentum
-from accelsurf.tracking.observer import Displacement, missing_velocity
-from accelsurf.tracking.records import SurfacePiece
+from accelsurf.track.boxed_surface import BoxedSurface, Floats, sample_fields, transferred
+from accelsurf.track.momentum import Gains, SurfaceMomentum
+from accelsurf.track.observer import Displacement, missing_velocity
+from accelsurf.track.records import SurfacePiece
 
 #: Voxels that a surface may move in a step.
 CFL = 0.5

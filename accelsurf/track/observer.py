@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.kernels import point_sampling
-from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, boxed_surface
-from accelsurf.tracking.records import SurfacePiece
+from accelsurf.track.boxed_surface import BoxedSurface, Floats, boxed_surface
+from accelsurf.track.records import SurfacePiece
 
 #: What is fitted: the shift of the whole, or nothing, so that all goes along the normal.
 Fit = Literal["shift", "none"]

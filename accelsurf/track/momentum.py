@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet, SurfaceState, Workers, checkpoint_surface, restore_surface
-from accelsurf.tracking.boxed_surface import BoxedSurface, Floats, boxed_surface, on_larger_box, sample_fields
-from accelsurf.tracking.observer import Displacement, Fit, between, displacement, measured_surface
-from accelsurf.tracking.records import SurfacePiece
+from accelsurf.track.boxed_surface import BoxedSurface, Floats, boxed_surface, on_larger_box, sample_fields
+from accelsurf.track.observer import Displacement, Fit, between, displacement, measured_surface
+from accelsurf.track.records import SurfacePiece
 
 Triple = tuple[float, float, float]
 

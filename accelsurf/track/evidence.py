@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.tracking.records import SurfacePiece
+from accelsurf.track.records import SurfacePiece
 
 #: An object is seen where volume and area are within this factor of what was expected, and the image across the
 #: surface has at least one over this factor of the structure that it had.

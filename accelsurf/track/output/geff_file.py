@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.formats.zarr_voxels import library
-from accelsurf.report.track_document import ML
-from accelsurf.report.track_frames import TrackSet
-from accelsurf.report.trackmate_file import SpotGraph, spots_of
+from accelsurf.track.output.document import ML
+from accelsurf.track.output.frames import TrackSet
+from accelsurf.track.output.trackmate_file import SpotGraph, spots_of
 
 VERSION = "1.1"
 #: Unit and meaning of what is known of a node.

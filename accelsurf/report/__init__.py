@@ -1,1 +1,0 @@
-"""Outputs of a run besides labels and meshes: the JSON report, tables, pictures."""

@@ -1,0 +1,1 @@
+"""Objects through a sequence: the follower, its records and its scores."""

@@ -1,0 +1,1 @@
+"""Files of a tracking: tables, frames, surfaces, pictures."""
