@@ -27,6 +27,6 @@ from .run.result import Result as Result
 from .settings.run_config import RunConfig as RunConfig
 from .settings.track_config import TrackConfig as TrackConfig
 from .track.track import track as track
-from .viewer.frontends.notebook import show as show
+from .viewer.notebook import show as show
 
 __version__: str

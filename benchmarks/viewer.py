@@ -150,7 +150,7 @@ def window_process(source: str, result_file: str, start: str, steps: int) -> Non
 
     from accelsurf import io
     from accelsurf.viewer.core.session import Session
-    from accelsurf.viewer.frontends.desktop import Window, application
+    from accelsurf.viewer.window.desktop import Window, application
 
     app = application()
     path = Path(result_file)

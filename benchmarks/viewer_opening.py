@@ -116,7 +116,7 @@ def child(way: str, file: str, began: str) -> None:
 
     class Watch(importlib.abc.MetaPathFinder):
         def find_spec(self, name: str, path: object, target: object = None) -> object:
-            if name != "accelsurf.viewer.frontends.desktop":
+            if name != "accelsurf.viewer.window.desktop":
                 return None
             sys.meta_path.remove(self)
             spec = importlib.util.find_spec(name)
@@ -155,10 +155,10 @@ def in_window(file: str, times: dict[str, float]) -> None:
     from PySide6.QtCore import QTimer
 
     from accelsurf.settings.run_config import RunConfig
+    from accelsurf.viewer.actions.opening import Opening
     from accelsurf.viewer.core.recent_files import RecentFiles
-    from accelsurf.viewer.frontends.desktop import application
-    from accelsurf.viewer.frontends.main_window import MainWindow
-    from accelsurf.viewer.workplace.opening import Opening
+    from accelsurf.viewer.window.desktop import application
+    from accelsurf.viewer.window.main_window import MainWindow
 
     app = application()
     opening = Opening(RunConfig(), RecentFiles(None))

@@ -103,7 +103,7 @@ def window_process(source: str, result_file: str, start: str) -> None:
     from accelsurf import io
     from accelsurf.settings.run_config import RunConfig
     from accelsurf.viewer.core.session import Session
-    from accelsurf.viewer.frontends.desktop import Window, application
+    from accelsurf.viewer.window.desktop import Window, application
 
     said = json.loads(start)
     app = application()

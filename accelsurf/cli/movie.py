@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
     from accelsurf.evolution.records import Stop
     from accelsurf.run.run import Run
-    from accelsurf.viewer.frontends.drawing_process import DrawingProcess
-    from accelsurf.viewer.frontends.movie_file import MovieSettings
+    from accelsurf.viewer.drawing_process import DrawingProcess
+    from accelsurf.viewer.movie_file import MovieSettings
 
 MOVIE = Group("Movie", sort_key=0)
 #: It draws the run; ``color`` is what it colours surfaces by.
@@ -110,8 +110,8 @@ def movie(
     from accelsurf.io import channels
     from accelsurf.output.folder import inputs_of, refuse_existing
     from accelsurf.run.run import Run
-    from accelsurf.viewer.frontends import movie_file
-    from accelsurf.viewer.frontends.drawing_process import DrawingProcess, SceneRecipe
+    from accelsurf.viewer import movie_file
+    from accelsurf.viewer.drawing_process import DrawingProcess, SceneRecipe
 
     look, display = look or Look(), display or Display()
     source, target = required(input, "INPUT"), required(output, "-o FILE, the movie,")
@@ -153,7 +153,7 @@ def _check_target(target: Path, preview: bool, size: tuple[int, int]) -> None:
 def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, RunConfig]:
     """Image and settings of the run; those in the report if the source is a folder of results."""
     from accelsurf.io.file_set import finish_killed_runs
-    from accelsurf.viewer.frontends import movie_file
+    from accelsurf.viewer import movie_file
 
     if not source.is_dir():
         return source, run_config(settings, config)
@@ -169,7 +169,7 @@ def _source(source: Path, settings: Any, config: Path | None) -> tuple[Path, Run
 def _draw(run: Run, drawing: DrawingProcess, target: Path, movie: MovieSettings | None, watcher: Watcher) -> str:
     """Run to the end; write the movie, or without its settings a picture of the last step; describe the file."""
     from accelsurf.output.pictures import movies
-    from accelsurf.viewer.frontends import movie_file
+    from accelsurf.viewer import movie_file
 
     if movie is None:
         movies.write_png(target, movie_file.last_picture(run, drawing, watcher.on_step))

@@ -27,9 +27,9 @@ from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
+    from accelsurf.viewer.actions.opening import Opening
     from accelsurf.viewer.core.opening import OpenedImage
     from accelsurf.viewer.core.session import Session
-    from accelsurf.viewer.workplace.opening import Opening
 
 
 @dataclass(frozen=True)
@@ -288,9 +288,9 @@ def _check_given(image: Path | None, reference: Path | None, tracks: Path | None
 
 def _opening(config: RunConfig, recent: bool, page: PageOptions) -> Opening:
     """Return the opener of images: for a page only of its folder, and for other machines without recent files."""
+    from accelsurf.viewer.actions.opening import Opening
+    from accelsurf.viewer.core.opening import ServedFolder
     from accelsurf.viewer.core.recent_files import RecentFiles, recent_file
-    from accelsurf.viewer.core.served_folder import ServedFolder
-    from accelsurf.viewer.workplace.opening import Opening
 
     listed = RecentFiles(recent_file() if recent and _is_local(page) else None)
     if not page.browser:
@@ -308,12 +308,12 @@ def _is_local(page: PageOptions) -> bool:
 
 def _load() -> None:
     """Load what window and page draw with; it takes seconds."""
-    import accelsurf.viewer.workplace.opening  # noqa: F401
+    import accelsurf.viewer.actions.opening  # noqa: F401
 
 
 def _load_window() -> None:
     """Load Qt, which may be done only where it can open a window."""
-    import accelsurf.viewer.frontends.main_window  # noqa: F401
+    import accelsurf.viewer.window.main_window  # noqa: F401
 
 
 def front_end(page: PageOptions, begin: Callable[[], None] | None = None) -> PageOptions:
@@ -335,8 +335,8 @@ def front_end(page: PageOptions, begin: Callable[[], None] | None = None) -> Pag
     GraphicsError
         When a screen, driver or package is missing.
     """
-    from accelsurf.viewer.frontends import display
     from accelsurf.viewer.scene.headless import require_graphics
+    from accelsurf.viewer.window import display
 
     def meanwhile() -> None:
         if begin is not None:
@@ -373,8 +373,8 @@ def _open_window(
     AccelsurfError
         With what is wrong with the settings of that run.
     """
-    from accelsurf.viewer.frontends.desktop import application
-    from accelsurf.viewer.frontends.main_window import MainWindow
+    from accelsurf.viewer.window.desktop import application
+    from accelsurf.viewer.window.main_window import MainWindow
 
     app = application()
     window = MainWindow(opening, folder, viewer.theme, overwrite, viewer.keep)
@@ -397,8 +397,8 @@ def _serve(
     """Serve the page until Ctrl-C."""
     import webbrowser
 
-    from accelsurf.viewer.frontends.page import serve
-    from accelsurf.viewer.frontends.page_guard import LOCAL
+    from accelsurf.viewer.page.guard import LOCAL
+    from accelsurf.viewer.page.page import serve
 
     def show_address(address: str) -> None:
         print(f"{address}\nCtrl-C ends it", flush=True)

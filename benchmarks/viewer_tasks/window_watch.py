@@ -23,7 +23,7 @@ from PySide6.QtWidgets import QLabel, QWidget
 from scipy import ndimage
 
 from accelsurf import cli, io
-from accelsurf.viewer.frontends.main_window import MainWindow
+from accelsurf.viewer.window.main_window import MainWindow
 
 INTERVAL_MS = 40
 #: Of the list of objects.

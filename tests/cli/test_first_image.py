@@ -16,8 +16,8 @@ from accelsurf.io import channels, headers
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.viewer.core.command_queue import in_background
-from accelsurf.viewer.frontends import display
 from accelsurf.viewer.scene.headless import GraphicsError
+from accelsurf.viewer.window import display
 
 
 @pytest.fixture

@@ -159,7 +159,7 @@ def test_the_program_alone_looks_for_cycles_less_often(started, expected):
 
 def test_the_viewer_loads_nothing_of_scipy_that_its_first_picture_does_not_need():
     code = (
-        "import sys, accelsurf.viewer.workplace.opening\n"
+        "import sys, accelsurf.viewer.actions.opening\n"
         "print([name for name in ('scipy.spatial', 'scipy.linalg', 'scipy.sparse', 'scipy.optimize') "
         "if name in sys.modules])"
     )

@@ -280,7 +280,7 @@ def report(given: Input, folder: Path) -> None:
     """A report with the state that it names, as ``refine``, ``batch --resume``, ``movie`` and ``view`` read it."""
     from accelsurf.output import result_sets
     from accelsurf.settings.run_config import RunConfig
-    from accelsurf.viewer.frontends.movie_file import run_of_folder
+    from accelsurf.viewer.movie_file import run_of_folder
 
     path = folder / "a_report.json"
     document = result_sets.load_report(path)

@@ -27,7 +27,7 @@ ADDRESS_BYTES = 2 << 30
 LIBRARIES = (
     *("SimpleITK", "nibabel", "tifffile", "zarr", "numcodecs", "pydicom", "highdicom", "trimesh", "PIL"),
     *("PIL.Image", "scipy.ndimage", "scipy.spatial", "numba", "skimage.measure", "fast_simplification"),
-    *("accelsurf.api.segment", "accelsurf.track.track", "accelsurf.viewer.frontends.movie_file"),
+    *("accelsurf.api.segment", "accelsurf.track.track", "accelsurf.viewer.movie_file"),
 )
 #: Kinds whose judging compiles kernels, which takes longer than an input may.
 COMPILED = frozenset({"run", "state", "checkpoint-file"})

@@ -84,7 +84,7 @@ def bombs(folder):
     from accelsurf.settings import energy_expression
     from accelsurf.settings.run_config import RunConfig
     from accelsurf.starts import objects, starts
-    from accelsurf.viewer.frontends.movie_file import run_of_folder
+    from accelsurf.viewer.movie_file import run_of_folder
 
     small = Volume.from_array(np.arange(120, dtype=np.int16).reshape(4, 5, 6))
 

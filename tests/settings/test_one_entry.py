@@ -346,9 +346,9 @@ def test_a_name_is_taken_once(toys):
 def _panel():
     from PySide6.QtWidgets import QApplication
 
+    from accelsurf.viewer.actions.settings import SettingsFeature
     from accelsurf.viewer.core.status import Status
-    from accelsurf.viewer.frontends.panels.settings import ListRow, SettingsPanel
-    from accelsurf.viewer.workplace.settings import SettingsFeature
+    from accelsurf.viewer.window.settings_panel import ListRow, SettingsPanel
 
     application = QApplication([])
     status = Status.preparing(RunConfig(), "", False)

@@ -26,8 +26,8 @@ from PySide6.QtWidgets import (
 from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.frontends.desktop import Window, application
-from accelsurf.viewer.frontends.panels.settings import EnergyRow, SettingRow, SliderRow, SwitchRow, TextRow
+from accelsurf.viewer.window.desktop import Window, application
+from accelsurf.viewer.window.settings_panel import EnergyRow, SettingRow, SliderRow, SwitchRow, TextRow
 
 
 def main() -> None:

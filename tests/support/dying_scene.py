@@ -28,7 +28,7 @@ def program(folder: Path, deaths: dict[int, int], number: int, early: bool = Fal
 
 
 def serve(text: str) -> None:
-    from accelsurf.viewer.frontends import drawing_process
+    from accelsurf.viewer import drawing_process
     from accelsurf.viewer.scene.scene import Scene
 
     said, screenshot = json.loads(text), Scene.screenshot

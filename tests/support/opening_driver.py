@@ -15,10 +15,10 @@ from PySide6.QtCore import QPoint, QTimer
 from PySide6.QtWidgets import QAbstractButton, QDialogButtonBox, QListWidget, QMessageBox, QWidget
 
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.opening import Opening
 from accelsurf.viewer.core.recent_files import RecentFiles
-from accelsurf.viewer.frontends.desktop import application
-from accelsurf.viewer.frontends.main_window import MainWindow
-from accelsurf.viewer.workplace.opening import Opening
+from accelsurf.viewer.window.desktop import application
+from accelsurf.viewer.window.main_window import MainWindow
 
 
 def main() -> None:

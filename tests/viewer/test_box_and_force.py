@@ -6,14 +6,14 @@ import pytest
 from accelsurf.image.volume import Volume
 from accelsurf.run.region_of_interest import region_of_interest
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.box import BoxFeature
+from accelsurf.viewer.actions.force import ForceFeature
+from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.box import BoxOverlay, VoxelBox
 from accelsurf.viewer.scene.colors import MARK
 from accelsurf.viewer.scene.force_overlay import OPACITY, force_colors
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.workplace.box import BoxFeature
-from accelsurf.viewer.workplace.force import ForceFeature
-from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 from tests.support.viewing import settle
 

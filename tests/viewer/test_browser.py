@@ -21,8 +21,8 @@ import pytest
 from PIL import Image
 
 from accelsurf import cli, io
-from accelsurf.viewer.frontends import page_guard
-from accelsurf.viewer.frontends.page_guard import LOCAL, MAX_CONNECTIONS, MAX_IDLE, ConnectionLimit, PageGuard
+from accelsurf.viewer.page import guard
+from accelsurf.viewer.page.guard import LOCAL, MAX_CONNECTIONS, MAX_IDLE, ConnectionLimit, PageGuard
 from tests.support import viewing
 
 aiohttp = pytest.importorskip("aiohttp", reason='trame is missing: pip install "accelsurf[viewer]"')
@@ -344,7 +344,7 @@ def test_a_connection_without_the_token_may_not_stay(monkeypatch):
             self.open = False
 
     now = 100.0
-    monkeypatch.setattr(page_guard.time, "monotonic", lambda: now)
+    monkeypatch.setattr(guard.time, "monotonic", lambda: now)
     server = SimpleNamespace(connection_made=lambda *_: None, connection_lost=lambda *_: None)
     limit = ConnectionLimit()
     limit.watch(server)

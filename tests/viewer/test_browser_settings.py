@@ -7,7 +7,7 @@ import pytest
 
 from accelsurf import cli
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.workplace.settings_rows import settings_rows
+from accelsurf.viewer.actions.settings_rows import settings_rows
 from tests.support import viewing
 from tests.viewer.test_browser import Served, driven, until
 

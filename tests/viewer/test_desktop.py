@@ -459,7 +459,7 @@ import numpy as np
 from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.frontends.desktop import Window, application
+from accelsurf.viewer.window.desktop import Window, application
 
 app = application()
 window = Window(Session(io.read(sys.argv[1]), RunConfig(start="ball:24,24,20,6", levels=1), name="scan"))
@@ -530,7 +530,7 @@ def test_what_was_drawn_is_painted_without_being_drawn_again(screen, scan):
 def test_without_a_screen_it_is_one_line(scan, monkeypatch, capsys):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("accelsurf.viewer.frontends.display.WINDOW_PACKAGES", ("json",))
+    monkeypatch.setattr("accelsurf.viewer.window.display.WINDOW_PACKAGES", ("json",))
     assert command(["view", str(scan)]) == 8
     error = capsys.readouterr().err.splitlines()
     assert len(error) == 2 and "no screen was found" in error[0] and error[1].startswith("hint: ")
@@ -575,7 +575,7 @@ def test_without_the_packages_of_the_window_the_page_is_served(scan, hide, capsy
     viewing.needs_graphics()
     served = []
     monkeypatch.setattr(
-        "accelsurf.viewer.frontends.page.serve", lambda opening, first, *given: served.append(first[0].name)
+        "accelsurf.viewer.page.page.serve", lambda opening, first, *given: served.append(first[0].name)
     )
     hide("PySide6", "pyvistaqt")
     assert command(["view", str(scan), "--start", "ball:24,24,20,6"]) == 0

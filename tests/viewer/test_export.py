@@ -12,7 +12,7 @@ from PIL import Image
 
 import accelsurf
 from accelsurf.errors import InputError, OutputError, UsageError
-from accelsurf.viewer.frontends.notebook import SceneOutput
+from accelsurf.viewer.notebook import SceneOutput
 from accelsurf.viewer.scene.headless import GraphicsError
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
@@ -61,7 +61,7 @@ def test_a_page_has_everything_in_it(result, tmp_path):
 def test_a_title_cannot_break_out_of_the_page(tmp_path):
     volume, _ = viewing.ball_image()
     scene = Scene(volume, title="</script><script>alert(1)</script>__SCENE__")
-    from accelsurf.viewer.frontends.export import write_html
+    from accelsurf.viewer.export import write_html
 
     write_html(scene, tmp_path / "a.html")
     scene.close()
@@ -70,7 +70,7 @@ def test_a_title_cannot_break_out_of_the_page(tmp_path):
 
 
 def test_colours_are_in_the_page(tmp_path):
-    from accelsurf.viewer.frontends.export import write_html
+    from accelsurf.viewer.export import write_html
 
     volume, center = viewing.ball_image()
     frames, history = viewing.run_frames(volume, center, levels=1)
@@ -100,7 +100,7 @@ def test_a_browser_draws_the_page(result, tmp_path):
 
 
 def test_notebooks_get_a_page_and_a_picture(result, monkeypatch):
-    monkeypatch.setattr("accelsurf.viewer.frontends.notebook.in_notebook", lambda: True)
+    monkeypatch.setattr("accelsurf.viewer.notebook.in_notebook", lambda: True)
     shown = result.plot(size=(640, 360))
     assert isinstance(shown, SceneOutput)
     bundle = shown._repr_mimebundle_()

@@ -10,12 +10,12 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.track.output.files import TrackFiles
 from accelsurf.track.output.outputs import TrackOutputs
 from accelsurf.track.output.surfaces import SavedTracks
+from accelsurf.viewer.actions.frames import FramesFeature
+from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.sequence_view import MAX_FRAMES, SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.shapes import dashed
-from accelsurf.viewer.workplace.frames import FramesFeature
-from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 from tests.support.trackings import dividing_cells, flat_cells
 

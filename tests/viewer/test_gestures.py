@@ -5,11 +5,11 @@ import re
 import numpy as np
 import pytest
 
+from accelsurf.viewer.actions.mouse import ZOOM, MouseFeature
+from accelsurf.viewer.actions.run import HistoryFeature
+from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.frontends.page_document import document
-from accelsurf.viewer.workplace.mouse import ZOOM, MouseFeature
-from accelsurf.viewer.workplace.run import HistoryFeature
-from accelsurf.viewer.workplace.workplace import Actions
+from accelsurf.viewer.page.page import document
 from tests.viewer.test_corrections import CONFIGS, ended, scan
 from tests.viewer.test_strokes import drag, place_of, shown
 

@@ -11,11 +11,11 @@ from accelsurf import Volume
 from accelsurf.io import write
 from accelsurf.io.headers import UNIT_KEY, VALUE_UNIT_KEY
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.files import FilesFeature
+from accelsurf.viewer.actions.measure import MeasureFeature, table_of
+from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.workplace.files import FilesFeature
-from accelsurf.viewer.workplace.measure import MeasureFeature, table_of
-from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 
 

@@ -18,7 +18,7 @@ from accelsurf import cli, io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.output.pictures import movies
 from accelsurf.run.run import Run
-from accelsurf.viewer.frontends import drawing_process, movie_file
+from accelsurf.viewer import drawing_process, movie_file
 from tests.support import dying_scene, viewing
 
 START = "ball:{},{},{},5"

@@ -9,10 +9,10 @@ import accelsurf
 from accelsurf import io
 from accelsurf.errors import UsageError
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.objects import NOT_BEGUN
+from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.workplace.objects import NOT_BEGUN
-from accelsurf.viewer.workplace.workplace import Actions
 from tests.segmentation.test_object_changes import BALLS, SPACING, dice, press, scan, truth
 from tests.support import viewing
 

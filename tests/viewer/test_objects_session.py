@@ -13,10 +13,10 @@ from accelsurf.cli import view
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import two_balls, viewing
 from tests.support.steering import at, labels_of, views
 
@@ -235,7 +235,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
 application = QApplication([])
 from types import SimpleNamespace
-from accelsurf.viewer.frontends.panels.objects import ObjectsPanel
+from accelsurf.viewer.window.objects_panel import ObjectsPanel
 asked = []
 def row(own, **more):
     known = dict(id=own, name=f"object {own}", color="#e69f00", visible=True, opacity=1.0, ml="1.5", voxels=9)

@@ -15,10 +15,10 @@ from accelsurf.image.volume import Volume
 from accelsurf.io.headers import outside_data_allowed
 from accelsurf.run.setup import run_bytes
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.opening import Opening
 from accelsurf.viewer.core import opening as core
+from accelsurf.viewer.core.opening import MAX_ENTRIES, ServedFolder
 from accelsurf.viewer.core.recent_files import MAX_RECENT, RecentFiles, recent_file
-from accelsurf.viewer.core.served_folder import MAX_ENTRIES, ServedFolder
-from accelsurf.viewer.workplace.opening import Opening
 from tests.support.dicom_series import Series
 
 

@@ -18,7 +18,7 @@ from accelsurf import io
 from accelsurf.cli import execute as command
 from accelsurf.image.volume import Volume
 from accelsurf.settings.budgets import UPLOAD, Budget
-from accelsurf.viewer.frontends import page_uploads
+from accelsurf.viewer.page import uploads as page_uploads
 from tests.support import viewing
 from tests.viewer.test_browser import Served, aiohttp, ask, call_of, driven, packed, state, talk, until
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from accelsurf.viewer.frontends.page_document import document
+from accelsurf.viewer.page.page import document
 from tests.support.page_scripts import run_in_node
 
 #: A picture of 200 x 100 pixels on the screen, and events over it.

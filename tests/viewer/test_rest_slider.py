@@ -14,7 +14,7 @@ from PySide6.QtCore import QPoint, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 app = QApplication([])
-from accelsurf.viewer.frontends.playback_bar import RestSlider
+from accelsurf.viewer.window.playback_bar import RestSlider
 slider = RestSlider()
 slider.resize(400, 24)
 slider.setRange(0, 10)

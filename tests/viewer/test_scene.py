@@ -13,7 +13,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.io.headers import DICOM_KEY, UNIT_KEY
 from accelsurf.measure.surface_mesh import extract
 from accelsurf.output.pictures import canvas
-from accelsurf.viewer.frontends.page_document import style_sheet
+from accelsurf.viewer.page.page import style_sheet
 from accelsurf.viewer.scene import colors, shapes
 from accelsurf.viewer.scene.box import BoxOverlay, VoxelBox
 from tests.support import viewing

@@ -13,10 +13,10 @@ from accelsurf.settings.catalogue import default_shown, entry, help_of, names_of
 from accelsurf.settings.energy_terms import TERMS, Word
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.settings_rows import settings_rows
+from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.workplace.settings_rows import settings_rows
-from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 
 COMMON = ["preset", "energy", "smoothness", "presmooth", "size", "max_volume", "levels", "roi", "mask"]
@@ -270,7 +270,7 @@ def test_bounds_are_shown_where_they_are_in_force_and_moved(workplace):
 
 
 def test_large_images_are_counted_on_a_coarser_grid():
-    from accelsurf.viewer.workplace.histogram import SAMPLE, sample
+    from accelsurf.viewer.actions.histogram import SAMPLE, sample
 
     image = np.broadcast_to(np.arange(512, dtype=np.int16), (300, 512, 512))
     values = sample(image)

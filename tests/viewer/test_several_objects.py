@@ -20,7 +20,7 @@ from accelsurf.run.run import Run
 from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, ObjectState
-from accelsurf.viewer.frontends.export import write_html
+from accelsurf.viewer.export import write_html
 from accelsurf.viewer.scene import colors
 from accelsurf.viewer.scene.colors import ObjectStyle, given_styles
 from tests.support import two_balls, viewing

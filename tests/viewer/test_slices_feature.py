@@ -7,10 +7,10 @@ from accelsurf.errors import UsageError
 from accelsurf.image.grey_window import CT_WINDOWS, GreyWindow, parse_window
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.scene.layouts import LAYOUTS, viewports
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.workplace.workplace import Actions
+from accelsurf.viewer.scene.tiles import LAYOUTS, viewports
 from tests.support import viewing
 
 TILES = ("axial", "coronal", "sagittal", "space")

@@ -13,14 +13,14 @@ from accelsurf.io.headers import DICOM_KEY
 from accelsurf.run.image_force import image_forces
 from accelsurf.run.region_of_interest import region_of_interest
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.box import BoxFeature
+from accelsurf.viewer.actions.force import ForceFeature
+from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.measurements import Measurement
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.slices import DragLines, function_lines, surface_lines
-from accelsurf.viewer.workplace.box import BoxFeature
-from accelsurf.viewer.workplace.force import ForceFeature
-from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 from tests.support.viewing import settle
 

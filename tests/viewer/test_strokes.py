@@ -8,9 +8,9 @@ from accelsurf.api.segment import segment
 from accelsurf.clicks.reading import read_clicks
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.colors import INSIDE, OUTSIDE
-from accelsurf.viewer.workplace.workplace import Actions
 from tests.support.steering import views
 from tests.viewer.test_corrections import CONFIGS, SHAPE, SPACING, ended, scan, until
 

@@ -21,7 +21,7 @@ from PySide6.QtGui import QInputDevice
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QWidget
 app = QApplication([])
-from accelsurf.viewer.frontends.canvas_events import CanvasEvents
+from accelsurf.viewer.window.canvas_events import CanvasEvents
 asked, drawn, sizes = [], [], []
 feature = SimpleNamespace(is_dragging=True, fit_layout=lambda *size: sizes.append(size))
 workplace = SimpleNamespace(

@@ -10,11 +10,11 @@ import pytest
 from accelsurf import Volume
 from accelsurf.io.headers import UNIT_KEY
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.settings_rows import settings_rows
+from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.frontends.page_document import page_text
+from accelsurf.viewer.page.page import page_text
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.workplace.settings_rows import settings_rows
-from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 
 #: Voxels of half a micrometre, mm.
@@ -116,8 +116,8 @@ def test_the_page_reads_unit_and_digits_from_the_rows():
 WINDOW = """
 from PySide6.QtWidgets import QApplication
 app = QApplication([])
-from accelsurf.viewer.frontends.panels.section import Amount
-from accelsurf.viewer.workplace.settings_rows import amount
+from accelsurf.viewer.window.section_panel import Amount
+from accelsurf.viewer.actions.settings_rows import amount
 made, emitted = Amount(amount(0.00025, 0.024, 0.001, 2.0, 1.0)), []
 made.changed.connect(emitted.append)
 made.show_value(0.001)

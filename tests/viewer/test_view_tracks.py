@@ -10,11 +10,11 @@ import tifffile
 from accelsurf import cli, io
 from accelsurf.cli import view
 from accelsurf.image.volume import Volume
+from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.opening import OpenedImage
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.headless import GraphicsError
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.workplace.workplace import Actions
 from tests.support import viewing
 
 FRAMES = 3

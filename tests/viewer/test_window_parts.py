@@ -12,7 +12,7 @@ pytestmark = pytest.mark.skipif(importlib.util.find_spec("PySide6") is None, rea
 MESSAGE = """
 from PySide6.QtWidgets import QApplication
 app = QApplication([])
-from accelsurf.viewer.frontends.panels.section import OneLine
+from accelsurf.viewer.window.section_panel import OneLine
 line = OneLine("saved in a folder: one.nii.gz, two.stl, three.csv")
 for width in (600, 120):
     line.resize(width, 20)
@@ -25,7 +25,7 @@ from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QWheelEvent
 from PySide6.QtWidgets import QApplication, QDoubleSpinBox, QSlider, QVBoxLayout, QWidget
 app = QApplication([])
-from accelsurf.viewer.frontends.panels.section import WheelGuard
+from accelsurf.viewer.window.section_panel import WheelGuard
 window = QWidget()
 column = QVBoxLayout(window)
 parts = [QDoubleSpinBox(), QSlider(Qt.Orientation.Horizontal)]

@@ -37,7 +37,7 @@ from accelsurf.settings.track_config import TrackConfig
 wait = FirstImage(Path(sys.argv[1]), RunConfig(threads=1), None, None, TrackConfig()).start_reading()
 _load()
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.workplace.workplace import Actions
+from accelsurf.viewer.actions.workplace import Actions
 
 opened = wait()
 session = opened.session(begin=False)

@@ -24,7 +24,7 @@ from accelsurf.run.result import BoxMask
 from accelsurf.run.run import Run
 from accelsurf.settings.labels import colored, named
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.core.corrections import Corrections
+from accelsurf.viewer.core.corrected_run import Corrections
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.restarted import FROM_CLICKS
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag

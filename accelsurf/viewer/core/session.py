@@ -3,6 +3,8 @@
 Its methods may be called from any thread. Commands (`play`, `pause`, `change`, ...) return a Future at once and are
 carried out between two steps; `next_view` returns what is new to be drawn. What the user did is stored as the edits of
 the configuration, so that `save` writes a ``run.toml`` that makes the same bytes from the command line.
+
+Uncertain places of a finished run, where to click next: those whose surface has the least evidence.
 """
 
 from __future__ import annotations
@@ -12,12 +14,16 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
+
+import numpy as np
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
 from accelsurf.image.volume import Volume
 from accelsurf.measure.diameters import Diameters
+from accelsurf.measure.evidence import doubtful_places, gather
+from accelsurf.run.result import Result, SegmentedObject
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
@@ -26,10 +32,10 @@ from accelsurf.viewer.core.status import SAVED_KINDS, Status, View, ViewSlot, er
 if TYPE_CHECKING:
     from accelsurf.run.result import Result
     from accelsurf.run.run import Run
-    from accelsurf.viewer.core.doubts import Doubt
-    from accelsurf.viewer.core.figures import Figures
+    from accelsurf.viewer.core.measurements import Figures
     from accelsurf.viewer.core.object_commands import ObjectCommands
     from accelsurf.viewer.core.timeline import Timeline
+
 
 #: Seconds without a command after which doubts are looked for.
 QUIET = 0.4
@@ -55,7 +61,6 @@ class DoubtWatch:
     def find(self, version: int, run: Run, corrected: Result | None) -> tuple[Doubt, ...] | None:
         """The doubts of a version of the state; None while it is not quiet yet."""
         from accelsurf.correct.finished import result_of
-        from accelsurf.viewer.core.doubts import doubts_of
 
         if time.perf_counter() < self._busy_until:
             return None
@@ -490,8 +495,7 @@ def _solver() -> type[Timeline]:
     a part of it meanwhile. Two sessions that begin at once wait for one another, as both begin with the same module.
     """
     import accelsurf.run.image_force
-    import accelsurf.viewer.core.doubts
-    import accelsurf.viewer.core.figures  # noqa: F401
+    import accelsurf.viewer.core.measurements  # noqa: F401
     from accelsurf.viewer.core.timeline import Timeline
 
     return Timeline
@@ -499,12 +503,52 @@ def _solver() -> type[Timeline]:
 
 # Both are called in the session's thread, which has loaded the solver; who asks may do so before.
 def _figures(timeline: Timeline) -> Figures:
-    from accelsurf.viewer.core.figures import figures_of
+    from accelsurf.viewer.core.measurements import figures_of
 
     return figures_of(timeline)
 
 
 def _diameters(timeline: Timeline, object_id: int) -> Diameters:
-    from accelsurf.viewer.core.figures import diameters_of
+    from accelsurf.viewer.core.measurements import diameters_of
 
     return diameters_of(timeline, object_id)
+
+
+#: Places that are offered, of all objects together.
+COUNT = 5
+#: Below this share of doubt there is nothing to click.
+MIN_SHARE = 0.1
+
+
+class Doubt(NamedTuple):
+    """A doubtful place: ``world`` (x, y, z), mm LPS, ``share`` of doubt there, 0 to 1, and whose surface it is on."""
+
+    world: tuple[float, float, float]
+    share: float
+    object_id: int
+
+
+def doubts_of(result: Result) -> tuple[Doubt, ...]:
+    """Return the most doubtful places of a result, the first of each object as `Quality.next_click` has it.
+
+    Parameters
+    ----------
+    result : Result
+        Of a run that has ended.
+    """
+    ranked = [(rank, doubt) for segmented in result.objects for rank, doubt in enumerate(_doubts(segmented))]
+    return tuple(doubt for _, doubt in sorted(ranked, key=lambda entry: (entry[0], -entry[1].share))[:COUNT])
+
+
+def _doubts(segmented: SegmentedObject) -> list[Doubt]:
+    inside = segmented.psi < 0
+    evidence = gather(inside, segmented.image, segmented.geometry.spacing, segmented.clicked)
+    if evidence is None:
+        return []
+    volume = float(np.count_nonzero(inside)) * segmented.geometry.voxel_volume
+    out = []
+    for index, share in doubtful_places(evidence, segmented.geometry.spacing, volume, COUNT):
+        x, y, z = (float(v) for v in segmented.geometry.index_to_world(np.array(index, float)))
+        if share >= MIN_SHARE:
+            out.append(Doubt((x, y, z), share, segmented.id))
+    return out

@@ -17,7 +17,7 @@ from accelsurf.viewer.core.change_log import ChangeLine
 from accelsurf.viewer.core.frame import Frame
 
 if TYPE_CHECKING:
-    from accelsurf.viewer.core.doubts import Doubt
+    from accelsurf.viewer.core.session import Doubt
 
 #: What a session can save; ``run`` is the configuration that repeats the run.
 SAVED_KINDS = ("labels", "mesh", "picture", "trace", "report", "run")

@@ -18,7 +18,7 @@ from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.change_log import ChangeLog, Moment, balls_in_words, clicks_in_words, edits_with, in_words
-from accelsurf.viewer.core.corrections import Corrections
+from accelsurf.viewer.core.corrected_run import Corrections
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.object_commands import ObjectCommands
 from accelsurf.viewer.core.restarted import restart_message, restarted

@@ -1,0 +1,80 @@
+"""Saves the files of a run, and lists those that were saved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from accelsurf.errors import UsageError
+from accelsurf.viewer.actions.tool import Feature, Key, word
+from accelsurf.viewer.core.status import SAVED_KINDS, Status
+
+
+class FilesFeature(Feature):
+    """Saves into the folder of results.
+
+    Attributes
+    ----------
+    files : dict of str to Path
+        What has been saved, by name.
+    is_saving : bool
+        Whether files are being written.
+    """
+
+    def __init__(self, actions: Any) -> None:
+        super().__init__(actions)
+        self.files: dict[str, Path] = {}
+        self.is_saving = False
+        #: What of the run the files have that were saved last.
+        self._stored: Any = None
+
+    @property
+    def is_unsaved(self) -> bool:
+        """Test if something was done that is not in the files that were saved last."""
+        status = self.actions.session.status
+        return bool(status.step or status.undoable) and _content(status) != self._stored
+
+    def requests(self) -> Mapping[str, Callable[..., None]]:
+        return {"save": self._save}
+
+    def keys(self) -> Mapping[str, Key]:
+        return {"Ctrl+S": Key("save", (), "save labels, mesh, picture, run.toml")}
+
+    def state(self, status: Status) -> dict[str, Any]:
+        return {"saved": sorted(self.files), "saving": self.is_saving}
+
+    def add(self, *paths: Path) -> None:
+        """These have been saved too."""
+        self.files |= {path.name: path for path in paths}
+
+    def _save(self, *what: Any) -> None:
+        actions = self.actions
+        kinds = [word(kind, SAVED_KINDS) for kind in what] or list(SAVED_KINDS)
+        if actions.folder is None:
+            raise UsageError("save: there is no folder to save in", "name one")
+        future = actions.session.save(actions.folder, kinds, actions.overwrite)
+        content = _content(actions.session.status)
+        self.is_saving = True
+        future.add_done_callback(lambda _: setattr(self, "is_saving", False))
+        actions.note("saving ...", 600)
+        folder, is_all = actions.folder, not what
+        actions.ask(future, lambda paths: self._saved(folder, paths, is_all, content if "labels" in kinds else None))
+
+    def _saved(self, folder: Path, paths: list[Path], is_all: bool, content: Any) -> None:
+        """List what was saved; with all there is, save the scene as it is drawn now."""
+        self._stored = content or self._stored
+        home = folder.resolve()
+        # The session chooses the names; a file elsewhere would not be served all the same.
+        self.files |= {path.name: path for path in paths if path.resolve().parent == home}
+        self.actions.note(f"saved in {folder.absolute()}: {', '.join(path.name for path in paths)}", 20)
+        if is_all:
+            picture = folder / f"{self.actions.session.name}_view.png"
+            self.actions.scene.screenshot(picture)
+            self.actions.scene.tiles.redraw.mark_all()  # a page has not got this picture
+            self.add(picture, *(path for feature in self.actions.features for path in feature.save_beside(folder)))
+
+
+def _content(status: Status) -> tuple[Any, ...]:
+    """Return the part of a run that files hold."""
+    return status.step, status.settings, status.edits, status.refinements

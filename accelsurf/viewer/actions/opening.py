@@ -1,0 +1,378 @@
+"""Opening of images: by name, from the list of recent files, from a folder; read in a thread, with questions first.
+
+It exists before any image is open, and outlives each. Window and page pass on what is asked for, show `state()`, and
+take what was read from `fetch()`: then they begin another session.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from accelsurf.errors import AccelsurfError, UsageError
+from accelsurf.image.volume import Volume
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.files import FilesFeature
+from accelsurf.viewer.actions.tool import carry_out, text, whole, word
+from accelsurf.viewer.actions.workplace import Actions
+from accelsurf.viewer.core.command_queue import in_background
+from accelsurf.viewer.core.opening import (
+    Choice,
+    OpenedImage,
+    ServedFolder,
+    choices_of,
+    for_another_image,
+    make_phantom,
+    phantom_texts,
+    read_image,
+    read_reference,
+)
+from accelsurf.viewer.core.recent_files import RecentFiles
+from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.core.status import error_line
+
+#: Seconds that a session has at the end of the program to end its step, and to finish a save.
+STEP_SECONDS, SAVING_SECONDS = 10.0, 600.0
+
+
+class FormerSessions:
+    """Ends sessions without waiting for them; at the end of the program they finish what was asked of them."""
+
+    def __init__(self) -> None:
+        self._sessions: list[tuple[Session, float]] = []
+
+    def add(self, actions: Actions) -> None:
+        """End the session of an image that is left."""
+        is_saving = actions.feature(FilesFeature).is_saving
+        actions.session.close(0.0)
+        self._sessions = [former for former in self._sessions if former[0].is_alive]
+        self._sessions.append((actions.session, SAVING_SECONDS if is_saving else STEP_SECONDS))
+
+    def close(self) -> None:
+        """Wait until they have ended."""
+        for session, seconds in self._sessions:
+            session.close(seconds)
+
+
+class ResultFolders:
+    """Folders for results: the first image is saved in the folder itself, each further one in a folder of its own.
+
+    Parameters
+    ----------
+    folder : Path or None
+        None where the user is asked for one.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder, self._count = folder, 0
+
+    def of_next(self, name: str) -> Path | None:
+        """Return the folder for the image that is opened next, by its name; it is made when something is saved.
+
+        Examples
+        --------
+        >>> folders = ResultFolders(Path("out"))
+        >>> [folders.of_next("scan").as_posix() for _ in range(3)]
+        ['out', 'out/scan-2', 'out/scan-3']
+        """
+        self._count += 1
+        if self._folder is None or self._count == 1:
+            return self._folder
+        return self._folder / f"{name}-{self._count}"
+
+
+#: Letters of a path that a page sends, and of a message.
+MAX_PATH, MAX_MESSAGE = 1024, 300
+#: Answers to a question, and the words of their buttons.
+ANSWERS = {"open": "Open", "reference": "As a reference", "cancel": "Cancel"}
+
+
+class Opening:
+    """Opens images, phantoms and references.
+
+    Parameters
+    ----------
+    config : RunConfig
+        Settings of the first image; those that belong to one image are left out for the next.
+    recent : RecentFiles
+        Lists what was opened.
+    served : ServedFolder, optional
+        Only what is in it can be asked for by name, as a page may; without it any path, as a person at the window may.
+
+    Attributes
+    ----------
+    actions : Actions or None
+        The one that is open now; set by whoever shows it.
+    message : str
+        One line: what is being done, or what went wrong last.
+    failed : bool
+        Whether that is an error.
+    """
+
+    def __init__(self, config: RunConfig, recent: RecentFiles, served: ServedFolder | None = None) -> None:
+        self.actions: Actions | None = None
+        self.message, self.failed = "", False
+        self._config, self._recent, self._served = config, recent, served
+        self._work: Future[Any] | None = None
+        self._began, self._doing = 0.0, ""
+        self._path: Path | None = None
+        self._is_listed = True
+        self._choices: list[Choice] = []
+        #: What is done when the question is answered with yes, and with "reference"; its words.
+        self._asked: dict[str, Callable[[], None]] = {}
+        self._question = ""
+        self._folder = served.root if served is not None else None
+        self._phantoms = phantom_texts()
+        self._lists: dict[str, Any] = {}
+        self._requests = dict(self.requests())
+        self._renew_lists()
+
+    # -- to ask -------------------------------------------------------------------------------------------
+
+    def requests(self) -> Mapping[str, Callable[..., None]]:
+        """Return the requests by name; values come from a page and are not trusted."""
+        return {
+            "open": lambda path: self.open_path(self._named(path)),
+            "open_recent": self._open_recent,
+            "open_phantom": self._open_phantom,
+            "open_reference": lambda path: self.open_reference(self._named(path)),
+            "choose": self._choose,
+            "answer": self._answer,
+            "list_folder": self._list_folder,
+            "drop_failed": self._drop_failed,
+            **({} if self._served is not None else {"drop": self._open_dropped}),
+        }
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the requests that there are."""
+        return tuple(self._requests)
+
+    def request(self, name: Any, *values: Any) -> None:
+        """Carry out a request; what is wrong with it becomes `message`. Raises nothing."""
+        try:
+            carry_out(self._requests, name, values)
+        except Exception as error:
+            self._fail(error)
+
+    def open_path(self, path: Path, dropped: bool = False, temporary: bool = False) -> None:
+        """Open an image, after questions where there are some: whether it is one that was dropped, which of several.
+
+        Parameters
+        ----------
+        path : Path
+        dropped : bool
+            It may be meant as a reference, too.
+        temporary : bool
+            It is not listed among the recent files.
+
+        Raises
+        ------
+        UsageError
+            When something is being opened already.
+        """
+        self._check_free()
+        then: dict[str, Callable[[], None]] = {"open": partial(self._look_into, path, not temporary)}
+        if dropped and self.actions is not None:
+            then["reference"] = partial(self.open_reference, path)
+        self._ask_first(path.name or str(path), then)
+
+    def open_reference(self, path: Path) -> None:
+        """Compare the open image with labels.
+
+        Raises
+        ------
+        UsageError
+            When no image is open, or something is being opened already.
+        """
+        self._check_free()
+        if self.actions is None:
+            raise UsageError("reference: no image is open", "open the image first")
+        geometry = self.actions.scene.geometry
+        self._start(f"reading the reference {path.name}", lambda: read_reference(path, geometry))
+
+    def _named(self, value: Any) -> Path:
+        """The path that was asked for by name."""
+        name = text(value, MAX_PATH)
+        if not name:
+            raise UsageError("open: nothing was given", "give the name of a file or folder")
+        return self._served.resolve(name) if self._served is not None else Path(name).expanduser()
+
+    def _open_recent(self, number: Any) -> None:
+        entries = self._recent.entries()
+        if not entries:
+            raise UsageError("recent files: there are none")
+        self.open_path(entries[whole(number, 0, len(entries) - 1)].path)
+
+    def _open_phantom(self, name: Any) -> None:
+        self._check_free()
+        known = word(name, tuple(self._phantoms))
+        config = self._config
+        self._ask_first(known, {"open": lambda: self._start(
+            f"making the phantom {known}", lambda: make_phantom(known, config)
+        )})
+
+    def _choose(self, number: Any) -> None:
+        if not self._choices or self._path is None:
+            raise UsageError("choose: there is nothing to choose from")
+        choice = self._choices[whole(number, 0, len(self._choices) - 1)]
+        path, config = self._path, self._config.replace(**choice.settings)
+        self._choices = []
+        self._start(f"reading {path.name}", lambda: read_image(path, config))
+
+    def _answer(self, answer: Any) -> None:
+        asked = {**self._asked, "cancel": lambda: self.say("")}
+        self._choices = [] if answer == "cancel" else self._choices
+        work = asked[word(answer, tuple(asked))]
+        self._asked, self._question = {}, ""
+        work()
+
+    def _list_folder(self, name: Any) -> None:
+        if self._served is None:
+            raise UsageError("list_folder: there is no folder to choose from")
+        folder = self._served.resolve(text(name, MAX_PATH))
+        self._served.entries(folder)  # raises where there is none
+        self._folder = folder
+        self._renew_lists()
+        self.say("")
+
+    def _open_dropped(self, *names: Any) -> None:
+        """Open what was dropped on the window; on a page things are uploaded first."""
+        if len(names) != 1:
+            raise UsageError(f"{len(names)} files were dropped, one expected", "drop the folder of a scan")
+        self.open_path(self._named(names[0]), dropped=True)
+
+    def _drop_failed(self) -> None:
+        raise UsageError("this cannot be uploaded: drop one file; of a folder of DICOM a zip archive of it")
+
+    def refuse(self, line: str) -> None:
+        """Say that something could not be opened."""
+        self.say(line, failed=True)
+
+    # -- to do --------------------------------------------------------------------------------------------
+
+    def _check_free(self) -> None:
+        if self._work is not None:
+            raise UsageError(f"something else is being opened: {self._doing}", "wait until it is open")
+
+    def _ask_first(self, name: str, then: dict[str, Callable[[], None]]) -> None:
+        """Do it at once, or when the question is answered: what was not saved would be lost."""
+        self._choices = []
+        actions = self.actions
+        is_unsaved = actions is not None and actions.feature(FilesFeature).is_unsaved
+        if not is_unsaved and len(then) == 1:
+            then["open"]()
+            return
+        loss = "; what was done here and is not saved will be lost" if is_unsaved else ""
+        self._asked, self._question = then, f"Open {name}{loss}?"
+        self.say("")
+
+    def _look_into(self, path: Path, is_listed: bool) -> None:
+        """Open a path, or find out what can be chosen in it."""
+        config = self._config
+        self._path, self._is_listed = path, is_listed
+
+        def work() -> OpenedImage | list[Choice]:
+            return choices_of(path, config) or read_image(path, config)
+
+        self._start(f"reading {path.name}", work)
+
+    def _start(self, doing: str, work: Callable[[], Any]) -> None:
+        """Work in a thread, with what the command line allows."""
+        self._check_free()
+        self._doing, self._began = doing, time.monotonic()
+        self.say(f"{doing} ...")
+        self._work = in_background(work, "accelsurf opening")
+
+    def fetch(self) -> OpenedImage | None:
+        """Return the image that has been read, once; None while there is none. Errors become `message`."""
+        if self._work is None:
+            return None
+        if not self._work.done():
+            seconds = time.monotonic() - self._began
+            self.say(f"{self._doing} ..." + (f" {seconds:.0f} s" if seconds >= 1.0 else ""))
+            return None
+        work, self._work = self._work, None
+        try:
+            found = work.result()
+        except Exception as error:
+            self._fail(error)
+            return None
+        self.say("")
+        if isinstance(found, OpenedImage):
+            return found
+        if isinstance(found, Volume):
+            self._compare(found)
+        else:
+            self._choices = list(found)
+        return None
+
+    def _compare(self, labels: Volume) -> None:
+        if self.actions is None:
+            return
+        try:
+            self.actions.scene.compare(labels)
+        except AccelsurfError as error:
+            self._fail(error)
+
+    def show(self, actions: Actions, opened: OpenedImage) -> None:
+        """Note that an image that was read is shown."""
+        self.actions, self._path = actions, None
+        self._config = for_another_image(self._config)
+        if opened.source is not None and self._is_listed:
+            self._recent.add(opened.source)
+        self._renew_lists()
+        if opened.note:
+            actions.note(opened.note, 30.0)
+
+    # -- to show ------------------------------------------------------------------------------------------
+
+    @property
+    def is_busy(self) -> bool:
+        """Test if something is being opened."""
+        return self._work is not None
+
+    def state(self) -> dict[str, Any]:
+        """Return the state to be shown, in types of JSON."""
+        return {
+            "is_open": self.actions is not None, "opening": self.is_busy, "opening_message": self.message,
+            "opening_failed": self.failed, "question": self._question,
+            "answers": [[name, ANSWERS[name]] for name in (*self._asked, "cancel")] if self._question else [],
+            "choices": [choice.text for choice in self._choices], **self._lists,
+        }
+
+    def _renew_lists(self) -> None:
+        """Look anew at what is listed."""
+        recent = [{"name": entry.path.name, "folder": str(entry.path.parent), "exists": entry.exists}
+                  for entry in self._recent.entries()]
+        phantoms = [{"name": name, "text": said} for name, said in self._phantoms.items()]
+        self._lists = {"recent": recent, "phantoms": phantoms, "folder": "", "folders": [], "images": [], "above": None}
+        self._lists |= {"unlisted": 0, "this_image": ""}
+        if self._served is None or self._folder is None:
+            return
+        entries, more = self._served.entries(self._folder)
+        shown = self._served.shown(self._folder)
+        inner = f"{shown}/" if shown else ""
+        self._lists |= {
+            "folder": shown or self._served.root.name,
+            "above": self._served.shown(self._folder.parent) if shown else None,
+            "folders": [[entry.name, inner + entry.name] for entry in entries if entry.is_folder],
+            "images": [[entry.name, inner + entry.name] for entry in entries if entry.is_image],
+            "unlisted": more,
+            "this_image": (shown or ".") if self._served.is_image(self._folder) else "",
+        }
+
+    def say(self, line: str, failed: bool = False) -> None:
+        """Show a line: on the start page, or beside the open image."""
+        self.message, self.failed = line[:MAX_MESSAGE], failed
+        if self.actions is not None:
+            self.actions.note("" if failed else line, 600.0)
+            if failed or line == "":
+                self.actions.message = self.message
+
+    def _fail(self, error: Exception) -> None:
+        self.say(error.message if isinstance(error, UsageError) and not error.hint else error_line(error), failed=True)

@@ -1,0 +1,116 @@
+"""Run, pause, go back and forward, undo; the list of changes, and uncertain locations to click at next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from accelsurf.errors import UsageError
+from accelsurf.viewer.actions.tool import Feature, Key, whole
+from accelsurf.viewer.core.status import Status
+
+if TYPE_CHECKING:
+    from accelsurf.viewer.actions.workplace import Actions
+    from accelsurf.viewer.core.session import Doubt
+
+
+class RunFeature(Feature):
+    """Steers the run of the session."""
+
+    def requests(self) -> Mapping[str, Callable[..., None]]:
+        session, ask = self.actions.session, self.actions.ask
+        return {
+            "play": lambda: ask(session.play()),
+            "pause": lambda: ask(session.pause()),
+            "toggle": self._toggle,
+            "step": lambda: ask(session.single_step()),
+            "back": self._back,
+            "go_to": lambda step: ask(session.go_to(whole(step, 0, 10**9))),
+            "restart": lambda: ask(session.restart()),
+            "undo": lambda: ask(session.undo()),
+            "redo": lambda: ask(session.redo()),
+        }
+
+    def keys(self) -> Mapping[str, Key]:
+        return {
+            "Space": Key("toggle", (), "run, pause"),
+            "Right": Key("step", (), "one step"),
+            "Left": Key("back", (), "back one step"),
+            "Home": Key("restart", (), "restart with the settings in force"),
+            "Ctrl+Z": Key("undo", (), "undo the last change"),
+            "Ctrl+Shift+Z": Key("redo", (), "make the undone change again"),
+        }
+
+    def state(self, status: Status) -> dict[str, Any]:
+        return {
+            "ready": status.ready, "playing": status.playing, "state_word": status.word,
+            "step": status.step, "last": max((status.step, *status.checkpoints)),
+            "undoable": status.undoable, "redoable": status.redoable, "edits": len(status.edits),
+            "checkpoints": list(status.checkpoints),
+        }
+
+    def _toggle(self) -> None:
+        session = self.actions.session
+        self.actions.ask(session.pause() if session.status.playing else session.play())
+
+    def _back(self) -> None:
+        session = self.actions.session
+        if session.status.step > 0:
+            self.actions.ask(session.go_to(session.status.step - 1))
+
+
+class HistoryFeature(Feature):
+    """Goes back and forward over changes, and to doubtful places."""
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
+        self._doubts: tuple[Doubt, ...] = ()
+        #: Which of them N went to last.
+        self._at = -1
+
+    def requests(self) -> Mapping[str, Callable[..., None]]:
+        session, ask = self.actions.session, self.actions.ask
+        return {
+            "change": lambda count: ask(session.go_to_change(whole(count, 0, 10**6))),
+            "next_doubt": self._next_doubt,
+            "doubt": lambda number: self._go_to(whole(number, 1, max(len(self._doubts), 1)) - 1),
+        }
+
+    def keys(self) -> Mapping[str, Key]:
+        return {"N": Key("next_doubt", (), "where to click next, once more: the next place")}
+
+    def state(self, status: Status) -> dict[str, Any]:
+        if status.doubts != self._doubts:
+            self._doubts, self._at = status.doubts, -1
+            self.actions.scene.marks.show_places([doubt.world for doubt in self._doubts])
+        return {
+            "changes": [change._asdict() for change in status.changes],
+            "rests": list(status.rests),
+            "doubts": [
+                {"place": ", ".join(f"{v:.4g}" for v in doubt.world), "percent": round(100.0 * doubt.share)}
+                for doubt in status.doubts
+            ],
+            "doubt_at": self._at + 1,
+        }
+
+    def _next_doubt(self) -> None:
+        """Go to the most doubtful place, and from there to the next.
+
+        Raises
+        ------
+        UsageError
+            When there is none.
+        """
+        if not self._doubts:
+            ended = self.actions.session.status.stop is not None
+            raise UsageError("no place is in doubt" if ended else "where to click next is known when the run has ended")
+        self._go_to((self._at + 1) % len(self._doubts))
+
+    def _go_to(self, number: int) -> None:
+        if not number < len(self._doubts):
+            raise UsageError("no place is in doubt")
+        self._at, doubt = number, self._doubts[number]
+        self.actions.scene.cursor = doubt.world
+        self.actions.note(
+            f"place {number + 1} of {len(self._doubts)}, {100.0 * doubt.share:.0f} % doubt: click inside or outside"
+        )

@@ -1,0 +1,292 @@
+"""Tools: to look, to press and draw a size, to start, to paint strokes that are drawn until the surface obeys."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from concurrent.futures import Future
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.grid.clicks import Side
+from accelsurf.viewer.actions.tool import Feature, Tool, ball_text, finest, numbers_text
+from accelsurf.viewer.core.size_drag import Dragging
+from accelsurf.viewer.core.status import View
+from accelsurf.viewer.scene.space import Picked
+
+if TYPE_CHECKING:
+    from accelsurf.viewer.actions.workplace import Actions
+
+
+class Look(Tool):
+    """Moves the slices through the point."""
+
+    name, key, text = "look", "V", "Look"
+    tip = "Turn the surface; drag in a slice to move the slices"
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
+        self._before: NDArray[np.float64] | None = None
+
+    def press(self, at: Picked) -> None:
+        self._before = self.actions.scene.cursor
+        self.move(at)
+
+    def move(self, at: Picked) -> None:
+        if at.world is not None:
+            self.actions.scene.cursor = at.world
+
+    def release(self) -> None:
+        self._before = None
+
+    def cancel(self) -> None:
+        if self._before is not None:
+            self.actions.scene.cursor = self._before
+        self._before = None
+
+
+class Ball(Tool):
+    """Places a ball from which the run starts."""
+
+    name, key, text = "ball", "B", "Ball"
+    tip = "Press in a slice or on the surface and drag: a ball to start from"
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
+        self.center: NDArray[np.float64] | None = None
+
+    def press(self, at: Picked) -> None:
+        self.center = at.world
+        self.resize()
+
+    move = press
+
+    def resize(self) -> None:
+        if self.center is not None:
+            self.actions.scene.mark_ball(self.center, self.radius)
+
+    def release(self) -> None:
+        if self.center is not None:
+            self.actions.scene.cursor = self.center
+            self.actions.ask(self.actions.session.start_from(self.start(ball_text(self.center, self.radius))))
+        # The mark stays until the surface is drawn that it has led to.
+        self.center = None
+
+    def leave(self) -> None:
+        self.center = None
+
+    def start(self, ball: str) -> list[str]:
+        """Return the balls from which the run starts, with the new one."""
+        return [ball]
+
+
+class Points(Ball):
+    """Places a small ball at each click; the run starts from all."""
+
+    name, key, text = "points", "P", "Points"
+    tip = "Click in a slice: small balls to start from, one for each point"
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
+        self._balls: list[str] = []
+
+    def start(self, ball: str) -> list[str]:
+        self._balls.append(ball)
+        return self._balls
+
+    def cancel(self) -> None:
+        self.center = None  # those placed before stay
+
+    def leave(self) -> None:
+        self._balls, self.center = [], None
+
+
+class Size(Tool):
+    """Presses in an object and draws its size out."""
+
+    name, key, text = "size", "S", "Size"
+    tip = "Press in the object and drag outwards until the outline fits: a click and a size"
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
+        self._center: NDArray[np.float64] | None = None
+        self._dragging: Dragging | None = None
+        self.drag_mm = 0.0
+
+    def press(self, at: Picked) -> None:
+        if at.world is None:
+            return
+        self._center, self.drag_mm = at.world, 0.0
+        press = functools.partial(self.actions.session.press, object_id=self.actions.object_id)
+        self._dragging = Dragging(press, ball_text(at.world, self.radius))
+        self.actions.ask(self._dragging.pressed)
+        self.actions.scene.cursor = at.world
+        self.actions.scene.mark_ball(at.world, self.radius)
+
+    def move(self, at: Picked) -> None:
+        if self._center is None or self._dragging is None or at.world is None:
+            return
+        self.drag_mm = float(np.linalg.norm(at.world - self._center))
+        drag = self._dragging.at(self.drag_mm)
+        if drag is not None:
+            self.actions.scene.mark_size(drag, self.drag_mm)
+
+    def release(self) -> None:
+        if self._dragging is not None and self.drag_mm > 0:
+            self.actions.ask(self.actions.session.release(self.drag_mm))
+        self.leave()
+
+    def leave(self) -> None:
+        self._center = self._dragging = None
+        self.actions.scene.mark_size(None)
+
+
+#: In the order of their buttons; those that paint follow.
+TOOLS: tuple[type[Tool], ...] = (Look, Size, Ball, Points)
+
+
+#: A stroke has a place each time it has moved by this part of its radius, and at least by a voxel.
+STROKE_STEP = 0.5
+#: On a surface a stroke that jumps by so many radii, over an edge of what is seen, begins anew there.
+JUMP = 4.0
+
+Place = NDArray[np.float64]
+
+
+class StrokeTool(Tool):
+    """Paints a stroke; what it is sent as is up to its kinds."""
+
+    #: In whose colour it is drawn.
+    side: Side = "inside"
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
+        #: Pieces of the stroke, each a line of places.
+        self._pieces: list[list[Place]] = []
+        self._mark = 0
+        #: Strokes that were sent, and what waits for the surface to obey.
+        self.sent: list[tuple[int, Future[Any]]] = []
+
+    @property
+    def width(self) -> float:
+        """Radius, mm; 0 where it is no larger than a voxel, so that a click is a point."""
+        return self.radius if self.radius > 0.5001 * finest(self.actions.scene.geometry) else 0.0
+
+    def press(self, at: Picked) -> None:
+        if at.world is None:
+            return
+        self.leave()
+        self._mark = self.actions.scene.marks.new_stroke()
+        self.move(at)
+
+    def move(self, at: Picked) -> None:
+        strokes = self.actions.scene.marks
+        if at.world is None or not self._mark:
+            return
+        # As the settings will have it, so that what is drawn is what is clicked, to the last voxel.
+        world = np.array([float(part) for part in numbers_text(at.world).split(",")])
+        last = self._pieces[-1][-1] if self._pieces else None
+        away = np.inf if last is None else float(np.linalg.norm(world - last))
+        step = max(STROKE_STEP * self.width, finest(self.actions.scene.geometry))
+        if away < step:
+            return
+        if last is None or (at.tile == "space" and away > max(JUMP * self.width, 4.0 * step)):
+            self._pieces.append([world])
+        else:
+            self._pieces[-1].append(world)
+        strokes.add(self._mark, self.side, self._pieces[-1][-2:], self.width)
+
+    def release(self) -> None:
+        if self._pieces:
+            future = self.send(self._pieces)
+            self.actions.ask(future)
+            self.sent.append((self._mark, future))
+        self._pieces, self._mark = [], 0
+
+    def leave(self) -> None:
+        if self._mark:
+            self.actions.scene.marks.end(self._mark)
+        self._pieces, self._mark = [], 0
+
+    def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
+        """Have the session make the stroke."""
+        raise NotImplementedError
+
+    def end_obeyed(self) -> None:
+        """Draw no longer what the surface has obeyed, or the session refused."""
+        for mark, future in self.sent:
+            if future.done():
+                self.actions.scene.marks.end(mark)
+        self.sent = [(mark, future) for mark, future in self.sent if not future.done()]
+
+
+class Inside(StrokeTool):
+    """Says what is inside."""
+
+    name, key, text = "inside", "I", "Inside"
+    tip = "Click, or draw a stroke, in a slice or on the surface: this is in the object, and stays in it"
+
+    def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
+        texts = tuple(click_text(piece, self.width) for piece in pieces)
+        return self.actions.session.add_click(self.side, texts, self.actions.object_id)
+
+
+class Outside(Inside):
+    """Says what is not."""
+
+    side: Side = "outside"
+    name, key, text = "outside", "O", "Outside"
+    tip = "Click, or draw a stroke, in a slice or on the surface: this is not in the object, and stays out of it"
+
+
+class Grow(StrokeTool):
+    """Adds what the brush covers."""
+
+    kind: Literal["add", "remove"] = "add"
+    name, key, text = "grow", "G", "Grow"
+    tip = "Press and drag in a slice or on the surface: add what the brush covers"
+
+    def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
+        balls = tuple(ball_text(place, self.radius) for piece in pieces for place in piece)
+        return self.actions.session.edit_balls(self.kind, balls, self.actions.object_id)
+
+
+class Shrink(Grow):
+    """Removes what the brush covers."""
+
+    side: Side = "outside"
+    kind: Literal["add", "remove"] = "remove"
+    name, key, text = "shrink", "K", "Shrink"
+    tip = "Press and drag in a slice or on the surface: remove what the brush covers"
+
+
+class StrokesFeature(Feature):
+    """The tools that paint."""
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__(actions)
+        self._tools = tuple(kind(actions) for kind in (Inside, Outside, Grow, Shrink))
+
+    def tools(self) -> Sequence[Tool]:
+        return self._tools
+
+    def update(self, view: View) -> None:
+        for tool in self._tools:
+            tool.end_obeyed()
+
+
+def click_text(places: Sequence[Place], radius: float) -> str:
+    """Return a piece of a stroke as a click: a point, a ball or a path.
+
+    Examples
+    --------
+    >>> click_text([np.array([1.0, 2.0, 3.0])], 0.0), click_text([np.array([1.0, 2.0, 3.0])], 4.0)
+    ('point:1,2,3', 'ball:1,2,3,4')
+    >>> click_text([np.array([1.0, 2.0, 3.0]), np.array([5.0, 2.0, 3.0])], 4.0)
+    'path:1,2,3,4;5,2,3,4'
+    """
+    if len(places) == 1:
+        return ball_text(places[0], radius) if radius > 0 else f"point:{numbers_text(places[0])}"
+    return "path:" + ";".join(numbers_text((*place, radius)) for place in places)

@@ -1,0 +1,178 @@
+"""Movies of a run: which pictures there are, and the run in a folder of results."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import chain, repeat
+from pathlib import Path
+
+from accelsurf import io
+from accelsurf.errors import InputError, UsageError
+from accelsurf.evolution.records import StepRecord
+from accelsurf.io.files import read_json
+from accelsurf.output import result_sets
+from accelsurf.output.pictures.movies import MAX_SIDE, MIN_SIDE, Picture
+from accelsurf.run.run import Run
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.core.frame import Frame, histories_of_run
+from accelsurf.viewer.drawing_process import DrawingProcess, Histories, SceneRecipe
+
+#: Called with each record and the id of its object (None for one without an id); a true value ends the run.
+OnStep = Callable[[StepRecord, int | None], bool | None]
+
+
+@dataclass(frozen=True)
+class MovieSettings:
+    """Settings of the movie of a run.
+
+    Parameters
+    ----------
+    every : int
+        A frame is drawn of every so many steps, and of the first and the last.
+    fps : float
+        Frames per second.
+    orbit : float
+        Degrees that the camera turns per second of movie; 0 does not turn it.
+    hold : float
+        Seconds that the last frame is shown longer, while the camera turns on.
+    size : (int, int)
+        Width and height, pixels.
+
+    Raises
+    ------
+    UsageError
+        When one of them is out of bounds.
+    """
+
+    every: int = 1
+    fps: float = 15.0
+    orbit: float = 12.0
+    hold: float = 2.0
+    size: tuple[int, int] = SceneRecipe.size
+
+    def __post_init__(self) -> None:
+        bounds = {"every": (1, 1e6), "fps": (0.1, 120.0), "orbit": (-3600.0, 3600.0), "hold": (0.0, 600.0)}
+        for name, (low, high) in bounds.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                hint = "accelsurf movie --help says what it is"
+                raise UsageError(f"{name}: {value:g} was given, expected {low:g} to {high:g}", hint)
+        if any(not MIN_SIDE <= side <= MAX_SIDE for side in self.size):
+            given = "x".join(str(side) for side in self.size)
+            expected = f"sides of {MIN_SIDE} to {MAX_SIDE} pixels"
+            raise UsageError(f"size: {given} was given, expected {expected}", "as in 1280x720")
+
+
+    @property
+    def turn(self) -> float:
+        """Degrees that the camera turns from picture to picture."""
+        return self.orbit / self.fps
+
+
+def pictures(
+    run: Run, drawing: DrawingProcess, movie: MovieSettings, on_step: OnStep | None = None
+) -> Iterator[Picture]:
+    """Run to the end and draw the steps.
+
+    Parameters
+    ----------
+    run : Run
+        Without a step yet.
+    drawing : DrawingProcess
+        With a scene of the same image.
+    movie : MovieSettings
+    on_step : callable, optional
+        As `OnStep` says.
+
+    Yields
+    ------
+    ndarray (height, width, 3), uint8
+
+    Raises
+    ------
+    GraphicsError
+        As of `DrawingProcess.draw`, or when no picture could be drawn.
+    """
+    count = 0
+    held = repeat((None, ()), math.ceil(movie.hold * movie.fps))
+    for frame, histories in chain(frames(run, movie.every, on_step), held):
+        picture = drawing.draw(frame, histories)
+        if picture is not None:
+            count += 1
+            yield picture
+    if not count:
+        raise drawing.failure()
+
+
+def last_picture(run: Run, drawing: DrawingProcess, on_step: OnStep | None = None) -> Picture:
+    """Run to the end and draw the last step; parameters and errors as of `pictures`."""
+    for frame, histories in frames(run, None, on_step):
+        picture = drawing.draw(frame, histories)
+    if picture is None:
+        raise drawing.failure()
+    return picture
+
+
+def frames(run: Run, every: int | None = 1, on_step: OnStep | None = None) -> Iterator[tuple[Frame, Histories]]:
+    """Run to the end, yielding what is drawn of every so many steps and of the last; None: of the last alone."""
+    with run:
+        for number in _steps(run, on_step):
+            if run.stop is not None or (every is not None and number % every == 0):
+                yield Frame.of_run(run), histories_of_run(run)
+
+
+def _steps(run: Run, on_step: OnStep | None) -> Iterator[int]:
+    """Run, yielding the number of each step when all objects have made it; ends early when ``on_step`` asks for it."""
+    while steps := run.step():
+        for step in steps:
+            if on_step is not None and on_step(step.record, step.object_id if run.has_ids else None):
+                run.request_stop()
+        yield run.step_number - 1
+
+
+# -- from a folder of results -----------------------------------------------------------------------------------
+
+
+def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
+    """Image and settings of the run whose results are in a folder: they repeat it, byte for byte.
+
+    Parameters
+    ----------
+    folder : Path
+        Where ``accelsurf segment`` wrote; it must hold one report.
+
+    Raises
+    ------
+    InputError
+        When there is no report or more than one, it is not of a run that can be repeated, or the image is missing or
+        has changed.
+    """
+    reports = [path for path in sorted(folder.glob("*_report.json")) if not _is_failure_beside(path)]
+    if len(reports) != 1:
+        found = "no report (NAME_report.json)" if not reports else f"{len(reports)} reports"
+        raise InputError(f"{folder}: {found} there, expected one", "give the image and its settings instead")
+    path = reports[0]
+    document = read_json(path)
+    try:
+        settings, source = document["config"], document["input"]
+        image, checksum = Path(source["path"]), source["sha256"]
+        if not isinstance(settings, dict):
+            raise TypeError
+    except (ValueError, KeyError, TypeError):
+        message = f"{path}: not the report of a run that can be repeated"
+        raise InputError(message, "run accelsurf segment again") from None
+    if str(settings.get("energy", "")).startswith("custom: "):
+        raise InputError(f"{path}: the energy was one of your own ({settings['energy']})", "make the movie in Python")
+    if not os.path.isfile(image):  # False for a name that no file can have, too
+        raise InputError(f"{path}: the image {image} is not there any more", "give the image and --config instead")
+    if checksum is not None and io.sha256(image) != checksum:
+        raise InputError(f"{image}: has changed, it is not the image of {path.name} any more", "run segment again")
+    return image, RunConfig(**settings)
+
+
+def _is_failure_beside(path: Path) -> bool:
+    """Test if a report is that of a failed run beside a result."""
+    return path.name.endswith(result_sets.report_name(result_sets.FAILED)) and result_sets.is_failure_report(path)

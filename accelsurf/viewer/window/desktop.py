@@ -1,0 +1,373 @@
+"""An image in the window: the scene, the panel of controls, the bar to move over steps; mouse and keys.
+
+The panels beside the scene: tools, and all others below.
+"""
+
+from __future__ import annotations
+
+import functools
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtGui import QAction, QCloseEvent, QKeySequence, QResizeEvent, QShowEvent
+from PySide6.QtWidgets import (
+    QApplication,
+    QButtonGroup,
+    QFileDialog,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QMainWindow,
+    QPushButton,
+    QScrollArea,
+    QVBoxLayout,
+    QWidget,
+)
+from pyvistaqt import QtInteractor
+
+from accelsurf.image.grey_window import parse_window
+from accelsurf.image.volume import Volume
+from accelsurf.viewer.actions.slices import READ_OUT
+from accelsurf.viewer.actions.workplace import Actions, IdleDrawing
+from accelsurf.viewer.core.sequence_view import SequenceView
+from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.scene.scene import SIZE, Scene
+from accelsurf.viewer.window.appearance import page_of_help, palette, sheet
+from accelsurf.viewer.window.canvas_events import CanvasEvents
+from accelsurf.viewer.window.histogram_panel import HistogramPanel
+from accelsurf.viewer.window.history_panel import ChangesBar, HistoryPanel
+from accelsurf.viewer.window.measure_panel import MeasurePanel
+from accelsurf.viewer.window.objects_panel import ObjectsPanel
+from accelsurf.viewer.window.playback_bar import FrameBar, PlaybackBar
+from accelsurf.viewer.window.section_panel import Amount, OneLine, Section, framed
+from accelsurf.viewer.window.settings_panel import SettingsPanel
+from accelsurf.viewer.window.slices_panel import PicturePanel, SlicesPanel
+
+#: How often the window looks for something new, milliseconds.
+POLL_MS = 15
+#: Width of the page of keys where there is room, and what stays free beside it, pixels.
+HELP_WIDTH, HELP_MARGIN = 1240, 12
+
+
+def application() -> QApplication:
+    """Return the one application of this process, which a window needs; its `exec` ends with the last window."""
+    app = QApplication.instance() or QApplication(sys.argv[:1])
+    app.setApplicationName("accelsurf")
+    app.setStyle("Fusion")
+    return app
+
+
+class Window(QMainWindow):
+    """A window on a session, alone or within a `MainWindow`; `application` must be called first.
+
+    Parameters
+    ----------
+    session : Session
+        Begins when the first picture is drawn, if it has not; closed with the window.
+    reference : Volume, optional
+        Labels to compare with.
+    folder : Path, optional
+        Where to save; otherwise the user is asked the first time.
+    theme : str
+        "dark" or "light".
+    overwrite : bool
+        Replace files in the folder that this session has not written.
+    frames : SequenceView, optional
+        The sequence that the image is a frame of.
+
+    Attributes
+    ----------
+    drawing_seconds : float
+        How long the last frame took to draw while the run played.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        reference: Volume | None = None,
+        folder: Path | None = None,
+        theme: str = "dark",
+        overwrite: bool = False,
+        frames: SequenceView | None = None,
+    ) -> None:
+        super().__init__()
+        self.session = session
+        self.setWindowTitle(f"accelsurf - {session.name}")
+        self.resize(*SIZE)
+        geometry = session.volume.geometry
+        self.canvas = QtInteractor(self, auto_update=False, **Scene.layout(geometry))
+        self.canvas.setAcceptDrops(False)  # VTK would take them for meshes
+        self.scene = Scene(
+            session.volume, theme=theme, reference=reference, plotter=self.canvas, title=session.name,
+            window=parse_window(session.status.settings.window),
+        )
+        self.scene.tiles.redraw.is_painted = True
+        self.user_actions = Actions(session, self.scene, folder, overwrite, frames)
+        self.side = SidePanels(self.user_actions)
+        self.bar, self.frame_bar = PlaybackBar(self.user_actions), FrameBar(self.user_actions)
+        self.events = CanvasEvents(self.user_actions, self.canvas, self.refresh)
+        self.idle = IdleDrawing(self.user_actions)
+        self.drawing_seconds = 0.0
+        self._shown: dict[str, Any] = {}
+        self._lay_out()
+        self._connect()
+        self._timer = QTimer(self, interval=POLL_MS)
+        self._timer.timeout.connect(self._poll)
+        self._timer.start()
+
+    # -- layout -------------------------------------------------------------------------------------------
+
+    def _lay_out(self) -> None:
+        whole = QWidget()
+        rows = QVBoxLayout(whole)
+        rows.setContentsMargins(0, 0, 0, 0)
+        rows.setSpacing(0)
+        upper = QHBoxLayout()
+        upper.setSpacing(0)
+        upper.addWidget(self.canvas, 1)
+        upper.addWidget(self.side)
+        rows.addLayout(upper, 1)
+        rows.addWidget(self.frame_bar)
+        rows.addWidget(self.bar)
+        last = QHBoxLayout()
+        last.setContentsMargins(10, 0, 10, 5)
+        last.setSpacing(24)
+        self.message, self.read_out = OneLine(""), QLabel("")
+        self.message.setObjectName("message")
+        self.read_out.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.read_out.setToolTip("Place (x, y, z), voxel (i, j, k), value and label under the mouse")
+        last.addWidget(self.message, 1)
+        last.addWidget(self.read_out)
+        rows.addLayout(last)
+        self.setCentralWidget(whole)
+        self.help = QLabel(page_of_help(self.user_actions.keys), whole)
+        self.help.setObjectName("help")
+        self.help.setWordWrap(True)
+        self.help.hide()
+
+    def _connect(self) -> None:
+        self.bar.help_wanted.connect(self.toggle_help)
+        self.side.changes.save_wanted.connect(self.save)
+        of_window: dict[str, Callable[[], Any]] = {
+            "Ctrl+S": self.save, "F1": self.toggle_help, "H": self.toggle_help, "Escape": self._escape,
+            "Ctrl+Q": lambda: self.window().close(),
+        }
+        for key in dict.fromkeys((*self.user_actions.keys, *of_window)):
+            action = QAction(self)
+            action.setShortcut(QKeySequence(key))
+            work = of_window.get(key) or functools.partial(self._ask, "key", key)
+            action.triggered.connect(lambda _=False, work=work: work())
+            self.addAction(action)
+
+    # -- requests --------------------------------------------------------------------------------------
+
+    def _ask(self, name: str, *values: Any) -> None:
+        """Make a request, and draw what it has changed."""
+        self.user_actions.request(name, *values)
+        self.refresh()
+
+    def save(self) -> None:
+        """Save into the folder, which the user is asked for if it is not known."""
+        if self.user_actions.folder is None:
+            folder = QFileDialog.getExistingDirectory(self, "Save labels, mesh, picture and run.toml in")
+            if not folder:
+                return
+            self.user_actions.folder = Path(folder)
+        self.user_actions.request("save")
+
+    def toggle_help(self) -> None:
+        """Show the keys, or hide them."""
+        self.help.setVisible(not self.help.isVisible())
+        self._place_help()
+
+    def _escape(self) -> None:
+        if self.help.isVisible():
+            self.help.hide()
+        else:
+            self._ask("tool", "look")
+
+    # -- news ---------------------------------------------------------------------------------------------
+
+    def refresh(self) -> None:
+        """Draw what has changed, and show the state: at once, not when the session has something new."""
+        if self.user_actions.changed:
+            self.idle.interrupt()
+            self.scene.render()
+        self._show_state()
+
+    def _poll(self) -> None:
+        began, spent = time.perf_counter(), time.thread_time()
+        view = self.user_actions.poll(self.drawing_seconds)
+        if view is not None:
+            self.idle.interrupt()
+            self.scene.render()
+            if view.status.playing:
+                # The work of a graphics card takes nothing from the solver, nor do the finer pictures of a paused run.
+                wall, computed = time.perf_counter() - began, time.thread_time() - spent
+                self.drawing_seconds = wall if self.idle.is_software else computed
+        self.refresh()
+        self.idle.draw_in_full()
+
+    def _show_state(self) -> None:
+        state, before = self.user_actions.state(), self._shown
+        if state == before:
+            return
+        self._shown = state
+        if state["theme"] != before.get("theme"):
+            QApplication.instance().setPalette(palette(state["theme"]))
+            self.setStyleSheet(sheet(state["theme"]))
+        if state["copied"] != before.get("copied") and state["copied"][0]:
+            QApplication.clipboard().setText(state["copied"][1])
+        self.read_out.setText(
+            f"{state['where']}   voxel {state['voxel']}   value {state['value']}   label {state['label']}"
+        )
+        if _without_place(state) == _without_place(before):
+            return
+        self.side.show_state(state)
+        self.bar.show_state(state)
+        self.frame_bar.show_state(state)
+        self.setWindowTitle(f"accelsurf - {self.session.name} - step {state['step']} - {state['state_word']}")
+        text = f"Error: {state['message']}" if state["failed"] else state["message"]
+        self.message.setText(text)
+        self.message.setProperty("failed", state["failed"])
+        self.message.style().polish(self.message)
+
+    # -- the window ---------------------------------------------------------------------------------------
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Fit the camera: the size is known only now."""
+        super().showEvent(event)
+        QTimer.singleShot(0, self._draw_first)
+
+    def _draw_first(self) -> None:
+        """Draw the image, then have its run prepared: both at once, and the picture would wait."""
+        self._ask("whole")
+        self.session.start_preparing()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Keep the help centred."""
+        super().resizeEvent(event)
+        self._place_help()
+
+    def _place_help(self) -> None:
+        # As wide as its lines are long, and no wider than the window has room.
+        room = self.help.parentWidget().size()
+        self.help.setFixedWidth(min(HELP_WIDTH, room.width() - 2 * HELP_MARGIN))
+        self.help.adjustSize()
+        left, above = ((room.width() - self.help.width()) // 2, (room.height() - self.help.height()) // 2)
+        self.help.move(max(left, 0), max(above, 0))
+        self.help.raise_()
+
+    def leave(self) -> None:
+        """Show nothing any more; the session is not ended."""
+        self._timer.stop()
+        self.scene.close()
+
+    def closeEvent(self, event: QCloseEvent) -> None:
+        """End the session; files that are being saved are finished first."""
+        self._timer.stop()
+        is_saving = self.user_actions.state()["saving"]
+        if is_saving:
+            self.message.setText("saving ...")
+            QApplication.processEvents()
+        self.session.close(600.0 if is_saving else 30.0)
+        self.scene.close()
+        super().closeEvent(event)
+
+
+def _without_place(state: dict[str, Any]) -> dict[str, Any]:
+    """Return the state without the read-out, which changes with each motion of the mouse."""
+    return {key: value for key, value in state.items() if key not in READ_OUT}
+
+
+#: Buttons beside each other.
+IN_ROW = 4
+
+
+class ToolsPanel(Section):
+    """A button for each tool."""
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("Mouse", actions)
+        grid = framed(QGridLayout(self.body))
+        self._group = QButtonGroup(self)
+        self.tools: dict[str, QPushButton] = {}
+        for place, (name, tool) in enumerate(actions.tools.items()):
+            made = self.tools[name] = self.button(tool.text, f"{tool.tip} ({tool.key})", "tool", name)
+            made.setCheckable(True)
+            self._group.addButton(made)
+            grid.addWidget(made, place // IN_ROW, place % IN_ROW)
+        row = -(-len(self.tools) // IN_ROW)
+        shown = actions.state()["radius_row"]
+        self.radius = Amount(shown)
+        self.radius.changed.connect(lambda value: self.ask("set_radius", value))
+        grid.addWidget(QLabel(f"Radius of click, ball and brush ({shown['unit']})"), row, 0, 1, IN_ROW)
+        grid.addWidget(self.radius, row + 1, 0, 1, IN_ROW)
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show the tool in use, and its radius."""
+        self.tools[state["tool"]].setChecked(True)
+        if not self.radius.is_being_moved:
+            self.radius.show_value(state["radius_row"]["value"])
+
+
+#: In their order; that of the page is the same.
+PANELS: tuple[Callable[[Actions], Section], ...] = (
+    ToolsPanel,
+    ObjectsPanel,
+    HistoryPanel,
+    SettingsPanel,
+    HistogramPanel,
+    SlicesPanel,
+    PicturePanel,
+    MeasurePanel,
+)
+WIDTH = 318
+
+
+class SidePanels(QWidget):
+    """All panels.
+
+    Attributes
+    ----------
+    changes : ChangesBar
+    panels : dict of str to Section
+        By the names of their classes.
+    """
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__()
+        self.setFixedWidth(WIDTH)
+        self.changes = ChangesBar(actions)
+        self.panels = {type(panel).__name__: panel for panel in (make(actions) for make in PANELS)}
+        inner = QWidget()
+        column = QVBoxLayout(inner)
+        column.setContentsMargins(8, 2, 8, 8)
+        column.setSpacing(4)
+        for panel in self.panels.values():
+            column.addWidget(panel)
+        column.addStretch(1)
+        area = QScrollArea()
+        area.setWidget(inner)
+        area.setWidgetResizable(True)
+        area.setAccessibleName("panels")
+        area.setFrameShape(QScrollArea.Shape.NoFrame)
+        area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        whole = QVBoxLayout(self)
+        whole.setContentsMargins(0, 8, 0, 0)
+        changes = QVBoxLayout()
+        changes.setContentsMargins(16, 0, 16, 0)
+        changes.addWidget(self.changes)
+        whole.addLayout(changes)
+        whole.addWidget(area, 1)
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show the state."""
+        self.changes.show_state(state)
+        for panel in self.panels.values():
+            panel.show_state(state)

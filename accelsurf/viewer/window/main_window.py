@@ -1,0 +1,232 @@
+"""The window of accelsurf: the start page, or an image in a `Window` within it; opens another in its place."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence
+from PySide6.QtWidgets import QFileDialog, QMainWindow, QMenu
+
+from accelsurf.settings.file_formats import image_suffixes
+from accelsurf.viewer.actions.opening import FormerSessions, Opening, ResultFolders
+from accelsurf.viewer.core.opening import OpenedImage
+from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
+from accelsurf.viewer.scene.scene import SIZE
+from accelsurf.viewer.window.appearance import palette, sheet
+from accelsurf.viewer.window.desktop import Window, application
+from accelsurf.viewer.window.start_page import ChoiceDialog, StartPage, question_box
+
+#: How often it looks for what has been opened, milliseconds.
+POLL_MS = 30
+
+
+class MainWindow(QMainWindow):
+    """The start page, or the image that is open; `application` must be called first.
+
+    Parameters
+    ----------
+    opening : Opening
+    folder : Path, optional
+        Where to save; otherwise the user is asked the first time.
+    theme : str
+        "dark" or "light".
+    overwrite : bool
+        Replace files in the folder that a session has not written.
+    checkpoint_mb : float
+        Memory for stored steps, MB.
+
+    Attributes
+    ----------
+    inner : Window or None
+        What shows the open image.
+    start_page : StartPage or None
+        Shown before.
+    """
+
+    def __init__(
+        self,
+        opening: Opening,
+        folder: Path | None = None,
+        theme: str = "dark",
+        overwrite: bool = False,
+        checkpoint_mb: float = CHECKPOINT_MB,
+    ) -> None:
+        super().__init__()
+        self.opening, self._theme, self._overwrite, self._checkpoint_mb = opening, theme, overwrite, checkpoint_mb
+        self._folders = ResultFolders(folder)
+        self.inner: Window | None = None
+        self._former = FormerSessions()
+        #: The session without whose run the window closes, until that is prepared.
+        self._awaited: Session | None = None
+        self._shown: dict[str, Any] = {}
+        self.dialog: Any = None
+        self.setWindowTitle("accelsurf")
+        self.resize(*SIZE)
+        self.setAcceptDrops(True)
+        self._add_menu()
+        application().setPalette(palette(theme))
+        self.setStyleSheet(sheet(theme))
+        self.start_page: StartPage | None = StartPage(opening)
+        self.start_page.file_wanted.connect(self.ask_file)
+        self.start_page.folder_wanted.connect(self.ask_folder)
+        self.setCentralWidget(self.start_page)
+        self._timer = QTimer(self, interval=POLL_MS)
+        self._timer.timeout.connect(self._poll)
+        self._timer.start()
+
+    def _add_menu(self) -> None:
+        menu = self.menuBar().addMenu("&File")
+        self._recent, self._phantoms = QMenu("Open recent", self), QMenu("Phantoms", self)
+        self._action(menu, "Open file ...", "Ctrl+O", self.ask_file)
+        self._action(menu, "Open folder ...", "Ctrl+Shift+O", self.ask_folder)
+        menu.addMenu(self._recent)
+        menu.addMenu(self._phantoms)
+        menu.addSeparator()
+        self._reference = self._action(menu, "Add reference ...", "Ctrl+R", self.ask_reference)
+        menu.addSeparator()
+        self._action(menu, "Close", "", self.close)
+
+    def _action(self, menu: QMenu, text: str, key: str, work: Callable[[], Any]) -> QAction:
+        action = QAction(text, self)
+        if key:
+            action.setShortcut(QKeySequence(key))
+        action.triggered.connect(lambda _=False: work())
+        menu.addAction(action)
+        return action
+
+    # -- what the user asks for ---------------------------------------------------------------------------
+
+    def ask_file(self) -> None:
+        """Ask for a file, and open it."""
+        self._choose_file("Open an image", "open")
+
+    def ask_folder(self) -> None:
+        """Ask for a folder that is an image, and open it."""
+        name = QFileDialog.getExistingDirectory(self, "Open a folder: a scan in DICOM, slices, OME-Zarr")
+        if name:
+            self.opening.request("open", name)
+
+    def ask_reference(self) -> None:
+        """Ask for labels to compare the open image with."""
+        self._choose_file("Labels to compare with", "open_reference")
+
+    def _choose_file(self, title: str, request: str) -> None:
+        images = " ".join(f"*{suffix}" for suffix in image_suffixes())
+        name, _ = QFileDialog.getOpenFileName(self, title, "", f"Images ({images});;All files (*)")
+        if name:
+            self.opening.request(request, name)
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:
+        """Take files of this machine."""
+        if any(url.isLocalFile() for url in event.mimeData().urls()):
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent) -> None:
+        """Open what was dropped."""
+        event.acceptProposedAction()
+        self.opening.request("drop", *(url.toLocalFile() for url in event.mimeData().urls() if url.isLocalFile()))
+
+    # -- news ---------------------------------------------------------------------------------------------
+
+    def _poll(self) -> None:
+        if self._awaited is not None and self._awaited.ready.done():
+            has_failed = self._awaited.ready.exception() is not None
+            self._awaited = None
+            if has_failed:
+                self.close()
+                return
+        opened = self.opening.fetch()
+        if opened is not None:
+            self.open(opened)
+        state = self.opening.state()
+        if state == self._shown:
+            return
+        before, self._shown = self._shown, state
+        if self.start_page is not None:
+            self.start_page.show_state(state)
+        self._reference.setEnabled(state["is_open"])
+        self._fill_menus(state, before)
+        self._ask_back(state)
+
+    def _fill_menus(self, state: dict[str, Any], before: dict[str, Any]) -> None:
+        lists = ((self._recent, "recent", "open_recent"), (self._phantoms, "phantoms", "open_phantom"))
+        for menu, key, request in lists:
+            if state[key] == before.get(key):
+                continue
+            menu.clear()
+            for number, entry in enumerate(state[key]):
+                value = number if key == "recent" else entry["name"]
+                action = menu.addAction(entry["name"])
+                action.setToolTip(entry.get("folder") or entry.get("text"))
+                action.setEnabled(entry.get("exists", True))
+                action.triggered.connect(functools.partial(self._ask, request, value))
+            menu.setEnabled(bool(state[key]))
+
+    def _ask(self, request: str, value: Any, _: bool = False) -> None:
+        self.opening.request(request, value)
+
+    def _ask_back(self, state: dict[str, Any]) -> None:
+        """Show the question that is open, or the choice; the window goes on meanwhile."""
+        if self.dialog is not None:
+            return
+        if state["question"]:
+            box = question_box(self, state["question"], state["answers"])
+            box.finished.connect(lambda _: self._answered(
+                "answer", box.clickedButton().property("name") if box.clickedButton() is not None else "cancel"
+            ))
+            self.dialog = box
+        elif state["choices"]:
+            choice = ChoiceDialog(self, state["choices"])
+            choice.accepted.connect(lambda: self._answered("choose", choice.list.currentRow()))
+            choice.rejected.connect(lambda: self._answered("answer", "cancel"))
+            self.dialog = choice
+        else:
+            return
+        self.dialog.open()
+
+    def _answered(self, request: str, value: Any) -> None:
+        dialog, self.dialog = self.dialog, None
+        dialog.deleteLater()
+        self.opening.request(request, value)
+
+    # -- images -------------------------------------------------------------------------------------------
+
+    def open(self, opened: OpenedImage, session: Session | None = None, close_if_it_fails: bool = False) -> None:
+        """Show an image in place of what is shown now; its slices at once, its surface when the run is prepared.
+
+        Parameters
+        ----------
+        opened : OpenedImage
+        session : Session, optional
+            Of it; one is begun otherwise.
+        close_if_it_fails : bool, optional
+            Close the window if the run cannot be prepared, unless another image is open by then; else the window says
+            what is wrong.
+        """
+        session = opened.session(self._checkpoint_mb, begin=False) if session is None else session
+        former, theme = self.inner, self._theme if self.inner is None else self.inner.scene.theme_name
+        folder = self._folders.of_next(opened.name)
+        self.inner = Window(session, opened.reference, folder, theme, self._overwrite, opened.frames)
+        self.inner.setWindowFlags(Qt.WindowType.Widget)
+        self.inner.windowTitleChanged.connect(self.setWindowTitle)
+        if former is not None:
+            self._former.add(former.user_actions)
+            former.leave()
+        self.start_page = None
+        self.setCentralWidget(self.inner)  # deletes the former
+        self.setWindowTitle(self.inner.windowTitle())
+        self.inner.show()
+        self.opening.show(self.inner.user_actions, opened)
+        self._awaited = session if close_if_it_fails else None
+
+    def closeEvent(self, event: QCloseEvent) -> None:
+        """Close the image; sessions of former ones finish what was asked of them."""
+        self._timer.stop()
+        if self.inner is not None:
+            self.inner.close()
+        self._former.close()
+        super().closeEvent(event)

@@ -1,0 +1,174 @@
+"""The bars below the scene: over the steps of a run, and over the frames of a sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from PySide6.QtCore import QSignalBlocker, Qt, Signal
+from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
+from PySide6.QtWidgets import QLabel, QPushButton, QSlider, QStyle, QWidget
+
+from accelsurf.viewer.actions.workplace import Actions
+from accelsurf.viewer.scene.colors import CURSOR
+from accelsurf.viewer.window.section_panel import button, in_row
+
+#: Half the width in which a tick is hit, and its height, pixels.
+HIT, HEIGHT = 5, 5
+
+
+class RestSlider(QSlider):
+    """A slider with ticks where the surface rested; a click on a tick goes to its step.
+
+    Attributes
+    ----------
+    tick_clicked : Signal(int)
+        The tick of this step was clicked.
+    """
+
+    tick_clicked = Signal(int)
+
+    def __init__(self) -> None:
+        super().__init__(Qt.Orientation.Horizontal)
+        self._ticks: list[tuple[float, int]] = []
+
+    def show_ticks(self, places: Sequence[float], steps: Sequence[int]) -> None:
+        """Show ticks of these steps at these places of the slider's range."""
+        ticks = list(zip(places, steps, strict=True))
+        if ticks != self._ticks:
+            self._ticks = ticks
+            words = ", ".join(str(step) for step in steps)
+            self.setToolTip("Stored steps: drag to go back and forward" + (f"; it rested at {words}" if words else ""))
+            self.update()
+
+    def tick_at(self, place: float) -> int:
+        """Pixel of a place of the slider's range, from its left end."""
+        margin = self.style().pixelMetric(QStyle.PixelMetric.PM_SliderLength, None, self) / 2
+        share = place / self.maximum() if self.maximum() else 0.0
+        return round(margin + share * (self.width() - 2 * margin))
+
+    def paintEvent(self, event: QPaintEvent) -> None:
+        """Draw the ticks over the slider."""
+        super().paintEvent(event)
+        painter = QPainter(self)
+        painter.setPen(QPen(QColor(CURSOR), 2))
+        for place, _ in self._ticks:
+            x = self.tick_at(place)
+            painter.drawLine(x, 0, x, HEIGHT)
+            painter.drawLine(x, self.height() - HEIGHT, x, self.height())
+        painter.end()
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        """Go to a tick that is clicked, unless the handle is there."""
+        handle = self.tick_at(float(self.value()))
+        x = event.position().x()
+        for place, step in self._ticks:
+            if abs(x - self.tick_at(place)) <= HIT and abs(x - handle) > HIT:
+                self.tick_clicked.emit(step)
+                event.accept()
+                return
+        super().mousePressEvent(event)
+
+
+class _Bar(QWidget):
+    """Buttons, a slider, a text."""
+
+    def __init__(self, actions: Actions, slider: QSlider, name: str) -> None:
+        super().__init__()
+        self._actions = actions
+        slider.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        slider.setAccessibleName(name)
+        self.where = QLabel("")
+
+    def _button(self, text: str, tip: str, request: str = "", *values: int, width: int = 40) -> QPushButton:
+        made = button(text, tip)
+        made.setFixedWidth(width)
+        if request:
+            made.clicked.connect(lambda: self._actions.request(request, *values))
+        return made
+
+    def _lay_out(self, buttons: Sequence[QWidget], slider: QSlider, others: Sequence[QWidget], below: int) -> None:
+        row = in_row(*buttons, spacing=6)
+        row.setContentsMargins(8, 5, 8, below)
+        row.addWidget(slider, 1)
+        for widget in others:
+            row.addWidget(widget)
+        self.setLayout(row)
+
+
+class PlaybackBar(_Bar):
+    """Buttons and a slider to move over the steps of a run.
+
+    Attributes
+    ----------
+    help_wanted : Signal
+        The button of the help was clicked.
+    """
+
+    help_wanted = Signal()
+
+    def __init__(self, actions: Actions) -> None:
+        self.timeline = RestSlider()
+        super().__init__(actions, self.timeline, "stored steps")
+        self._steps: list[int] = []
+        self.restart = self._button("|<", "Restart: from the start, with the settings in force (Home)", "restart")
+        self.back = self._button("<", "Back one step (Left)", "back")
+        self.play = self._button("Run", "Run or pause (Space)", "toggle", width=84)
+        self.forward = self._button(">", "One step (Right)", "step")
+        self.play.setObjectName("play")
+        self.timeline.setToolTip("Stored steps: drag to go back and forward")
+        self.where.setMinimumWidth(170)
+        self.help = self._button("?", "Keys and mouse (F1)")
+        buttons = self.restart, self.back, self.play, self.forward
+        self._lay_out(buttons, self.timeline, (self.where, self.help), 5)
+        self.help.clicked.connect(self.help_wanted)
+        self.timeline.valueChanged.connect(self._slid)
+        self.timeline.tick_clicked.connect(lambda step: actions.request("go_to", step))
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show the state."""
+        self._steps = list(state["checkpoints"])
+        self.play.setText("Pause" if state["playing"] else "Run")
+        for part in (self.play, self.forward, self.restart):
+            part.setEnabled(state["ready"])
+        self.back.setEnabled(state["step"] > 0)
+        # The slider counts the stored steps; a step between two of them is between their places.
+        places = np.interp(state["rests"], self._steps or [0], range(len(self._steps) or 1))
+        self.timeline.show_ticks(list(map(float, places)), state["rests"])
+        with QSignalBlocker(self.timeline):
+            self.timeline.setRange(0, max(len(self._steps) - 1, 0))
+            if not self.timeline.isSliderDown() and state["step"] in self._steps:
+                self.timeline.setValue(self._steps.index(state["step"]))
+        edits = f", {state['edits']} edit{'' if state['edits'] == 1 else 's'}" if state["edits"] else ""
+        self.where.setText(f"step {state['step']}{edits}")
+
+    def _slid(self, place: int) -> None:
+        if place < len(self._steps) and self._steps[place] != self._actions.session.status.step:
+            self._actions.request("go_to", self._steps[place])
+
+
+class FrameBar(_Bar):
+    """Buttons and a slider to move over frames."""
+
+    def __init__(self, actions: Actions) -> None:
+        self.slider = QSlider(Qt.Orientation.Horizontal)
+        super().__init__(actions, self.slider, "frame")
+        self.before = self._button("<", "Frame before this one (,)", "step_frame", -1)
+        self.play = self._button("Play", "Play the frames, or stop (X)", "play_frames", width=64)
+        self.next = self._button(">", "Next frame (.)", "step_frame", 1)
+        self.slider.valueChanged.connect(lambda number: actions.request("frame", number))
+        self.where.setMinimumWidth(210)
+        self._lay_out((self.before, self.play, self.next), self.slider, (self.where,), 0)
+        self.hide()
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show the state."""
+        self.setVisible(state["frames"] > 1)
+        self.play.setText("Stop" if state["frames_play"] else "Play")
+        with QSignalBlocker(self.slider):
+            self.slider.setRange(0, max(state["frames"] - 1, 0))
+            if not self.slider.isSliderDown():
+                self.slider.setValue(state["frame"])
+        self.where.setText(state["frame_words"])
+        self.where.setToolTip(state["frame_lines"])

@@ -1,0 +1,166 @@
+"""The start page of the window: recent files, phantoms, buttons to open something; and the dialogs of opening."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import (
+    QDialog,
+    QDialogButtonBox,
+    QHBoxLayout,
+    QLabel,
+    QListWidget,
+    QListWidgetItem,
+    QMessageBox,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from accelsurf.viewer.actions.opening import Opening
+from accelsurf.viewer.window.section_panel import in_row
+
+#: Width of a list, pixels.
+_WIDTH = 380
+
+
+class StartPage(QWidget):
+    """Page that is shown while no image is open.
+
+    Attributes
+    ----------
+    file_wanted, folder_wanted : Signal
+        A dialog to choose a file or a folder is asked for.
+    """
+
+    file_wanted, folder_wanted = Signal(), Signal()
+
+    def __init__(self, opening: Opening) -> None:
+        super().__init__()
+        self._opening, self._shown = opening, dict[str, Any]()
+        title = QLabel("accelsurf")
+        title.setObjectName("title")
+        self.open_file, self.open_folder = QPushButton("Open file ..."), QPushButton("Open folder ...")
+        self.open_file.setToolTip("An image in a file (Ctrl+O)")
+        self.open_folder.setToolTip("A scan in DICOM, slices, or OME-Zarr (Ctrl+Shift+O)")
+        self.open_file.clicked.connect(self.file_wanted)
+        self.open_folder.clicked.connect(self.folder_wanted)
+        self.recent, self.phantoms = _list("Recent images"), _list("Phantoms")
+        self.recent.itemActivated.connect(lambda item: self._ask("open_recent", self.recent.row(item)))
+        self.recent.itemClicked.connect(lambda item: self._ask("open_recent", self.recent.row(item)))
+        self.phantoms.itemActivated.connect(lambda item: self._ask("open_phantom", item.data(_NAME)))
+        self.phantoms.itemClicked.connect(lambda item: self._ask("open_phantom", item.data(_NAME)))
+        self.message = QLabel("")
+        self.message.setObjectName("message")
+        self.message.setWordWrap(True)
+        self.hint = QLabel("or drop an image, or the folder of a scan, here")
+        self._lay_out(title)
+        self.show_state(opening.state())
+
+    def _lay_out(self, title: QLabel) -> None:
+        buttons = in_row(self.open_file, self.open_folder, self.hint)
+        buttons.addStretch(1)
+        lists = QHBoxLayout()
+        lists.setSpacing(24)
+        for name, made in (("Recent", self.recent), ("Phantoms, with known truth", self.phantoms)):
+            column = QVBoxLayout()
+            label = QLabel(name)
+            label.setBuddy(made)
+            column.addWidget(label)
+            column.addWidget(made, 1)
+            lists.addLayout(column)
+        column = QVBoxLayout()
+        column.setSpacing(12)
+        for part in (title, buttons, lists, self.message):
+            if isinstance(part, QWidget):
+                column.addWidget(part)
+            else:
+                column.addLayout(part)
+        column.setStretch(2, 1)
+        whole = QHBoxLayout(self)
+        whole.setContentsMargins(40, 30, 40, 24)
+        whole.addStretch(1)
+        whole.addLayout(column)
+        whole.addStretch(1)
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show what can be opened, and what is being done."""
+        if state["recent"] != self._shown.get("recent"):
+            rows = [(f"{file['name']}\n{file['folder']}", file["name"], file["exists"]) for file in state["recent"]]
+            _fill(self.recent, rows or [("none yet", "", False)])
+        if state["phantoms"] != self._shown.get("phantoms"):
+            phantoms = [(f"{entry['name']}\n{entry['text']}", entry["name"], True) for entry in state["phantoms"]]
+            _fill(self.phantoms, phantoms)
+        for part in (self.recent, self.phantoms, self.open_file, self.open_folder):
+            part.setEnabled(not state["opening"])
+        line = state["opening_message"]
+        self.message.setText(f"Error: {line}" if state["opening_failed"] else line)
+        self.message.setProperty("failed", state["opening_failed"])
+        self.message.style().polish(self.message)
+        self._shown = dict(state)
+
+    def _ask(self, name: str, *values: Any) -> None:
+        # Enter and a click may both come; what is being opened already is not asked for again.
+        if not self._opening.is_busy:
+            self._opening.request(name, *values)
+
+
+_NAME = Qt.ItemDataRole.UserRole
+
+
+def _list(name: str) -> QListWidget:
+    made = QListWidget()
+    made.setAccessibleName(name)
+    made.setMinimumWidth(_WIDTH)
+    made.setSpacing(2)
+    return made
+
+
+def _fill(made: QListWidget, rows: Sequence[tuple[str, str, bool]]) -> None:
+    """Put texts with their names into a list; those that cannot be opened are grey."""
+    made.clear()
+    for text, name, is_there in rows:
+        item = QListWidgetItem(text)
+        item.setData(_NAME, name)
+        if not is_there:
+            item.setFlags(Qt.ItemFlag.NoItemFlags)
+        made.addItem(item)
+
+
+class ChoiceDialog(QDialog):
+    """Asks which of several images of a file or folder is meant.
+
+    Parameters
+    ----------
+    parent : QWidget
+    texts : sequence of str
+    """
+
+    def __init__(self, parent: QWidget, texts: Sequence[str]) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Which image?")
+        self.list = QListWidget()
+        self.list.addItems(list(texts))
+        self.list.setCurrentRow(0)
+        self.list.setMinimumSize(560, 240)
+        self.list.itemActivated.connect(lambda _: self.accept())
+        buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
+        buttons.accepted.connect(self.accept)
+        buttons.rejected.connect(self.reject)
+        column = QVBoxLayout(self)
+        column.addWidget(QLabel(f"{len(texts)} images are in it:"))
+        column.addWidget(self.list)
+        column.addWidget(buttons)
+
+
+def question_box(parent: QWidget, text: str, answers: Sequence[tuple[str, str]]) -> QMessageBox:
+    """Return a question with a button for each answer, (name, words); the name is in the button's property ``name``."""
+    box = QMessageBox(QMessageBox.Icon.Question, "accelsurf", text, parent=parent)
+    roles = QMessageBox.ButtonRole
+    for name, words in answers:
+        role = {"open": roles.AcceptRole, "cancel": roles.RejectRole}.get(name, roles.ActionRole)
+        button: Any = box.addButton(words, role)
+        button.setProperty("name", name)
+    return box
