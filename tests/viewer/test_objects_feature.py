@@ -13,7 +13,7 @@ from accelsurf.viewer.actions.objects import NOT_BEGUN
 from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
-from tests.segmentation.test_object_changes import BALLS, SPACING, dice, press, scan, truth
+from tests.correct.test_object_changes import BALLS, SPACING, dice, press, scan, truth
 from tests.support import viewing
 
 

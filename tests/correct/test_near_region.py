@@ -13,7 +13,7 @@ from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.levelset import LevelSet
 from accelsurf.settings.corrections import Correction
-from tests.segmentation.test_refine import first_run, two_balls, world
+from tests.correct.test_refine import first_run, two_balls, world
 
 SHAPE, SPACING = (20, 24, 50), (1.0, 1.0, 1.0)
 
