@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -28,8 +28,7 @@ from accelsurf.settings.track_config import TrackConfig
 if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
     from accelsurf.viewer.actions.opening import Opening
-    from accelsurf.viewer.core.opening import OpenedImage
-    from accelsurf.viewer.core.session import Session
+    from accelsurf.viewer.core.opening import OpenedImage, ShownImage
 
 
 @dataclass(frozen=True)
@@ -252,25 +251,20 @@ def _show(
     # Ctrl-C is the documented way to end a page.
     with ExitStack() as stack:
         stack.enter_context(default_handling())
+        from accelsurf.viewer.core.opening import ShownImage
+
         opening = _opening(made, viewer.recent, page)
         session = None
         if first is not None:
             session = stack.enter_context(first.session(viewer.keep, begin=page.browser))
             if page.browser:
                 session.ready.result()
-        opened = None if first is None or session is None else _Shown(first, session)
+        opened = None if first is None or session is None else ShownImage(first, session)
         if page.browser:
             _serve(opening, opened, result, overwrite, viewer, page)
         else:
             _open_window(opening, opened, result, overwrite, viewer)
     return 0
-
-
-class _Shown(NamedTuple):
-    """An image that is shown, and its session."""
-
-    image: OpenedImage
-    session: Session
 
 
 def _check_given(image: Path | None, reference: Path | None, tracks: Path | None, times: TrackConfig) -> None:
@@ -363,7 +357,7 @@ def front_end(page: PageOptions, begin: Callable[[], None] | None = None) -> Pag
 
 
 def _open_window(
-    opening: Opening, first: _Shown | None, folder: Path | None, overwrite: bool,
+    opening: Opening, first: ShownImage | None, folder: Path | None, overwrite: bool,
     viewer: ViewerOptions,
 ) -> None:
     """Open a window until the user closes it, or the run of the first image cannot be prepared.
@@ -391,7 +385,7 @@ def _open_window(
 
 
 def _serve(
-    opening: Opening, first: _Shown | None, folder: Path | None, overwrite: bool,
+    opening: Opening, first: ShownImage | None, folder: Path | None, overwrite: bool,
     viewer: ViewerOptions, page: PageOptions,
 ) -> None:
     """Serve the page until Ctrl-C."""

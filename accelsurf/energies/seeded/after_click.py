@@ -76,7 +76,7 @@ def stage_after(
     if held > 0.0:
         around = neighbourhood(click, count, before.shown, spacing, shape, held)
         shown = mixed_answer(answer, parts, clicks, sized, before.shown, around)
-    off = corrections_with(before.corrections, click, (before.shown, shown), spacing, shape)
+    off = corrections_with(before.corrections, click, before.shown, shown, spacing, shape)
     return Stage(clicks, answer, shown, off)
 
 

@@ -25,6 +25,13 @@ from accelsurf.grid.window import Window
 MAX_BLOCKS = 25_000
 
 
+class Domain(NamedTuple):
+    """Where an object may be: a mask, None for everywhere; what the images are a part of, None where they are whole."""
+
+    mask: Mask | None
+    window: Window | None
+
+
 class Blocks(NamedTuple):
     """A grid of blocks over a grid of voxels.
 

@@ -258,7 +258,6 @@ def _scaled(part: Image, image: Image, inside: Sequence[Click], steps: Corner) -
 
 
 Times = NDArray[np.float32]
-_Mask = NDArray[np.bool_]
 Order = NDArray[np.int64]
 _NO_CAP, _ALL_OPEN = np.zeros(0, np.float32), np.zeros(0, np.bool_)
 _NEVER_LATE = (0, np.inf)
@@ -299,7 +298,7 @@ class Field(NamedTuple):
 def field_of(
     images: Sequence[NDArray[np.float32]],
     spacing: Sequence[float],
-    mask: _Mask | None,
+    mask: Mask | None,
     window: Window | None = None,
     steps: tuple[int, int, int] = (1, 1, 1),
 ) -> Field:
@@ -353,7 +352,7 @@ def reached(
     return times, order
 
 
-def from_beyond(field: Field, tissue: Tissue, beyond: _Mask) -> NDArray[np.float32]:
+def from_beyond(field: Field, tissue: Tissue, beyond: Mask) -> NDArray[np.float32]:
     """Times from the voxels ``beyond`` to the others, on the field's grid; all inf where there are none.
 
     Edges alone slow this march: the values of the surroundings are not known.
@@ -364,7 +363,7 @@ def from_beyond(field: Field, tissue: Tissue, beyond: _Mask) -> NDArray[np.float
     return times_from(field, edges, times, seeds)
 
 
-def times_from(field: Field, tissue: Tissue, times: NDArray[np.float32], seeds: _Mask) -> NDArray[np.float32]:
+def times_from(field: Field, tissue: Tissue, times: NDArray[np.float32], seeds: Mask) -> NDArray[np.float32]:
     """Times, on the field's grid, also where they are inf, from ``seeds``, where they are not; ``times`` is used up."""
     times = np.ravel(times)
     march(times, field.medium, tissue, field.grid, np.flatnonzero(seeds), _NO_CAP, _NEVER_LATE, times.size)

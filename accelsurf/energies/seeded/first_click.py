@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies.seeded.answers import Answer, FirstTimes, Proposed, first_answer
-from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, count_of, even_radius, learn
-from accelsurf.energies.seeded.blocks import MAX_BLOCKS, Blocks, field_in, in_blocks
+from accelsurf.energies.seeded.appearance import Image, Spacing, count_of, even_radius, learn
+from accelsurf.energies.seeded.blocks import MAX_BLOCKS, Blocks, Domain, field_in, in_blocks
 from accelsurf.energies.seeded.contest import Field, Order, Times, arrival
 from accelsurf.energies.seeded.proposal import (
     NEARBY,
@@ -35,7 +35,6 @@ from accelsurf.energies.seeded.stages import in_order
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import bounding_box, box_at
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.grid.window import Window
 from accelsurf.kernels.arrival import Tissue
 
 #: The surroundings begin where the first click's arrival time has so many times the object's volume.
@@ -112,10 +111,17 @@ def seeds_of(click: Click, field: Field) -> NDArray[np.int64]:
     return np.ravel_multi_index(tuple(where), field.shape).astype(np.int64)
 
 
+class Asked(NamedTuple):
+    """A click, and the local appearance under it."""
+
+    click: Click
+    tissue: Tissue
+
+
 def answer_to_first(
     images: Sequence[Image],
     spacing: Spacing,
-    where: tuple[Mask | None, Window | None],
+    where: Domain,
     clicks: Clicks,
     size_mm3: float | None,
     boxed: bool,
@@ -128,8 +134,7 @@ def answer_to_first(
         The channels, smoothed.
     spacing : (hz, hy, hx)
         mm.
-    where : (mask, window)
-        Where the object may be, None for everywhere; of what the images are a part, None where they are whole.
+    where : Domain
     clicks : Clicks
         One of them at least is inside.
     size_mm3 : float or None
@@ -143,7 +148,7 @@ def answer_to_first(
         When the click lies outside box or mask; LeavesWindow when it looks beyond the window.
     """
     click, voxel = first_inside(clicks), float(np.prod(spacing))
-    if where[0] is not None and not where[0][click.box][click.mask].any():
+    if where.mask is not None and not where.mask[click.box][click.mask].any():
         raise InputError("seeded: the inside click lies outside the box or the mask", "click in it, or make it larger")
     tissue = learn(images, spacing, click)
     if size_mm3 is not None:
@@ -152,7 +157,7 @@ def answer_to_first(
         proposal, none = of_size(front.voxels, voxel, size_mm3), np.zeros((0, 0, 0), np.float32)
         first = FirstTimes(box_at((0, 0, 0), (0, 0, 0)), none, -np.inf)
     else:
-        front, proposal, first = _by_evidence(images, spacing, where, clicks, (click, tissue), boxed)
+        front, proposal, first = _by_evidence(images, spacing, where, clicks, Asked(click, tissue), boxed)
     count = round(proposal.volume_mm3 / voxel)
     level = count, front.at(count), front.at(BEYOND * count)
     return first_answer(front.field, front.blocks, tissue, front.click, front.times, level, first), proposal
@@ -161,9 +166,9 @@ def answer_to_first(
 def _by_evidence(
     images: Sequence[Image],
     spacing: Spacing,
-    where: tuple[Mask | None, Window | None],
+    where: Domain,
     clicks: Clicks,
-    asked: tuple[Click, Tissue],
+    asked: Asked,
     boxed: bool,
     by_tissue: bool = True,
 ) -> tuple[Front, Proposal, FirstTimes]:
@@ -204,8 +209,8 @@ def _by_evidence(
 def _expected(
     images: Sequence[Image],
     spacing: Spacing,
-    where: tuple[Mask | None, Window | None],
-    asked: tuple[Click, Tissue],
+    where: Domain,
+    asked: Asked,
     boxed: bool,
     by_tissue: bool,
 ) -> tuple[Prior, int]:

@@ -51,7 +51,7 @@ def implied(images: Sequence[Image], spacing: Spacing, clicks: Clicks, within: B
         if overlap(click.box, within):
             more = (WIDER - 1.0) * half_width(click.mask, spacing, clicks.shape)
             against = [other for other in clicks.clicks if other.side != click.side]
-            out += _implied_by(images, spacing, (click, against), more, (clicks.shape, within))
+            out += _implied_by(images, spacing, click, against, more, clicks.shape, within)
     return out
 
 
@@ -86,15 +86,16 @@ def half_width(mask: Mask, spacing: Spacing, shape: Sequence[int]) -> float:
 def _implied_by(
     images: Sequence[Image],
     spacing: Spacing,
-    asked: tuple[Click, Sequence[Click]],
+    click: Click,
+    against: Sequence[Click],
     more: float,
-    where: tuple[tuple[int, int, int], Box],
+    shape: tuple[int, int, int],
+    within: Box,
 ) -> list[Click]:
     """Find what one click implies within ``more`` mm of it, as a list of one or of none.
 
-    ``asked`` are the click and those that say the opposite, ``where`` the grid's shape and the box to stay in.
+    The clicks ``against`` say the opposite; ``shape`` is the grid's, ``within`` the box to stay in.
     """
-    (click, against), (shape, within) = asked, where
     margin = [int(more / h) if n > 1 else 0 for h, n in zip(spacing, shape, strict=True)]
     if not any(margin):
         return []

@@ -17,7 +17,7 @@ import numpy as np
 from accelsurf.energies.seeded.after_click import stage_after
 from accelsurf.energies.seeded.answers import Answer, with_click
 from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
-from accelsurf.energies.seeded.blocks import field_in
+from accelsurf.energies.seeded.blocks import Domain, field_in
 from accelsurf.energies.seeded.contest import PATHS_REACH, WALKS_REACH, Field, Times, box_around, contest, reached
 from accelsurf.energies.seeded.edge import area_weight, at_edges, mean_curvature
 from accelsurf.energies.seeded.first_click import BEYOND, FARTHER, answer_to_first, seeds_of
@@ -120,7 +120,7 @@ def seeded_model(
     InputError
         When no click is inside, or the first lies outside box or mask; LeavesWindow when it looks beyond the window.
     """
-    sized, where = size_mm3 is not None, (_allowed(images[0].shape, box, mask), window)
+    sized, where = size_mm3 is not None, Domain(_allowed(images[0].shape, box, mask), window)
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         seen, stages, left = going_on(() if previous is None else previous.stages, clicks, spacing)
         if previous is not None and stages:
@@ -135,9 +135,9 @@ def seeded_model(
         answers = zip(left, _answers(stages[-1].answer, left, smooth, spacing, pool), strict=True)
         stages = _stages_after(stages, answers, contradicts, sized, images, spacing, where, pool)
         stated = proposal.volume_mm3 if sized else None
-        edged = at_edges(stages[-1].shown, images, smooth, spacing, seen, where[0], pool, stated_mm3=stated)
+        edged = at_edges(stages[-1].shown, images, smooth, spacing, seen, where.mask, pool, stated_mm3=stated)
         arrays = on_whole_grid(edged, clicks.shape)
-    area = area_weight(images, spacing, arrays[1], where[0])
+    area = area_weight(images, spacing, arrays[1], where.mask)
     return SeededModel(*arrays, proposal, area, clicks, smooth, sized, stages)
 
 
@@ -148,7 +148,7 @@ def _stages_after(
     sized: bool,
     images: Sequence[Image],
     spacing: Spacing,
-    where: tuple[Mask | None, Window | None],
+    where: Domain,
     pool: ThreadPoolExecutor,
 ) -> tuple[Stage, ...]:
     """The first stage and that of all clicks; ``answers`` are more clicks and the answer after each.
@@ -169,7 +169,7 @@ def _stage_of(
     sized: bool,
     images: Sequence[Image],
     spacing: Spacing,
-    where: tuple[Mask | None, Window | None],
+    where: Domain,
     pool: ThreadPoolExecutor,
 ) -> Stage:
     """The stage of some clicks, of which the last one is new, by their answer; ``before`` is None of the first."""

@@ -82,7 +82,8 @@ def sureness_of(shown: Shown, clicks: Clicks, proposal: Proposal, corrections: S
 def corrections_with(
     earlier: tuple[float, ...],
     click: Click,
-    shown: tuple[Shown, Shown],
+    before: Shown,
+    after: Shown,
     spacing: Spacing,
     shape: Sequence[int],
 ) -> tuple[float, ...]:
@@ -96,8 +97,8 @@ def corrections_with(
     earlier : tuple of float
         Those of the clicks before.
     click : Click
-    shown : (Shown, Shown)
-        Before and after it.
+    before, after : Shown
+        What is shown before and after it.
     spacing : (hz, hy, hx)
         mm.
     shape : (nz, ny, nx)
@@ -106,8 +107,8 @@ def corrections_with(
     places = np.argwhere(click.mask) + [s.start for s in click.box]
     steps = np.array(spacing)
     middle = places[int(np.argmin((((places - places.mean(axis=0)) * steps) ** 2).sum(axis=1)))]
-    away = _distance(shown[0], click.side == "inside", middle, steps, shape)
-    count = int(np.count_nonzero(shown[1].inside))
+    away = _distance(before, click.side == "inside", middle, steps, shape)
+    count = int(np.count_nonzero(after.inside))
     radius = radius_of(float(max(count, 1)), spacing, shape[0] == 1)
     return (*earlier, away / radius) if away > 0 else earlier
 

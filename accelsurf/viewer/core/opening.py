@@ -277,6 +277,13 @@ def read_reference(path: Path, geometry: Geometry) -> Volume:
 MAX_ENTRIES = 500
 
 
+class ShownImage(NamedTuple):
+    """An image that is shown, and its session."""
+
+    image: OpenedImage
+    session: Session
+
+
 class Entry(NamedTuple):
     """A name in a folder, and whether it is an ``image`` or a ``folder``; a folder may be both."""
 

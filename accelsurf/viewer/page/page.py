@@ -37,7 +37,7 @@ from accelsurf.viewer.actions.opening import FormerSessions, Opening, ResultFold
 from accelsurf.viewer.actions.picture import PictureFeature
 from accelsurf.viewer.actions.tool import help_rows
 from accelsurf.viewer.actions.workplace import Actions, IdleDrawing
-from accelsurf.viewer.core.opening import OpenedImage
+from accelsurf.viewer.core.opening import OpenedImage, ShownImage
 from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
 from accelsurf.viewer.core.status import error_line
 from accelsurf.viewer.page.guard import LOCAL, PageGuard
@@ -327,7 +327,7 @@ def _import_trame() -> tuple[Any, Any, Any]:
 
 def serve(
     opening: Opening,
-    first: tuple[OpenedImage, Session] | None,
+    first: ShownImage | None,
     folder: Path | None,
     theme: str,
     overwrite: bool = False,
@@ -341,7 +341,7 @@ def serve(
     Parameters
     ----------
     opening : Opening
-    first : (OpenedImage, Session) or None
+    first : ShownImage or None
         The image that is open at first; None for the start page.
     folder : Path or None
         Where files are saved; None: a folder that is deleted at the end, from which they can be downloaded.

@@ -62,15 +62,15 @@ def test_a_correction_is_measured_in_radii_from_the_side_that_it_should_be_on():
     radius = (0.75 * 8 * 8 * 20 * 1.2 / np.pi) ** (1 / 3)
     for side, x, voxels in (("inside", 24, 5), ("inside", 60, 41), ("inside", 19, 0), ("outside", 3, 17),
                             ("outside", 20, 0)):
-        found = corrections_with((9.0,), point(side, 4, 4, x), (before, before), spacing, force.shape)
+        found = corrections_with((9.0,), point(side, 4, 4, x), before, before, spacing, force.shape)
         assert found == pytest.approx((9.0, 0.8 * voxels / radius) if voxels else (9.0,))
     # In radii of what is shown after it.
     after = shown(np.where(np.arange(64) < 40, -0.5, 0.5)[None, None] * np.ones((8, 8, 1)))
-    found = corrections_with((), point("inside", 4, 4, 24), (before, after), spacing, force.shape)
+    found = corrections_with((), point("inside", 4, 4, 24), before, after, spacing, force.shape)
     assert found == pytest.approx((0.8 * 5 / (radius * 2 ** (1 / 3)),))
     # A ball is where its middle is.
     click = Click("inside", (slice(3, 6), slice(3, 6), slice(23, 26)), np.ones((3, 3, 3), bool))
-    found = corrections_with((), click, (before, before), spacing, force.shape)
+    found = corrections_with((), click, before, before, spacing, force.shape)
     assert found == pytest.approx((0.8 * 5 / radius,))
 
 
@@ -81,7 +81,7 @@ def test_the_distance_is_exact_in_space():
     away = ndimage.distance_transform_edt(~inside, sampling=SPACING)
     radius = (0.75 * volume_of(inside) / np.pi) ** (1 / 3)
     for index in random.integers(0, SHAPE, (30, 3)):
-        found = corrections_with((), point("inside", *index), (before, before), SPACING, SHAPE)
+        found = corrections_with((), point("inside", *index), before, before, SPACING, SHAPE)
         assert found == pytest.approx((away[tuple(index)] / radius,) if away[tuple(index)] else (), rel=1e-5)
 
 
