@@ -58,6 +58,7 @@ def ball(tmp_path):
     return tmp_path / "ball.nii.gz"
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("words", "code"),
     [
@@ -116,6 +117,7 @@ def test_a_command_makes_no_options_of_others(command, own):
     assert set(ended.stdout.split()) == own | {"Display"}, ended.stderr
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("given", [("--start", "ball:0,0,0,4"), ("--inside", "point:0,0,0")])
 def test_a_run_loads_the_kernels_that_it_calls_and_no_library_of_others(given, ball):
     words = ("segment", ball, "-o", ball.parent / "out", "--max-steps", "5", *given)
@@ -126,6 +128,7 @@ def test_a_run_loads_the_kernels_that_it_calls_and_no_library_of_others(given, b
     assert 20 < len(kernels) <= MOST_KERNELS[given[0].strip("-")], sorted(kernels)
 
 
+@pytest.mark.slow
 def test_what_runs_and_a_correction_call_is_known_before(ball, monkeypatch):
     """Another process compiles it ahead; ``python -m benchmarks.called_kernels`` writes the list anew."""
     monkeypatch.chdir(ball.parent)

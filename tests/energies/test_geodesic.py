@@ -178,6 +178,7 @@ STARTS = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("flow", ["gradient", "constant-density"])
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("noise", [0.0, 0.4], ids=["clean", "noisy"])
@@ -192,6 +193,7 @@ def test_a_ball_from_around_it_and_from_inside(noise, start, flow):
     assert result.energy == "geodesic"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["gradient", "constant-density"])
 def test_thick_slices_and_a_single_one(flow):
     spacing = (2.0, 1.0, 1.0)
@@ -239,6 +241,7 @@ def test_the_configuration_reaches_the_energy():
     np.testing.assert_array_equal(auto.sums.image, edge_indicator(image, (1, 1, 1)).ravel())
 
 
+@pytest.mark.slow
 def test_smoothness_keeps_the_surface_off_noise():
     image, _, _ = ball(0.4)
     rough, smooth = (

@@ -189,6 +189,7 @@ def evolved(flow: Flow, psi: np.ndarray, force: np.ndarray, h: float, t_end: flo
     return surface
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", MIRRORED)
 def test_half_a_volume_is_as_the_mirrored_whole(name: str) -> None:
     """An ellipse cut by the border, under a force field that is not symmetric across it: psi within 0.002 to 0.03 h."""

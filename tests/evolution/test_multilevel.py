@@ -46,6 +46,7 @@ def disk(n=96):
 SLOW = pytest.param("flowable-mass", marks=pytest.mark.slow)  # half a minute
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["constant-density", SLOW, "gradient", "sobolev", "momentum"])
 def test_the_same_surface_for_less(cube, flow):
     options = {**START, "flow": flow, "smoothness": 0.05}

@@ -111,6 +111,7 @@ def ellipsoid_misfit(n: int, t_end: float, flow: Given | None = None) -> tuple[f
     return worst, density, step.record
 
 
+@pytest.mark.slow
 def test_triaxial_ellipsoid() -> None:
     """Case I: the velocity has a tangential part and the density is not uniform. Measured 0.005 h on 64^3 at t = 1."""
     sizes = (32, 48, 64)
@@ -169,6 +170,7 @@ def density_mode(n: int, degree: int, amplitude: float, flow: Given) -> float:
     return worst
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("degree", [1, 2, 3])
 def test_density_modes_of_a_sphere(degree: int) -> None:
     """omega_l = c_s sqrt(l(l+1) + 4)/r0, c_s^2 = w g M; fading as 2 J1(omega t)/(omega t) with friction 3/t."""

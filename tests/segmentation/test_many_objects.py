@@ -56,6 +56,7 @@ def assert_same(one, want):
         assert one.surface.vertices.tobytes() == want.surface.vertices.tobytes()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("margin", [-2, 6, 60])
 def test_groups_have_the_bytes_of_all_at_once(image, in_memory, margin):
     found, ended = in_groups(image, LazyVolume.of_array(label_map()), margin)

@@ -67,7 +67,7 @@ def compare(energy: str, way: Way) -> None:
     assert apart <= 0.1 * min(SPACING)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("energy", ENERGIES)
 @pytest.mark.parametrize("way", FEW, ids=str)
 def test_eight_ways_to_store_a_scan_give_the_same_surface(energy, way):

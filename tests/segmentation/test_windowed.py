@@ -63,7 +63,7 @@ def assert_same(whole, part):
     assert grown[0] == (grown[1] and tuple(v + first for v, first in zip(grown[1], corner, strict=True)))
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "options",
     [

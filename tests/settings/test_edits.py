@@ -74,6 +74,7 @@ def test_a_surface_comes_back_bit_for_bit(what, spacing):
 # ------------------------------------------------------------------------------------------------------- kept runs
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("energy", ["chan-vese", pytest.param("geodesic", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("flow", FLOWS)
 def test_going_back_and_on_is_the_same_run(flow, energy):
@@ -189,6 +190,7 @@ EDITS = [
 ]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("flow", FLOWS)
 def test_edits_from_the_start_and_while_it_runs_are_the_same(flow):
     config = RunConfig(start="ball:17,15,16,6", flow=flow, levels=1, max_steps=30)
