@@ -112,6 +112,7 @@ def test_a_row_has_the_bytes_of_one_track(done: Path, films: Path, tmp_path: Pat
         assert configs[0] == configs[1] and configs[0]["model"] == ("none" if name == "one" else "flowable-mass")
 
 
+@pytest.mark.slow
 def test_the_tables_say_what_became_of_each_sequence(done: Path) -> None:
     rows = table(done)
     assert [(row["status"], row["objects"], row["frames"]) for row in rows.values()] == [

@@ -62,7 +62,6 @@ def called_kernels():
     return found & defined
 
 
-@pytest.mark.slow
 def test_the_small_runs_call_every_kernel_that_python_calls():
     # Strict where the kernels are stored already: one that is compiled into another counts as called otherwise.
     expected = called_kernels()

@@ -179,6 +179,7 @@ def test_density_modes_of_a_sphere(degree: int) -> None:
     assert worst < 0.004 * degree
 
 
+@pytest.mark.slow
 def test_the_mass_potential_is_inert_at_uniform_density() -> None:
     on = lattice(32)
     rows, surfaces = {}, {}
@@ -195,6 +196,7 @@ def test_the_mass_potential_is_inert_at_uniform_density() -> None:
     assert rows[0.0][5].mass_potential == 0.0
 
 
+@pytest.mark.slow
 def test_negative_tension_is_clamped_and_told() -> None:
     """Without the clamp noise in the density grows on the surface where rho > rms(rho); with it its share is known."""
     on = lattice(32)
@@ -261,6 +263,7 @@ def test_mass_is_conserved_through_split_and_merge() -> None:
     assert all(np.isfinite(row.mass_correction) for row in rows)
 
 
+@pytest.mark.slow
 def test_mass_is_conserved_through_large_deformation() -> None:
     """A ball drawn out to three times its length by the field: the transport itself errs by less than 1 %."""
     on = lattice(48)
@@ -293,6 +296,7 @@ def test_momentum_stays_zero_where_the_energy_does_not_depend_on_place() -> None
     assert worst < 0.005
 
 
+@pytest.mark.slow
 def test_lambda_and_rho_only_rescale_time() -> None:
     """The same surfaces, bit by bit, at half the times; with gravity scaled as rho U_mass asks for."""
     on = lattice(32)

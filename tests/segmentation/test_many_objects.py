@@ -79,6 +79,7 @@ def test_the_scene_asks_for_what_groups_have_to_do(image, in_memory):
         assert (alone.psi.tobytes() != among.psi.tobytes() or alone.stop != among.stop) == touches
 
 
+@pytest.mark.slow
 def test_a_table_of_balls(image, tmp_path):
     table = write_table(tmp_path / "seeds.csv")
     want = segment_objects(image, table, **FAST)
@@ -86,6 +87,7 @@ def test_a_table_of_balls(image, tmp_path):
         assert_same(outcome.object, want.by_id[outcome.id])
 
 
+@pytest.mark.slow
 def test_balls_that_overlap_begin_apart_as_in_memory(image, tmp_path):
     (tmp_path / "seeds.csv").write_text(
         "id,x_vox,y_vox,z_vox,r_vox\n4,15,16,16,5\n3,21,16,16,5\n8,90,50,22,4\n"
@@ -97,6 +99,7 @@ def test_balls_that_overlap_begin_apart_as_in_memory(image, tmp_path):
         assert_same(outcome.object, want.by_id[outcome.id])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "energy",  # the last one vanishes at once, from a box that is larger than the least window
     ["likelihood", "likelihood:model=histogram", "threshold:auto, + 0.1*threshold:learned,", "local-region + geodesic"],

@@ -110,7 +110,7 @@ def distances(one: Result, other: Result) -> np.ndarray:
     return np.abs(psi[0] - psi[1])
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", LEVELS)
 def test_levels_give_one_surface_in_every_order_and_direction_of_the_axes(settings):
     one = segment(scan(), start=START, **LEVELS[settings])

@@ -129,7 +129,7 @@ def test_channels_are_read_in_the_same_windows(image):
     assert_same(accelsurf.segment(image, channels=[other], config=config), segment_in_windows(large, config))
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk", [16, 27, 64])
 def test_the_size_of_a_stores_bricks_changes_nothing(image, chunk, tmp_path):
     zarr = pytest.importorskip("zarr")

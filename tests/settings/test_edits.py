@@ -102,6 +102,7 @@ def test_going_back_and_on_is_the_same_run(flow, energy):
     assert state(back) == state(straight)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "energy",
     ["likelihood", "likelihood:histogram", "local-region:R=4", "threshold:auto", "chan-vese + 0.2*local-region:R=4"],

@@ -378,7 +378,6 @@ def test_options_of_the_page_are_refused_for_a_window(tmp_path, capsys):
         assert "with --browser only" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_a_port_that_is_taken_is_one_line(tmp_path, served):
     command = [sys.executable, "-m", "accelsurf", "view", str(served.image), "--browser", "--no-open"]
     done = subprocess.run([*command, "--port", str(served.port)], capture_output=True, text=True, timeout=120)

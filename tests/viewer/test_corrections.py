@@ -56,7 +56,7 @@ def ended(session):
     return session
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("energy", CONFIGS)
 def test_command_python_session_and_configuration_make_the_same_bytes(energy, image, tmp_path):
     io.write(image, tmp_path / "scan.nii.gz")

@@ -98,6 +98,7 @@ def test_the_camera_turns(image, tmp_path):
     assert (pictures["90"][-1] != pictures["90"][-2]).any()
 
 
+@pytest.mark.slow
 def test_a_preview_is_the_last_frame(image, tmp_path, capsys):
     path, options = image
     look = ["--theme", "light", "--color", "force", "--size", "640x360", "--volume", "--planes"]
@@ -109,7 +110,6 @@ def test_a_preview_is_the_last_frame(image, tmp_path, capsys):
         assert np.median(np.asarray(picture)) == 255
 
 
-@pytest.mark.slow
 def test_a_result_folder_is_run_again_with_its_settings(image, tmp_path, capsys):
     path, options = image
     results = tmp_path / "out"
