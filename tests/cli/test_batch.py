@@ -517,6 +517,7 @@ def _alive(pid):
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("done")  # all is compiled by then: that would take its time
 def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_path):
     out = tmp_path / "out"

@@ -122,7 +122,7 @@ def test_what_was_done_before_an_interrupt_is_not_done_again(folder, tmp_path, r
     assert done == [], "it has ended"
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("energy", ["likelihood:model=histogram", "threshold:60%,"])
 def test_what_was_done_is_found_again_with_any_energy(folder, tmp_path, ran, energy):
     done, instead = ran

@@ -72,6 +72,7 @@ def test_a_killed_command_goes_on(scan, whole, tmp_path, capsys):
     assert not (tmp_path / "out" / "ball_checkpoint.npz").exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_a_result_and_a_state(scan, whole, tmp_path):
     program = started(scan, tmp_path / "out")
     program.send_signal(signal.SIGINT)

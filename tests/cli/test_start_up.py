@@ -58,7 +58,7 @@ def ball(tmp_path):
     return tmp_path / "ball.nii.gz"
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("words", "code"),
     [

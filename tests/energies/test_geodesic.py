@@ -178,7 +178,7 @@ STARTS = {
 }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["gradient", "constant-density"])
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("noise", [0.0, 0.4], ids=["clean", "noisy"])

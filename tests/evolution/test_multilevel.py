@@ -220,6 +220,7 @@ def test_a_start_that_no_coarse_voxel_sees(cube):
 # --------------------------------------------------------------------------------------------- command line, report
 
 
+@pytest.mark.slow
 def test_levels_on_the_command_line_and_in_the_report(cube, tmp_path, capsys):
     write(Volume(cube.image.array, cube.image.geometry), tmp_path / "cube.nii.gz")
     call = ["segment", str(tmp_path / "cube.nii.gz"), "-o", str(tmp_path / "out"), "--start", START["start"]]

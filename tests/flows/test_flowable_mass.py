@@ -237,6 +237,7 @@ def components(surface: LevelSet) -> int:
     return int(ndimage.label(surface.labels)[1])
 
 
+@pytest.mark.slow
 def test_mass_is_conserved_through_split_and_merge() -> None:
     """Total mass within 1e-5. What the flow had to add: below 1 % before the fronts meet, more where area vanishes."""
     on = lattice(48)

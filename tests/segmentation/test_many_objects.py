@@ -125,6 +125,7 @@ def test_an_image_of_one_slice():
 # ------------------------------------------------------------------------------------------------- what cannot be run
 
 
+@pytest.mark.slow
 def test_a_group_that_does_not_fit_is_named_and_the_others_go_on(image):
     """Windows of 80 columns fit: the rod's must be larger, as it goes on along x."""
     values = image.array.copy()

@@ -136,6 +136,7 @@ def _ended(run):
     return run
 
 
+@pytest.mark.slow
 def test_going_back_from_the_end():
     run = Run(volume(), RunConfig(start="ball:17,15,16,6", levels=1))
     kept = {}
