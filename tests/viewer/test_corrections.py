@@ -238,7 +238,6 @@ def psi_shown(session):
     return np.where(out < 0, out, np.float32(9.0))
 
 
-@pytest.mark.slow
 def test_a_run_that_goes_on_is_corrected_again_at_its_end(image, tmp_path):
     with Session(image, CONFIGS["seeded"], name="x") as session:
         at(session, 6)
