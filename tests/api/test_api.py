@@ -23,7 +23,7 @@ GRIDS = {
 }
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize("kind", [BALL, CUBE], ids=["ball", "cube"])
 def test_clean_phantoms_from_a_start_that_touches_only_part(kind, grid):

@@ -31,6 +31,7 @@ def test_clicks_are_typed_in_the_worlds_coordinates() -> None:
     assert own.text_of(click._replace(radius=0.5), image) == "point:22.0,-12.0,34.0"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["accelsurf", "accelsurf-rerun", "accelsurf-start"])
 def test_every_one_of_ours_obeys_its_clicks(name: str) -> None:
     image, truth = two_balls()

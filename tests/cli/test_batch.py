@@ -517,6 +517,7 @@ def _alive(pid):
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("done")  # all is compiled by then: that would take its time
 def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_path):
     out = tmp_path / "out"
@@ -540,7 +541,6 @@ def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_p
 UNSAFE = ["a:b", "-x", "a ", "tab\there", "x" * 170, os.fsdecode(b"bad\xff"), "quote\"s", "a<b>", "a\\b"]
 
 
-@pytest.mark.slow
 def test_files_with_unsafe_names_are_refused_alone(tmp_path, capsys):
     scans = tmp_path / "scans"
     scans.mkdir()

@@ -112,6 +112,7 @@ def test_a_row_has_the_bytes_of_one_track(done: Path, films: Path, tmp_path: Pat
         assert configs[0] == configs[1] and configs[0]["model"] == ("none" if name == "one" else "flowable-mass")
 
 
+@pytest.mark.slow
 def test_the_tables_say_what_became_of_each_sequence(done: Path) -> None:
     rows = table(done)
     assert [(row["status"], row["objects"], row["frames"]) for row in rows.values()] == [
@@ -132,7 +133,6 @@ def test_the_tables_say_what_became_of_each_sequence(done: Path) -> None:
     assert not [path for path in done.rglob("*") if path.name.startswith(".") or path.name.endswith("_frames")]
 
 
-@pytest.mark.slow
 def test_a_folder_of_sequences_resumes_what_is_not_finished(inline, films: Path, tmp_path: Path, monkeypatch) -> None:
     out, words = tmp_path / "out", ("--track", "--start", "otsu", "--model", "none")
     step = Tracking._step

@@ -84,6 +84,7 @@ def test_without_the_package_one_line_names_the_extra(tmp_path):
     assert done.returncode == 3 and 'pip install "accelsurf[dicom]"' in done.stderr
 
 
+@pytest.mark.slow
 def test_the_result_goes_back_as_dicom_the_same_bytes_twice(tmp_path):
     highdicom = pytest.importorskip("highdicom")
     import pydicom

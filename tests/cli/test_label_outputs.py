@@ -137,6 +137,7 @@ def test_objects_that_touch_share_their_wall(tmp_path):
     assert cli.execute([*words, "--overwrite", "--mesh-smooth", "2"]) == 2
 
 
+@pytest.mark.slow
 def test_the_same_run_writes_the_same_bytes(scan, tmp_path):
     for out in ("one", "two"):
         assert run(scan, tmp_path / out, "--also", "seg.nrrd,itk-snap,tsv,ctbl") == 0

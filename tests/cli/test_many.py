@@ -61,7 +61,6 @@ def test_cases_that_are_none(cases, named, tmp_path):
         accelsurf.segment_many(cases, tmp_path)
 
 
-@pytest.mark.slow
 def test_leaving_early_keeps_what_is_finished(scans, tmp_path):  # noqa: F811
     """With a real worker: the second case hangs, as its image never comes."""
     hanging = tmp_path / "scans"

@@ -122,7 +122,7 @@ def test_what_was_done_before_an_interrupt_is_not_done_again(folder, tmp_path, r
     assert done == [], "it has ended"
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("energy", ["likelihood:model=histogram", "threshold:60%,"])
 def test_what_was_done_is_found_again_with_any_energy(folder, tmp_path, ran, energy):
     done, instead = ran
@@ -171,7 +171,6 @@ def test_failures_are_named_and_tried_again(folder, tmp_path, ran, capsys):
     assert_as_in_memory(folder, tmp_path / "out")
 
 
-@pytest.mark.slow
 def test_groups_that_need_more_than_their_part_of_the_memory_run_alone(folder, tmp_path, monkeypatch):
     """Half of 700 MB holds no process that runs one."""
     monkeypatch.setattr("accelsurf.batch.pool.LocalPool", lambda run, jobs, prepare: InlinePool(run))

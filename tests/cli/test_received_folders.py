@@ -71,6 +71,7 @@ COMMANDS = {
 LINKED = [(), ("new",), ("old",), ("new", "old")]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     ("command", "linked"),
     [*(("look", linked) for linked in LINKED), *zip(list(COMMANDS)[1:], [*LINKED[::-1], LINKED[3]], strict=True)],

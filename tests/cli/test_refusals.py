@@ -135,6 +135,7 @@ def test_wrong_options(capsys, image, words, said):
     assert said in " ".join(refused(capsys, image, *words))
 
 
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize(("line", "said"), LINES, ids=lambda value: value)
 def test_wrong_lines_of_a_configuration(capsys, image, tmp_path, line, said):
     file = tmp_path / "run.toml"

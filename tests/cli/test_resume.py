@@ -72,6 +72,7 @@ def test_a_killed_command_goes_on(scan, whole, tmp_path, capsys):
     assert not (tmp_path / "out" / "ball_checkpoint.npz").exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_a_result_and_a_state(scan, whole, tmp_path):
     program = started(scan, tmp_path / "out")
     program.send_signal(signal.SIGINT)
@@ -100,6 +101,7 @@ def test_without_a_state_the_run_begins_and_one_that_ended_stays(scan, whole, tm
     assert (folder / "ball_surface.ply").read_bytes() == b"mine"
 
 
+@pytest.mark.slow
 def test_overwrite_begins_anew(scan, whole, tmp_path):
     program = started(scan, tmp_path / "out")
     program.kill()
@@ -111,6 +113,7 @@ def test_overwrite_begins_anew(scan, whole, tmp_path):
     assert not (tmp_path / "out" / "ball_checkpoint.npz").exists()
 
 
+@pytest.mark.slow
 def test_a_state_of_other_settings_is_refused_and_stays(scan, tmp_path, capsys):
     program = started(scan, tmp_path / "out")
     program.kill()
@@ -138,6 +141,7 @@ def test_a_full_disk_ends_the_run_and_keeps_the_last_state(scan, whole, tmp_path
     assert content(tmp_path / "out") == whole
 
 
+@pytest.mark.slow
 def test_a_case_of_a_batch_goes_on_from_its_state(scan, whole, tmp_path, monkeypatch):
     program = started(scan, tmp_path / "out" / "ball")
     program.kill()

@@ -54,6 +54,7 @@ def ball(tmp_path):
     return tmp_path / "ball.nii.gz"
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("words", "code"),
     [
@@ -112,6 +113,7 @@ def test_a_command_makes_no_options_of_others(command, own):
     assert set(ended.stdout.split()) == own | {"Display"}, ended.stderr
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("given", [("--start", "ball:0,0,0,4"), ("--inside", "point:0,0,0")])
 def test_a_run_loads_the_kernels_that_it_calls_and_no_library_of_others(given, ball):
     words = ("segment", ball, "-o", ball.parent / "out", "--max-steps", "5", *given)

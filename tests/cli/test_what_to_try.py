@@ -72,6 +72,7 @@ def test_an_empty_result_names_what_was_seen_before_the_first_step(words, reason
     assert report(path)["stop"]["reason"] == reason and report(path)["error"]["hint"] == last.removeprefix("hint: ")
 
 
+@pytest.mark.slow
 def test_a_rest_during_the_run_has_its_file_which_is_the_object_then(tmp_path):
     path, words = tmp_path / "balls.nii.gz", []
     io.write(Volume.from_array(joined_balls()[0].astype(np.float32)), path)

@@ -170,6 +170,7 @@ def test_undo_brings_back_every_byte(first):
         assert refiner.result().labels.tobytes() == after.labels.tobytes()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("energy", ["chan-vese", "seeded"])
 def test_command_line_and_one_configuration_make_the_same_bytes(volume, tmp_path, energy):
     image, out, whole = tmp_path / "scan.nii.gz", tmp_path / "out", tmp_path / "whole"

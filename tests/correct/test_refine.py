@@ -391,7 +391,7 @@ def in_thick_slices(energy):
     return accelsurf.segment(image.astype(np.float32), spacing=spacing, **given)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("energy", ["chan-vese", "seeded"])
 @pytest.mark.parametrize("thick", [False, True])

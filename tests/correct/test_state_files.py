@@ -81,6 +81,7 @@ def test_two_runs_leave_the_same_state(scan, finished, tmp_path):
     assert (again / "ball_state.npz").read_bytes() == (finished / "ball_state.npz").read_bytes()
 
 
+@pytest.mark.slow
 def test_two_runs_leave_the_same_checkpoint_and_a_resumed_one_the_same_state(scan, checkpoint, tmp_path):
     (tmp_path / "out").mkdir()
     other = stopped(scan, tmp_path / "out")

@@ -64,7 +64,7 @@ def can_draw():
     return True
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [PAGES[0], pytest.param(PAGES[1], marks=pytest.mark.slow)], ids=lambda page: page.name)
 def test_every_command_of_the_page_succeeds(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, text in FILE.findall(page.read_text(encoding="utf-8")):

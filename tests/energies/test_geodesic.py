@@ -178,6 +178,7 @@ STARTS = {
 }
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["gradient", "constant-density"])
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("noise", [0.0, 0.4], ids=["clean", "noisy"])
@@ -192,6 +193,7 @@ def test_a_ball_from_around_it_and_from_inside(noise, start, flow):
     assert result.energy == "geodesic"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["gradient", "constant-density"])
 def test_thick_slices_and_a_single_one(flow):
     spacing = (2.0, 1.0, 1.0)
@@ -205,6 +207,7 @@ def test_thick_slices_and_a_single_one(flow):
     assert dice(flat.labels[0], circle < 15) > 0.97
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("scale", [1.0, 1.5])
 def test_the_minimum_lies_inside_of_the_edge(scale):
     """Smoothing moves the edge of a ball inward by s^2/r, the area's pull about as much again: 0.22 and 0.435 mm."""
@@ -239,6 +242,7 @@ def test_the_configuration_reaches_the_energy():
     np.testing.assert_array_equal(auto.sums.image, edge_indicator(image, (1, 1, 1)).ravel())
 
 
+@pytest.mark.slow
 def test_smoothness_keeps_the_surface_off_noise():
     image, _, _ = ball(0.4)
     rough, smooth = (

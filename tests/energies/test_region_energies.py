@@ -147,6 +147,7 @@ def test_updated_sums_equal_those_summed_afresh(name):
     assert updated == pytest.approx(afresh, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_local_region_finds_what_one_pair_of_means_cannot():
     """A ball in a brightness that drifts by more than its contrast."""
     z, y, x = np.indices((40, 40, 40)) - 19.5

@@ -93,6 +93,7 @@ def only_area(flow: str, dim: int, r0: float, t_end: float) -> Case:
 # ------------------------------------------------------------------------------------------------ exact solutions
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", FLOWS)
 def test_a_half_circle_at_the_border_shrinks_as_the_whole_one(flow: str) -> None:
     """Before, the contact line felt no force: 3.3 h off at n = 64, 6.7 h at 128."""
@@ -108,6 +109,7 @@ def test_the_closed_form_of_the_half_circle_under_descent() -> None:
     assert path(1.5) == pytest.approx(math.sqrt(0.35**2 - 2 * ALPHA * 1.5), abs=1e-9)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", FLOWS)
 def test_a_half_disc_comes_to_rest_at_the_border(flow: str) -> None:
     """F = 5 (r - 0.3) and the area: at rest where F + alpha/r = 0. Before: 5 h off at n = 32, 10 h at 64."""
@@ -189,6 +191,7 @@ def evolved(flow: Flow, psi: np.ndarray, force: np.ndarray, h: float, t_end: flo
     return surface
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", MIRRORED)
 def test_half_a_volume_is_as_the_mirrored_whole(name: str) -> None:
     """An ellipse cut by the border, under a force field that is not symmetric across it: psi within 0.002 to 0.03 h."""

@@ -96,7 +96,7 @@ WANTED = {
 LONG, SMALL_SIZES = "DEM", (24, 32, 44)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("name", "sizes"),
     [(name, SMALL_SIZES if name in LONG else SIZES) for name in WANTED]

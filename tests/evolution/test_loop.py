@@ -196,6 +196,7 @@ def test_the_limits_are_the_same_for_every_flow():
         assert all(row.dt <= 0.3 and row.motion_voxels <= 0.25 + 1e-6 for row in evolution.history)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("flow", "steps"), [(ConstantDensity, 120), (FlowableMass, 58)])
 @pytest.mark.parametrize("epsilon", [0.0, 1.5])
 def test_a_surface_at_a_sharp_edge_does_not_flicker(flow, steps, epsilon):

@@ -46,6 +46,7 @@ def disk(n=96):
 SLOW = pytest.param("flowable-mass", marks=pytest.mark.slow)  # half a minute
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["constant-density", SLOW, "gradient", "sobolev", "momentum"])
 def test_the_same_surface_for_less(cube, flow):
     options = {**START, "flow": flow, "smoothness": 0.05}
@@ -89,6 +90,7 @@ def test_the_account_of_the_energy_goes_on(cube):
     assert abs(total[change] - total[change - 1]) < 0.02 * won
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", ["constant-density", "flowable-mass"])
 def test_momentum_goes_on(cube, flow, monkeypatch):
     # The coarse level ends in full motion. The weight of k = 3 tells the time on the clock of w and gamma.
@@ -126,6 +128,7 @@ def test_a_run_that_is_stopped_on_a_coarse_level_still_has_a_result(cube):
     assert result.psi.shape == (64, 64, 64) and result.labels.sum() > 1000
 
 
+@pytest.mark.slow
 def test_the_same_bytes_for_any_number_of_threads(cube):
     runs = [segment(cube.image, levels=2, threads=threads, **START) for threads in (1, 1, 2, 3)]
     for other in runs[1:]:
@@ -217,6 +220,7 @@ def test_a_start_that_no_coarse_voxel_sees(cube):
 # --------------------------------------------------------------------------------------------- command line, report
 
 
+@pytest.mark.slow
 def test_levels_on_the_command_line_and_in_the_report(cube, tmp_path, capsys):
     write(Volume(cube.image.array, cube.image.geometry), tmp_path / "cube.nii.gz")
     call = ["segment", str(tmp_path / "cube.nii.gz"), "-o", str(tmp_path / "out"), "--start", START["start"]]

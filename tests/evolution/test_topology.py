@@ -18,6 +18,7 @@ from tests.support.offsets import CLOSE, MERGE, SPLIT, Offset, grow
 # ------------------------------------------------------------------------------------------- changes of topology
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("problem", "parts", "volume", "mean"),
     [(MERGE, (2, 1), 0.004, 0.03), (CLOSE, (1, 1), 0.003, 0.025), (SPLIT, (1, 2), 0.022, 0.036)],

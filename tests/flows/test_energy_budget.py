@@ -56,7 +56,7 @@ FLOWS: dict[str, ConstantDensity | FlowableMass] = {
 }
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", FLOWS)
 def test_the_energy_lost_is_accounted_for(name: str) -> None:
     """Within 2 % of what was lost on a smooth problem (noise: 4 %)."""

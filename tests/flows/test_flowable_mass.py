@@ -111,6 +111,7 @@ def ellipsoid_misfit(n: int, t_end: float, flow: Given | None = None) -> tuple[f
     return worst, density, step.record
 
 
+@pytest.mark.slow
 def test_triaxial_ellipsoid() -> None:
     """Case I: the velocity has a tangential part and the density is not uniform. Measured 0.005 h on 64^3 at t = 1."""
     sizes = (32, 48, 64)
@@ -169,6 +170,7 @@ def density_mode(n: int, degree: int, amplitude: float, flow: Given) -> float:
     return worst
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("degree", [1, 2, 3])
 def test_density_modes_of_a_sphere(degree: int) -> None:
     """omega_l = c_s sqrt(l(l+1) + 4)/r0, c_s^2 = w g M; fading as 2 J1(omega t)/(omega t) with friction 3/t."""
@@ -177,6 +179,7 @@ def test_density_modes_of_a_sphere(degree: int) -> None:
     assert worst < 0.004 * degree
 
 
+@pytest.mark.slow
 def test_the_mass_potential_is_inert_at_uniform_density() -> None:
     on = lattice(32)
     rows, surfaces = {}, {}
@@ -193,6 +196,7 @@ def test_the_mass_potential_is_inert_at_uniform_density() -> None:
     assert rows[0.0][5].mass_potential == 0.0
 
 
+@pytest.mark.slow
 def test_negative_tension_is_clamped_and_told() -> None:
     """Without the clamp noise in the density grows on the surface where rho > rms(rho); with it its share is known."""
     on = lattice(32)
@@ -233,6 +237,7 @@ def components(surface: LevelSet) -> int:
     return int(ndimage.label(surface.labels)[1])
 
 
+@pytest.mark.slow
 def test_mass_is_conserved_through_split_and_merge() -> None:
     """Total mass within 1e-5. What the flow had to add: below 1 % before the fronts meet, more where area vanishes."""
     on = lattice(48)
@@ -259,6 +264,7 @@ def test_mass_is_conserved_through_split_and_merge() -> None:
     assert all(np.isfinite(row.mass_correction) for row in rows)
 
 
+@pytest.mark.slow
 def test_mass_is_conserved_through_large_deformation() -> None:
     """A ball drawn out to three times its length by the field: the transport itself errs by less than 1 %."""
     on = lattice(48)
@@ -291,6 +297,7 @@ def test_momentum_stays_zero_where_the_energy_does_not_depend_on_place() -> None
     assert worst < 0.005
 
 
+@pytest.mark.slow
 def test_lambda_and_rho_only_rescale_time() -> None:
     """The same surfaces, bit by bit, at half the times; with gravity scaled as rho U_mass asks for."""
     on = lattice(32)

@@ -120,6 +120,7 @@ def growing(
     return worst, rows, np.array(masses)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("n", "flat"), [(48, True), (64, True), (32, False)])
 def test_what_leaves_takes_its_mass_along(n: int, flat: bool) -> None:
     """Every point moves as in free space. The mass that left was put on the rest, up to a voxel behind."""

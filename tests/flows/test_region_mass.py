@@ -331,7 +331,7 @@ def test_optimal_transport_converges() -> None:
 # ---------------------------------------------------------------------------------------------------- other grids
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flow", [RegionMass(), RegionPressure(0.2)])
 @pytest.mark.parametrize("coarser", [(1, 1, 1), (2, 1, 1)])
 def test_one_slice_and_unequal_spacing(flow: RegionMass, coarser: tuple[int, int, int]) -> None:

@@ -23,6 +23,7 @@ def parts_of(values, count=7):
     return [part.reshape(1, 1, -1) for part in np.array_split(values, count) if part.size]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("values", FLOATS.values(), ids=FLOATS)
 def test_floats(values):
     array = np.asarray(values, np.float32)

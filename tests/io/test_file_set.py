@@ -134,7 +134,6 @@ def test_a_move_that_fails_puts_everything_back(target, tmp_path, monkeypatch):
     assert content(folder) == BEFORE and not list(folder.glob(".*"))
 
 
-@pytest.mark.slow
 def test_a_kill_while_everything_is_put_back(tmp_path, monkeypatch):
     def work(folder):
         usual, real = os.replace, file_set._move_back

@@ -46,7 +46,7 @@ def error_with_limit(limit, work):
         return told.read()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".tif", ".png"])
 def test_an_image_that_was_cut_short_does_not_replace_the_old_one(suffix, tmp_path, capfd):
     path, new = tmp_path / f"labels{suffix}", volume(suffix)

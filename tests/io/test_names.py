@@ -158,6 +158,7 @@ def test_a_header_that_is_a_link_finds_the_data_beside_it(folders, tmp_path):
     np.testing.assert_array_equal(io.read(tmp_path / "elsewhere" / "a.mhd").array, VALUES)
 
 
+@pytest.mark.slow
 def test_the_command_line_allows_data_outside(folders, tmp_path):
     path = header(folders, ".mhd", "../voxels.raw")
     words = [sys.executable, "-m", "accelsurf", "evaluate", str(path), str(path)]

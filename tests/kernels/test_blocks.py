@@ -58,7 +58,7 @@ def test_labels_change_to_one_side_alone(gains):
     np.testing.assert_allclose(force, np.where(wrong, kept, expected), atol=1e-6)
 
 
-@pytest.mark.sampled
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 2), (1, 5, 7), (3, 4, 5), (2, 1, 3), (7, 6, 8)])
 @pytest.mark.parametrize("kind", ["noise", "few values", "constant"])
 def test_the_median_change_is_numpys(shape, kind):

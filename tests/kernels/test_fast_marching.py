@@ -59,6 +59,7 @@ def test_distances_and_fields_are_those_of_the_plain_march(name: str) -> None:
     assert inner > 30
 
 
+@pytest.mark.slow
 def test_distances_agree_with_closest_points_passed_on_in_order() -> None:
     """The other ordered march of the tests, each foot polished: both are distances, to the order of each."""
     psi = ball((24, 24, 24), (1, 1, 1), 8.0)

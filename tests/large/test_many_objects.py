@@ -55,6 +55,7 @@ def assert_same(one, want):
         assert one.surface.vertices.tobytes() == want.surface.vertices.tobytes()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("margin", [-2, 6, 60])
 def test_groups_have_the_bytes_of_all_at_once(image, in_memory, margin):
     found, ended = in_groups(image, LazyVolume.of_array(label_map()), margin)
@@ -77,6 +78,7 @@ def test_the_scene_asks_for_what_groups_have_to_do(image, in_memory):
         assert (alone.psi.tobytes() != among.psi.tobytes() or alone.stop != among.stop) == touches
 
 
+@pytest.mark.slow
 def test_a_table_of_balls(image, tmp_path):
     table = write_table(tmp_path / "seeds.csv")
     want = segment_objects(image, table, **FAST)
@@ -84,6 +86,7 @@ def test_a_table_of_balls(image, tmp_path):
         assert_same(outcome.object, want.by_id[outcome.id])
 
 
+@pytest.mark.slow
 def test_balls_that_overlap_begin_apart_as_in_memory(image, tmp_path):
     (tmp_path / "seeds.csv").write_text(
         "id,x_vox,y_vox,z_vox,r_vox\n4,15,16,16,5\n3,21,16,16,5\n8,90,50,22,4\n"
@@ -95,6 +98,7 @@ def test_balls_that_overlap_begin_apart_as_in_memory(image, tmp_path):
         assert_same(outcome.object, want.by_id[outcome.id])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "energy",  # the last one vanishes at once, from a box that is larger than the least window
     ["likelihood", "likelihood:model=histogram", "threshold:auto, + 0.1*threshold:learned,", "local-region + geodesic"],
@@ -120,6 +124,7 @@ def test_an_image_of_one_slice():
 # ------------------------------------------------------------------------------------------------- what cannot be run
 
 
+@pytest.mark.slow
 def test_a_group_that_does_not_fit_is_named_and_the_others_go_on(image):
     """Windows of 80 columns fit: the rod's must be larger, as it goes on along x."""
     values = image.array.copy()

@@ -63,7 +63,7 @@ def assert_same(whole, part):
     assert grown[0] == (grown[1] and tuple(v + first for v, first in zip(grown[1], corner, strict=True)))
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "options",
     [
@@ -113,7 +113,6 @@ def test_a_window_without_the_guard_gives_other_bytes(image, small_windows, monk
     assert not np.array_equal(labels, whole.labels)
 
 
-@pytest.mark.slow
 def test_a_region_of_interest_is_scaled_by_its_own_values(image):
     whole, part, _ = both(image, start="ball:66,57,56,5", roi="40,30,30,105,95,100", presmooth=1.0)
     assert_same(whole, part)
@@ -121,7 +120,6 @@ def test_a_region_of_interest_is_scaled_by_its_own_values(image):
     assert_same(whole, part)
 
 
-@pytest.mark.slow
 def test_channels_are_read_in_the_same_windows(image):
     other = Volume(np.flip(image.array, 2).copy() * 0.5 + image.array, image.geometry)
     config, _ = with_options(None, None, {"threads": 1, "start": "ball:66,57,56,5", "presmooth": 1.0})
@@ -129,7 +127,7 @@ def test_channels_are_read_in_the_same_windows(image):
     assert_same(accelsurf.segment(image, channels=[other], config=config), segment_in_windows(large, config))
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk", [16, 27, 64])
 def test_the_size_of_a_stores_bricks_changes_nothing(image, chunk, tmp_path):
     zarr = pytest.importorskip("zarr")

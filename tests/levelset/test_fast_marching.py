@@ -178,6 +178,7 @@ def test_fields_come_through_a_redistancing_constant_along_normals() -> None:
 # ---------------------------------------------------------------------------------------------------------------- rest
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("radius", "bound"), [(16.0, 2e-3), (9.5, 7e-3)])
 def test_a_ball_rests_over_a_hundred_redistances(radius: float, bound: float) -> None:
     """Voxels, mean; measured at radius 9.5: 0.0054, with closest points 0.0022."""

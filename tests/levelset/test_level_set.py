@@ -138,7 +138,7 @@ def test_distance_of_a_plane_is_exact_up_to_the_border():
     assert error[in_band(surface)].max() < 0.2 * h
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_distance_as_the_slow_reference_on_random_smooth_surfaces(seed):
     shape, spacing = (17, 22, 20), (1.3, 1.0, 0.9)

@@ -38,6 +38,7 @@ def drawn_sheet(seed, ratio):
     return np.float32(np.abs(across) - 0.5 * draw.uniform(1.5, 2) * ratio), tuple(map(float, spacing))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("ratio", [1.5, 2, 3, 4])
 def test_thin_sheets_across_thick_slices_stay_where_they_are(ratio):
     """Voxels of the coarsest axis, of which sheets of 1.5 grew by up to 0.6."""

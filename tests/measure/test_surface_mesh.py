@@ -154,6 +154,7 @@ def test_one_slice_gives_a_prism_one_voxel_thick(axis: int) -> None:
     assert (low, high) == (-1.25, 1.25)
 
 
+@pytest.mark.slow
 def test_always_closed_on_noise_with_zeros_at_any_shape() -> None:
     random = np.random.default_rng(1)
     seen = 0

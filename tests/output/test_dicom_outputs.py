@@ -127,6 +127,7 @@ def test_several_objects(tmp_path):
     assert counts == [int((result.labels == label).sum()) for label in (1, 4)]
 
 
+@pytest.mark.slow
 def test_same_run_same_bytes_and_another_run_other_identifiers(tmp_path, shell):
     again = shell_run(tmp_path / "scan")
     other = shell_run(tmp_path / "scan", SeriesDescription="the same slices")

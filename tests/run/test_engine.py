@@ -162,6 +162,7 @@ def test_an_edit_names_its_object(pair, edit, words):
         segment_objects(volume, starts, edit=[edit], max_steps=3)
 
 
+@pytest.mark.slow
 def test_an_object_that_has_converged_goes_on_after_an_edit(pair):
     volume, starts, _ = pair
     plain = segment_objects(volume, starts, max_steps=200)
@@ -233,7 +234,7 @@ SAVED = {
 }
 
 
-@pytest.mark.sampled(7)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("several", [False, True])
 @pytest.mark.parametrize("name", SAVED)
 def test_a_run_goes_on_from_a_file_with_the_same_bytes(pair, tmp_path, name, several):

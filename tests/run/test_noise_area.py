@@ -22,6 +22,7 @@ def cube(noise, seed=1):
     return truth, (truth + np.random.default_rng(seed).normal(0, noise, truth.shape)).astype(np.float32)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_surface_does_not_follow_raw_noise(seed):
     truth, image = cube(1.0, seed)

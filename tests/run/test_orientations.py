@@ -67,7 +67,7 @@ def compare(energy: str, way: Way) -> None:
     assert apart <= 0.1 * min(SPACING)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("energy", ENERGIES)
 @pytest.mark.parametrize("way", FEW, ids=str)
 def test_eight_ways_to_store_a_scan_give_the_same_surface(energy, way):
@@ -110,7 +110,7 @@ def distances(one: Result, other: Result) -> np.ndarray:
     return np.abs(psi[0] - psi[1])
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", LEVELS)
 def test_levels_give_one_surface_in_every_order_and_direction_of_the_axes(settings):
     one = segment(scan(), start=START, **LEVELS[settings])

@@ -182,7 +182,6 @@ def test_two_noisy_channels_are_less_noisy_than_one(energy):
     assert found[1] > found[0] + 0.01 and found[1] > 0.9
 
 
-@pytest.mark.slow
 def test_a_channel_is_chosen_by_its_number():
     (first, second), _ = two_channels()
     words = dict(start="ball:15,15,15,5vox", max_steps=100)

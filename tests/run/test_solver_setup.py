@@ -27,7 +27,7 @@ def image(shape: tuple[int, int, int] = BALL) -> tuple[np.ndarray, np.ndarray]:
     return truth, (truth + np.random.default_rng(1).normal(0, 0.05, shape)).astype(np.float32)
 
 
-@pytest.mark.sampled
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("shape", [BALL, (1, 24, 24)], ids=["surface", "curve"])
 @pytest.mark.parametrize(
     "energy", [*FROM_A_START, "likelihood:histogram", "0.5*chan-vese + threshold:0.5, - 0.05*balloon"]

@@ -50,6 +50,7 @@ def done(doors, tmp_path_factory):
 # ------------------------------------------------------------------------------------------------ the same result
 
 
+@pytest.mark.slow
 def test_the_same_labels_through_every_door(doors, done):
     expected = accelsurf.segment(PICTURE, **OPTIONS)
     assert expected.labels.shape == (1, *PICTURE.shape)

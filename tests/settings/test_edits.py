@@ -74,6 +74,7 @@ def test_a_surface_comes_back_bit_for_bit(what, spacing):
 # ------------------------------------------------------------------------------------------------------- kept runs
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("energy", ["chan-vese", pytest.param("geodesic", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("flow", FLOWS)
 def test_going_back_and_on_is_the_same_run(flow, energy):
@@ -101,6 +102,7 @@ def test_going_back_and_on_is_the_same_run(flow, energy):
     assert state(back) == state(straight)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "energy",
     ["likelihood", "likelihood:histogram", "local-region:R=4", "threshold:auto", "chan-vese + 0.2*local-region:R=4"],
@@ -134,6 +136,7 @@ def _ended(run):
     return run
 
 
+@pytest.mark.slow
 def test_going_back_from_the_end():
     run = Run(volume(), RunConfig(start="ball:17,15,16,6", levels=1))
     kept = {}
@@ -189,6 +192,7 @@ EDITS = [
 ]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("flow", FLOWS)
 def test_edits_from_the_start_and_while_it_runs_are_the_same(flow):
     config = RunConfig(start="ball:17,15,16,6", flow=flow, levels=1, max_steps=30)

@@ -221,7 +221,6 @@ def test_one_that_leaves_for_good_has_left() -> None:
     assert lineage.tracks[0].end == "left" and lineage.tracks[0].last == 4  # a sliver is there still
 
 
-@pytest.mark.slow
 def test_what_enters_is_followed_only_where_that_is_asked_for() -> None:
     def discs(n: int) -> Discs:
         return [(20, 20, 7)] + ([(70 - 5 * n, 20, 7)] if n > 0 else [])

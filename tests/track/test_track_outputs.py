@@ -45,6 +45,7 @@ def folder(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_frames_in_any_order_give_the_same_bytes(folder, tmp_path):
     written(tmp_path, dividing_cells(), EVERY, order=-1, toml="frame = 0\n")
     assert contents(tmp_path) == contents(folder)

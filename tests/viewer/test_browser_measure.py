@@ -83,6 +83,7 @@ def test_the_picture_fits_the_page_after_the_window_has_changed(served, tmp_path
         assert size[0] == pytest.approx(main.size["width"], abs=9) and size[1] > 1.2 * size[0] * 0.5
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("ratio", ["nan", -1, 0, 1e9, None, "x", [2]])
 def test_no_ratio_makes_a_picture_too_large(served, ratio):
     ask(served, "size", 3000, 2000, ratio)

@@ -56,7 +56,7 @@ def ended(session):
     return session
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("energy", CONFIGS)
 def test_command_python_session_and_configuration_make_the_same_bytes(energy, image, tmp_path):
     io.write(image, tmp_path / "scan.nii.gz")
@@ -238,7 +238,6 @@ def psi_shown(session):
     return np.where(out < 0, out, np.float32(9.0))
 
 
-@pytest.mark.slow
 def test_a_run_that_goes_on_is_corrected_again_at_its_end(image, tmp_path):
     with Session(image, CONFIGS["seeded"], name="x") as session:
         at(session, 6)

@@ -143,6 +143,7 @@ def test_a_window_needs_a_screen(result, monkeypatch):
         assert "to='a.png'" in caught.value.hint
 
 
+@pytest.mark.slow
 def test_segmenting_does_not_load_the_viewer():
     code = (
         "import sys, numpy as np, accelsurf; z = np.zeros((16, 16, 16)); z[4:12, 4:12, 4:12] = 1;"

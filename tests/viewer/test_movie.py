@@ -64,7 +64,7 @@ def surface_pixels(frame):
     return int(((left[..., 0] > 90) & (left[..., 0] > left[..., 2] + 60)).sum())
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("suffix", [pytest.param(".mp4", marks=needs_ffmpeg), ".gif", ".webp"])
 def test_frames_differ_and_the_surface_grows(image, tmp_path, suffix, capsys):
     path, options = image
@@ -98,6 +98,7 @@ def test_the_camera_turns(image, tmp_path):
     assert (pictures["90"][-1] != pictures["90"][-2]).any()
 
 
+@pytest.mark.slow
 def test_a_preview_is_the_last_frame(image, tmp_path, capsys):
     path, options = image
     look = ["--theme", "light", "--color", "force", "--size", "640x360", "--volume", "--planes"]
@@ -282,7 +283,7 @@ def whole(tmp_path_factory):
     return made, folder
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "deaths, early", [({0: 1}, True), ({2: 1}, False), ({4: 1, 6: 1}, True), ({9: 1}, False), ({-1: 1}, True)],
     ids=["first", "second", "two", "last", "start"],

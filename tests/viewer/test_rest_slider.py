@@ -35,7 +35,6 @@ print(clicked, slider.grab().toImage() == plain or slider.value() > 0)
 """
 
 
-@pytest.mark.slow
 def test_ticks_are_drawn_and_a_click_on_one_goes_there():
     places, after, without = lines_of(PROGRAM)
     first, last, four, seven = (int(word) for word in places.split())

@@ -115,7 +115,6 @@ def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_p
     assert [r[:visited] + r[visited + 1 :] for r in mine] == [r[:visited] + r[visited + 1 :] for r in again]
 
 
-@pytest.mark.slow
 def test_a_run_that_converged_says_so_when_repeated(session, tmp_path):
     session.play().result(60)
     assert session.wait(120)
@@ -444,7 +443,6 @@ def test_checkpoints_stay_within_their_memory_dense_at_the_end_and_sparse_before
     assert len(history) == 3
 
 
-@pytest.mark.slow
 def test_a_session_with_little_memory_goes_back_to_any_step(tmp_path):
     with Session(volume(), RunConfig(start=START), checkpoint_mb=1) as small:
         at(small, 4).change(smoothness=0.2)

@@ -61,6 +61,7 @@ def test_the_same_object_in_a_larger_grid_has_the_same():
     assert mean_curvature(large, (1.0, 1.0, 1.0)) == mean_curvature(small, (1.0, 1.0, 1.0))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("noise", [1.0, 2.0])
 def test_the_area_smooths_and_does_not_shrink(noise, monkeypatch):
     """In noise no edge tells the place of the boundary, and F rises gently: the area took away a layer all around."""

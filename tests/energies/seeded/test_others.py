@@ -104,6 +104,7 @@ def test_another_object_at_the_end_of_a_leak_is_heard():
     assert ends[0] > 125 and ends[1] < 118
 
 
+@pytest.mark.slow
 def test_click_by_click_the_model_is_that_of_all_clicks(image):
     """Also where a click on the object lies beside another object that was too far to be heard."""
     clicks = clicked(1, 2, 3)

@@ -399,7 +399,6 @@ def test_every_truncation_is_one_clear_error(tmp_path):
             refuse(path, "header|ends before|cut short|damaged|not a PNG|not a TIFF|holds no page")
 
 
-@pytest.mark.slow
 def test_damage_is_refused_or_read_but_never_anything_else(tmp_path, capfd):
     rng = np.random.default_rng(2)
     refused = 0
