@@ -46,7 +46,8 @@ def options():
     for command in COMMANDS:
         function = getattr(importlib.import_module(f"accelsurf.cli.{command}"), command)
         for name, parameter in inspect.signature(function).parameters.items():
-            if "Path" in str(parameter.annotation) and name not in OUTPUTS and parameter.kind is parameter.KEYWORD_ONLY:
+            takes_file = re.search("Path|File", str(parameter.annotation)) and parameter.kind is parameter.KEYWORD_ONLY
+            if takes_file and name not in OUTPUTS:
                 names = re.findall(r"'(--[a-z-]+)'", str(parameter.annotation))
                 suffix = {"config": ".toml", "pairs": ".csv", "names": ".csv"}.get(name, ".nii")
                 yield command, (names[0] if names else "--" + name.replace("_", "-"), f"PIPE{suffix}")

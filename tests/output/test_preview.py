@@ -273,7 +273,8 @@ def test_window_is_that_of_the_object_and_its_surroundings():
 def test_the_plotting_library_is_loaded_by_the_first_picture_and_never_pyplot():
     code = (
         "import sys, numpy as np; from accelsurf.grid.geometry import Geometry\n"
-        "from accelsurf.report import preview; from accelsurf.output.pictures.preview_content import PreviewContent\n"
+        "from accelsurf.output.pictures import preview\n"
+        "from accelsurf.output.pictures.preview_content import PreviewContent\n"
         "assert 'matplotlib' not in sys.modules\n"
         "psi = np.ones((5, 6, 7), np.float32); psi[2, 2:4, 2:4] = -1\n"
         "made = PreviewContent(psi, psi, Geometry(psi.shape, (1.0, 1.0, 1.0)), [], None, 'a')\n"

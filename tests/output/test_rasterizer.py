@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from accelsurf.measure.surface_mesh import extract
-from accelsurf.output.pictures.rasterizer import render
+from accelsurf.output.pictures.rasterizer import VIEW, render
 from tests.support.shapes import ball_on_grid
 
 
@@ -21,14 +21,17 @@ def test_render_has_the_silhouette_of_a_ball():
 
 
 def test_render_hides_what_lies_behind():
-    near = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
-    far = [[x, y, -1] for x, y, _ in near]
+    toward = np.array(VIEW) / np.linalg.norm(VIEW)
+    right = np.cross((0, 0, 1), toward)
+    right /= np.linalg.norm(right)
+    up = np.cross(toward, right)
+    near = [x * right + y * up for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    far = [corner - toward for corner in near]
     faces = [[0, 1, 2], [0, 2, 3]]
-    box = np.array([[-1.5, -1.5, 0], [1.5, 1.5, 0]])
-    view = (0.0, -0.001, 1.0)
-    alone = render(near, faces, size=64, view=view, box=box)
-    both = render(near + far, faces + [[4, 5, 6], [4, 6, 7]], size=64, view=view, box=box)
-    swapped = render(far + near, faces + [[4, 5, 6], [4, 6, 7]], size=64, view=view, box=box)
+    box = np.array([1.5 * sign * (right + up) for sign in (-1, 1)])
+    alone = render(near, faces, size=64, box=box)
+    both = render(near + far, faces + [[4, 5, 6], [4, 6, 7]], size=64, box=box)
+    swapped = render(far + near, faces + [[4, 5, 6], [4, 6, 7]], size=64, box=box)
     inner = np.s_[20:44, 20:44]
     assert np.array_equal(alone.pixels[inner], both.pixels[inner])
     assert np.array_equal(both.pixels[inner], swapped.pixels[inner])
