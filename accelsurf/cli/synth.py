@@ -20,7 +20,6 @@ from accelsurf.output.tables import csv_text
 from accelsurf.phantoms import recipes
 from accelsurf.phantoms.motions import MotionRecipe, MovingPhantom
 from accelsurf.phantoms.recipes import Recipe
-from accelsurf.track.output.document import ML
 
 
 def synth(
@@ -90,6 +89,7 @@ def write_volume(recipe: Recipe, folder: Path, overwrite: bool) -> dict[str, Pat
 
 def write_sequence(recipe: MotionRecipe, folder: Path, overwrite: bool) -> dict[str, Path]:
     """Write the files of a recipe in time into a folder; they are returned by their kind."""
+    from accelsurf.track.output.document import ML
 
     def write(files: FileSet, paths: dict[str, Path]) -> dict[str, Any]:
         phantom = MovingPhantom(recipe)

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 #: Voxels of a box within a grid, (z, y, x).
 Box = tuple[slice, slice, slice]
@@ -287,6 +286,8 @@ def connected_to(mask: NDArray[np.bool_], seeds: NDArray[np.bool_]) -> NDArray[n
     box = bounding_box(mask)
     if box is None:
         return out
+    from scipy import ndimage  # here: a look at an image does without it
+
     labels, count = ndimage.label(mask[box])
     is_seeded = np.zeros(count + 1, np.bool_)
     is_seeded[labels[seeds[box]]] = True
@@ -311,6 +312,8 @@ def holes_filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     box = bounding_box(out)
     if box is None:
         return out
+    from scipy import ndimage  # here: a look at an image does without it
+
     # One layer around is all of the outside, which has the first label then: it has the first voxel.
     labels, _ = ndimage.label(np.pad(~out[box], 1, constant_values=True))
     out[box] = labels[1:-1, 1:-1, 1:-1] != 1
