@@ -12,6 +12,7 @@ Examples
 
 import lazy_loader
 
-__version__ = "0.1.0"
+from accelsurf.version import __version__
+
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 __all__ = ["__version__", *__all__]

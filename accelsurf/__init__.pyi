@@ -1,7 +1,7 @@
 from .api.segment import evolve as evolve
 from .api.segment import segment as segment
 from .api.segment import segment_objects as segment_objects
-from .cli.many import segment_many as segment_many
+from .batch.many import segment_many as segment_many
 from .correct.refine import refine as refine
 from .correct.refiner import Refiner as Refiner
 from .errors import AccelsurfError as AccelsurfError

@@ -107,8 +107,9 @@ def always_true(test: ast.expr) -> bool:
 # ------------------------------------------------------------------------------------------------------------- sizes
 
 
-def test_the_top_of_the_package_has_three_files():
-    assert sorted(path.name for path in PACKAGE.glob("*.py")) == ["__init__.py", "__main__.py", "errors.py"]
+def test_the_top_of_the_package_has_four_files():
+    names = ["__init__.py", "__main__.py", "errors.py", "version.py"]
+    assert sorted(path.name for path in PACKAGE.glob("*.py")) == names
 
 
 def test_no_module_is_too_long():

@@ -6,7 +6,6 @@ thousand voxels compile what large ones need.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -17,9 +16,7 @@ from accelsurf.correct.refine import refine
 from accelsurf.energies.seeded.coarse import block_means
 from accelsurf.image.percentiles import IntegerCounts
 from accelsurf.image.volume import Volume
-from accelsurf.io import LazyVolume
 from accelsurf.kernels.blocks import tally_changes
-from accelsurf.large.windowed import LargeImage, segment_in_windows
 from accelsurf.run.result import Result
 from accelsurf.settings.energy_terms import image_terms
 from accelsurf.settings.flow_specs import FLOWS
@@ -42,13 +39,12 @@ def small_runs() -> dict[str, Callable[[], Any]]:
         "noise": _run(noise=0.2, seed=1, diffusion=0.5),
         "fast marching": _run(extension="fast-marching"),
         "levels": _run(levels=2, start="otsu"),
-        "seed": _run(start=f"seed:{_MIDDLE},{START}vox"),
+        "seed": _run(start=f"seed:{MIDDLE},{START}vox"),
         "edit": _run(edit=["step=3 add=ball:6,6,6,3vox", "step=6 flow=gradient"]),
         "one slice": _run(image=_flat(), start=f"ball:{SIDE / 2},{SIDE / 2},0,{START}vox"),
         "clicks": _corrected,
-        "partition": _run(energy="partition", start="clicks", inside=f"ball:{_MIDDLE},3vox", outside="ball:2,2,2,2vox"),
+        "partition": _run(energy="partition", start="clicks", inside=f"ball:{MIDDLE},3vox", outside="ball:2,2,2,2vox"),
         "objects": _several,
-        "windows": _in_windows,
         # Of boxes with many voxels, which no small run has.
         "coarse boxes": lambda: block_means(np.zeros((4, 4, 4), np.float32), (2, 2, 2)),
         "counts of integers": _counted,
@@ -56,13 +52,13 @@ def small_runs() -> dict[str, Callable[[], Any]]:
     }
 
 
-_MIDDLE = ",".join([f"{SIDE / 2:g}"] * 3)
+MIDDLE = ",".join([f"{SIDE / 2:g}"] * 3)
 
 #: Terms that want bounds, and those that want clicks.
 _AS_GIVEN, _CLICKED = {"threshold": "threshold:auto"}, ("seeded", "partition")
 
 
-def _ball() -> Volume:
+def ball() -> Volume:
     """A ball in noise."""
     z, y, x = np.indices((SIDE, SIDE, SIDE)) - SIDE / 2
     noise = np.random.default_rng(0).normal(0.0, 0.2, (SIDE, SIDE, SIDE))
@@ -71,8 +67,7 @@ def _ball() -> Volume:
 
 def _flat() -> Volume:
     """Its middle slice."""
-    ball = _ball()
-    return Volume.from_array(ball.array[SIDE // 2 : SIDE // 2 + 1], 1.0)
+    return Volume.from_array(ball().array[SIDE // 2 : SIDE // 2 + 1], 1.0)
 
 
 def _measured(result: Result) -> Result:
@@ -84,25 +79,16 @@ def _measured(result: Result) -> Result:
 
 
 def _run(image: Volume | None = None, **settings: Any) -> Callable[[], Any]:
-    given = {"start": f"ball:{_MIDDLE},{START}vox", "max_steps": STEPS, "levels": 1, **settings}
-    return lambda: _measured(segment(_ball() if image is None else image, config=RunConfig(**given)))
+    given = {"start": f"ball:{MIDDLE},{START}vox", "max_steps": STEPS, "levels": 1, **settings}
+    return lambda: _measured(segment(ball() if image is None else image, config=RunConfig(**given)))
 
 
 def _corrected() -> Any:
     """A run from a click, and two corrections of it."""
-    image = _ball()
-    found = _measured(segment(image, inside=f"point:{_MIDDLE}vox", max_steps=STEPS))
+    image = ball()
+    found = _measured(segment(image, inside=f"point:{MIDDLE}vox", max_steps=STEPS))
     found = _measured(refine(found, outside=f"point:{SIDE / 2},{SIDE / 2},{SIDE / 2 + RADIUS - 1}vox"))
     return refine(found, inside=f"point:{SIDE / 2},{SIDE / 2 + RADIUS},{SIDE / 2}vox")
-
-
-def _in_windows() -> Any:
-    """Runs on images that are read in parts, of floats and of integers."""
-    image = _ball()
-    config = RunConfig(start=f"ball:{_MIDDLE},{START}vox", max_steps=2, levels=1)
-    for values in (image.array, np.clip(100 * image.array, 0, 255).astype(np.uint8)):
-        large = LargeImage((LazyVolume.of_array(image.with_array(values)),), sys.maxsize)
-        segment_in_windows(large, config)
 
 
 def _counted() -> None:
@@ -113,7 +99,7 @@ def _counted() -> None:
 
 def _several() -> Any:
     """Two objects that touch."""
-    image = _ball()
+    image = ball()
     starts = np.zeros(image.array.shape, np.int32)
     middle = SIDE // 2
     for id, begin in ((1, middle - 6), (2, middle + 2)):

@@ -15,9 +15,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from accelsurf import __version__
 from accelsurf.batch.pool import Ended, Failure, Interrupted, Job, Started, run_job
 from accelsurf.errors import AccelsurfError, UsageError
+from accelsurf.version import __version__
 
 if TYPE_CHECKING:
     from distributed import Client, Future

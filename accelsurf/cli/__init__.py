@@ -14,7 +14,6 @@ from typing import NoReturn
 
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
-from accelsurf import __version__
 from accelsurf.cli.interrupts import (
     MAX_ERROR,
     MAX_HINT,
@@ -27,6 +26,7 @@ from accelsurf.cli.interrupts import (
     without_garbage,
 )
 from accelsurf.errors import AccelsurfError
+from accelsurf.version import __version__
 
 INTERRUPTED = 130
 

@@ -6,6 +6,8 @@ import os
 import shutil
 import sys
 from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +24,6 @@ from accelsurf.run.ensemble import overall_stop
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Place
-    from accelsurf.cli.object_work import ObjectsDone
     from accelsurf.cli.options import Display
     from accelsurf.io.file_set import FileSet
     from accelsurf.large.windowed import LargeImage
@@ -32,6 +33,31 @@ if TYPE_CHECKING:
 _BEGIN_ANEW = "add --overwrite in place of --resume, to begin anew"
 #: Sums over all objects in the report.
 _SUMS = ("volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components")
+
+
+@dataclass(frozen=True)
+class ObjectsDone:
+    """The results of all groups.
+
+    Attributes
+    ----------
+    records : list of GroupRecord
+        In order of their first objects.
+    failures : dict of int to str
+        Why there is nothing of an object, by its id.
+    ids : list of int
+        Of all objects.
+    folder : Path
+        Where the records are.
+    notes : list of str
+        About all of them.
+    """
+
+    records: list[GroupRecord]
+    failures: dict[int, str]
+    ids: list[int]
+    folder: Path
+    notes: list[str]
 
 
 def write_outputs(

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from accelsurf import __version__
 from accelsurf.batch.pool import Ended, Job, Pool
 from accelsurf.cli import large_image
 from accelsurf.cli.case import Place, resumed_place
 from accelsurf.cli.interrupts import Interrupts
 from accelsurf.cli.large_image import ObjectOptions
+from accelsurf.cli.object_outputs import ObjectsDone, write_outputs
 from accelsurf.cli.options import Display
 from accelsurf.cli.progress import BatchProgress
 from accelsurf.errors import AccelsurfError, OutputError
@@ -27,6 +27,7 @@ from accelsurf.output import folder as output_folder
 from accelsurf.output import group_files, result_sets
 from accelsurf.output import names as output_names
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.version import __version__
 
 if TYPE_CHECKING:
     from accelsurf.large.group_run import Boxes
@@ -148,8 +149,6 @@ def run_objects(
         output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
         work = _work_folder(place, resume)
         done = _Work(place, config, image, options, work).run(display)
-        from accelsurf.cli.object_outputs import write_outputs
-
         return write_outputs(place, config, image, done, files, display)
 
 
@@ -177,31 +176,6 @@ def _work_folder(place: Place, resume: bool) -> Path:
     for draft in work.glob(".draft-*"):
         shutil.rmtree(draft, ignore_errors=True)
     return work
-
-
-@dataclass(frozen=True)
-class ObjectsDone:
-    """The results of all groups.
-
-    Attributes
-    ----------
-    records : list of GroupRecord
-        In order of their first objects.
-    failures : dict of int to str
-        Why there is nothing of an object, by its id.
-    ids : list of int
-        Of all objects.
-    folder : Path
-        Where the records are.
-    notes : list of str
-        About all of them.
-    """
-
-    records: list[GroupRecord]
-    failures: dict[int, str]
-    ids: list[int]
-    folder: Path
-    notes: list[str]
 
 
 class _Work:

@@ -156,7 +156,8 @@ class _Refinement:
 def _print_summary(done: Finished, compute: _Refinement) -> None:
     from accelsurf.cli.outcome import summary_lines
 
-    lines = summary_lines(done.place.name, done)
+    log, place = done.log, done.place
+    lines = summary_lines(place.name, done.result, log.seconds["total"], log.outputs, place.report_path)
     print("\n".join([lines[0], *compute.lines(), *lines[1:]]))
 
 

@@ -129,9 +129,11 @@ def _summed_up(name: str, done: Finished, quiet: bool, profile: bool) -> int:
     """Print how the run ended, and where its seconds went; return the exit code."""
     from accelsurf.cli.outcome import summary_lines
 
-    lines = [] if quiet else summary_lines(name, done)
+    log, lines = done.log, list[str]()
+    if not quiet:
+        lines += summary_lines(name, done.result, log.seconds["total"], log.outputs, done.place.report_path)
     if profile:
-        lines += profile_lines({**done.result.seconds, **done.log.seconds}, done.result.kernels)
+        lines += profile_lines({**done.result.seconds, **log.seconds}, done.result.kernels)
     if lines:
         print("\n".join(lines))
     return done.code

@@ -13,7 +13,7 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.files import naming
+from accelsurf.io.files import naming, read_table
 from accelsurf.settings import budgets
 from accelsurf.starts.objects import MAX_ID, ObjectStart
 
@@ -40,7 +40,7 @@ def read(objects: Any, geometry: Geometry) -> Clicks | None:
     if not has_sides(objects):
         return None
     world, voxels = ("id", *one_object.WORLD_COLUMNS), ("id", *one_object.VOXEL_COLUMNS)
-    rows = one_object.read_table(
+    rows = read_table(
         objects, world, voxels, _FORM, lambda line, number, vox: _click_of_row(line, number, vox, geometry)
     )
     found = Clicks(tuple(rows), geometry.shape)

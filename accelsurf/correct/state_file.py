@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf import __version__
 from accelsurf.errors import AccelsurfError, InputError
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop, without_costs
@@ -26,6 +25,7 @@ from accelsurf.io.files import bytes_within
 from accelsurf.run.result import BoxMask, RestPoint, Result
 from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.version import __version__
 
 #: Version of the file; raised when its content changes.
 VERSION = 2

@@ -14,7 +14,7 @@ from accelsurf.evolution import lowest, rests
 from accelsurf.evolution.convergence import Restart, StopRule, stalled, surface_is_gone
 from accelsurf.evolution.records import Reason, Step, StepFields, StepRecord, Stop
 from accelsurf.evolution.setup import SolverSetup
-from accelsurf.evolution.state import COLUMNS, MASS_COLUMNS, Checkpoint, LoopState
+from accelsurf.evolution.state import COLUMNS, MASS_COLUMNS, Checkpoint, FoundRest, LoopState
 from accelsurf.flows import Flow, StepInput, StepLimits, StepPlan
 from accelsurf.flows.protocol import voxel_rates
 from accelsurf.grid.boxes import Corner
@@ -393,7 +393,7 @@ class Evolution:
         # On a coarse level the surface has only come near its end.
         return "stay" if decision == "end" and self.level > 0 and reason is not None else decision
 
-    def _left_rest(self, n: int, columns: dict[str, Any]) -> rests.FoundRest | None:
+    def _left_rest(self, n: int, columns: dict[str, Any]) -> FoundRest | None:
         """Watch for a rest; the one that the surface has just broken through from, if the run shall end at it."""
         state, found = self.state, len(self.state.rests.found)
         now = rests.Moment(n, self.level, columns["volume_mm3"], columns["area_mm2"], self.corner)

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from accelsurf.energies import Energy
 from accelsurf.evolution.records import Reason
+from accelsurf.evolution.state import LoopState, LowestState
 from accelsurf.flows import Flow
-from accelsurf.levelset import LevelSet, Snapshot
-from accelsurf.levelset.checkpoint import SurfaceState, band_state, complete_state, restore_surface
-
-if TYPE_CHECKING:
-    from accelsurf.evolution.state import LoopState
+from accelsurf.levelset import LevelSet
+from accelsurf.levelset.checkpoint import band_state, complete_state
 
 #: A run goes back when it has found no lower potential in so many steps and the surface has moved away since.
 PATIENCE = 60
@@ -29,43 +27,6 @@ NO_LOWER = "in {} steps no lower energy was found; the surface is that of the lo
 
 #: What to do at a step: stay with the present surface, go back and continue, or go back and end.
 Decision = Literal["stay", "continue", "end"]
-
-
-class LowestState(NamedTuple):
-    """The state of lowest potential so far, on one grid and under one energy.
-
-    ``potential`` at step number ``step``; the states of ``surface``, ``flow`` and ``energy`` then. The sides of the
-    voxels beyond the band are added when a step has not become lower (``complete``): most states of a falling
-    potential are replaced by the next one before that.
-    """
-
-    potential: float
-    step: int
-    surface: SurfaceState
-    flow: dict[str, Any]
-    energy: Any
-    complete: bool = False
-
-    @property
-    def snapshot(self) -> Snapshot:
-        """The surface, for `LevelSet.distance_from`."""
-        return Snapshot(self.surface.cells, self.surface.psi)
-
-    @property
-    def nbytes(self) -> int:
-        """Its memory without the energy's, bytes."""
-        fields = sum(value.nbytes for value in self.flow.values() if isinstance(value, np.ndarray))
-        return self.surface.nbytes + fields
-
-    def is_below(self, potential: float) -> bool:
-        """Test if it is lower than ``potential``; lower than one that is not a number, too."""
-        return not potential <= self.potential
-
-    def restore(self, surface: LevelSet, flow: Flow, energy: Energy) -> None:
-        """Set surface, flow and energy back to it."""
-        restore_surface(surface, self.surface)
-        flow.restore(surface, self.flow)
-        energy.restore(surface, self.energy)
 
 
 def lowest_of(

@@ -8,20 +8,18 @@ twice the least, once the volume has grown by `GROWTH`. What follows is mostly a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from accelsurf.energies import Energy
 from accelsurf.evolution.records import StepFields, StepRecord
+from accelsurf.evolution.state import FoundRest, LoopState, RestWatch, Slowest
 from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner
 from accelsurf.levelset import LevelSet
-from accelsurf.levelset.checkpoint import SurfaceState, band_state, complete_state, psi_of
+from accelsurf.levelset.checkpoint import band_state, complete_state, psi_of
 from accelsurf.settings.budgets import MAX_RESTS
-
-if TYPE_CHECKING:
-    from accelsurf.evolution.state import LoopState
 
 #: Steps that the speed is a mean over; parts of the peak below which a front may rest and above which it breaks
 #: through; part of the volume that it has grown by then.
@@ -32,58 +30,6 @@ STILL = 0.01
 AFTER_RESTART = 10
 #: Why a run ends at one.
 WHY = "it rested at step {}, before it broke through to something else"
-
-
-class Slowest(NamedTuple):
-    """A surface that hardly moves: the ``step``, the ``level``, its mean ``speed`` (at least 0) and ``volume_mm3``, the
-    first voxel (z, y, x) of its box on the level's grid, the ``shape`` of that box, and the ``surface``; the sides of
-    the voxels beyond its band are added one step later (``complete``).
-    """
-
-    step: int
-    level: int
-    speed: float
-    volume_mm3: float
-    corner: Corner
-    shape: tuple[int, int, int]
-    surface: SurfaceState
-    complete: bool = False
-
-
-class FoundRest(NamedTuple):
-    """Rest of the front (``at``), the step ``left_at`` in which it was seen to break through, and the voxel
-    ``place`` (z, y, x) of that level's grid in which it grew fastest then.
-    """
-
-    at: Slowest
-    left_at: int
-    place: Corner
-
-
-class RestWatch(NamedTuple):
-    """Rests found so far; a value, replaced at each step.
-
-    ``peak`` speed of the front, mm per unit of flow time; ``slowest`` state since it fell below `SLOW` of that; the
-    rests ``found``, on all grids.
-    """
-
-    peak: float = 0.0
-    slowest: Slowest | None = None
-    found: tuple[FoundRest, ...] = ()
-
-    def on_next_grid(self) -> RestWatch:
-        """The watch on another grid; a state whose sides are not known yet is left behind."""
-        return self if self.slowest is None or self.slowest.complete else self._replace(slowest=None)
-
-    def anew(self) -> RestWatch:
-        """The watch under other settings: it begins anew, and keeps what was found."""
-        return RestWatch(found=self.found)
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the surfaces, bytes."""
-        states = [rest.at for rest in self.found] + ([self.slowest] if self.slowest is not None else [])
-        return sum(state.surface.nbytes for state in states)
 
 
 class Moment(NamedTuple):

@@ -1,4 +1,7 @@
-"""The state of the loop as a value: copied for a checkpoint, passed on to the next grid; with its energy budget."""
+"""State of the loop as a value: copied for a checkpoint, passed on to the next grid.
+
+It has the energy budget, the state of lowest potential, and the rests of the front.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from accelsurf.evolution.lowest import LowestState
+from accelsurf.energies import Energy
 from accelsurf.evolution.records import StepFields, StepRecord, Stop, without_costs
-from accelsurf.evolution.rests import RestWatch
-from accelsurf.flows import EnergyRates
-from accelsurf.levelset import Snapshot, SurfaceState
+from accelsurf.flows import EnergyRates, Flow
+from accelsurf.grid.boxes import Corner
+from accelsurf.levelset import LevelSet, Snapshot, SurfaceState
+from accelsurf.levelset.checkpoint import restore_surface
 
 #: Those columns of the trace that the flow's mass gives, and all that the budget gives.
 MASS_COLUMNS = ("mass_potential", "mass", "mass_correction", "clamped_fraction")
@@ -69,6 +73,95 @@ class EnergyBudget:
             "mass_correction": now.mass_correction,
             "clamped_fraction": now.clamped,
         }
+
+
+class LowestState(NamedTuple):
+    """The state of lowest potential so far, on one grid and under one energy.
+
+    ``potential`` at step number ``step``; the states of ``surface``, ``flow`` and ``energy`` then. The sides of the
+    voxels beyond the band are added when a step has not become lower (``complete``): most states of a falling
+    potential are replaced by the next one before that.
+    """
+
+    potential: float
+    step: int
+    surface: SurfaceState
+    flow: dict[str, Any]
+    energy: Any
+    complete: bool = False
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The surface, for `LevelSet.distance_from`."""
+        return Snapshot(self.surface.cells, self.surface.psi)
+
+    @property
+    def nbytes(self) -> int:
+        """Its memory without the energy's, bytes."""
+        fields = sum(value.nbytes for value in self.flow.values() if isinstance(value, np.ndarray))
+        return self.surface.nbytes + fields
+
+    def is_below(self, potential: float) -> bool:
+        """Test if it is lower than ``potential``; lower than one that is not a number, too."""
+        return not potential <= self.potential
+
+    def restore(self, surface: LevelSet, flow: Flow, energy: Energy) -> None:
+        """Set surface, flow and energy back to it."""
+        restore_surface(surface, self.surface)
+        flow.restore(surface, self.flow)
+        energy.restore(surface, self.energy)
+
+
+class Slowest(NamedTuple):
+    """A surface that hardly moves: the ``step``, the ``level``, its mean ``speed`` (at least 0) and ``volume_mm3``, the
+    first voxel (z, y, x) of its box on the level's grid, the ``shape`` of that box, and the ``surface``; the sides of
+    the voxels beyond its band are added one step later (``complete``).
+    """
+
+    step: int
+    level: int
+    speed: float
+    volume_mm3: float
+    corner: Corner
+    shape: tuple[int, int, int]
+    surface: SurfaceState
+    complete: bool = False
+
+
+class FoundRest(NamedTuple):
+    """Rest of the front (``at``), the step ``left_at`` in which it was seen to break through, and the voxel
+    ``place`` (z, y, x) of that level's grid in which it grew fastest then.
+    """
+
+    at: Slowest
+    left_at: int
+    place: Corner
+
+
+class RestWatch(NamedTuple):
+    """Rests found so far; a value, replaced at each step.
+
+    ``peak`` speed of the front, mm per unit of flow time; ``slowest`` state since it fell below
+    `accelsurf.evolution.rests.SLOW` of that; the rests ``found``, on all grids.
+    """
+
+    peak: float = 0.0
+    slowest: Slowest | None = None
+    found: tuple[FoundRest, ...] = ()
+
+    def on_next_grid(self) -> RestWatch:
+        """The watch on another grid; a state whose sides are not known yet is left behind."""
+        return self if self.slowest is None or self.slowest.complete else self._replace(slowest=None)
+
+    def anew(self) -> RestWatch:
+        """The watch under other settings: it begins anew, and keeps what was found."""
+        return RestWatch(found=self.found)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the surfaces, bytes."""
+        states = [rest.at for rest in self.found] + ([self.slowest] if self.slowest is not None else [])
+        return sum(state.surface.nbytes for state in states)
 
 
 @dataclass

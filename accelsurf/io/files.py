@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import hashlib
 import json
@@ -11,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from accelsurf.errors import AccelsurfError, InputError, OutputError
 from accelsurf.io.file_set import FileSet, open_set
@@ -20,6 +21,7 @@ from accelsurf.settings.budgets import Budget
 from accelsurf.settings.reading import check_readable
 
 SPACE_HINT = "is there space on the disk?"
+Row = TypeVar("Row")
 _BLOCK = 1 << 20  # bytes that are compared at once
 
 
@@ -274,3 +276,40 @@ def _files_sha256(folder: Path, names: Sequence[str]) -> str:
         with (folder / name).open("rb") as file:
             total.update(hashlib.file_digest(file, "sha256").digest() + os.fsencode(name) + b"\0")
     return total.hexdigest()
+
+
+def read_table(
+    file: str,
+    world: Sequence[str],
+    voxels: Sequence[str],
+    form: str,
+    read_row: Callable[[dict[str, str], int, bool], Row],
+) -> list[Row]:
+    """Read a CSV table of places in world mm or in voxels; lines that begin with # are left out.
+
+    Parameters
+    ----------
+    file : str
+    world, voxels : sequence of str
+        Columns that a table of either kind has.
+    form : str
+        What is expected, for messages.
+    read_row : callable
+        Called with the values of a row by column, its line number, and True if places are in voxels.
+
+    Raises
+    ------
+    InputError
+        When it is no such table; the message names the file.
+    """
+    with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
+        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
+        try:
+            table = csv.reader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
+            columns = [name.strip() for name in next(table, [])]
+            vox = set(voxels) <= set(columns)
+            if not vox and not set(world) <= set(columns):
+                raise InputError(f"{','.join(columns) or 'no line'} was given as the first line, expected {form}", "")
+            return [read_row(dict(zip(columns, row, strict=False)), table.line_num, vox) for row in table if row]
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise InputError(f"not a table of text ({error})", f"expected {form}") from None

@@ -2,14 +2,49 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from accelsurf.kernels import statistics
+from accelsurf.kernels.grid import Band, DenseArrays, Grid
+from accelsurf.levelset.threads import Workers
 
-if TYPE_CHECKING:
-    from accelsurf.levelset.level_set import LevelSet
+
+class NarrowBand(Protocol):
+    """A surface on a narrow band, with what measures, extensions and closest points read of it.
+
+    It is a `LevelSet`, which says more of each.
+    """
+
+    shape: tuple[int, int, int]
+    grid: Grid
+    dense: DenseArrays
+    band: Band
+    workers: Workers
+    extension: str
+    half_width: float
+    gamma: np.float32
+
+    @property
+    def size(self) -> int:
+        """Number of band cells."""
+        ...
+
+    @property
+    def smallest_spacing(self) -> float:
+        """Of the axes with more than one slice, mm."""
+        ...
+
+    @property
+    def residues(self) -> np.ndarray | None:
+        """Psi (mm) interpolated at the closest point of every cell, (n,); None until psi is a distance."""
+        ...
+
+    def fraction_and_area(self) -> tuple[np.ndarray, np.ndarray]:
+        """Share of each band voxel that is inside, and its part of the surface's area (mm2), both (n,)."""
+        ...
+
 
 class Measures(NamedTuple):
     """Measures on the band, see `LevelSet.fraction_and_area` and `LevelSet.curvature`.
@@ -62,7 +97,7 @@ class Displacement(NamedTuple):
     far: float
 
 
-def displacement(surface: LevelSet, before: Snapshot) -> Displacement:
+def displacement(surface: NarrowBand, before: Snapshot) -> Displacement:
     """Distance of a surface from an earlier one, in voxels along the normal and weighted by area.
 
     Measured at the voxels that the surface cuts now; where the earlier band did not extend, its half width counts.

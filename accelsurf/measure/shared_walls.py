@@ -16,16 +16,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.surface_mesh import Surface
-
-if TYPE_CHECKING:
-    from accelsurf.run.result import SegmentedObject
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -52,6 +50,30 @@ _CASES: dict[tuple[bool, bool, bool], tuple[tuple[int, int, int, int], int]] = {
 _CODES = 512
 
 
+class LabelledObject(Protocol):
+    """An object of a result, with what `extract` reads of it: see `accelsurf.run.result.SegmentedObject`."""
+
+    @property
+    def id(self) -> int:
+        """Its value in the label map."""
+        ...
+
+    @property
+    def box(self) -> Box:
+        """Its part of the image's grid."""
+        ...
+
+    @property
+    def psi(self) -> NDArray[np.float32]:
+        """Signed distance on that part, mm, negative inside."""
+        ...
+
+    @property
+    def labels(self) -> NDArray[np.uint8]:
+        """1 where a voxel's centre is inside."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class _Block:
     """The part of the grid around all objects, one node wider on each side.
@@ -74,12 +96,12 @@ class _Block:
         return np.array([(o >> 2 & 1) * ny * nx + (o >> 1 & 1) * nx + (o & 1) for o in range(8)], np.int64)
 
 
-def extract(objects: Sequence[SegmentedObject], geometry: Geometry) -> dict[int, Surface]:
+def extract(objects: Sequence[LabelledObject], geometry: Geometry) -> dict[int, Surface]:
     """The closed surfaces of objects, by their ids; where two touch, both have the same triangles, turned round.
 
     Parameters
     ----------
-    objects : sequence of SegmentedObject
+    objects : sequence of LabelledObject
         Which do not overlap.
     geometry : Geometry
         The grid that their boxes lie on, of more than one slice along each axis.
@@ -115,7 +137,7 @@ def _surface_of(object_id: int, faces: Ints, ids: Ints, world: Floats) -> Surfac
     return Surface(world[used], np.ascontiguousarray(numbers.reshape(-1, 3), np.int32))
 
 
-def _block_of(objects: Sequence[SegmentedObject], geometry: Geometry) -> _Block:
+def _block_of(objects: Sequence[LabelledObject], geometry: Geometry) -> _Block:
     boxes = [
         [side.indices(n)[:2] for side, n in zip(segmented.box, geometry.shape, strict=True)] for segmented in objects
     ]
@@ -205,7 +227,7 @@ def _keys(block: _Block, nodes: Ints) -> Ints:
 class _Points:
     """Positions of the points of edges, faces and tetrahedra, as indices (z, y, x) on the objects' common grid."""
 
-    def __init__(self, block: _Block, objects: Sequence[SegmentedObject], geometry: Geometry) -> None:
+    def __init__(self, block: _Block, objects: Sequence[LabelledObject], geometry: Geometry) -> None:
         self._block, self._objects, self._shape = block, objects, np.array(geometry.shape)
         self._far = max(float(np.abs(segmented.psi).max()) for segmented in objects)
 

@@ -7,28 +7,54 @@ are taken between the outer corners of voxels, so that a box of voxels has the l
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.grid.boxes import bounding_box
+from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.diameters import Diameters, diameters
-
-if TYPE_CHECKING:
-    from accelsurf.run.result import SegmentedObject
 
 Floats = NDArray[np.float64]
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
 
-def statistics(segmented: SegmentedObject, values: NDArray[Any]) -> dict[str, Any]:
+class MeasuredObject(Protocol):
+    """An object of a result, with what `statistics` reads of it: see `accelsurf.run.result.SegmentedObject`."""
+
+    @property
+    def box(self) -> Box:
+        """Its part of the image's grid."""
+        ...
+
+    @property
+    def geometry(self) -> Geometry:
+        """Of that part."""
+        ...
+
+    @property
+    def labels(self) -> NDArray[np.uint8]:
+        """1 where a voxel's centre is inside, (nz, ny, nx)."""
+        ...
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume, mm3, sub-voxel."""
+        ...
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of its surface, mm2."""
+        ...
+
+
+def statistics(segmented: MeasuredObject, values: NDArray[Any]) -> dict[str, Any]:
     """Figures of an object.
 
     Parameters
     ----------
-    segmented : SegmentedObject
+    segmented : MeasuredObject
         With a voxel.
     values : ndarray (nz, ny, nx)
         The image on the object's grid, as it was read.

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf import __version__
 from accelsurf.errors import UsageError
 from accelsurf.io.dicom.segmentation import Algorithm, segmentation_bytes
 from accelsurf.io.dicom.source_images import SourceImages, read_source_images
@@ -22,6 +21,7 @@ from accelsurf.settings.catalogue import entry
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.version import __version__
 
 
 def write_segmentation(result: Result, table: LabelTable, path: Path) -> None:

@@ -317,7 +317,7 @@ def versions() -> dict[str, str | None]:
         except metadata.PackageNotFoundError:
             found[name] = None
     if found["accelsurf"] is None:  # run from a source tree that is not installed
-        from accelsurf import __version__
+        from accelsurf.version import __version__
 
         found["accelsurf"] = __version__
     return found

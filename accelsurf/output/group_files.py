@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,13 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import Box
+from accelsurf.grid.window import Window
 from accelsurf.io.file_set import sync
 from accelsurf.io.files import read_json
 from accelsurf.io.set_journals import sync_folder
 from accelsurf.output import names as output_names
 from accelsurf.output.document import describe_object, describe_window
-
-if TYPE_CHECKING:
-    from accelsurf.large.group_run import GroupResult
+from accelsurf.run.result import SegmentedObject
 
 _RECORD, _LABELS = "record.json", "labels.npz"
 
@@ -75,8 +74,47 @@ class GroupRecord:
             ]
 
 
+class FinishedGroup(Protocol):
+    """The result of a group, with what its files have of it: see `accelsurf.large.group_run.GroupResult`."""
+
+    @property
+    def objects(self) -> Sequence[SegmentedObject]:
+        """In order of their ids."""
+        ...
+
+    @property
+    def low(self) -> NDArray[np.int64]:
+        """First voxel of the box in which another could have met each object, (n, 3)."""
+        ...
+
+    @property
+    def high(self) -> NDArray[np.int64]:
+        """Voxel after the last, (n, 3)."""
+        ...
+
+    @property
+    def window(self) -> Window:
+        """The last one."""
+        ...
+
+    @property
+    def energy(self) -> str:
+        """Name of the energy."""
+        ...
+
+    @property
+    def resolved_settings(self) -> dict[str, Any]:
+        """Values used for settings that depend on image and grid."""
+        ...
+
+    @property
+    def warnings(self) -> list[str]:
+        """About the run."""
+        ...
+
+
 def write_group(
-    folder: Path, result: GroupResult, names: Mapping[str, str], space: Literal["lps", "ras"]
+    folder: Path, result: FinishedGroup, names: Mapping[str, str], space: Literal["lps", "ras"]
 ) -> None:
     """Write what a group has left.
 
@@ -84,7 +122,7 @@ def write_group(
     ----------
     folder : Path
         Its own, which appears when all is complete. One that is there already is left as it is.
-    result : GroupResult
+    result : FinishedGroup
     names : mapping of str to str
         Name of the file of a single object by kind; of those that each object has.
     space : {"lps", "ras"}

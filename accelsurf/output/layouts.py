@@ -12,12 +12,12 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from accelsurf import __version__
 from accelsurf.errors import UsageError
 from accelsurf.io import split_name
 from accelsurf.io.files import write_bytes
 from accelsurf.output.result_sets import FAILED
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.version import __version__
 
 BIDS_VERSION = "1.9.0"
 #: Kinds of the files that BIDS has beside a label map.

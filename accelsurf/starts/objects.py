@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf import io
-from accelsurf.clicks.reading import read_table
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, meeting, shared, widened
 from accelsurf.grid.geometry import Geometry, ball_distance
 from accelsurf.image.check import as_labels
 from accelsurf.image.volume import Volume, array_on_grid
+from accelsurf.io.files import read_table
 from accelsurf.settings import budgets
 from accelsurf.starts import starts
 

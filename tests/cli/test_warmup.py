@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from accelsurf import cli, io
+from accelsurf.cli import warmup
 from accelsurf.image.volume import Volume
 from accelsurf.kernels import storage
-from accelsurf.output import warmup
 from accelsurf.phantoms import recipes
 from accelsurf.settings.flow_specs import FLOWS
 
@@ -23,7 +23,7 @@ PACKAGE = Path(cli.__file__).parents[1]
 CODE = """
 import gc, json
 from numba.core.dispatcher import Dispatcher
-from accelsurf.output.warmup import small_runs
+from accelsurf.cli.warmup import small_runs
 
 for run in small_runs().values():
     run()

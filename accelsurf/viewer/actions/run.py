@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from accelsurf.errors import UsageError
-from accelsurf.viewer.actions.tool import Feature, Key, whole
-from accelsurf.viewer.core.status import Status
-
-if TYPE_CHECKING:
-    from accelsurf.viewer.actions.workplace import Actions
-    from accelsurf.viewer.core.session import Doubt
+from accelsurf.viewer.actions.tool import AllActions, Feature, Key, whole
+from accelsurf.viewer.core.status import Doubt, Status
 
 
 class RunFeature(Feature):
@@ -62,7 +58,7 @@ class RunFeature(Feature):
 class HistoryFeature(Feature):
     """Goes back and forward over changes, and to doubtful places."""
 
-    def __init__(self, actions: Actions) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self._doubts: tuple[Doubt, ...] = ()
         #: Which of them N went to last.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,50 @@ from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.space import Picked
 
 if TYPE_CHECKING:
-    from accelsurf.viewer.actions.workplace import Actions
+    from accelsurf.viewer.core.session import Session
+    from accelsurf.viewer.scene.scene import Scene
+
+
+class AllActions(Protocol):
+    """All actions, with what a feature or a tool reaches of them: see `accelsurf.viewer.actions.workplace.Actions`."""
+
+    session: Session
+    scene: Scene
+    folder: Path | None
+    overwrite: bool
+    message: str
+    object_id: int | None
+    radius: float
+
+    @property
+    def features(self) -> Sequence[Feature]:
+        """In the order in which window and page show them."""
+        ...
+
+    @property
+    def tools(self) -> Mapping[str, Tool]:
+        """Tools of the left button by name."""
+        ...
+
+    def feature(self, kind: type[F]) -> F:
+        """Return the feature of a kind."""
+        ...
+
+    def request(self, name: Any, *values: Any) -> None:
+        """Carry out a request. Raises nothing."""
+        ...
+
+    def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None, keeps_message: bool = False) -> None:
+        """Wait for a command of the session, without blocking."""
+        ...
+
+    def note(self, line: str, seconds: float = 8.0) -> None:
+        """Show a line for some time."""
+        ...
+
+    def copy(self, words: str) -> None:
+        """Have the front end put a text on the clipboard."""
+        ...
 
 
 class Key(NamedTuple):
@@ -32,11 +76,11 @@ class Feature:
 
     Parameters
     ----------
-    actions : Actions
+    actions : AllActions
         Has session and scene.
     """
 
-    def __init__(self, actions: Actions) -> None:
+    def __init__(self, actions: AllActions) -> None:
         self.actions = actions
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
@@ -63,6 +107,7 @@ class Feature:
         return []
 
 
+F = TypeVar("F", bound=Feature)
 #: The largest number of letters of a value.
 MAX_LETTERS = 40
 
@@ -153,7 +198,7 @@ class Tool:
 
     Parameters
     ----------
-    actions : Actions
+    actions : AllActions
 
     Attributes
     ----------
@@ -165,7 +210,7 @@ class Tool:
 
     name = key = text = tip = ""
 
-    def __init__(self, actions: Actions) -> None:
+    def __init__(self, actions: AllActions) -> None:
         self.actions = actions
 
     def press(self, at: Picked) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from accelsurf import __version__, io
+from accelsurf import io
 from accelsurf.correct.finished import result_of
 from accelsurf.errors import UsageError, check_known
 from accelsurf.io.file_set import FileSet, InputFiles
@@ -20,6 +20,7 @@ from accelsurf.output.folder import inputs_of, named_files
 from accelsurf.run.result import Result
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.version import __version__
 from accelsurf.viewer.core.status import SAVED_KINDS
 
 RUN_FILE = "run.toml"

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from accelsurf.run.result import Result, SegmentedObject
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
-from accelsurf.viewer.core.status import SAVED_KINDS, Status, View, ViewSlot, error_line
+from accelsurf.viewer.core.status import SAVED_KINDS, Doubt, Status, View, ViewSlot, error_line
 
 if TYPE_CHECKING:
     from accelsurf.run.result import Result
@@ -518,14 +518,6 @@ def _diameters(timeline: Timeline, object_id: int) -> Diameters:
 COUNT = 5
 #: Below this share of doubt there is nothing to click.
 MIN_SHARE = 0.1
-
-
-class Doubt(NamedTuple):
-    """A doubtful place: ``world`` (x, y, z), mm LPS, ``share`` of doubt there, 0 to 1, and whose surface it is on."""
-
-    world: tuple[float, float, float]
-    share: float
-    object_id: int
 
 
 def doubts_of(result: Result) -> tuple[Doubt, ...]:

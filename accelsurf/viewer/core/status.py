@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
@@ -16,11 +16,16 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.change_log import ChangeLine
 from accelsurf.viewer.core.frame import Frame
 
-if TYPE_CHECKING:
-    from accelsurf.viewer.core.session import Doubt
-
 #: What a session can save; ``run`` is the configuration that repeats the run.
 SAVED_KINDS = ("labels", "mesh", "picture", "trace", "report", "run")
+
+
+class Doubt(NamedTuple):
+    """A doubtful place: ``world`` (x, y, z), mm LPS, ``share`` of doubt there, 0 to 1, and whose surface it is on."""
+
+    world: tuple[float, float, float]
+    share: float
+    object_id: int
 
 
 class Status(NamedTuple):

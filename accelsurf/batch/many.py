@@ -18,13 +18,16 @@ from accelsurf.batch.outcome import CaseTask, Outcome
 from accelsurf.batch.pool import Pool
 from accelsurf.batch.run import Batch, refuse_results, task_of
 from accelsurf.batch.tables import Tables
-from accelsurf.cli import batch_case
-from accelsurf.cli.interrupts import say
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.io.file_set import FileSet
 from accelsurf.output.folder import opened_set
+from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
+#: What the command gives, which lies above this room, as a case does what the command does: the workers of a batch, the
+#: line of a lost case, a warning on stderr.
+MAKE_POOL, LOST_OUTCOME = "accelsurf.cli.batch_case:make_pool", "accelsurf.cli.batch_case:lost_outcome"
+WARN = "accelsurf.cli.interrupts:say"
 #: What a case may be: a path, or a mapping with ``image`` and, if wanted, ``id``, ``reference`` and settings.
 CaseLike = str | Path | Mapping[str, Any]
 
@@ -94,7 +97,7 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
     def _run_in(self, files: FileSet) -> None:
         tables = self._work.tables(files)
         try:
-            self._work.run(self._pool, tables, _Watch(self._futures, tables), batch_case.lost_outcome, self._resume)
+            self._work.run(self._pool, tables, _Watch(self._futures, tables), load(LOST_OUTCOME), self._resume)
         except BaseException:
             self._work.end_early(self._pool, tables, 1)
             raise
@@ -129,7 +132,7 @@ class _Watch:
         self._futures[outcome.id].set_result(outcome)
 
     def warned(self, text: str) -> None:
-        say(f"warning: {text}")
+        load(WARN)(f"warning: {text}")
 
 
 def segment_many(
@@ -191,7 +194,7 @@ def segment_many(
     work = Batch.planned(tasks, limits, None, words, sys.argv)
     if not (overwrite or resume):
         refuse_results(folder, work)
-    return SegmentedMany(work, batch_case.make_pool(work, limits), folder, resume)
+    return SegmentedMany(work, load(MAKE_POOL)(work, limits), folder, resume)
 
 
 def _cases(given: str | Path | Sequence[CaseLike]) -> tuple[list[Case], str]:
