@@ -2,12 +2,12 @@
 
 import re
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 import accelsurf
-from accelsurf import energies
 
 ROOT = Path(__file__).parents[2]
 BUILT = ("_build", "examples", "generated")
@@ -95,4 +95,8 @@ def test_the_reference_lists_every_public_name():
     page = (ROOT / "docs" / "api" / "index.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"^   (\w+)$", page, re.MULTILINE))
     assert set(accelsurf.__all__) - {"__version__", "ObjectsResult"} <= listed
-    assert all(hasattr(accelsurf, name) or hasattr(energies, name) for name in listed)
+    assert all(hasattr(accelsurf, name) for name in listed)
+
+
+def test_a_function_of_the_name_of_its_room_stays_a_function():
+    assert callable(accelsurf.track) and import_module("accelsurf.track.track").track is accelsurf.track
