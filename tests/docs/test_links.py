@@ -67,6 +67,12 @@ def test_files_and_tests_that_are_named_exist(page):
             assert any((place / name).exists() for place in places) or name.startswith(LEFT_BY_COMMANDS), name
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_code_of_pages_imports_public_names_alone(page):
+    code = "\n".join(re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE))
+    assert not re.findall(r"^ *(?:from|import) +accelsurf\..*", code, re.MULTILINE)
+
+
 @pytest.mark.parametrize("record", RECORDS, ids=lambda path: path.stem)
 def test_a_record_has_its_form(record):
     text = record.read_text(encoding="utf-8")
