@@ -4,6 +4,12 @@ from .api.segment import segment_objects as segment_objects
 from .batch.many import segment_many as segment_many
 from .correct.refine import refine as refine
 from .correct.refiner import Refiner as Refiner
+from .energies import Energy as Energy
+from .energies import ImageEnergy as ImageEnergy
+from .energies import normals_at_front as normals_at_front
+from .energies import points_at_front as points_at_front
+from .energies import sample_at_front as sample_at_front
+from .energies import slope_at_front as slope_at_front
 from .errors import AccelsurfError as AccelsurfError
 from .errors import EmptyResultError as EmptyResultError
 from .errors import GeometryError as GeometryError
@@ -18,14 +24,24 @@ from .io import read as read
 from .io import read_labels as read_labels
 from .io import read_sequence as read_sequence
 from .io import write as write
+from .large.many_objects import segment_many_objects as segment_many_objects
+from .large.windowed import LargeImage as LargeImage
 from .measure.contours import Contours as Contours
 from .measure.metrics import evaluate as evaluate
 from .measure.surface_mesh import Surface as Surface
 from .output.document import report_of as report_of
+from .run.checkpoint import RunCheckpoint as RunCheckpoint
+from .run.checkpoint import checkpoint_header as checkpoint_header
+from .run.checkpoint import load_checkpoint as load_checkpoint
+from .run.checkpoint import save_checkpoint as save_checkpoint
 from .run.result import ObjectsResult as ObjectsResult
 from .run.result import Result as Result
+from .run.run import Run as Run
+from .settings.corrections import Correction as Correction
 from .settings.run_config import RunConfig as RunConfig
 from .settings.track_config import TrackConfig as TrackConfig
+from .track.output.files import TrackFiles as TrackFiles
+from .track.output.outputs import TrackOutputs as TrackOutputs
 from .track.track import track as track
 from .viewer.notebook import show as show
 

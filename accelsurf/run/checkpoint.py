@@ -139,7 +139,7 @@ def versions() -> dict[str, str]:
     }
 
 
-def header_of(run: Source) -> CheckpointHeader:
+def checkpoint_header(run: Source) -> CheckpointHeader:
     """The header of a run's checkpoints, the same at every step."""
     window = None if run.window is None else (*run.window.corner, *run.window.shape, run.window.levels)
     return CheckpointHeader(versions(), run_digest(run), run.config.model_dump(mode="json"), window)
@@ -153,7 +153,7 @@ def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: Checkpo
     path : str or Path
     checkpoint : RunCheckpoint
     header : CheckpointHeader
-        From `header_of`: for a run with another image, start or configuration the file is refused.
+        From `checkpoint_header`: for a run with another image, start or configuration the file is refused.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def load_checkpoint(path: str | Path, run: Source) -> RunCheckpoint:
         When the file cannot be read, is damaged, or is of another run; what differs is named.
     """
     header, state = read_checkpoint(path)
-    refuse_another_run(path, header, header_of(run))
+    refuse_another_run(path, header, checkpoint_header(run))
     return state
 
 

@@ -10,7 +10,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
 from accelsurf.run.checkpoint import (
     CheckpointHeader,
-    header_of,
+    checkpoint_header,
     read_checkpoint,
     refuse_another_run,
     save_checkpoint,
@@ -87,7 +87,7 @@ class CheckpointFile:
             When the file is damaged, or of another run.
         """
         self._interval = interval_of(run.config.checkpoint or DEFAULT_INTERVAL)
-        self._header, warnings = header_of(run), []
+        self._header, warnings = checkpoint_header(run), []
         if self.path.exists():
             header, state = read_checkpoint(self.path)
             refuse_another_run(self.path, header, self._header)

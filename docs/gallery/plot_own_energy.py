@@ -10,14 +10,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import accelsurf
-from accelsurf.energies import ImageEnergy, sample_at_front
 
 # %%
 # ``ImageEnergy`` updates the sums of the image over the inside as the surface moves. When the surface moves by d along
 # the inward normal, U changes by -int f d dA: a force above 0 shrinks the object.
 
 
-class KnownVolume(ImageEnergy):
+class KnownVolume(accelsurf.ImageEnergy):
     """The brightest region of ``volume_mm3``."""
 
     def __init__(self, image, volume_mm3, mu=10.0):
@@ -32,7 +31,7 @@ class KnownVolume(ImageEnergy):
 
     def force(self, surface, front, curvature):
         """Return f = -I + mu (V/V0 - 1) at each front cell."""
-        return -sample_at_front(self.sums.image, surface, front) + self.mu * self.excess
+        return -accelsurf.sample_at_front(self.sums.image, surface, front) + self.mu * self.excess
 
 
 # %%

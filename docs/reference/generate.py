@@ -209,7 +209,7 @@ def _file_formats() -> str:
         "the world's origin, the world's axes and voxels of 1 mm when the file is read; `--spacing` says another size.",
         "",
         *_table(("Format", "What it is", "Endings", "Values", "Keeps", "Channels", "By boxes"), images),
-        "By boxes: `accelsurf.io.open_volume` reads parts of an image that is larger than the memory. NRRD and",
+        "By boxes: `accelsurf.open_volume` reads parts of an image that is larger than the memory. NRRD and",
         "MetaImage must then be saved uncompressed, TIFF in grey. TIFF in packings beyond deflate, LZW, LZMA and",
         'PackBits needs `pip install "accelsurf[tiff]"`. OME-Zarr is a folder, for',
         '`pip install "accelsurf[zarr]"`; `accelsurf info IMAGE` shows its levels and chunks. A chunk with more or',

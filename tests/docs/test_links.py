@@ -2,12 +2,12 @@
 
 import re
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 import accelsurf
-from accelsurf import energies
 
 ROOT = Path(__file__).parents[2]
 BUILT = ("_build", "examples", "generated")
@@ -67,6 +67,12 @@ def test_files_and_tests_that_are_named_exist(page):
             assert any((place / name).exists() for place in places) or name.startswith(LEFT_BY_COMMANDS), name
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_code_of_pages_imports_public_names_alone(page):
+    code = "\n".join(re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE))
+    assert not re.findall(r"^ *(?:from|import) +accelsurf\..*", code, re.MULTILINE)
+
+
 @pytest.mark.parametrize("record", RECORDS, ids=lambda path: path.stem)
 def test_a_record_has_its_form(record):
     text = record.read_text(encoding="utf-8")
@@ -95,4 +101,8 @@ def test_the_reference_lists_every_public_name():
     page = (ROOT / "docs" / "api" / "index.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"^   (\w+)$", page, re.MULTILINE))
     assert set(accelsurf.__all__) - {"__version__", "ObjectsResult"} <= listed
-    assert all(hasattr(accelsurf, name) or hasattr(energies, name) for name in listed)
+    assert all(hasattr(accelsurf, name) for name in listed)
+
+
+def test_a_function_of_the_name_of_its_room_stays_a_function():
+    assert callable(accelsurf.track) and import_module("accelsurf.track.track").track is accelsurf.track

@@ -30,7 +30,7 @@ def _of_segment():
     from accelsurf.api.segment import segment
     from accelsurf.correct.state_file import state_bytes
     from accelsurf.image.volume import Volume
-    from accelsurf.run.checkpoint import header_of, save_checkpoint
+    from accelsurf.run.checkpoint import checkpoint_header, save_checkpoint
     from accelsurf.run.run import Run
     from accelsurf.settings.run_config import RunConfig
 
@@ -41,7 +41,7 @@ def _of_segment():
     with tempfile.TemporaryDirectory() as folder, Run(volume, config) as run:
         run.step()
         path = Path(folder) / "a.npz"
-        save_checkpoint(path, run.checkpoint(), header_of(run))
+        save_checkpoint(path, run.checkpoint(), checkpoint_header(run))
         yield Input("checkpoint-file", ".npz", "zip", path.read_bytes())
     yield from of_folder("report", "folder", _result(config, content), {".json": "json"}, only=("a_report.json",))
 

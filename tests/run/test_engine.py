@@ -22,7 +22,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
 from accelsurf.run import checkpoint
-from accelsurf.run.checkpoint import header_of, load_checkpoint, save_checkpoint
+from accelsurf.run.checkpoint import checkpoint_header, load_checkpoint, save_checkpoint
 from accelsurf.run.evolving_object import roomy_box
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
@@ -243,7 +243,7 @@ def test_a_run_goes_on_from_a_file_with_the_same_bytes(pair, tmp_path, name, sev
     objects = starts if several else None
     with Run(volume, config, objects=objects) as straight:
         stepped(straight, 11)
-        save_checkpoint(tmp_path / "run.checkpoint", straight.checkpoint(), header_of(straight))
+        save_checkpoint(tmp_path / "run.checkpoint", straight.checkpoint(), checkpoint_header(straight))
         whole = result_of(ended(straight))
     with Run(volume, config, objects=objects) as other:
         other.restore(load_checkpoint(tmp_path / "run.checkpoint", other))
@@ -259,7 +259,7 @@ def test_a_checkpoint_of_another_run_is_refused(pair, tmp_path):
     config, path = RunConfig(max_steps=5), tmp_path / "run.checkpoint"
     with Run(volume, config, objects=starts) as run:
         run.step()
-        save_checkpoint(path, run.checkpoint(), header_of(run))
+        save_checkpoint(path, run.checkpoint(), checkpoint_header(run))
     for same in ({"threads": 2}, {"max_steps": 50}):
         with Run(volume, config.replace(**same), objects=starts) as run:
             assert load_checkpoint(path, run).step == 1
@@ -285,10 +285,10 @@ def test_a_checkpoint_of_another_version_is_refused(pair, tmp_path, monkeypatch)
         run.step()
         with monkeypatch.context() as old:
             old.setattr(serialization, "FORMAT", 1)
-            save_checkpoint(path, run.checkpoint(), header_of(run))
+            save_checkpoint(path, run.checkpoint(), checkpoint_header(run))
         with pytest.raises(InputError, match="format 1, expected"):
             load_checkpoint(path, run)
-        save_checkpoint(path, run.checkpoint(), header_of(run))
+        save_checkpoint(path, run.checkpoint(), checkpoint_header(run))
         assert load_checkpoint(path, run).step == 1
         fields = [name for name in StepRecord._fields if name != "returned"]
         older = NamedTuple("StepRecord", [(name, object) for name in fields])
@@ -302,7 +302,7 @@ def test_a_damaged_checkpoint_is_refused(pair, tmp_path):
     path, random = tmp_path / "run.checkpoint", np.random.default_rng(1)
     with Run(volume, RunConfig(max_steps=5), objects=starts) as run:
         run.step()
-        save_checkpoint(path, run.checkpoint(), header_of(run))
+        save_checkpoint(path, run.checkpoint(), checkpoint_header(run))
         whole = path.read_bytes()
         damaged = [b"", whole[:100], whole[: len(whole) // 2], b"\0" * 1000, whole[:-40]]
         for _ in range(300):

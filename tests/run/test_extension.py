@@ -9,7 +9,7 @@ from accelsurf.api.segment import segment
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.measure import metrics
-from accelsurf.run.checkpoint import header_of, load_checkpoint, save_checkpoint
+from accelsurf.run.checkpoint import checkpoint_header, load_checkpoint, save_checkpoint
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 
@@ -65,7 +65,7 @@ def test_a_run_goes_on_from_a_file_with_the_same_bytes(tmp_path, changes) -> Non
     with Run(image(), run_of(**changes), objects=starts) as straight:
         for _ in range(11):
             straight.step()
-        save_checkpoint(tmp_path / "run.checkpoint", straight.checkpoint(), header_of(straight))
+        save_checkpoint(tmp_path / "run.checkpoint", straight.checkpoint(), checkpoint_header(straight))
         assert all(one.surface.extension == "fast-marching" for one in straight.objects)
         want = ended(straight)
         assert all(one.surface.extension == "fast-marching" for one in straight.objects)
