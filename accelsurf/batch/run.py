@@ -215,7 +215,7 @@ class Batch:
                     observer.ended(outcome, left.after(id, time.monotonic() - began))
 
     def end_early(self, pool: Pool, tables: Tables, exit_code: int) -> None:
-        """End what runs, remove its drafts, and write the tables as they are.
+        """End what runs, remove its staging files, and write the tables as they are.
 
         Parameters
         ----------

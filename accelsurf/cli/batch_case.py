@@ -93,7 +93,7 @@ def run_on_cluster(task: CaseTask) -> Outcome:
 
 
 def lost_outcome(task: CaseTask, failure: Failure) -> Outcome:
-    """Return the line of a case whose worker could not say how it ended; remove its drafts, and write its report.
+    """Return the line of a case whose worker did not say how it ended; remove its staging files, write its report.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def lost_outcome(task: CaseTask, failure: Failure) -> Outcome:
     with redirect_stderr(io.StringIO()):
         if isinstance(task.config, TrackConfig):
             track_case.report_failure(track_case.TrackCase(place_of(task), task.config), error)
-        elif failure.kind != "error":  # a run that ended with an exception has removed its drafts and has a report
+        elif failure.kind != "error":  # an exception has removed the staging files and written a report
             report_failure(place_of(task), error)
     return _failed(task, failure.message, hint, code, failure.details)
 

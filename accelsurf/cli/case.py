@@ -36,7 +36,7 @@ from accelsurf.output import (
 from accelsurf.output import (
     outputs as mesh_files,
 )
-from accelsurf.output.document import describe_drafts, describe_input
+from accelsurf.output.document import describe_input, describe_staged
 from accelsurf.output.folder import inputs_of
 from accelsurf.output.outputs import MeshNotes
 from accelsurf.settings.file_formats import IMAGE_FORMATS
@@ -290,8 +290,8 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
     case = replace(case, place=target)
     names, meshes = target.names(config, result.geometry.slice_axis is not None), MeshNotes()
     with output_folder.naming_final(files):
-        written = outputs.write_result(result, files.drafts, names, content, log.seconds, log.checksum, meshes)
-        entries = describe_drafts(files, {path.name: kind for kind, path in written})
+        written = outputs.write_result(result, files.staging, names, content, log.seconds, log.checksum, meshes)
+        entries = describe_staged(files, {path.name: kind for kind, path in written})
         log.outputs.extend(entry | meshes.statistics.get(Path(entry["path"]).name, {}) for entry in entries)
         log.warnings.extend(meshes.warnings)
         code = INTERRUPTED if interrupted else error.exit_code if error is not None else 0
@@ -318,7 +318,7 @@ def _failed_place(place: Place, config: RunConfig, error: AccelsurfError) -> Pla
 def _commit(case: _Case, failed: bool, gone: Sequence[str] = ()) -> None:
     """Put the files in place, and take away ``gone`` and what the earlier run wrote and this one does not."""
     target, files, report = case.place, case.files, case.place.report_path
-    written = [path.name for path in files.drafts.iterdir()]
+    written = [path.name for path in files.staging.iterdir()]
     if not (failed or target.overwrite):  # another program may have put a file there while the run went on
         paths = {"report" if name == report.name else name: files.folder / name for name in written}
         output_folder.refuse_existing(paths, False)
@@ -484,7 +484,7 @@ def _write_report(
         outputs=log.outputs,
         warnings=[warning for warning in log.warnings if warning not in of_result],
     )
-    write_bytes(case.files.drafts / place.report_path.name, (document.to_json(contents) + "\n").encode())
+    write_bytes(case.files.staging / place.report_path.name, (document.to_json(contents) + "\n").encode())
 
 
 def exit_code_of_finished(place: Place, config: RunConfig, quiet: bool = False) -> int | None:

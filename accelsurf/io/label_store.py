@@ -88,8 +88,8 @@ class LabelStore:
         try:
             self._files = self._stack.enter_context(staging(self.path, form.folder_marks))
             with self._naming():
-                draft = self._files.drafts / self.path.name
-                self._store = load(form.store)(draft, geometry, self.dtype, metadata or {}, self._relative(source))
+                staged = self._files.staging / self.path.name
+                self._store = load(form.store)(staged, geometry, self.dtype, metadata or {}, self._relative(source))
         except BaseException:
             self.discard()
             raise

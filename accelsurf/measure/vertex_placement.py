@@ -172,7 +172,7 @@ def balanced(
     placed = np.asarray(zyx + distance[:, None] * normals / h)
     # In the slice of a volume psi is no distance from the contour.
     rough = ~known[faces].all(axis=1) | (cosine < TURNED)
-    return placed if across is not None else settled(placed, faces[~is_cap], rough[~is_cap], psi, h, normals)
+    return placed if across is not None else with_zero_means(placed, faces[~is_cap], rough[~is_cap], psi, h, normals)
 
 
 def _within(normals: Floats, known: NDArray[np.bool_], across: int) -> tuple[Floats, NDArray[np.bool_]]:
@@ -230,7 +230,7 @@ MAX_WAY = 0.7
 AT_A_TIME = 1 << 14
 
 
-def settled(
+def with_zero_means(
     zyx: Floats, faces: NDArray[np.integer], rough: NDArray[np.bool_], psi: NDArray[np.float32], h: Floats,
     outward: Floats,
 ) -> Floats:

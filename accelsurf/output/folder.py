@@ -124,17 +124,17 @@ def opened_set(folder: Path, name: str, inputs: Sequence[Path] = ()) -> Iterator
 
 @contextmanager
 def naming_final(files: FileSet) -> Iterator[None]:
-    """Name in errors the files as they would be called, not their drafts.
+    """Name in errors the files as they would be called, not their staging files.
 
     Raises
     ------
     OutputError
-        Instead of one that names a draft, and of what a full disk makes Python raise.
+        Instead of one that names a staging file, and of what a full disk makes Python raise.
     """
     try:
         yield
     except OutputError as error:
-        message, hint = (text.replace(str(files.drafts), str(files.folder)) for text in (error.message, error.hint))
+        message, hint = (text.replace(str(files.staging), str(files.folder)) for text in (error.message, error.hint))
         raise OutputError(message, hint) from error
     except OSError as error:
         name = Path(error.filename).name if isinstance(error.filename, str) else ""

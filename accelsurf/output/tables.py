@@ -47,8 +47,8 @@ def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
     for row in objects:
         quality = row["quality"] or {}
         place = row["centroid"] or (None, None, None)
-        doubts = "; ".join(quality.get("warnings", ()))
-        rows.append([*(row[key] for key in plain), *place, *(quality.get(key) for key in measures), doubts])
+        warnings = "; ".join(quality.get("warnings", ()))
+        rows.append([*(row[key] for key in plain), *place, *(quality.get(key) for key in measures), warnings])
     return csv_text((*plain, "x_mm", "y_mm", "z_mm", *measures, "warnings"), rows)
 
 

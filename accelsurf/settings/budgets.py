@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 from accelsurf.errors import AccelsurfError, InputError
 
-#: So many rests of a run are kept, and written as label maps.
-MAX_RESTS = 3
+#: So many plateaus of the front in a run are kept, and written as label maps.
+MAX_PLATEAUS = 3
 
 
 @dataclass(frozen=True)

@@ -131,8 +131,8 @@ def extension_of(table: LabelTable) -> bytes:
 def put_labels(path: Path, table: LabelTable) -> None:
     """Put the extension into an uncompressed little-endian NIfTI-1 file that has none."""
     extension = extension_of(table)
-    draft = path.with_name("extended.nii")
-    with path.open("rb") as old, draft.open("wb") as new:
+    extended = path.with_name("extended.nii")
+    with path.open("rb") as old, extended.open("wb") as new:
         header = bytearray(old.read(_FIRST))
         struct.pack_into("<f", header, _OFFSET_PLACE, float(_FIRST + len(extension)))
         header[_HEADER] = 1
@@ -140,7 +140,7 @@ def put_labels(path: Path, table: LabelTable) -> None:
         new.write(extension)
         while block := old.read(1 << 22):
             new.write(block)
-    os.replace(draft, path)
+    os.replace(extended, path)
 
 
 #: Bytes before the voxels of a file that ITK writes.

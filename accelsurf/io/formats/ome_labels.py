@@ -96,13 +96,13 @@ def put(image: Path, labels: Volume, name: str, overwrite: bool) -> Path:
         group.mkdir(exist_ok=True)
         with open_set(group, name) as files:
             pyramid = ZarrPyramid(
-                files.drafts / name, labels.geometry, labels.array.dtype, labels.metadata, name, True, "../../"
+                files.staging / name, labels.geometry, labels.array.dtype, labels.metadata, name, True, "../../"
             )
             for first in range(0, labels.array.shape[0], CHUNK):
                 box = (slice(first, min(first + CHUNK, labels.array.shape[0])), *whole_box(labels.array.shape)[1:])
                 pyramid.write(box, labels.array[box])
             pyramid.finish()
-            write_bytes(files.drafts / _MARK, _listing(group / _MARK, name))
+            write_bytes(files.staging / _MARK, _listing(group / _MARK, name))
             files.commit(last=_MARK)
     except OSError as error:
         reason = error.strerror or str(error)
