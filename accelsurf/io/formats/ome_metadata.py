@@ -23,7 +23,13 @@ from accelsurf.grid.geometry import Floats, Geometry
 from accelsurf.io.formats.zarr_files import STORED_KEY
 from accelsurf.io.headers import FRAME_KEY, ORIENTED_KEY, UNIT_KEY, WARNING_KEY, is_anatomical, with_warnings
 from accelsurf.settings import budgets
+from accelsurf.settings.wording import mm_of, seconds_of, unit_name
 
+#: Name of the attribute that accelsurf writes.
+OWN_KEY = "accelsurf"
+MAX_AXES = 5
+VERSIONS = ("0.4", "0.5")
+_DAMAGED_HINT = "is the store complete? copy or export it again"
 #: The field of an axis, and what drafts of RFC-4 called it.
 _FIELDS = ("orientation", "anatomicalOrientation", "anatomical_orientation")
 #: Sides towards which x, y and z of the world (LPS) increase, and those that they come from.
@@ -143,23 +149,6 @@ def words_for(direction: Floats) -> list[str] | None:
         "-to-".join(_SIDES[axis] if direction[axis, column] > 0 else _SIDES[axis][::-1])
         for column, axis in enumerate(axes)
     ]
-
-
-#: Name of the attribute that accelsurf writes.
-OWN_KEY = "accelsurf"
-MAX_AXES = 5
-VERSIONS = ("0.4", "0.5")
-_DAMAGED_HINT = "is the store complete? copy or export it again"
-_MM = {
-    **{"angstrom": 1e-7, "picometer": 1e-9, "nanometer": 1e-6, "micrometer": 1e-3, "millimeter": 1.0},
-    **{"centimeter": 10.0, "decimeter": 100.0, "meter": 1e3, "inch": 25.4, "foot": 304.8, "yard": 914.4},
-    **{"nm": 1e-6, "um": 1e-3, "\u00b5m": 1e-3, "\u03bcm": 1e-3, "micron": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3},
-}
-#: Seconds of a unit of time.
-_SECONDS = {
-    **{"nanosecond": 1e-9, "microsecond": 1e-6, "millisecond": 1e-3, "second": 1.0, "minute": 60.0, "hour": 3600.0},
-    **{"day": 86400.0, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0},
-}
 
 
 @dataclass(frozen=True)
@@ -300,10 +289,10 @@ def parse_attributes(attributes: Mapping[str, Any]) -> OmeMetadata:
     if all(not axis.unit for axis in space):
         metadata = with_warnings(metadata, "the OME-Zarr gives no unit of length: it is taken as mm")
     units = [_mm_per_unit(axis.unit) for axis in space]
-    if units[-1] < 0.1:
-        metadata[UNIT_KEY] = "nm" if units[-1] < 1e-4 else "um"
+    if (unit := unit_name(units[-1])) != "mm":
+        metadata[UNIT_KEY] = unit
     for axis, step in zip(axes, levels[0].scale, strict=True):
-        if axis.kind == "time" and (seconds := step * _SECONDS.get(axis.unit.lower(), 0.0)) > 0:
+        if axis.kind == "time" and (seconds := step * seconds_of(axis.unit)) > 0:
             metadata[FRAME_KEY] = repr(seconds)
     direction, metadata = _placed(axes, levels[0], direction, metadata)
     return OmeMetadata(version, axes, levels, direction, metadata, stored)
@@ -400,9 +389,10 @@ def _own(given: Mapping[str, Any]) -> tuple[Floats | None, dict[str, str], dict[
 
 def _mm_per_unit(unit: str) -> float:
     """Millimetres of a unit; of none, 1."""
-    if unit and unit.lower() not in _MM:
+    mm = mm_of(unit) if unit else 1.0
+    if not mm:
         raise InputError(f"the OME-Zarr gives lengths in {unit[:40]}, a unit of length expected", "correct the unit")
-    return _MM[unit.lower()] if unit else 1.0
+    return mm
 
 
 def attributes_of(
