@@ -20,6 +20,8 @@ from accelsurf.settings.registry import load
 
 #: More volumes than this are no channels.
 MAX_CHANNELS = 16
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Parts of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
 
 
 def selected(channels: int, time_points: int, options: ReadOptions) -> list[tuple[int, int]]:
@@ -104,10 +106,6 @@ def check_index(name: str, plural: str, n: int, asked: int | None) -> None:
     """
     if asked is not None and not 0 <= asked < n:
         raise UsageError(f"{name} {asked} asked for, the image has {n} {plural}", f"give 0 to {n - 1}")
-
-
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Parts of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
 
 
 def to_grey(array: NDArray[Any]) -> tuple[NDArray[Any], str]:

@@ -29,6 +29,13 @@ from accelsurf.io.set_journals import PREFIX, SUFFIX, Journal, Moves, sync_folde
 
 #: Signals that end a program on request.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_NEW, _OLD = "new", "old"
+#: Another process looks for a moment whether the writer of a set is dead, and holds its lock then.
+_TRIES, _TRY_SECONDS = 10, 0.03
+#: What Windows calls a junction by: a link between folders.
+_JUNCTION = 0xA0000003
+#: Foreign staging folders that a warning names.
+_NAMED = 3
 
 
 @contextmanager
@@ -49,15 +56,6 @@ def uninterrupted() -> Iterator[None]:
             signal.signal(number, before[number])
         for came in waiting:
             signal.raise_signal(came)
-
-
-_NEW, _OLD = "new", "old"
-#: Another process looks for a moment whether the writer of a set is dead, and holds its lock then.
-_TRIES, _TRY_SECONDS = 10, 0.03
-#: What Windows calls a junction by: a link between folders.
-_JUNCTION = 0xA0000003
-#: Foreign staging folders that a warning names.
-_NAMED = 3
 
 
 class FileSet:

@@ -30,6 +30,26 @@ TimeUnit = Literal["s", "frame"]
 TIMES_KEY = "accelsurf_frame_times"
 _NUMBER = r"-?[0-9]{1,20}(?:\.[0-9]{1,20})?(?:e[-+]?[0-9]{1,3})?"
 _TEXT = re.compile(rf"(s|frame)((?: {_NUMBER})+)\s*")
+WARNING_KEY = "warning"
+"""A warning about the file that was read; absent when there is none."""
+LABELS_KEY = "labels"
+"""Names and colours of a label map, from `accelsurf.settings.labels.LabelTable.to_json`; absent where none are known.
+"""
+DICOM_KEY = "dicom_series"
+"""The UID of the series that an image was read from; absent where it was no DICOM."""
+ZERO_BEYOND_KEY = "zero_beyond"
+"""There where a label map's format stores only voxels near labels, as a DICOM segmentation: all beyond them are 0."""
+VALUE_UNIT_KEY = "value_unit"
+"""The unit of the values, as HU, where the file says it."""
+ORIENTED_KEY = "ome_oriented"
+"""Present where the axes of an OME-Zarr were given an anatomical orientation."""
+UNIT_KEY = "spatial_unit"
+"""The unit in which the file gives lengths: nm or um; absent where it is mm, or none. All lengths here are mm."""
+FRAME_KEY = "frame_seconds"
+"""Seconds from one time point of a sequence to the next; absent where the file does not say them."""
+#: Names of formats whose files may be zip archives, or are folders that somebody packed.
+_PACKED = ("dcm", "ome.zarr")
+_OUTSIDE_DATA = ContextVar("outside data", default=False)
 
 
 @dataclass(frozen=True)
@@ -143,31 +163,6 @@ def single_precision(value: float) -> float:
         return float(str(np.float32(value)))
 
 
-WARNING_KEY = "warning"
-"""A warning about the file that was read; absent when there is none."""
-
-LABELS_KEY = "labels"
-"""Names and colours of a label map, from `accelsurf.settings.labels.LabelTable.to_json`; absent where none are known.
-"""
-
-DICOM_KEY = "dicom_series"
-"""The UID of the series that an image was read from; absent where it was no DICOM."""
-
-ZERO_BEYOND_KEY = "zero_beyond"
-"""There where a label map's format stores only voxels near labels, as a DICOM segmentation: all beyond them are 0."""
-
-VALUE_UNIT_KEY = "value_unit"
-"""The unit of the values, as HU, where the file says it."""
-
-ORIENTED_KEY = "ome_oriented"
-"""Present where the axes of an OME-Zarr were given an anatomical orientation."""
-
-UNIT_KEY = "spatial_unit"
-"""The unit in which the file gives lengths: nm or um; absent where it is mm, or none. All lengths here are mm."""
-FRAME_KEY = "frame_seconds"
-"""Seconds from one time point of a sequence to the next; absent where the file does not say them."""
-
-
 def with_warnings(metadata: Mapping[str, str], *notes: str) -> dict[str, str]:
     """The metadata with further warnings.
 
@@ -178,11 +173,6 @@ def with_warnings(metadata: Mapping[str, str], *notes: str) -> dict[str, str]:
     """
     said = "; ".join(note for note in (metadata.get(WARNING_KEY, ""), *notes) if note)
     return {**metadata, WARNING_KEY: said} if said else dict(metadata)
-
-
-#: Names of formats whose files may be zip archives, or are folders that somebody packed.
-_PACKED = ("dcm", "ome.zarr")
-_OUTSIDE_DATA = ContextVar("outside data", default=False)
 
 
 @contextmanager

@@ -27,6 +27,9 @@ from accelsurf.io.lazy_volume import check_box
 from accelsurf.settings.file_formats import IMAGE_FORMATS, image_format
 from accelsurf.settings.registry import load
 
+#: Distance, in voxels of the smallest spacing, within which voxels of two grids are the same ones.
+_TOLERANCE = 1e-3
+
 
 class LabelStore:
     """A label map that is being written. It appears when it is finished, whole, or not at all.
@@ -161,10 +164,6 @@ class LabelStore:
         if source is None or not Path(source).is_dir():
             return None
         return Path(os.path.relpath(source, self.path)).as_posix()
-
-
-#: Distance, in voxels of the smallest spacing, within which voxels of two grids are the same ones.
-_TOLERANCE = 1e-3
 
 
 def on_grid(labels: Volume, geometry: Geometry) -> Volume:

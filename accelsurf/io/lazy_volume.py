@@ -30,6 +30,11 @@ from accelsurf.io.memory import available_memory
 from accelsurf.settings.reading import Level, ReadOptions, Spacing
 from accelsurf.settings.registry import load
 
+#: Of a run, for each voxel, at most.
+_RUN_BYTES = 80
+#: Bytes of unpacked chunks or pages that are held at most, where the caller says nothing.
+CACHE_BYTES = 1 << 28
+
 
 class StackedVoxels:
     """Slabs, one after the other along z.
@@ -70,10 +75,6 @@ class StackedVoxels:
             values[at - box[0].start : stop - box[0].start] = self._slabs[number].read(inside)
             at = stop
         return values
-
-
-#: Of a run, for each voxel, at most.
-_RUN_BYTES = 80
 
 
 def checked_level(level: Level, shapes: Sequence[tuple[int, ...]]) -> int:
@@ -157,10 +158,6 @@ class ChunkCache:
                 while self._bytes > self.max_bytes:
                     self._bytes -= self._held.popitem(last=False)[1].nbytes
         return array
-
-
-#: Bytes of unpacked chunks or pages that are held at most, where the caller says nothing.
-CACHE_BYTES = 1 << 28
 
 
 class VoxelSource(Protocol):

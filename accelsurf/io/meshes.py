@@ -32,6 +32,10 @@ Ints = NDArray[np.int64]
 TOLERANCES = (2.0**-45, 2.0**-18, 2.0**-15)
 #: And never farther apart than this share of the usual open edge, so that small triangles stay.
 MAX_EDGE_SHARE = 0.25
+#: mm; beyond it differences of coordinates are no longer exact to a voxel.
+MAX_COORDINATE = 1e12
+#: Rows of voxels tested against triangles at once, for the sake of memory.
+BATCH_ROWS = 1 << 17
 
 
 class Edges(NamedTuple):
@@ -163,12 +167,6 @@ def _welded(places: Floats, cell: float) -> Ints:
     _, group = sparse.csgraph.connected_components(graph, directed=False)
     _, first = np.unique(group, return_index=True)
     return first[group]
-
-
-#: mm; beyond it differences of coordinates are no longer exact to a voxel.
-MAX_COORDINATE = 1e12
-#: Rows of voxels tested against triangles at once, for the sake of memory.
-BATCH_ROWS = 1 << 17
 
 
 def inside(

@@ -39,6 +39,20 @@ MIN_BURST = 1.1
 #: What counts for an object without clicks as its volume over theirs, where no click has corrected it (radii), and as
 #: compactness where no surface was measured.
 USUAL_BEYOND, USUAL_CORRECTION, USUAL_COMPACTNESS = 20.0, 0.37, 0.49
+#: A gradient is an edge if it is above this percentile of the gradients inside the object, at least so many voxels from
+#: its surface, and above this fraction of the image's range over the scale that gradients are computed at.
+INTERIOR_PERCENTILE, INTERIOR_DEPTH, MIN_EDGE = 75.0, 3, 0.005
+#: Gradients inside the object are sampled at about so many voxels.
+GRADIENT_SAMPLES = 1 << 18
+#: A slab has at least so many planes for each plane around it that is needed besides.
+MIN_SLAB_HALOS = 4
+#: A part counts from this fraction of the object's volume on; a neck is at most so many voxels to either side; so many
+#: parts are examined.
+LARGE_PART, NECK, MAX_PARTS = 0.05, 2, 200
+#: The file with the models of the probability.
+MODEL_FILE = "good_result.json"
+#: Names of the models.
+ModelKind = Literal["clicks", "image"]
 
 
 class ValueRange(NamedTuple):
@@ -410,15 +424,6 @@ def _unlike_fraction(inside: NDArray[np.bool_], image: NDArray[np.float32], lear
     return float(((values < learned.low) | (values > learned.high)).mean()) if values.size else 0.0
 
 
-#: A gradient is an edge if it is above this percentile of the gradients inside the object, at least so many voxels from
-#: its surface, and above this fraction of the image's range over the scale that gradients are computed at.
-INTERIOR_PERCENTILE, INTERIOR_DEPTH, MIN_EDGE = 75.0, 3, 0.005
-#: Gradients inside the object are sampled at about so many voxels.
-GRADIENT_SAMPLES = 1 << 18
-#: A slab has at least so many planes for each plane around it that is needed besides.
-MIN_SLAB_HALOS = 4
-
-
 def no_edge_fraction(
     inside: NDArray[np.bool_], image: NDArray[np.float32], spacing: tuple[float, float, float]
 ) -> float:
@@ -464,11 +469,6 @@ def gradients(
     return np.sqrt(total)
 
 
-#: A part counts from this fraction of the object's volume on; a neck is at most so many voxels to either side; so many
-#: parts are examined.
-LARGE_PART, NECK, MAX_PARTS = 0.05, 2, 200
-
-
 def parts_beyond_necks(inside: NDArray[np.bool_]) -> int:
     """Large parts that remain of the largest component without its necks."""
     box = bounding_box(inside, 1)
@@ -512,12 +512,6 @@ def _deeper_than_neck(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         there = tuple(slice(max(0, o), n - max(0, -o)) for o, n in zip(offset, mask.shape, strict=True))
         deep[here] &= mask[there]
     return deep
-
-
-#: The file with the models.
-MODEL_FILE = "good_result.json"
-#: Their names.
-ModelKind = Literal["clicks", "image"]
 
 
 @functools.cache

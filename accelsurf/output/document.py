@@ -37,6 +37,11 @@ Status = Literal["ok", "failed", "interrupted"]
 _MEASURES = ("volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components", "touches_border")
 #: Parts of a run that are timed, in the order they happen.
 TIMED = ("load", "start", "evolve", "refine", "mesh", "write", "total")
+#: Packages that a result can depend on.
+PACKAGES = (
+    "accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "nibabel", "trimesh", "Pillow", "pydantic",
+    "matplotlib",
+)
 
 
 def build(
@@ -293,13 +298,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-#: Packages that a result can depend on.
-PACKAGES = (
-    "accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "nibabel", "trimesh", "Pillow", "pydantic",
-    "matplotlib",
-)
 
 
 def versions() -> dict[str, str | None]:

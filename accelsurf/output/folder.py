@@ -20,6 +20,12 @@ from accelsurf.settings.track_config import TrackConfig
 
 #: Of a file's name, on the usual file systems.
 MAX_NAME_BYTES = 255
+#: Settings that are places, and kinds of places that name a file: ``label:FILE``.
+PLACES, FILE_KINDS = ("start", "foreground", "background", "inside", "outside"), ("label", "mesh", "stroke")
+#: Settings that name a file.
+_FILES = ("mask", "objects", "label_table")
+#: Endings of headers whose voxels may lie in another file.
+_DETACHED = (".mhd", ".nhdr", ".hdr", ".img")
 
 
 def refuse_existing(paths: dict[str, Path], overwrite: bool, inputs: Sequence[Path] = ()) -> None:
@@ -142,14 +148,6 @@ def naming_final(files: FileSet) -> Iterator[None]:
             f"{files.folder / name}: cannot be written ({error.strerror or error})",
             f"may {files.folder} be written to, is there space on the disk, is a file of it open in another program?",
         ) from error
-
-
-#: Settings that are places, and kinds of places that name a file: ``label:FILE``.
-PLACES, FILE_KINDS = ("start", "foreground", "background", "inside", "outside"), ("label", "mesh", "stroke")
-#: Settings that name a file.
-_FILES = ("mask", "objects", "label_table")
-#: Endings of headers whose voxels may lie in another file.
-_DETACHED = (".mhd", ".nhdr", ".hdr", ".img")
 
 
 def named_files(given: RunConfig | TrackConfig) -> list[Path]:

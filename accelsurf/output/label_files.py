@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
     from accelsurf.run.result import Result
 
+#: What the one object of a run without ids is called.
+ONE = "object"
+
 
 def entries_of(result: Result, table: LabelTable) -> list[LabelEntry]:
     """Return the name and the colour of each object, in order of their ids."""
@@ -91,10 +94,6 @@ def color_table(result: Result, table: LabelTable, path: Path) -> None:
 def bids_table(result: Result, table: LabelTable, path: Path) -> None:
     """Write a table of labels as BIDS has it."""
     write_bytes(path, label_tables.bids_text(entries_of(result, table)).encode())
-
-
-#: What the one object of a run without ids is called.
-ONE = "object"
 
 
 def table_of(config: RunConfig) -> LabelTable:

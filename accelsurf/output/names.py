@@ -19,6 +19,9 @@ from accelsurf.settings.run_config import RunConfig
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
 
+#: Kinds of outputs of which each object has its own.
+EACH = ("surface", "contour")
+
 
 def label_format(config: RunConfig, source_suffix: str) -> str:
     """Return the format of the label map: the one of the settings, else the input's, else nii.gz.
@@ -128,10 +131,6 @@ def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
             f"format: {labels} was given for {geometry.shape[0]} slices along z, expected one",
             "use --format tif for a stack, or a volume format",
         )
-
-
-#: Kinds of outputs of which each object has its own.
-EACH = ("surface", "contour")
 
 
 def name_of(name: str, object_id: int) -> str:

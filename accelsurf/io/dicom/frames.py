@@ -37,6 +37,26 @@ from accelsurf.settings import budgets
 _NUCLEAR_TAGS = ("DetectorInformationSequence", "SliceVector", "TimeSlotVector", "EnergyWindowVector")
 _NUCLEAR = "1.2.840.10008.5.1.4.1.1.20"
 _RECONSTRUCTED = {"RECON TOMO", "RECON GATED TOMO"}
+#: The number of images in a mosaic, and the block that says which way they follow (Siemens), with their creators.
+_MOSAIC_COUNT, _MOSAIC_TAGS = 0x0019_100A, (0x0019_100A, 0x0019_0010, 0x0029_1010, 0x0029_0010)
+#: First row and column, rows, columns, position.
+Tile = tuple[tuple[int, int], int, int, tuple[float, ...]]
+_TAGS = [
+    *("SOPClassUID", "SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID", "FrameOfReferenceUID", "Modality"),
+    *("SeriesDescription", "SeriesNumber", "InstanceNumber", "ImageType", "Rows", "Columns", "NumberOfFrames"),
+    *("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing", "ImagerPixelSpacing", "SliceThickness"),
+    *("SpacingBetweenSlices", "RescaleSlope", "RescaleIntercept", "RescaleType", "Units", "BitsStored"),
+    *("BitsAllocated", "PixelRepresentation", "SamplesPerPixel", "PhotometricInterpretation", "EchoTime"),
+    *("AcquisitionNumber", "AcquisitionTime", "ContentTime", "TemporalPositionIdentifier", "TriggerTime"),
+    *("DiffusionBValue", "DiffusionGradientOrientation", "SharedFunctionalGroupsSequence"),
+    *("PerFrameFunctionalGroupsSequence", "FrameTime", "FrameTimeVector", "CineRate", "RecommendedDisplayFrameRate"),
+    *("ModalityLUTSequence", *(f"{kind}PixelPadding{part}" for kind in ("", "Float", "DoubleFloat")
+                               for part in ("Value", "RangeLimit"))),
+    *sources.TAGS, *_NUCLEAR_TAGS,
+]
+#: Samples of a pixel on average, where colours are stored for pairs of pixels.
+_HALVED = "YBR_FULL_422"
+_MAX_SIDE, _MAX_BITS = 1 << 16, 64
 
 
 def _is_reconstructed(dataset: Any) -> bool:
@@ -90,12 +110,6 @@ def phase_of(dataset: Any, number: int) -> dict[str, str]:
     return {what: str(value) for what, value in found.items() if value is not None}
 
 
-#: The number of images in a mosaic, and the block that says which way they follow (Siemens), with their creators.
-_MOSAIC_COUNT, _MOSAIC_TAGS = 0x0019_100A, (0x0019_100A, 0x0019_0010, 0x0029_1010, 0x0029_0010)
-#: First row and column, rows, columns, position.
-Tile = tuple[tuple[int, int], int, int, tuple[float, ...]]
-
-
 def tiles_of(path: DicomFile, dataset: Any) -> list[Tile]:
     """Places of the slices of a mosaic in the picture and in the patient.
 
@@ -132,24 +146,6 @@ def tiles_of(path: DicomFile, dataset: Any) -> list[Tile]:
         ((n // side * rows, n % side * columns), rows, columns, tuple((first + n * step * across).tolist()))
         for n in range(count)
     ]
-
-
-_TAGS = [
-    *("SOPClassUID", "SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID", "FrameOfReferenceUID", "Modality"),
-    *("SeriesDescription", "SeriesNumber", "InstanceNumber", "ImageType", "Rows", "Columns", "NumberOfFrames"),
-    *("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing", "ImagerPixelSpacing", "SliceThickness"),
-    *("SpacingBetweenSlices", "RescaleSlope", "RescaleIntercept", "RescaleType", "Units", "BitsStored"),
-    *("BitsAllocated", "PixelRepresentation", "SamplesPerPixel", "PhotometricInterpretation", "EchoTime"),
-    *("AcquisitionNumber", "AcquisitionTime", "ContentTime", "TemporalPositionIdentifier", "TriggerTime"),
-    *("DiffusionBValue", "DiffusionGradientOrientation", "SharedFunctionalGroupsSequence"),
-    *("PerFrameFunctionalGroupsSequence", "FrameTime", "FrameTimeVector", "CineRate", "RecommendedDisplayFrameRate"),
-    *("ModalityLUTSequence", *(f"{kind}PixelPadding{part}" for kind in ("", "Float", "DoubleFloat")
-                               for part in ("Value", "RangeLimit"))),
-    *sources.TAGS, *_NUCLEAR_TAGS,
-]
-#: Samples of a pixel on average, where colours are stored for pairs of pixels.
-_HALVED = "YBR_FULL_422"
-_MAX_SIDE, _MAX_BITS = 1 << 16, 64
 
 
 @dataclass(frozen=True)

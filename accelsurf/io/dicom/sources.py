@@ -48,6 +48,40 @@ _ITEM, _END = (0xFFFE, 0xE000), (0xFFFE, 0xE0DD)
 _LARGE = 1 << 16
 #: Pieces of packed pixels that are counted.
 _MAX_PIECES = 1 << 20
+SUFFIXES, ARCHIVE = (".dcm", ".ima", ".dicom"), ".zip"
+#: Files that are looked at; a folder of more is another kind of folder.
+MAX_FILES = 200_000
+#: Files that are looked at to see whether a folder holds DICOM.
+_TRIED = 64
+_MARK, _MARK_AT = b"DICM", 128
+#: First elements of files that have no mark: groups 0002 and 0008, in either byte order.
+_FIRST_GROUPS = (b"\x02\x00", b"\x08\x00", b"\x00\x08")
+_HINT = "unpack it, and give the folder"
+#: Bytes of a damaged member that are looked at, and of one read of them.
+_MAX_REMAINS, _BLOCK = 1 << 16, 1 << 10
+_ZIP_ERRORS = (
+    zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError, zlib.error, lzma.LZMAError, ValueError
+)
+Floats = tuple[float, ...]
+SEGMENTATION, WHOLE_SLIDE, PROJECTION = "segmentation", "whole-slide image", "projection of a tomograph"
+#: Elements that tell the kind of image, beside class, modality and type of image.
+TAGS = ("TotalPixelMatrixRows", "TotalPixelMatrixColumns", "DimensionOrganizationType")
+_CLASSES = {
+    "1.2.840.10008.5.1.4.1.1.66.4": SEGMENTATION,
+    "1.2.840.10008.5.1.4.1.1.66.7": SEGMENTATION,
+    "1.2.840.10008.5.1.4.1.1.481.2": "dose",
+    "1.2.840.10008.5.1.4.1.1.77.1.6": WHOLE_SLIDE,
+}
+_MODALITIES = {
+    "SR": "report", "DOC": "report", "PR": "display state", "KO": "selection", "RTSTRUCT": "structure set",
+    "RTPLAN": "plan", "RTDOSE": "dose", "SEG": SEGMENTATION, "REG": "registration", "FID": "fiducials",
+    "SM": WHOLE_SLIDE,
+}
+#: Remedies for kinds that somebody may take for a volume.
+HINTS = {
+    WHOLE_SLIDE: "its frames are tiles of one plane: export a region as TIFF or OME-Zarr, by Bio-Formats or QuPath",
+    PROJECTION: "its frames are views from several sides: give the reconstructed series",
+}
 
 
 @dataclass(frozen=True)
@@ -244,19 +278,6 @@ def _pixel_bytes(data: BinaryIO, length: int, start: int) -> PixelBytes:
     return PixelBytes(None, min(place, end) - start, max(pieces, 0), False)
 
 
-SUFFIXES, ARCHIVE = (".dcm", ".ima", ".dicom"), ".zip"
-#: Files that are looked at; a folder of more is another kind of folder.
-MAX_FILES = 200_000
-#: Files that are looked at to see whether a folder holds DICOM.
-_TRIED = 64
-_MARK, _MARK_AT = b"DICM", 128
-#: First elements of files that have no mark: groups 0002 and 0008, in either byte order.
-_FIRST_GROUPS = (b"\x02\x00", b"\x08\x00", b"\x00\x08")
-_HINT = "unpack it, and give the folder"
-#: Bytes of a damaged member that are looked at, and of one read of them.
-_MAX_REMAINS, _BLOCK = 1 << 16, 1 << 10
-
-
 @dataclass(frozen=True, eq=False)
 class Member:
     """A file of a zip archive. It is read into memory; nothing is unpacked onto the disk.
@@ -325,9 +346,6 @@ class Member:
             raise InputError(f"{self.name}: damaged in the archive, or locked ({error})", _HINT) from error
 
 
-_ZIP_ERRORS = (
-    zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError, zlib.error, lzma.LZMAError, ValueError
-)
 #: A file on the disk or in an archive.
 DicomFile = Path | Member
 
@@ -470,9 +488,6 @@ def _is_seen(info: zipfile.ZipInfo) -> bool:
     )
 
 
-Floats = tuple[float, ...]
-
-
 class Elements:
     """A data set whose elements are looked up once: every frame asks for the same ones.
 
@@ -518,27 +533,6 @@ def listed(value: Any) -> list[str]:
     """The parts of an element in capitals."""
     parts = [] if value is None else [value] if isinstance(value, str) else list(value)
     return [str(part).upper() for part in parts]
-
-
-SEGMENTATION, WHOLE_SLIDE, PROJECTION = "segmentation", "whole-slide image", "projection of a tomograph"
-#: Elements that say it, beside class, modality and type of image.
-TAGS = ("TotalPixelMatrixRows", "TotalPixelMatrixColumns", "DimensionOrganizationType")
-_CLASSES = {
-    "1.2.840.10008.5.1.4.1.1.66.4": SEGMENTATION,
-    "1.2.840.10008.5.1.4.1.1.66.7": SEGMENTATION,
-    "1.2.840.10008.5.1.4.1.1.481.2": "dose",
-    "1.2.840.10008.5.1.4.1.1.77.1.6": WHOLE_SLIDE,
-}
-_MODALITIES = {
-    "SR": "report", "DOC": "report", "PR": "display state", "KO": "selection", "RTSTRUCT": "structure set",
-    "RTPLAN": "plan", "RTDOSE": "dose", "SEG": SEGMENTATION, "REG": "registration", "FID": "fiducials",
-    "SM": WHOLE_SLIDE,
-}
-#: What to do about those of them that somebody may take for a volume.
-HINTS = {
-    WHOLE_SLIDE: "its frames are tiles of one plane: export a region as TIFF or OME-Zarr, by Bio-Formats or QuPath",
-    PROJECTION: "its frames are views from several sides: give the reconstructed series",
-}
 
 
 def kind_of(dataset: Any) -> str:

@@ -33,6 +33,26 @@ from accelsurf.io.sequences.sequence_files import extensions_in, times_text_in
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
+ITK_NAME = "NiftiImageIO"
+"""The class of ITK that reads and writes the format."""
+HEADER_BYTES = {1: 348, 2: 540}
+"""Length of the header by the version of the format; a file begins with it."""
+_BEGINNINGS = {
+    struct.pack(order + "i", count): (version, order) for version, count in HEADER_BYTES.items() for order in "<>"
+}
+_MAGIC = {1: (344, b"n+1\0"), 2: (4, b"n+2\0\r\n\x1a\n")}
+_QFORM = ("quatern_b", "quatern_c", "quatern_d", "qoffset_x", "qoffset_y", "qoffset_z")
+#: Bytes before the voxels that are searched for times.
+_MAX_EXTENSION = 1 << 24
+_REAL = (2, 4, 8, 16, 64, 256, 512, 768, 1024, 1280)  # type codes: integers of 1 to 8 bytes, floats of 4 and 8
+#: Intents of components: matrices, vectors, colours.
+_VECTORS = frozenset((1004, 1005, 1006, 1007, 2003, 2004))
+#: Seconds of the units of time; the other units of the fourth axis are of spectra.
+_SECONDS = {8: 1.0, 16: 1e-3, 24: 1e-6}
+#: A slope this near to 1 is 1, rounded by who wrote it: two steps of single precision.
+_SLOPE_ROUNDING = 3e-7
+_NOT_REAL = {32: "complex", 1792: "complex", 2048: "complex", 128: "colour (RGB)", 2304: "colour (RGBA)"}
+
 
 def import_nibabel_for(path: Path) -> None:
     """Import nibabel for a NIfTI as if pydicom were not installed; nothing where either is loaded already.
@@ -53,29 +73,6 @@ def import_nibabel_for(path: Path) -> None:
             import nibabel  # noqa: F401
         finally:
             del sys.modules["pydicom"]
-
-
-ITK_NAME = "NiftiImageIO"
-"""The class of ITK that reads and writes the format."""
-
-HEADER_BYTES = {1: 348, 2: 540}
-"""Length of the header by the version of the format; a file begins with it."""
-
-_BEGINNINGS = {
-    struct.pack(order + "i", count): (version, order) for version, count in HEADER_BYTES.items() for order in "<>"
-}
-_MAGIC = {1: (344, b"n+1\0"), 2: (4, b"n+2\0\r\n\x1a\n")}
-_QFORM = ("quatern_b", "quatern_c", "quatern_d", "qoffset_x", "qoffset_y", "qoffset_z")
-#: Bytes before the voxels that are searched for times.
-_MAX_EXTENSION = 1 << 24
-_REAL = (2, 4, 8, 16, 64, 256, 512, 768, 1024, 1280)  # type codes: integers of 1 to 8 bytes, floats of 4 and 8
-#: Intents of components: matrices, vectors, colours.
-_VECTORS = frozenset((1004, 1005, 1006, 1007, 2003, 2004))
-#: Seconds of the units of time; the other units of the fourth axis are of spectra.
-_SECONDS = {8: 1.0, 16: 1e-3, 24: 1e-6}
-#: A slope this near to 1 is 1, rounded by who wrote it: two steps of single precision.
-_SLOPE_ROUNDING = 3e-7
-_NOT_REAL = {32: "complex", 1792: "complex", 2048: "complex", 128: "colour (RGB)", 2304: "colour (RGBA)"}
 
 
 @dataclass(frozen=True)

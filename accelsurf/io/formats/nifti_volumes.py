@@ -36,6 +36,13 @@ from accelsurf.settings.labels import LabelTable
 MAX_AXIS = 2**15 - 1
 _DIM_OFFSET = 40
 _RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
+_CODE = 30
+_HEADER, _FIRST = 348, 352
+_OFFSET_PLACE = 108
+#: Bytes before the voxels of a file that ITK writes.
+_MAX_HEADER_BYTES = 352
+#: The code of a unit of length in a header.
+_MICRON = 3
 
 
 class NiftiBoxes:
@@ -107,11 +114,6 @@ def _write_second_header(path: Path, geometry: Geometry, dtype: np.dtype[Any]) -
     path.write_bytes(header.binaryblock + b"\0" * 4)
 
 
-_CODE = 30
-_HEADER, _FIRST = 348, 352
-_OFFSET_PLACE = 108
-
-
 def extension_of(table: LabelTable) -> bytes:
     """The extension: its size, a multiple of 16, its code, and the XML."""
     rows = "".join(
@@ -141,12 +143,6 @@ def put_labels(path: Path, table: LabelTable) -> None:
         while block := old.read(1 << 22):
             new.write(block)
     os.replace(extended, path)
-
-
-#: Bytes before the voxels of a file that ITK writes.
-_MAX_HEADER_BYTES = 352
-#: The code of a unit of length in a header.
-_MICRON = 3
 
 
 def read_nifti(path: Path, header: nifti.NiftiFile, available: int) -> Volume:

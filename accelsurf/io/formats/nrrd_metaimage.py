@@ -29,6 +29,46 @@ SECONDS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us"
 #: Kinds of an axis of space, of time points, and of none that is said; along the others lie the values of a voxel.
 _SPACE, _TIME, _SAYS_NOTHING = ("domain", "space"), ("time",), ("", "???", "none", "list")
 _NUMBER = re.compile(r"[0-9.eE+-]{1,30}")
+NRRD_KEY = "nrrd_space"
+"""Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
+NRRD_ITK_NAME, METAIMAGE_ITK_NAME = "NrrdImageIO", "MetaImageIO"
+"""The classes of ITK that read and write these formats."""
+_NRRD_BYTES = {
+    **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
+    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2),
+    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), 2),
+    **dict.fromkeys(("int", "signed int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t"), 4),
+    **dict.fromkeys(("longlong", "long long", "long long int", "signed long long", "signed long long int"), 8),
+    **dict.fromkeys(("int64", "int64_t", "ulonglong", "unsigned long long", "unsigned long long int"), 8),
+    **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
+    "float": 4,
+}
+_NRRD_ENCODINGS: dict[str, Encoding] = {
+    **{"raw": "raw", "gzip": "deflate", "gz": "deflate", "hex": "other"},
+    **{"text": "text", "txt": "text", "ascii": "text"},
+}
+_META_BYTES = {
+    **dict.fromkeys(("MET_CHAR", "MET_UCHAR"), 1),
+    **dict.fromkeys(("MET_SHORT", "MET_USHORT"), 2),
+    **dict.fromkeys(("MET_INT", "MET_UINT", "MET_LONG", "MET_ULONG", "MET_FLOAT"), 4),
+    **dict.fromkeys(("MET_LONG_LONG", "MET_ULONG_LONG", "MET_DOUBLE"), 8),
+}
+_MAX_LENGTH = 1e12  # mm
+_MAX_FIELD = 1000
+_MAX_AXES = 16
+_NOT_PACKED = (
+    "the voxels are compressed without a CompressedDataSize, or with a HeaderSize: ITK cannot read that",
+    "save the image again, e.g. uncompressed",
+)
+# Lines whose length depends on NDims, which must come before them.
+_META_SIZED = frozenset(
+    "NDims DimSize ElementSpacing ElementSize Offset Position Origin TransformMatrix Orientation Rotation "
+    "CenterOfRotation AnatomicalOrientation".split()
+)
+# Without a value libraries take either.
+_META_FLAGS = ("BinaryData", "BinaryDataByteOrderMSB", "ElementByteOrderMSB", "CompressedData")
+#: Bytes after the header that are looked at.
+_REST = 4096
 
 
 def fourth_axis(fields: Mapping[str, str], lines: Sequence[str], sizes: Sequence[int]) -> dict[str, Any]:
@@ -159,52 +199,6 @@ def write_segmentation(labels: Volume, entries: list[LabelEntry], path: Path) ->
     itk.save(values, path, NRRD_ITK_NAME, compress=True, keys=keys)
 
 
-NRRD_KEY = "nrrd_space"
-"""Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
-
-NRRD_ITK_NAME, METAIMAGE_ITK_NAME = "NrrdImageIO", "MetaImageIO"
-"""The classes of ITK that read and write these formats."""
-
-_NRRD_BYTES = {
-    **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
-    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2),
-    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), 2),
-    **dict.fromkeys(("int", "signed int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t"), 4),
-    **dict.fromkeys(("longlong", "long long", "long long int", "signed long long", "signed long long int"), 8),
-    **dict.fromkeys(("int64", "int64_t", "ulonglong", "unsigned long long", "unsigned long long int"), 8),
-    **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
-    "float": 4,
-}
-_NRRD_ENCODINGS: dict[str, Encoding] = {
-    **{"raw": "raw", "gzip": "deflate", "gz": "deflate", "hex": "other"},
-    **{"text": "text", "txt": "text", "ascii": "text"},
-}
-_META_BYTES = {
-    **dict.fromkeys(("MET_CHAR", "MET_UCHAR"), 1),
-    **dict.fromkeys(("MET_SHORT", "MET_USHORT"), 2),
-    **dict.fromkeys(("MET_INT", "MET_UINT", "MET_LONG", "MET_ULONG", "MET_FLOAT"), 4),
-    **dict.fromkeys(("MET_LONG_LONG", "MET_ULONG_LONG", "MET_DOUBLE"), 8),
-}
-
-
-_MAX_LENGTH = 1e12  # mm
-_MAX_FIELD = 1000
-_MAX_AXES = 16
-
-_NOT_PACKED = (
-    "the voxels are compressed without a CompressedDataSize, or with a HeaderSize: ITK cannot read that",
-    "save the image again, e.g. uncompressed",
-)
-
-# Lines whose length depends on NDims, which must come before them.
-_META_SIZED = frozenset(
-    "NDims DimSize ElementSpacing ElementSize Offset Position Origin TransformMatrix Orientation Rotation "
-    "CenterOfRotation AnatomicalOrientation".split()
-)
-# Without a value libraries take either.
-_META_FLAGS = ("BinaryData", "BinaryDataByteOrderMSB", "ElementByteOrderMSB", "CompressedData")
-
-
 def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     """Read the header of an NRRD.
 
@@ -300,10 +294,6 @@ def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
     else:
         spacing = _numbers(fields.get("spacings", "1 1 1"), "spacings", 3)
     _check_spacing(spacing)
-
-
-#: Bytes after the header that are looked at.
-_REST = 4096
 
 
 def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:

@@ -27,6 +27,8 @@ _TO_LPS = np.diag([-1.0, -1.0, 1.0])
 #: Type codes; others are of FreeSurfer's own kinds, or none.
 _MGH_TYPES = {0: "uint8", 4: "int16", 1: "int32", 3: "float32", 10: "uint16"}
 _AGAIN = "copy or export it again"
+#: Directions are written in single precision, by some with few digits.
+_UNIT_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +114,6 @@ def parse_mgh(path: Path) -> VolumeHeader:
     elif present < needed:
         raise InputError(f"the header announces {needed} bytes of voxels, the file holds {present}", TRUNCATED_HINT)
     return header
-
-
-#: Directions are written in single precision, by some with few digits.
-_UNIT_TOLERANCE = 1e-3
 
 
 def _mgh_geometry(head: Any, shape: tuple[int, ...]) -> Geometry:

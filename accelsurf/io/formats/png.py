@@ -34,6 +34,15 @@ STORED = {
 """Types of values that a TIFF can hold here: bits and sample format (1 unsigned, 2 signed, 3 floating point)."""
 
 TRUNCATED_HINT = "the file is truncated or damaged: copy or export it again"
+_START = b"\x89PNG\r\n\x1a\n"
+_CHANNELS = {0: 1, 2: 3, 3: 4, 6: 4}
+_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
+_ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
+_CHUNK = 1 << 16
+_TRANSPARENT_GREY = ("a grey PNG with transparency given, one without expected", "save it without the alpha channel")
+_MAX_SCALE_BYTES = 64
+#: The parts that say what the pixels are, by colour type: those of a palette, of a colour, of grey.
+_PALETTE, _COLOUR, _GREY = ((b"IHDR", b"IDAT", b"IEND", *more) for more in ((b"PLTE", b"tRNS"), (b"tRNS",), ()))
 
 
 @dataclass(frozen=True)
@@ -69,17 +78,6 @@ class RasterHeader:
     def geometry(self) -> Geometry | None:
         """The grid; None for a PNG, which says it further on."""
         return None if self.spacing is None else Geometry(self.shape, self.spacing)
-
-
-_START = b"\x89PNG\r\n\x1a\n"
-_CHANNELS = {0: 1, 2: 3, 3: 4, 6: 4}
-_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
-_ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
-_CHUNK = 1 << 16
-_TRANSPARENT_GREY = ("a grey PNG with transparency given, one without expected", "save it without the alpha channel")
-_MAX_SCALE_BYTES = 64
-#: The parts that say what the pixels are, by colour type: those of a palette, of a colour, of grey.
-_PALETTE, _COLOUR, _GREY = ((b"IHDR", b"IDAT", b"IEND", *more) for more in ((b"PLTE", b"tRNS"), (b"tRNS",), ()))
 
 
 @dataclass(frozen=True)

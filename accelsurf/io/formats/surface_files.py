@@ -30,6 +30,18 @@ _REMARKS = {
     "stl": re.compile(rb"^[ \t]*(?:end)?solid\b(.*)$", re.MULTILINE | re.IGNORECASE),
     "obj": re.compile(rb"^[ \t]*#(.*)$", re.MULTILINE),
 }
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+#: The spaces that are understood, by their letters: the short and the long name.
+_SPACES: dict[str, Literal["LPS", "RAS", ""]] = {
+    "LPS": "LPS", "LEFTPOSTERIORSUPERIOR": "LPS", "RAS": "RAS", "RIGHTANTERIORSUPERIOR": "RAS",
+}
+_MILLIMETRES = ("MM", "MILLIMETER", "MILLIMETERS", "MILLIMETRE", "MILLIMETRES")
+#: A colour space is none of the world.
+_STATED = (
+    r"(?<![\w-])(?<!color )(?<!colour ){name}[ \t]*=[ \t]*[\"']?[ \t]*"
+    r"((?:left|right)[ _-]+(?:anterior|posterior)[ _-]+(?:superior|inferior)|[\w+-]++)(?![ \t]*=)"
+)
 
 
 def _read(content: bytes, kind: str) -> MeshContent:
@@ -90,10 +102,6 @@ def _silent(logger: logging.Logger) -> Iterator[None]:
         yield
     finally:
         logger.disabled = before
-
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 
 def ply_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | None = None) -> bytes:
@@ -204,18 +212,6 @@ def ascii_name(name: str) -> str:
     'ni?o'
     """
     return name.encode("ascii", "replace").decode()
-
-
-#: The spaces that are understood, by their letters: the short and the long name.
-_SPACES: dict[str, Literal["LPS", "RAS", ""]] = {
-    "LPS": "LPS", "LEFTPOSTERIORSUPERIOR": "LPS", "RAS": "RAS", "RIGHTANTERIORSUPERIOR": "RAS",
-}
-_MILLIMETRES = ("MM", "MILLIMETER", "MILLIMETERS", "MILLIMETRE", "MILLIMETRES")
-#: A colour space is none of the world.
-_STATED = (
-    r"(?<![\w-])(?<!color )(?<!colour ){name}[ \t]*=[ \t]*[\"']?[ \t]*"
-    r"((?:left|right)[ _-]+(?:anterior|posterior)[ _-]+(?:superior|inferior)|[\w+-]++)(?![ \t]*=)"
-)
 
 
 class MeshContent(NamedTuple):

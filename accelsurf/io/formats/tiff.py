@@ -32,6 +32,20 @@ _TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 7: "s", 13: "I", 16: "Q", 18:
 _WHOLE, _OFFSET, _TEXT, _FRACTION = (1, 3, 4, 16), (3, 4, 13, 16, 18), (1, 2, 7), (5,)
 _OF_BIG_TIFF = (16, 18)
 MAX_SAMPLES, ANY = (1 << 16) - 1, 1 << 62
+_MAX_ENTRIES = 4096
+Page = dict[int, tuple[Any, ...]]
+_PLAIN_HINT = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
+_MAX_TILE_EDGE = 1 << 12  # along an edge: a tile is held in memory, whatever the size of the image
+_DIRECTORY_BYTES = 186  # about
+DEFLATE = (8, 32946)
+LZW, PACKBITS = 5, 32773
+_RATIOS = {LZW: budgets.LZW, PACKBITS: budgets.PACKBITS, **dict.fromkeys(DEFLATE, budgets.DEFLATE)}
+_NO_PREDICTOR = (1, PACKBITS)  # packings whose bytes are no differences
+_FIRST_BYTE = 8  # after which strips and directories begin
+#: Types of values by bits and sample format.
+_KINDS = {kind: name for name, kind in STORED.items()} | {
+    **{(1, 1): "uint8", (64, 1): "uint64", (64, 2): "int64", (16, 3): "float16", (64, 3): "float64"}
+}
 
 
 class TagRule(NamedTuple):
@@ -66,9 +80,6 @@ RULES = {
     TILE_BYTES: TagRule("TileByteCounts", _WHOLE, ANY), SUB_PAGES: TagRule("SubIFDs", _OFFSET, 32),
     EXTRA: TagRule("ExtraSamples", most=MAX_SAMPLES), FORMAT: TagRule("SampleFormat", most=MAX_SAMPLES),
 }
-_MAX_ENTRIES = 4096
-
-Page = dict[int, tuple[Any, ...]]
 
 
 class TiffForm(NamedTuple):
@@ -278,20 +289,6 @@ def strips_of(page: Page) -> NDArray[np.int64]:
         raise InputError("strips or tiles of a page of the TIFF overlap", TRUNCATED_HINT)
     return strips
 
-
-_PLAIN_HINT = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
-_MAX_TILE_EDGE = 1 << 12  # along an edge: a tile is held in memory, whatever the size of the image
-_DIRECTORY_BYTES = 186  # about
-
-DEFLATE = (8, 32946)
-LZW, PACKBITS = 5, 32773
-_RATIOS = {LZW: budgets.LZW, PACKBITS: budgets.PACKBITS, **dict.fromkeys(DEFLATE, budgets.DEFLATE)}
-_NO_PREDICTOR = (1, PACKBITS)  # packings whose bytes are no differences
-_FIRST_BYTE = 8  # after which strips and directories begin
-#: Types of values by bits and sample format.
-_KINDS = {kind: name for name, kind in STORED.items()} | {
-    **{(1, 1): "uint8", (64, 1): "uint64", (64, 2): "int64", (16, 3): "float16", (64, 3): "float64"}
-}
 
 @dataclass(frozen=True)
 class TiffHeader(RasterHeader):

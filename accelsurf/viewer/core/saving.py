@@ -107,8 +107,8 @@ def _write(
         kinds[RUN_FILE] = "run"
     content = outputs.preview_content(result, outputs.outcome_title(name, result))
     image = io.sha256(source) if source is not None and "state" in names else None
-    written = outputs.write_result(result, files.staging, names, content, image=image)
-    kinds |= {path.name: kind for kind, path in written}
+    by_kind = outputs.write_result(result, files.staging, names, content, image=image)
+    kinds |= {path.name: kind for kind, path in by_kind}
     last = None
     if "report" in paths:
         last = paths["report"].name
