@@ -24,8 +24,8 @@ _MM_PER_UNIT = {
 }  # fmt: skip
 #: Seconds of the units of time.
 _SECONDS_PER_UNIT = {
-    **dict.fromkeys(("ns", "nanosecond"), 1e-9), **dict.fromkeys(("\u00b5s", "\u03bcs", "microsecond"), 1e-6),
-    **dict.fromkeys(("ms", "msec", "millisecond"), 1e-3), **dict.fromkeys(("s", "sec", "second"), 1.0),
+    **dict.fromkeys(("ns", "nanosecond"), 1e-9), **dict.fromkeys(("\u00b5s", "\u03bcs", "us", "microsecond"), 1e-6),
+    **dict.fromkeys(("ms", "msec", "millisecond"), 1e-3), **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
     **dict.fromkeys(("min", "minute"), 60.0), **dict.fromkeys(("h", "hour"), 3600.0),
     **dict.fromkeys(("d", "day"), 86400.0),
 }  # fmt: skip

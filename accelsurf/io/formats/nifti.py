@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import struct
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -28,8 +28,7 @@ from accelsurf.io.channels import MAX_CHANNELS, selected, single
 from accelsurf.io.formats.deflate import GZIP_START, TRUNCATED_HINT, first_bytes, inflate
 from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
-from accelsurf.io.headers import single_precision, split_name
-from accelsurf.io.sequences.sequence_files import extensions_in, times_text_in
+from accelsurf.io.headers import TIMES_KEY, single_precision, split_name
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
@@ -37,6 +36,8 @@ ITK_NAME = "NiftiImageIO"
 """The class of ITK that reads and writes the format."""
 HEADER_BYTES = {1: 348, 2: 540}
 """Length of the header by the version of the format; a file begins with it."""
+COMMENT_CODE = 6
+"""The code of an extension of the header with a text."""
 _BEGINNINGS = {
     struct.pack(order + "i", count): (version, order) for version, count in HEADER_BYTES.items() for order in "<>"
 }
@@ -238,7 +239,7 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
             file.seek(0)
             start = first_bytes(file, max(HEADER_BYTES.values()))
         header = parse_header(start)
-        times_text = times_text_in(_extensions(file, header, compressed)) if len(header.size) > 3 else ""
+        times_text = _times_text_in(_extensions(file, header, compressed)) if len(header.size) > 3 else ""
     if times_text:  # frames that are counted have no unit, but times
         header = replace(header, says_time=True)
     header.grid.check_forms()
@@ -271,7 +272,33 @@ def _extensions(file: BinaryIO, header: NiftiHeader, compressed: bool) -> list[t
         return []
     file.seek(0)
     raw = first_bytes(file, end) if compressed else file.read(end)
-    return list(extensions_in(raw[begin:], _BEGINNINGS[raw[:4]][1]))
+    return list(_extensions_in(raw[begin:], _BEGINNINGS[raw[:4]][1]))
+
+
+def _extensions_in(raw: bytes, order: str) -> Iterator[tuple[int, str]]:
+    """Code and text of each extension of a NIfTI.
+
+    Parameters
+    ----------
+    raw : bytes
+        What lies between the header with its four flags and the voxels.
+    order : str
+        Byte order of the header.
+    """
+    at = 0
+    while at + 8 <= len(raw):
+        size, code = struct.unpack_from(f"{order}2i", raw, at)
+        if size < 16 or at + size > len(raw):
+            break
+        yield code, raw[at + 8 : at + size].rstrip(b"\0").decode("utf-8", errors="replace")
+        at += size
+
+
+def _times_text_in(extensions: Iterable[tuple[int, str]]) -> str:
+    """The line with the times among the extensions of a NIfTI; empty where none has it."""
+    begin = f"{TIMES_KEY}: "
+    found = (text.removeprefix(begin) for code, text in extensions if code == COMMENT_CODE and text.startswith(begin))
+    return next(found, "")
 
 
 read_plain_header = partial(read_header, compressed=False)

@@ -23,9 +23,8 @@ from accelsurf.io.headers import TIMES_KEY
 from accelsurf.settings import budgets
 from accelsurf.settings.labels import LabelEntry
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+from accelsurf.settings.wording import seconds_of
 
-#: Seconds of a unit of time.
-SECONDS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 #: Kinds of an axis of space, of time points, and of none that is said; along the others lie the values of a voxel.
 _SPACE, _TIME, _SAYS_NOTHING = ("domain", "space"), ("time",), ("", "???", "none", "list")
 _NUMBER = re.compile(r"[0-9.eE+-]{1,30}")
@@ -135,9 +134,9 @@ def _place(kinds: Sequence[str], directions: str) -> tuple[int, bool]:
 def _times_of_slicer(said: Mapping[str, str], fields: Mapping[str, str], count: int) -> str:
     """The line of `accelsurf.io.headers` with the times of a sequence of 3D Slicer; empty where it has none."""
     units = re.findall(r'"([^"]*)"', fields.get("units", ""))
-    factor = SECONDS.get((said.get("axis 0 index unit") or (units[0] if units else "")).lower())
+    factor = seconds_of((said.get("axis 0 index unit") or (units[0] if units else "")).lower())
     words = said.get("axis 0 index values", "").replace(",", " ").split()
-    if factor is None or len(words) != count or not all(map(_NUMBER.fullmatch, words)):
+    if not factor or len(words) != count or not all(map(_NUMBER.fullmatch, words)):
         return ""
     try:
         times = [float(word) * factor for word in words]
@@ -156,7 +155,7 @@ def _seconds(fields: Mapping[str, str]) -> float | None:
     if len(steps) != 4 or len(units) != 4 or _NUMBER.fullmatch(steps[3].strip()) is None:
         return None
     try:
-        seconds = float(steps[3]) * SECONDS.get(units[3], 0.0)
+        seconds = float(steps[3]) * seconds_of(units[3])
     except ValueError:
         return None
     return seconds if math.isfinite(seconds) and seconds > 0 else None
@@ -236,7 +235,7 @@ def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     _check_nrrd_axes(fields, len(sizes))
     axis = fourth_axis(fields, lines, sizes)
     said = " ".join(fields.get(key, "") for key in ("space units", "units")).replace('"', " ").split()
-    _check_units([unit for unit in said if unit not in SECONDS])
+    _check_units([unit for unit in said if not seconds_of(unit)])
     data = path
     if detached := fields.get("data file") or fields.get("datafile"):
         data, offset = _detached(path, detached), 0

@@ -9,13 +9,14 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from accelsurf.io.formats.deflate import gzip_file
+from accelsurf.io.formats.nifti import COMMENT_CODE
 from accelsurf.io.headers import TIMES_KEY, single_precision
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
 _RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 _MAX_AXIS = 2**15 - 1
-_COMMENT = 6
 _NRRD_TYPES = {"i1": "int8", "u1": "uint8", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint",
                "i8": "longlong", "u8": "ulonglong", "f4": "float", "f8": "double"}  # fmt: skip
 _META_TYPES = {"i1": "MET_CHAR", "u1": "MET_UCHAR", "i2": "MET_SHORT", "u2": "MET_USHORT", "i4": "MET_INT",
@@ -77,33 +77,7 @@ def _nifti_header(frames: FrameStack) -> bytes:
 def _extension(text: str) -> bytes:
     content = f"{TIMES_KEY}: {text}".encode()
     size = -(-(len(content) + 8) // 16) * 16
-    return struct.pack("<2i", size, _COMMENT) + content.ljust(size - 8, b"\0")
-
-
-def extensions_in(raw: bytes, order: str) -> Iterator[tuple[int, str]]:
-    """Code and text of each extension of a NIfTI.
-
-    Parameters
-    ----------
-    raw : bytes
-        What lies between the header with its four flags and the voxels.
-    order : str
-        Byte order of the header.
-    """
-    at = 0
-    while at + 8 <= len(raw):
-        size, code = struct.unpack_from(f"{order}2i", raw, at)
-        if size < 16 or at + size > len(raw):
-            break
-        yield code, raw[at + 8 : at + size].rstrip(b"\0").decode("utf-8", errors="replace")
-        at += size
-
-
-def times_text_in(extensions: Iterable[tuple[int, str]]) -> str:
-    """The line with the times among the extensions of a NIfTI; empty where none has it."""
-    begin = f"{TIMES_KEY}: "
-    found = (text.removeprefix(begin) for code, text in extensions if code == _COMMENT and text.startswith(begin))
-    return next(found, "")
+    return struct.pack("<2i", size, COMMENT_CODE) + content.ljust(size - 8, b"\0")
 
 
 def write_nrrd(path: Path, frames: FrameStack) -> None:
