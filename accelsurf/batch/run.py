@@ -271,7 +271,7 @@ def task_of(task: CaseTask) -> CaseTask:
     if config.layout == "plain" or isinstance(task.config, TrackConfig):
         return replace(task, folder=folder / case.id)
     try:
-        layouts.check(config, case.image, folder, case.id)
+        layouts.check_layout(config, case.image, folder, case.id)
     except UsageError as error:
         raise UsageError(f"{case.place}: {error.message}", error.hint) from None
     laid_out = layouts.folder_of(config, case.image, folder)

@@ -189,7 +189,7 @@ def _truth_of(task: CaseTask) -> Volume | None:
     """The reference of a case; refused before anything is computed where it lies on another grid than the image."""
     if task.case.reference is None:
         return None
-    image = channels.read(task.case.image, task.run.reading)[0]
+    image = channels.read_channels(task.case.image, task.run.reading)[0]
     truth = read_labels(task.case.reference, grid=image.geometry)
     check_reference(truth, image)
     return truth

@@ -128,7 +128,7 @@ class Place:
         UsageError
             When the image cannot be in that layout.
         """
-        layouts.check(config, self.source, self.folder, self.name)
+        layouts.check_layout(config, self.source, self.folder, self.name)
         return replace(self, folder=layouts.folder_of(config, self.source, self.folder))
 
     def paths(self, config: RunConfig) -> dict[str, Path]:
@@ -370,7 +370,7 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
     from accelsurf.io.formats.nifti import import_nibabel_for
 
     log.timed("load", lambda: import_nibabel_for(place.source))
-    volume, *more = log.timed("load", lambda: channels.read(place.source, config.reading))
+    volume, *more = log.timed("load", lambda: channels.read_channels(place.source, config.reading))
     log.timed("load", lambda: log.take_checksum(place.source))
     check_formats(place, config, volume, log)
     return [volume, *more]
@@ -391,9 +391,9 @@ def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> 
     if note := volume.metadata.get(io.WARNING_KEY):
         log.warnings.append(note)
     labels = place.label_format(config)
-    output_names.check(config, labels, volume.geometry)
-    label_files.check(config, volume, place.overwrite)
-    mesh_files.check(config)
+    output_names.check_outputs(config, labels, volume.geometry)
+    label_files.check_label_settings(config, volume, place.overwrite)
+    mesh_files.check_mesh_settings(config)
     if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
         keeps_size = IMAGE_FORMATS[labels].keeps != "none"
         what = "the size of a pixel but not" if keeps_size else "neither the size of a voxel nor"

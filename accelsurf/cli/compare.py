@@ -76,7 +76,7 @@ def compare(
     from accelsurf import io
     from accelsurf.cli.case import check_reference
     from accelsurf.cli.progress import Watcher
-    from accelsurf.io.channels import read as read_channels
+    from accelsurf.io.channels import read_channels
     from accelsurf.output.document import describe_input
     from accelsurf.output.folder import inputs_of, opened_set, refuse_existing
 

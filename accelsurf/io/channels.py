@@ -145,7 +145,7 @@ def to_grey(array: NDArray[Any]) -> tuple[NDArray[Any], str]:
     return grey, "; ".join(notes)
 
 
-def read(
+def read_channels(
     path: str | os.PathLike[str], options: ReadOptions = AS_IT_IS, *, outside_data: bool = False
 ) -> list[Volume]:
     """Read an image of one or more channels.
@@ -200,4 +200,4 @@ def read_further(paths: tuple[str, ...], options: ReadOptions = AS_IT_IS) -> lis
     """
     if any(not path for path in paths):
         raise UsageError("channel: nothing was given, expected a file", "write --channel FILE")
-    return [volume for path in paths for volume in read(path, options.restricted_to(headers.options_of(path)))]
+    return [volume for path in paths for volume in read_channels(path, options.restricted_to(headers.options_of(path)))]

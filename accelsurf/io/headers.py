@@ -1,6 +1,7 @@
-"""Formats of files, by the ending of their names; what their headers say, also of the times of frames.
+"""Headers of images: the format of a file, by its name or its content, and what its header says before voxels are read.
 
-Files give times as a step and its unit, or where that cannot say them, as a line of text (`FrameTimes.text`).
+A header may name files in its own folder only (`outside_data_allowed`). Metadata have the keys given here. Times of
+frames are a step and its unit, or where these cannot say them, a line of text (`FrameTimes.text`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""A label map on a grid that is written box by box, and is never in memory as a whole.
+"""Label maps written box by box, never in memory as a whole; and label maps put on the grid of their image.
 
-Label maps of formats that store only where labels are, as DICOM segmentations, put on the grid of an image.
+A format that stores only voxels near labels, as DICOM segmentations do, has a grid of its own.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Closed meshes: read from files, their repeated corners made one, and as sets of voxels.
+"""Closed meshes: read from files, corners that were written several times joined, and as sets of voxels.
 
 Many programs write each triangle with corners of its own, so that an edge is shared only where the numbers agree.
 Where they agree except for rounding, the surface is closed all the same.
@@ -38,7 +38,7 @@ MAX_COORDINATE = 1e12
 BATCH_ROWS = 1 << 17
 
 
-def read(path: str | Path, space: str = "") -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def read_mesh(path: str | Path, space: str = "") -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Read a closed mesh; points that are RAS are turned to LPS, by half a turn about z.
 
     Parameters
@@ -121,7 +121,7 @@ def closed_mesh(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[
     # Zeros have a sign.
     points, same = np.unique(points[named] + 0.0, axis=0, return_inverse=True)
     triangles = same.reshape(-1)[triangles.reshape(-1, 3)]
-    triangles, open_edges = closed(points, triangles)
+    triangles, open_edges = closed_triangles(points, triangles)
     if len(triangles) == 0:
         raise InputError("no triangle in it, expected a closed surface", "is the file complete?")
     if open_edges:
@@ -133,7 +133,7 @@ def closed_mesh(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[
     return points[named], triangles.reshape(-1, 3)
 
 
-def closed(points: Floats, triangles: Ints) -> tuple[Ints, int]:
+def closed_triangles(points: Floats, triangles: Ints) -> tuple[Ints, int]:
     """Triangles of a closed surface with the same points, and how many edges are open: 0, or they are as they were.
 
     Parameters
@@ -264,7 +264,7 @@ def edges_of(triangles: Ints) -> Edges:
     return Edges(np.stack(np.divmod(keys, width), axis=1), counts, number.reshape(-1, 3))
 
 
-def inside(
+def voxels_in_mesh(
     path: str | Path, geometry: Geometry, space: str = "", box: Box | None = None
 ) -> NDArray[np.bool_]:
     """Voxels of a grid, or of a box of it, whose centres are inside a closed mesh.
@@ -276,7 +276,7 @@ def inside(
     geometry : Geometry
         The grid.
     space : {"", "lps", "ras"}
-        What its points are, as of `read`.
+        What its points are, as of `read_mesh`.
     box : tuple of slice, optional
         By default the whole grid.
 
@@ -287,9 +287,9 @@ def inside(
     Raises
     ------
     InputError
-        As `read`.
+        As `read_mesh`.
     """
-    points, triangles = read(path, space)
+    points, triangles = read_mesh(path, space)
     index = geometry.world_to_index(points)
     if box is None:
         return voxels_inside(index, triangles, geometry.shape)

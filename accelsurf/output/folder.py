@@ -1,6 +1,6 @@
-"""The folder of a run's files: whether it can take them, what may be replaced there, and errors that name them.
+"""The folder of a run's files: is it writable, what may be replaced in it, and which files are inputs of the run.
 
-The files that a run reads: they are what it may not write.
+Inputs are never replaced. Errors name the files as they will be called.
 """
 
 from __future__ import annotations

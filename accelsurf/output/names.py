@@ -105,7 +105,7 @@ def _is_table_of_clicks(objects: str | None) -> bool:
         return False
 
 
-def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
+def check_outputs(config: RunConfig, labels: str, geometry: Geometry) -> None:
     """Refuse formats that cannot hold the results on this grid.
 
     Raises

@@ -1,6 +1,7 @@
-"""The files of a run, each written completely; `output_names` says which.
+"""The files of a run, each written completely, from the result and the settings of the run.
 
-The meshes of a result as its settings want them: smoother or coarser, with names and colours, and their figures.
+Meshes are smoothed, simplified, named and coloured as the settings say. `accelsurf.output.names` has the names of all
+files, `accelsurf.output.folder` the place.
 """
 
 from __future__ import annotations
@@ -295,7 +296,7 @@ def is_shaped(config: RunConfig) -> bool:
     return bool(config.mesh_smooth or config.mesh_faces or config.mesh_error)
 
 
-def check(config: RunConfig) -> None:
+def check_mesh_settings(config: RunConfig) -> None:
     """Refuse meshes that cannot be made coarser here, before anything is computed.
 
     Raises

@@ -1,8 +1,7 @@
-"""Configuration files: TOML read with an error that helps, and written without loss.
+"""Configuration files in TOML, and the values of settings as people write them: volumes, times, lengths, bounds, lists.
 
-Written by hand and not by tomli-w: its lists take a line for each item, and it may put tables of edits on one line.
-
-Values of settings as people write them: volumes, times, lengths, bounds and lists, read and checked.
+Files are read with errors that help, and written without loss: by hand and not by tomli-w, whose lists take a line for
+each item, and which may put tables of corrections on one line.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _BOUNDS = re.compile(rf"({_NUMBER})?,({_NUMBER})?")
 _MESH_PARTS = re.compile(r"\s*([0-9.]+(?:e-?[0-9]+)?)\s*(mm|um)?\s*")
 
 
-def read(path: str | Path) -> dict[str, Any]:
+def read_toml(path: str | Path) -> dict[str, Any]:
     """Read a TOML file as a dictionary.
 
     Parameters
@@ -68,7 +67,7 @@ def read(path: str | Path) -> dict[str, Any]:
         ) from None
 
 
-def written(values: Mapping[str, Any], tables: Sequence[str]) -> str:
+def toml_text(values: Mapping[str, Any], tables: Sequence[str]) -> str:
     """Return values as TOML: a line for each but those that are None, and a table for each item of some of them.
 
     Parameters
@@ -80,7 +79,7 @@ def written(values: Mapping[str, Any], tables: Sequence[str]) -> str:
 
     Examples
     --------
-    >>> print(written({"cfl": 0.5, "mask": None, "edit": [{"step": 3}]}, tables=["edit"]), end="")
+    >>> print(toml_text({"cfl": 0.5, "mask": None, "edit": [{"step": 3}]}, tables=["edit"]), end="")
     cfl = 0.5
     <BLANKLINE>
     [[edit]]

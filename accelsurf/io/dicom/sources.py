@@ -1,13 +1,9 @@
-"""The DICOM files of a path: of a folder and those in it, of an archive, or of the series of one file.
+"""The DICOM files of a path, one of them read, and its elements as texts and numbers.
 
-The packages pydicom and highdicom, which are an extra, and reading one file.
-
-A file is read as one that somebody may have cut, damaged or made up: no read asks for more bytes than there are, and a
-deflated one unpacks to no more than `accelsurf.settings.budgets.DICOM_DEFLATED`.
-
-Elements of a DICOM data set as texts and numbers, whatever a file has made of them.
-
-Kinds of DICOM objects that are no slices of a volume.
+A path is a folder, an archive, or one file of a series. Somebody may have cut, damaged or made up a file: no read asks
+for more bytes than there are, a deflated file unpacks to no more than `accelsurf.settings.budgets.DICOM_DEFLATED`, and
+an element may hold anything. Objects that are no slices of a volume are named by their kind. The packages pydicom and
+highdicom are an extra, and imported when they are needed.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Slices put together: the volumes of each series, and what is none.
+"""The volumes of each series, put together from slices, and the files that are left out of them.
 
-Slices at the same places at several times: the frames of a sequence.
+Slices at the same places at several times are the frames of a sequence.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
-"""NIfTI-1 and NIfTI-2 files: their headers, and their voxels.
+"""NIfTI-1 and NIfTI-2 files: their headers with the extensions, and their voxels.
 
 ITK repairs, guesses and forgets: it reads a file without voxels as zeros, takes a negative pixdim as a mirrored axis,
 falls back on the qform when the sform is sheared, and writes both codes as 1. So the header is read here first,
 and the fields that place the grid are put back after writing. nibabel takes the header apart; its own checks, which
-repair too, are not used.
-
-nibabel for programs that read voxels: without pydicom, which takes longer to import than nibabel itself.
+repair too, are not used. It is imported without pydicom, which takes longer to import than nibabel itself.
 """
 
 from __future__ import annotations

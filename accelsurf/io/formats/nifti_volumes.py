@@ -1,10 +1,10 @@
-"""NIfTI volumes: ITK writes them, and places those of version 1 in the world; the voxels are read here.
+"""NIfTI volumes: read, opened, written whole or box by box, with names and colours of labels.
 
-ITK turns NaN and infinity into 0 without a word, ignores small slopes, and reads voxels from places in the header.
-
-A plain NIfTI is also written box by box, into a file that is sparse where nothing was written. Where an axis has more
-than 32767 voxels it is a NIfTI-2. Names and colours of a label map are in an extension of the header with the code 30
-(CARET), as XML of Connectome Workbench; programs that do not know it read the file as any other.
+ITK writes them, and places those of version 1 in the world; the voxels are read here, since ITK turns NaN and infinity
+into 0 without a word, ignores small slopes, and reads voxels from places in the header. Box by box a plain NIfTI is
+written into a file that is sparse where nothing was written; it is a NIfTI-2 where an axis has more than 32767 voxels.
+Names and colours are in an extension of the header with the code 30 (CARET), as XML of Connectome Workbench; programs
+that do not know it read the file as any other.
 """
 
 from __future__ import annotations

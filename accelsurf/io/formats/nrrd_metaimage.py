@@ -1,4 +1,4 @@
-"""NRRD and MetaImage: what their text headers claim, and the lines of an NRRD header that place the grid.
+"""NRRD and MetaImage: the claims of their text headers, and the lines of an NRRD header that place the grid.
 
 ITK reads the voxels. It takes any unit for mm, and for some damaged headers it returns uninitialized memory. So the
 headers are read here first. A segmentation of 3D Slicer is an NRRD with the names and colours of its segments.
@@ -426,7 +426,7 @@ def _check_units(units: list[str]) -> None:
             )
 
 
-def is_anatomical(metadata: Mapping[str, str]) -> bool:
+def is_nrrd_anatomical(metadata: Mapping[str, str]) -> bool:
     """Test if an NRRD names its space by a patient's axes."""
     return "space: left-" in metadata.get(NRRD_KEY, "")
 

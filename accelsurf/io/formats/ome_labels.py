@@ -24,7 +24,7 @@ _NAME = re.compile(r"[0-9A-Za-z][0-9A-Za-z_.-]{0,63}")
 _VERSION, _GROUP, _MARK = "0.5", "labels", "zarr.json"
 
 
-def check(image: Path, name: str, overwrite: bool) -> Path:
+def check_label_group(image: Path, name: str, overwrite: bool) -> Path:
     """Refuse beforehand what cannot be written.
 
     Parameters
@@ -90,7 +90,7 @@ def put(image: Path, labels: Volume, name: str, overwrite: bool) -> Path:
     OutputError
         When it cannot be written; the image and the other label maps are as they were.
     """
-    check(image, name, overwrite)
+    check_label_group(image, name, overwrite)
     group = ome_zarr.parse_ome_zarr(image).folder / _GROUP
     try:
         group.mkdir(exist_ok=True)

@@ -280,7 +280,7 @@ def _placed(
     return direction, with_warnings(metadata | {ORIENTED_KEY: "yes"}, *notes)
 
 
-def is_oriented(metadata: Mapping[str, str]) -> bool:
+def is_ome_anatomical(metadata: Mapping[str, str]) -> bool:
     """Test if the axes of an OME-Zarr have an anatomical orientation."""
     return ORIENTED_KEY in metadata
 

@@ -152,7 +152,7 @@ def read_mgh(path: Path, header: VolumeHeader, available: int) -> Volume:
     return Volume(stored.astype(header.dtype), header.geometry, {"mgh": "scanner"}, path)
 
 
-def is_anatomical(metadata: dict[str, str]) -> bool:
+def is_mgh_anatomical(metadata: dict[str, str]) -> bool:
     """True if the axes of the world are a patient's: FreeSurfer's are."""
     return "mgh" in metadata
 

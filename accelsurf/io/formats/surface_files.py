@@ -1,8 +1,7 @@
-"""Surface files: PLY, STL, OBJ, VTP. Without a label they have neither name nor colour.
+"""Surface files, PLY, STL, OBJ and VTP, with the space and the unit that their headers say.
 
-trimesh reads them, all but VTP, and writes none with a comment that says the space of the points.
-
-Space and unit in the header of a mesh: ``SPACE=RAS``, as 3D Slicer and accelsurf write it.
+trimesh reads them, all but VTP. It writes no comment with the space of the points (``SPACE=RAS``, as 3D Slicer has it),
+so they are written here; name and colour are those of the label, if there is one.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Write sequences of images, frame by frame in any order: one file with a time axis, or a file for each frame."""
+"""Sequences written frame by frame, in any order: one file with a time axis, or a file for each frame."""
 
 from __future__ import annotations
 

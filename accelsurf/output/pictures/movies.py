@@ -49,7 +49,7 @@ def check_target(path: Path, size: tuple[int, int]) -> None:
         raise UsageError("webp: Pillow was built without it here", "take .mp4 or .gif")
 
 
-def write(path: Path, frames: Iterable[Picture], size: tuple[int, int], fps: float) -> int:
+def write_movie(path: Path, frames: Iterable[Picture], size: tuple[int, int], fps: float) -> int:
     """Write frames as a movie by suffix; the file appears whole or not at all. Returns how many there were.
 
     Parameters

@@ -73,8 +73,8 @@ def save(
         raise UsageError("there is no surface to save", "go back, or restart")
     suffix = "" if source is None else io.split_name(source)[1]
     labels = output_names.label_format(config, suffix)
-    output_names.check(config, labels, run.volume.geometry)
-    label_files.check(config, run.volume)
+    output_names.check_outputs(config, labels, run.volume.geometry)
+    label_files.check_label_settings(config, run.volume)
     inputs = inputs_of(source, result.config) if source is not None else named_files(result.config)
     with output_folder.opened_set(folder, name, inputs) as files:
         what = _all_beside_report(folder / result_sets.report_name(name), what)
