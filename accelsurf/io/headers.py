@@ -73,10 +73,8 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any
         describe a grid.
     """
     form = format_of(path)
-    if not path.exists():
-        return form, _header(form, path, options)
     header = _header(form, path, options)
-    if path.is_dir():
+    if not path.is_file():  # a folder, a pattern, or an array in an archive
         return form, header
     data = getattr(header, "data", path)
     if data != path and not _OUTSIDE_DATA.get():

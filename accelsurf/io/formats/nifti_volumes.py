@@ -68,8 +68,7 @@ def read_nifti(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
         return _read_some(path, header, [number], available)[0]
     scaled = (fields.slope, fields.intercept) != (1.0, 0.0) or not fields.voxel_type.isnative
     check_memory(fields.size, fields.voxel_type.itemsize + (8 if scaled else 0), available)
-    if header.encoding != "deflate":  # packed voxels are counted, and their checksum verified, while they are read
-        header.check_complete()
+    # Packed voxels are counted, and their checksum verified, while they are read.
     geometry = itk.geometry_of(itk.open_reader(path, header.itk_name))
     return Volume(nifti.read_volumes(header, [0])[0], geometry, _metadata(header, geometry), path)
 

@@ -12,7 +12,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,28 +46,31 @@ _PALETTE, _COLOUR, _GREY = ((b"IHDR", b"IDAT", b"IEND", *more) for more in ((b"P
 
 
 @dataclass(frozen=True)
-class RasterHeader:
-    """Claims of the header of a PNG or TIFF.
+class PngHeader:
+    """Claims of the header of a PNG, and the check that all of it is there.
 
     Attributes
     ----------
     data : Path
         The file.
     shape : tuple of int
-        (pages, rows, columns).
+        (1, rows, columns).
     spacing : tuple of float or None
-        mm, (z, y, x); None for a PNG, which says it further on.
+        mm, (z, y, x); None where it was not given: the file says it further on.
     pixel_bytes : int
         Bytes that a pixel takes in memory, with all its colours.
+    unpacked_bytes : int
+        Bytes of all rows when unpacked.
+    colour : int
+        Colour type.
     """
-
-    itk_name: ClassVar[str]
-    """The format, as ITK names the class that reads it."""
 
     data: Path
     shape: tuple[int, int, int]
     spacing: tuple[float, float, float] | None
     pixel_bytes: int
+    unpacked_bytes: int
+    colour: int
 
     @property
     def values(self) -> int:
@@ -76,27 +79,8 @@ class RasterHeader:
 
     @property
     def geometry(self) -> Geometry | None:
-        """The grid; None for a PNG, which says it further on."""
+        """The grid; None where the file says it further on."""
         return None if self.spacing is None else Geometry(self.shape, self.spacing)
-
-
-@dataclass(frozen=True)
-class PngHeader(RasterHeader):
-    """Claims of the header of a PNG, and the check that all of it is there.
-
-    Attributes
-    ----------
-    unpacked_bytes : int
-        Bytes of all rows when unpacked.
-    colour : int
-        Colour type.
-    """
-
-    itk_name: ClassVar[str] = "PNGImageIO"
-
-    unpacked_bytes: int
-
-    colour: int
 
     def copy_checked(self, out: BinaryIO) -> tuple[float, float] | None:
         """Copy the parts that say what the pixels are; refuse a PNG that is cut short or damaged.
@@ -191,7 +175,7 @@ def read_png(path: Path, header: PngHeader, available: int) -> Volume:
     with itk.copied(".png") as (copy, out):
         scale = header.copy_checked(out)
         out.close()
-        array, note = itk.array_of(copy, header.itk_name), ""
+        array, note = itk.array_of(copy, "PNGImageIO"), ""
     if array.ndim > 2:
         array, note = to_grey(array)
     if array.shape != header.shape[1:]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.formats.png import STORED, TRUNCATED_HINT, RasterHeader
+from accelsurf.io.formats.png import STORED, TRUNCATED_HINT
 from accelsurf.settings import budgets
 
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = 254, 256, 257, 258, 259, 262, 270
@@ -291,11 +291,17 @@ def strips_of(page: Page) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True)
-class TiffHeader(RasterHeader):
+class TiffHeader:
     """Claims of the directories of a TIFF, and the check that all of it is there.
 
     Attributes
     ----------
+    data : Path
+        The file.
+    shape : tuple of int
+        (pages, rows, columns).
+    pixel_bytes : int
+        Bytes that a pixel takes in memory, with all its colours.
     strip_bytes : ndarray (m,) of int64
         Bytes of each of the strips or tiles of a page when unpacked.
     strips : ndarray (n, 2) of int64
@@ -316,6 +322,9 @@ class TiffHeader(RasterHeader):
         Which value of each pixel is read, where it has several that are no colour.
     """
 
+    data: Path
+    shape: tuple[int, int, int]
+    pixel_bytes: int
     strip_bytes: NDArray[np.int64]
     strips: NDArray[np.int64]
     compression: int
@@ -370,9 +379,7 @@ class TiffHeader(RasterHeader):
             )
 
 
-def header_of(
-    path: Path, form: TiffForm, pages: Mapping[int, Page], spacing: tuple[float, float, float], repeats: int = 1
-) -> TiffHeader:
+def header_of(path: Path, form: TiffForm, pages: Mapping[int, Page], repeats: int = 1) -> TiffHeader:
     """Collect the claims of the directories of like pages.
 
     Parameters
@@ -383,8 +390,6 @@ def header_of(
         How it is written.
     pages : mapping of int to Page
         Where each begins, and its tags.
-    spacing : tuple of float
-        (z, y, x) in mm.
     repeats : int
         How many pages follow the rows of the only directory, its own among them.
 
@@ -424,7 +429,7 @@ def header_of(
     ends = np.cumsum([len(some) for some in strips], dtype=np.int64) if repeats == 1 else np.arange(1, repeats + 1)
     strip_bytes = np.array([page_bytes]) if planes is not None else _strip_bytes(page, width, height, strips)
     return TiffHeader(
-        path, (len(places), height, width), spacing, pixel, strip_bytes, np.concatenate(strips), compression,
+        path, (len(places), height, width), pixel, strip_bytes, np.concatenate(strips), compression,
         places, stored, planes, ends, page.get(PHOTOMETRIC, (1,))[0] == 0,
     )
 
