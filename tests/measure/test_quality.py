@@ -15,7 +15,7 @@ from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.image.volume import Volume
 from accelsurf.measure import quality
 from accelsurf.measure.metrics import dice
-from accelsurf.measure.quality import PlateauNote, assess, click_features, features
+from accelsurf.measure.quality import PlateauNote, ValueRange, assess, click_features, features
 from accelsurf.output.document import describe_quality, to_json
 from accelsurf.starts import starts
 from tests.support.records import step_record
@@ -322,7 +322,7 @@ def test_it_takes_less_memory_than_the_solver():
     inside = (ax[:, None, None] ** 2 + ax[:, None] ** 2 + ax**2 < 70**2).astype(np.uint8)
     image = inside.astype(np.float32)
     tracemalloc.start()
-    assess(inside, image, Geometry(inside.shape, (1.0, 1.0, 1.0)), [], DONE, (0.5, 1.5))
+    assess(inside, image, Geometry(inside.shape, (1.0, 1.0, 1.0)), [], DONE, ValueRange(0.5, 1.5))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 16 * inside.size
