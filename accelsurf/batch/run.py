@@ -215,7 +215,7 @@ class Batch:
                     observer.ended(outcome, left.after(id, time.monotonic() - began))
 
     def end_early(self, pool: Pool, tables: Tables, exit_code: int) -> None:
-        """End what runs, remove its drafts, and write the tables as they are.
+        """End what runs, remove its staging files, and write the tables as they are.
 
         Parameters
         ----------
@@ -271,7 +271,7 @@ def task_of(task: CaseTask) -> CaseTask:
     if config.layout == "plain" or isinstance(task.config, TrackConfig):
         return replace(task, folder=folder / case.id)
     try:
-        layouts.check(config, case.image, folder, case.id)
+        layouts.check_layout(config, case.image, folder, case.id)
     except UsageError as error:
         raise UsageError(f"{case.place}: {error.message}", error.hint) from None
     laid_out = layouts.folder_of(config, case.image, folder)

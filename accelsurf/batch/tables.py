@@ -140,7 +140,7 @@ class Tables:
                 self._names.report: to_json(self._report(status, exit_code)) + "\n",
             }
             for name, text in contents.items():
-                write_bytes(self._files.drafts / name, text.encode())
+                write_bytes(self._files.staging / name, text.encode())
             self._files.commit(last=self._names.report)
         self._written = time.monotonic()
         self._cost = self._written - began

@@ -177,7 +177,7 @@ def _configs(
     """
     from accelsurf.settings import toml
 
-    below, given = toml.read(file) if file is not None else {}, given_options(settings)
+    below, given = toml.read_toml(file) if file is not None else {}, given_options(settings)
     for key in given:
         name = "--" + key.replace("_", "-")
         if options.track and key not in (*FRAME_SETTINGS, *TrackFields.model_fields):

@@ -93,7 +93,7 @@ def run_on_cluster(task: CaseTask) -> Outcome:
 
 
 def lost_outcome(task: CaseTask, failure: Failure) -> Outcome:
-    """Return the line of a case whose worker could not say how it ended; remove its drafts, and write its report.
+    """Return the line of a case whose worker did not say how it ended; remove its staging files, write its report.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def lost_outcome(task: CaseTask, failure: Failure) -> Outcome:
     with redirect_stderr(io.StringIO()):
         if isinstance(task.config, TrackConfig):
             track_case.report_failure(track_case.TrackCase(place_of(task), task.config), error)
-        elif failure.kind != "error":  # a run that ended with an exception has removed its drafts and has a report
+        elif failure.kind != "error":  # an exception has removed the staging files and written a report
             report_failure(place_of(task), error)
     return _failed(task, failure.message, hint, code, failure.details)
 
@@ -189,7 +189,7 @@ def _truth_of(task: CaseTask) -> Volume | None:
     """The reference of a case; refused before anything is computed where it lies on another grid than the image."""
     if task.case.reference is None:
         return None
-    image = channels.read(task.case.image, task.run.reading)[0]
+    image = channels.read_channels(task.case.image, task.run.reading)[0]
     truth = read_labels(task.case.reference, grid=image.geometry)
     check_reference(truth, image)
     return truth

@@ -36,7 +36,7 @@ from accelsurf.output import (
 from accelsurf.output import (
     outputs as mesh_files,
 )
-from accelsurf.output.document import describe_drafts, describe_input
+from accelsurf.output.document import describe_input, describe_staged
 from accelsurf.output.folder import inputs_of
 from accelsurf.output.outputs import MeshNotes
 from accelsurf.settings.file_formats import IMAGE_FORMATS
@@ -128,7 +128,7 @@ class Place:
         UsageError
             When the image cannot be in that layout.
         """
-        layouts.check(config, self.source, self.folder, self.name)
+        layouts.check_layout(config, self.source, self.folder, self.name)
         return replace(self, folder=layouts.folder_of(config, self.source, self.folder))
 
     def paths(self, config: RunConfig) -> dict[str, Path]:
@@ -290,8 +290,8 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
     case = replace(case, place=target)
     names, meshes = target.names(config, result.geometry.slice_axis is not None), MeshNotes()
     with output_folder.naming_final(files):
-        written = outputs.write_result(result, files.drafts, names, content, log.seconds, log.checksum, meshes)
-        entries = describe_drafts(files, {path.name: kind for kind, path in written})
+        written = outputs.write_result(result, files.staging, names, content, log.seconds, log.checksum, meshes)
+        entries = describe_staged(files, {path.name: kind for kind, path in written})
         log.outputs.extend(entry | meshes.statistics.get(Path(entry["path"]).name, {}) for entry in entries)
         log.warnings.extend(meshes.warnings)
         code = INTERRUPTED if interrupted else error.exit_code if error is not None else 0
@@ -318,7 +318,7 @@ def _failed_place(place: Place, config: RunConfig, error: AccelsurfError) -> Pla
 def _commit(case: _Case, failed: bool, gone: Sequence[str] = ()) -> None:
     """Put the files in place, and take away ``gone`` and what the earlier run wrote and this one does not."""
     target, files, report = case.place, case.files, case.place.report_path
-    written = [path.name for path in files.drafts.iterdir()]
+    written = [path.name for path in files.staging.iterdir()]
     if not (failed or target.overwrite):  # another program may have put a file there while the run went on
         paths = {"report" if name == report.name else name: files.folder / name for name in written}
         output_folder.refuse_existing(paths, False)
@@ -370,7 +370,7 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
     from accelsurf.io.formats.nifti import import_nibabel_for
 
     log.timed("load", lambda: import_nibabel_for(place.source))
-    volume, *more = log.timed("load", lambda: channels.read(place.source, config.reading))
+    volume, *more = log.timed("load", lambda: channels.read_channels(place.source, config.reading))
     log.timed("load", lambda: log.take_checksum(place.source))
     check_formats(place, config, volume, log)
     return [volume, *more]
@@ -391,9 +391,9 @@ def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> 
     if note := volume.metadata.get(io.WARNING_KEY):
         log.warnings.append(note)
     labels = place.label_format(config)
-    output_names.check(config, labels, volume.geometry)
-    label_files.check(config, volume, place.overwrite)
-    mesh_files.check(config)
+    output_names.check_outputs(config, labels, volume.geometry)
+    label_files.check_label_settings(config, volume, place.overwrite)
+    mesh_files.check_mesh_settings(config)
     if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
         keeps_size = IMAGE_FORMATS[labels].keeps != "none"
         what = "the size of a pixel but not" if keeps_size else "neither the size of a voxel nor"
@@ -484,7 +484,7 @@ def _write_report(
         outputs=log.outputs,
         warnings=[warning for warning in log.warnings if warning not in of_result],
     )
-    write_bytes(case.files.drafts / place.report_path.name, (document.to_json(contents) + "\n").encode())
+    write_bytes(case.files.staging / place.report_path.name, (document.to_json(contents) + "\n").encode())
 
 
 def exit_code_of_finished(place: Place, config: RunConfig, quiet: bool = False) -> int | None:

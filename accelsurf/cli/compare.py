@@ -76,7 +76,7 @@ def compare(
     from accelsurf import io
     from accelsurf.cli.case import check_reference
     from accelsurf.cli.progress import Watcher
-    from accelsurf.io.channels import read as read_channels
+    from accelsurf.io.channels import read_channels
     from accelsurf.output.document import describe_input
     from accelsurf.output.folder import inputs_of, opened_set, refuse_existing
 
@@ -149,7 +149,7 @@ def conclude(
     from accelsurf.cli.progress import table
     from accelsurf.io.files import write_bytes
     from accelsurf.output import document
-    from accelsurf.output.document import describe_drafts
+    from accelsurf.output.document import describe_staged
     from accelsurf.output.folder import naming_final
     from accelsurf.output.outputs import preview_content
     from accelsurf.output.pictures import preview
@@ -164,11 +164,11 @@ def conclude(
     code = INTERRUPTED if any(result.stop.reason == "interrupted" for result in results.values()) else 0
     picture, report = paths["picture"].name, paths["comparison"].name
     with naming_final(files):
-        write_bytes(files.drafts / picture, preview.comparison_png(contents, title))
+        write_bytes(files.staging / picture, preview.comparison_png(contents, title))
         comparison = {**_heading(code, next(iter(results.values())).config), **facts, "runs": runs}
         comparison["agreement_dice"] = _agreement_of_runs(results)
-        comparison["outputs"] = describe_drafts(files, {picture: "picture"})
-        write_bytes(files.drafts / report, (document.to_json(comparison) + "\n").encode())
+        comparison["outputs"] = describe_staged(files, {picture: "picture"})
+        write_bytes(files.staging / report, (document.to_json(comparison) + "\n").encode())
         files.commit(last=report)
     if not quiet:
         print(table(("flow", "steps", "seconds", "energy", "Dice", "stop"), lines))
@@ -296,8 +296,8 @@ def demo(
         print(f"A cube of side {recipe.side:g} mm in noise as strong as its contrast; start: {DEMO_START}", flush=True)
     phantom = recipes.make(recipe)
     with opened_set(output, "cube") as files, naming_final(files):
-        io.write(phantom.image, files.drafts / image.name)
-        io.write_labels(phantom.truth, files.drafts / labels.name)
+        io.write(phantom.image, files.staging / image.name)
+        io.write_labels(phantom.truth, files.staging / labels.name)
         files.commit()
     watcher = Watcher(display)
     results, code = {}, 0

@@ -136,7 +136,7 @@ def _labels(text: str | None) -> IdRanges | None:
 def _names(path: Path | None) -> LabelTable:
     from accelsurf.io import label_tables
 
-    return LabelTable() if path is None else label_tables.read(path)
+    return LabelTable() if path is None else label_tables.read_table(path)
 
 
 def _tolerances(text: str | None) -> tuple[float, ...]:

@@ -29,8 +29,8 @@ _AGAIN_SECONDS = 0.05
 class Interrupts:
     """The handler of both signals while a command runs.
 
-    A signal raises KeyboardInterrupt, so that drafts are removed and the earlier result stays. While there is a result
-    to save (`patience`), a first Ctrl-C only asks the run to stop; the second raises.
+    A signal raises KeyboardInterrupt, so that staging files are removed and the earlier result stays. While there is a
+    result to save (`patience`), a first Ctrl-C only asks the run to stop; the second raises.
 
     Attributes
     ----------

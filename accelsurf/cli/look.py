@@ -139,7 +139,7 @@ def _read(source: Path, level: int | None, requested: ReadOptions) -> tuple[list
 
     import_nibabel_for(source)
     if level is None and not is_store(source):
-        volumes = channels.read(source, requested)
+        volumes = channels.read_channels(source, requested)
         return volumes, volumes[0].geometry
     opened = open_channels(source, replace(requested, level=level or 0))
     layout = opened[0].layout

@@ -122,7 +122,7 @@ def movie(
     watcher = Watcher(display)
     drawing = DrawingProcess(watcher.on_warning, 0.0 if preview else movie_settings.turn)
     try:
-        volume, *more = channels.read(image, run_settings.reading)
+        volume, *more = channels.read_channels(image, run_settings.reading)
         shown = look.theme, look.color, look.view, movie_settings.size, look.volume, look.planes
         drawing.make_scene(SceneRecipe(volume, run_settings, reference, *shown))
         with watcher.watch(image.name, run_settings.max_steps):
@@ -174,7 +174,7 @@ def _draw(run: Run, drawing: DrawingProcess, target: Path, movie: MovieSettings 
     if movie is None:
         movies.write_png(target, movie_file.last_picture(run, drawing, watcher.on_step))
         return "picture"
-    count = movies.write(target, movie_file.pictures(run, drawing, movie, watcher.on_step), movie.size, movie.fps)
+    count = movies.write_movie(target, movie_file.pictures(run, drawing, movie, watcher.on_step), movie.size, movie.fps)
     return f"{count} frames, {count / movie.fps:.1f} s"
 
 

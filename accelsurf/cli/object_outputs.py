@@ -19,7 +19,7 @@ from accelsurf.cli.outcome import file_lines
 from accelsurf.errors import OutputError
 from accelsurf.io.files import write_bytes
 from accelsurf.output import document, folder, result_sets, tables
-from accelsurf.output.document import describe_drafts, describe_input
+from accelsurf.output.document import describe_input, describe_staged
 from accelsurf.run.ensemble import overall_stop
 
 if TYPE_CHECKING:
@@ -87,12 +87,12 @@ def write_outputs(
     code = SOME_FAILED if done.failures else 0
     with interrupts.patience("finishing the files"), folder.naming_final(files):
         kinds = {names["labels"]: "labels", names["objects"]: "objects", **_link_meshes(done, files, place.name)}
-        _write_labels(files.drafts / names["labels"], image, done)
-        write_bytes(files.drafts / names["objects"], tables.objects_csv(rows).encode())
-        outputs = describe_drafts(files, kinds)
+        _write_labels(files.staging / names["labels"], image, done)
+        write_bytes(files.staging / names["objects"], tables.objects_csv(rows).encode())
+        outputs = describe_staged(files, kinds)
         contents = _report(place, config, image, done, rows) | {"exit_code": code, "outputs": outputs}
         report = place.report_path.name
-        write_bytes(files.drafts / report, f"{document.to_json(contents)}\n".encode())
+        write_bytes(files.staging / report, f"{document.to_json(contents)}\n".encode())
         written = [*kinds, report]
         files.commit(last=report, remove=result_sets.outdated(files.folder, place.name, written, False))
     if not done.failures:
@@ -112,7 +112,7 @@ def rows_of(done: ObjectsDone) -> list[dict[str, Any]]:
 
 
 def _link_meshes(done: ObjectsDone, files: FileSet, case: str) -> dict[str, str]:
-    """Put the meshes beside the other drafts; kind of each by its name."""
+    """Put the meshes beside the other staging files; kind of each by its name."""
     kinds = {}
     for record in done.records:
         for meshes in record.meshes:
@@ -120,11 +120,11 @@ def _link_meshes(done: ObjectsDone, files: FileSet, case: str) -> dict[str, str]
                 if not result_sets.is_named_as_output(name, case):
                     raise OutputError(f"{record.folder}: has the mesh {name}, of another image", _BEGIN_ANEW)
                 try:
-                    os.link(record.folder / name, files.drafts / name)
+                    os.link(record.folder / name, files.staging / name)
                 except FileExistsError:
                     raise OutputError(f"{record.folder}: has a mesh {name} of another group", _BEGIN_ANEW) from None
                 except OSError:  # a file system without links
-                    shutil.copyfile(record.folder / name, files.drafts / name)
+                    shutil.copyfile(record.folder / name, files.staging / name)
                 kinds[name] = kind.partition("-")[0]
     return kinds
 
@@ -150,11 +150,11 @@ def _report(
         argv=sys.argv,
         config=config,
         source=describe_input(place.source, geometry=image.geometry),
-        warnings=[*done.notes, *(line for record in done.records for line in record.facts["warnings"])],
+        warnings=[*done.notes, *(line for record in done.records for line in record.report_entries["warnings"])],
     )
     contents["objects"] = rows
     if done.records:
-        facts, stops = done.records[0].facts, [stop for record in done.records for stop in record.stops]
+        facts, stops = done.records[0].report_entries, [stop for record in done.records for stop in record.stops]
         stop = overall_stop(stops)
         contents |= {
             "stop": {"reason": stop.reason, "steps": stop.steps, "time": stop.time, "message": stop.message},

@@ -114,7 +114,7 @@ def run_config(settings: Any, file: Path | Mapping[str, Any] | None = None, **fo
     typed = given_options(settings)
     preset = forced.get("preset", typed.get("preset"))
     under = PRESETS[preset].settings if preset is not None and preset in PRESETS else {}
-    below = toml.read(file) if isinstance(file, Path) else file or {}
+    below = toml.read_toml(file) if isinstance(file, Path) else file or {}
     return RunConfig(**{**below, **under, **typed, **forced})
 
 

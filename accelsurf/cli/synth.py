@@ -14,7 +14,7 @@ from accelsurf.cli.options import Output, Overwrite, required
 from accelsurf.io.file_set import FileSet
 from accelsurf.io.files import write_bytes
 from accelsurf.io.sequences.writing import SequenceWriter
-from accelsurf.output.document import describe_drafts, to_json, versions
+from accelsurf.output.document import describe_staged, to_json, versions
 from accelsurf.output.folder import naming_final, opened_set, refuse_existing
 from accelsurf.output.tables import csv_text
 from accelsurf.phantoms import recipes
@@ -75,8 +75,8 @@ def write_volume(recipe: Recipe, folder: Path, overwrite: bool) -> dict[str, Pat
     def write(files: FileSet, paths: dict[str, Path]) -> dict[str, Any]:
         phantom = recipes.make(recipe)
         with naming_final(files):
-            io.write(phantom.image, files.drafts / paths["image"].name)
-            io.write_labels(phantom.truth, files.drafts / paths["labels"].name)
+            io.write(phantom.image, files.staging / paths["image"].name)
+            io.write_labels(phantom.truth, files.staging / paths["labels"].name)
         return {
             "recipe": recipe.model_dump(mode="json"),
             "volume_mm3": phantom.volume_mm3,
@@ -95,8 +95,8 @@ def write_sequence(recipe: MotionRecipe, folder: Path, overwrite: bool) -> dict[
         phantom = MovingPhantom(recipe)
         with naming_final(files):
             for kind, dtype in (("image", np.float32), ("labels", np.uint8)):
-                draft = files.drafts / paths[kind].name
-                with SequenceWriter(draft, phantom.geometry, phantom.times, phantom.time_unit, dtype) as writer:
+                staged = files.staging / paths[kind].name
+                with SequenceWriter(staged, phantom.geometry, phantom.times, phantom.time_unit, dtype) as writer:
                     for number in range(len(phantom)):
                         frame = phantom.frame(number).array if kind == "image" else phantom.truth(number)
                         writer.write(number, frame)
@@ -105,7 +105,7 @@ def write_sequence(recipe: MotionRecipe, folder: Path, overwrite: bool) -> dict[
                  row.shown)
                 for row in phantom.rows()
             )
-            write_bytes(files.drafts / paths["tracks"].name, csv_text(COLUMNS, lines).encode())
+            write_bytes(files.staging / paths["tracks"].name, csv_text(COLUMNS, lines).encode())
         return {"recipe": recipe.model_dump(mode="json")}
 
     return _written(recipe.name, SEQUENCE, folder, overwrite, write)
@@ -125,7 +125,7 @@ def _written(
         facts = write(files, paths)
         with naming_final(files):
             kinds = {path.name: kind for kind, path in paths.items() if kind != "facts"}
-            facts |= {"versions": versions(), "outputs": describe_drafts(files, kinds)}
-            write_bytes(files.drafts / paths["facts"].name, (to_json(facts) + "\n").encode())
+            facts |= {"versions": versions(), "outputs": describe_staged(files, kinds)}
+            write_bytes(files.staging / paths["facts"].name, (to_json(facts) + "\n").encode())
             files.commit(last=paths["facts"].name)
     return paths

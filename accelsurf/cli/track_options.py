@@ -53,7 +53,7 @@ def track_config(
     UsageError
         When the file or a value is not valid.
     """
-    run, table = split_table(dict(toml.read(file) if isinstance(file, Path) else file or {}))
+    run, table = split_table(dict(toml.read_toml(file) if isinstance(file, Path) else file or {}))
     of_tracking = {key: value for key, value in forced.items() if key in TrackFields.model_fields}
     others = {key: value for key, value in forced.items() if key not in of_tracking}
     typed = {key: _value(key, value) for key, value in {**given_options(track), **of_tracking}.items()}

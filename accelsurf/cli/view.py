@@ -83,7 +83,7 @@ class FirstImage:
         for work in (form.parse, form.read, form.read_channels):
             if work is not None:
                 load(work)
-        volumes = in_background(lambda: channels.read(self.source, reading), "accelsurf reading")
+        volumes = in_background(lambda: channels.read_channels(self.source, reading), "accelsurf reading")
         return partial(self._image, volumes)
 
     def _image(self, volumes: Future[list[Volume]]) -> OpenedImage:

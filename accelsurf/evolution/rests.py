@@ -19,7 +19,7 @@ from accelsurf.flows import Flow
 from accelsurf.grid.boxes import Corner
 from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checkpoint import band_state, complete_state, psi_of
-from accelsurf.settings.budgets import MAX_RESTS
+from accelsurf.settings.budgets import MAX_PLATEAUS
 
 #: Steps that the speed is a mean over; parts of the peak below which a front may rest and above which it breaks
 #: through; part of the volume that it has grown by then.
@@ -84,7 +84,7 @@ def watched(
         return watch
     if slowest is not None and fields is not None and _breaks_through(slowest, watch.peak, speed, now):
         rest = FoundRest(slowest, now.step, fastest_place(fields, surface.shape, now.corner))
-        return RestWatch(speed, None, (*watch.found, rest)[:MAX_RESTS])
+        return RestWatch(speed, None, (*watch.found, rest)[:MAX_PLATEAUS])
     watch = watch._replace(peak=max(watch.peak, speed))
     calm = not any(record.restarted or record.returned or record.edits for record in records[-AFTER_RESTART:])
     if calm and _is_slowest(watch, speed, now):

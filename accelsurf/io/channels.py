@@ -20,6 +20,8 @@ from accelsurf.settings.registry import load
 
 #: More volumes than this are no channels.
 MAX_CHANNELS = 16
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Parts of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
 
 
 def selected(channels: int, time_points: int, options: ReadOptions) -> list[tuple[int, int]]:
@@ -106,10 +108,6 @@ def check_index(name: str, plural: str, n: int, asked: int | None) -> None:
         raise UsageError(f"{name} {asked} asked for, the image has {n} {plural}", f"give 0 to {n - 1}")
 
 
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Parts of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
-
-
 def to_grey(array: NDArray[Any]) -> tuple[NDArray[Any], str]:
     """One value per pixel from red, green, blue (and alpha), and what a person should know about that.
 
@@ -147,7 +145,7 @@ def to_grey(array: NDArray[Any]) -> tuple[NDArray[Any], str]:
     return grey, "; ".join(notes)
 
 
-def read(
+def read_channels(
     path: str | os.PathLike[str], options: ReadOptions = AS_IT_IS, *, outside_data: bool = False
 ) -> list[Volume]:
     """Read an image of one or more channels.
@@ -202,4 +200,4 @@ def read_further(paths: tuple[str, ...], options: ReadOptions = AS_IT_IS) -> lis
     """
     if any(not path for path in paths):
         raise UsageError("channel: nothing was given, expected a file", "write --channel FILE")
-    return [volume for path in paths for volume in read(path, options.restricted_to(headers.options_of(path)))]
+    return [volume for path in paths for volume in read_channels(path, options.restricted_to(headers.options_of(path)))]

@@ -29,6 +29,13 @@ from accelsurf.io.set_journals import PREFIX, SUFFIX, Journal, Moves, sync_folde
 
 #: Signals that end a program on request.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_NEW, _OLD = "new", "old"
+#: Another process looks for a moment whether the writer of a set is dead, and holds its lock then.
+_TRIES, _TRY_SECONDS = 10, 0.03
+#: What Windows calls a junction by: a link between folders.
+_JUNCTION = 0xA0000003
+#: Foreign staging folders that a warning names.
+_NAMED = 3
 
 
 @contextmanager
@@ -51,50 +58,41 @@ def uninterrupted() -> Iterator[None]:
             signal.raise_signal(came)
 
 
-_NEW, _OLD = "new", "old"
-#: Another process looks for a moment whether the writer of a set is dead, and holds its lock then.
-_TRIES, _TRY_SECONDS = 10, 0.03
-#: What Windows calls a junction by: a link between folders.
-_JUNCTION = 0xA0000003
-#: Foreign staging folders that a warning names.
-_NAMED = 3
-
-
 class FileSet:
-    """Drafts of files that will stand in one folder; made by `open_set`.
+    """Staging files that will stand in one folder; made by `open_set`.
 
     Attributes
     ----------
     folder : Path
         Where the files will be.
-    drafts : Path
-        Where they are written, under their final names.
+    staging : Path
+        The folder in which they are written, under their final names.
     committed : bool
         Whether they are in place, or will be put there by the next run.
     """
 
     def __init__(self, folder: Path, journal: Journal, inputs: Sequence[Path] = ()) -> None:
         self.folder, self._journal, self._inputs = folder, journal, inputs
-        self.drafts = journal.staging / _NEW
+        self.staging = journal.staging / _NEW
         self.committed = False
         os.mkdir(journal.staging)  # it is new: nothing that was put there before is followed
-        os.mkdir(self.drafts)
+        os.mkdir(self.staging)
 
     def discard(self) -> None:
-        """Remove the drafts."""
-        shutil.rmtree(self.drafts, ignore_errors=True)
+        """Remove the staging files."""
+        shutil.rmtree(self.staging, ignore_errors=True)
         with suppress(FileNotFoundError):  # somebody has removed the output folder: what is written next says so
-            self.drafts.mkdir(exist_ok=True)
+            self.staging.mkdir(exist_ok=True)
 
     def commit(self, last: str | None = None, remove: Iterable[str] = ()) -> None:
-        """Put all drafts in place of the old files of their names. Signals wait until that is done.
+        """Put all staging files in place of the old files of their names. Signals wait until that is done.
 
         Parameters
         ----------
         last : str, optional
-            The draft that names the others: no old one stands beside new files, and no new one beside old files.
+            The file that names the others: no old one stands beside new files, and no new one beside old files.
         remove : iterable of str
-            Names of old files that go; those of drafts and of files that are not there count for nothing.
+            Names of old files that go; those of staging files and of files that are not there are ignored.
 
         Raises
         ------
@@ -103,19 +101,19 @@ class FileSet:
         OutputError
             When one of the old files is an input of the run.
         """
-        names = sorted(path.name for path in self.drafts.iterdir() if path.name != last)
+        names = sorted(path.name for path in self.staging.iterdir() if path.name != last)
         gone = [name for name in remove if name not in {*names, last} and os.path.lexists(self.folder / name)]
         InputFiles(self._inputs).refuse(self.folder / name for name in (*names, *gone, *([last] if last else [])))
-        for path in self.drafts.iterdir():
+        for path in self.staging.iterdir():
             sync(path)
         everything = names if last is None else [*names, last]
         with uninterrupted():
             if len(everything) == 1 and not gone and not self._has_folder(everything[0]):
-                os.replace(self.drafts / everything[0], self.folder / everything[0])  # all or nothing by itself
+                os.replace(self.staging / everything[0], self.folder / everything[0])  # all or nothing by itself
             else:
-                sync_folder(self.drafts)
+                sync_folder(self.staging)
                 self._plan(Moves(names, gone, last))
-                self.committed = True  # drafts must not be removed from here on, whatever happens
+                self.committed = True  # staging files must not be removed from here on, whatever happens
                 try:
                     _move(self._journal, self.folder)
                 except Exception:
@@ -133,8 +131,8 @@ class FileSet:
             _warn_without_journal(self.folder, self._journal)
 
     def _has_folder(self, name: str) -> bool:
-        """Test if the draft of a name, or what it replaces, is a folder: the system does not exchange these."""
-        return (self.drafts / name).is_dir() or (self.folder / name).is_dir()
+        """Test if the staging file of a name, or what it replaces, is a folder: the system does not exchange these."""
+        return (self.staging / name).is_dir() or (self.folder / name).is_dir()
 
 
 @contextmanager

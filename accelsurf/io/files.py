@@ -118,7 +118,7 @@ def file_version(found: os.stat_result) -> tuple[int, ...]:
 
 @contextmanager
 def staging(path: Path, folder_marks: tuple[str, ...] = ()) -> Iterator[FileSet]:
-    """Drafts of one file, or of one and what belongs to it, gone afterwards whatever happens; see `FileSet.commit`.
+    """Staging files of an output and of what belongs to it, removed afterwards whatever happens; see `FileSet.commit`.
 
     They have their final names in a folder of their own, because an .mhd header repeats the name of its data.
 
@@ -150,14 +150,14 @@ def staging(path: Path, folder_marks: tuple[str, ...] = ()) -> Iterator[FileSet]
 
 @contextmanager
 def undone_on_failure(path: Path, files: FileSet, undo: Callable[[], None]) -> Iterator[None]:
-    """Turn what goes wrong while drafts are written into one line with the name of the file, after ``undo``.
+    """Turn what goes wrong while staging files are written into one line with the name of the file, after ``undo``.
 
     Parameters
     ----------
     path : Path
         What is to be written.
     files : FileSet
-        That of its drafts, whose folder no message names.
+        The set of its staging files, whose folder no message names.
     undo : callable
         Removes what was written.
     """
@@ -165,7 +165,7 @@ def undone_on_failure(path: Path, files: FileSet, undo: Callable[[], None]) -> I
         yield
     except AccelsurfError as error:
         undo()
-        raise type(error)(error.message.replace(str(files.drafts), str(path.parent)), error.hint) from error
+        raise type(error)(error.message.replace(str(files.staging), str(path.parent)), error.hint) from error
     except OSError as error:
         undo()
         raise OutputError(
@@ -186,28 +186,28 @@ def write_bytes(path: Path, content: bytes) -> None:
         When the file cannot be written.
     """
     with staging(path) as files:
-        draft = files.drafts / path.name
-        draft.write_bytes(content)
-        check_bytes(draft, content)
+        staged = files.staging / path.name
+        staged.write_bytes(content)
+        check_bytes(staged, content)
         files.commit()
 
 
-def check_bytes(draft: Path, content: bytes) -> None:
-    """Refuse a draft that does not hold what was meant to be in it.
+def check_bytes(staged: Path, content: bytes) -> None:
+    """Refuse a staging file that does not hold what was meant to be in it.
 
     Raises
     ------
     OutputError
         With what differs.
     """
-    size = draft.stat().st_size
+    size = staged.stat().st_size
     if size != len(content):
-        raise OutputError(incomplete(draft, f"{size} of {len(content)} bytes arrived"), SPACE_HINT)
+        raise OutputError(incomplete(staged, f"{size} of {len(content)} bytes arrived"), SPACE_HINT)
     meant = memoryview(content)
-    with draft.open("rb") as file:
+    with staged.open("rb") as file:
         for begin in range(0, len(content), _BLOCK):
             if file.read(_BLOCK) != meant[begin : begin + _BLOCK]:
-                raise OutputError(incomplete(draft, "other bytes are read than were written"), SPACE_HINT)
+                raise OutputError(incomplete(staged, "other bytes are read than were written"), SPACE_HINT)
 
 
 def reserve(path: Path, size: int) -> None:
@@ -228,9 +228,9 @@ def reserve(path: Path, size: int) -> None:
                 raise
 
 
-def incomplete(draft: Path, reason: str) -> str:
-    """The message about a draft that is not what was meant."""
-    return f"{draft.name}: cannot be written ({reason})"
+def incomplete(staged: Path, reason: str) -> str:
+    """The message about a staging file that is not what was meant."""
+    return f"{staged.name}: cannot be written ({reason})"
 
 
 def sha256(path: str | os.PathLike[str]) -> str:

@@ -1,6 +1,7 @@
-"""Formats of files, by the ending of their names; what their headers say, also of the times of frames.
+"""Headers of images: the format of a file, by its name or its content, and what its header says before voxels are read.
 
-Files give times as a step and its unit, or where that cannot say them, as a line of text (`FrameTimes.text`).
+A header may name files in its own folder only (`outside_data_allowed`). Metadata have the keys given here. Times of
+frames are a step and its unit, or where these cannot say them, a line of text (`FrameTimes.text`).
 """
 
 from __future__ import annotations
@@ -30,6 +31,374 @@ TimeUnit = Literal["s", "frame"]
 TIMES_KEY = "accelsurf_frame_times"
 _NUMBER = r"-?[0-9]{1,20}(?:\.[0-9]{1,20})?(?:e[-+]?[0-9]{1,3})?"
 _TEXT = re.compile(rf"(s|frame)((?: {_NUMBER})+)\s*")
+WARNING_KEY = "warning"
+"""A warning about the file that was read; absent when there is none."""
+LABELS_KEY = "labels"
+"""Names and colours of a label map, from `accelsurf.settings.labels.LabelTable.to_json`; absent where none are known.
+"""
+DICOM_KEY = "dicom_series"
+"""The UID of the series that an image was read from; absent where it was no DICOM."""
+ZERO_BEYOND_KEY = "zero_beyond"
+"""There where a label map's format stores only voxels near labels, as a DICOM segmentation: all beyond them are 0."""
+VALUE_UNIT_KEY = "value_unit"
+"""The unit of the values, as HU, where the file says it."""
+ORIENTED_KEY = "ome_oriented"
+"""Present where the axes of an OME-Zarr were given an anatomical orientation."""
+UNIT_KEY = "spatial_unit"
+"""The unit in which the file gives lengths: nm or um; absent where it is mm, or none. All lengths here are mm."""
+FRAME_KEY = "frame_seconds"
+"""Seconds from one time point of a sequence to the next; absent where the file does not say them."""
+#: Names of formats whose files may be zip archives, or are folders that somebody packed.
+_PACKED = ("dcm", "ome.zarr")
+_OUTSIDE_DATA = ContextVar("outside data", default=False)
+
+
+def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any]:
+    """Read the header of a file without its voxels; return its format and what the header claims.
+
+    Parameters
+    ----------
+    path : Path
+        A file, or a folder that is an image.
+    options : ReadOptions, optional
+        What is asked for beside.
+
+    Raises
+    ------
+    UsageError
+        When the format has not what is asked for.
+    InputError
+        When there is no such file, no format has its ending, or it is empty, is not of that format, is damaged, or
+        points to a data file that does not exist, or outside of its folder; GeometryError when its header does not
+        describe a grid.
+    """
+    form = format_of(path)
+    header = _header(form, path, options)
+    if not path.is_file():  # a folder, a pattern, or an array in an archive
+        return form, header
+    data = getattr(header, "data", path)
+    if data != path and not _OUTSIDE_DATA.get():
+        _check_data_folder(path, data)
+    if hasattr(header, "check_claims"):
+        header.check_claims()
+    return form, header
+
+
+def _header(form: ImageFormat, path: Path, options: ReadOptions) -> Any:
+    """Claims of a header."""
+    # The first of one is harmless to ask for, and the level that fits.
+    unknown = [n for n in options.given if n not in form.options and getattr(options, n) not in (0, "auto")]
+    if unknown:
+        name, value = unknown[0].replace("_", "-"), getattr(options, unknown[0])
+        raise UsageError(f"{name}: {value} was given, and {kind_of(form)} has no such choice", "leave it out")
+    return load(form.parse)(path, options) if form.options else load(form.parse)(path)
+
+
+def format_of(path: Path) -> ImageFormat:
+    """The format of a file or folder, of slices by a pattern or an array in an archive: by name, else by content.
+
+    Raises
+    ------
+    InputError
+        When there is no such file, it is empty, or of no known format.
+    """
+    check_name(path)
+    if path.is_dir():
+        form = _folder_format(path)
+        if form is None:
+            raise InputError("this is a folder, an image file expected", "give an image file, or a folder of DICOM")
+        return form
+    if not path.exists():
+        return _absent_form(path)
+    form = image_format(split_name(path)[1])
+    if (form is None or form.name in _PACKED) and path.is_file():
+        _check_no_packed_zarr(path)
+    if form is None and path.is_file():
+        form = next((kind for kind in IMAGE_FORMATS.values() if kind.is_file and load(kind.is_file)(path)), None)
+    if form is None:
+        raise InputError(
+            f"unknown file type, one of {', '.join(image_suffixes())} expected",
+            hint="convert the image to one of them first",
+        )
+    check_readable(path)
+    if path.stat().st_size == 0:
+        raise InputError("the file is empty", hint="copy or export it again")
+    return form
+
+
+def _absent_form(path: Path) -> ImageFormat:
+    """The format where no file has the path itself: slices by a pattern, or an array in an archive.
+
+    Raises
+    ------
+    InputError
+        When it is neither.
+    """
+    if is_pattern(path):
+        return IMAGE_FORMATS["slices"]
+    archive = path.name.lower().partition(".npz@")
+    if archive[2] and path.with_name(path.name[: len(archive[0]) + 4]).is_file():
+        return IMAGE_FORMATS["npz"]
+    raise InputError("there is no such file", hint="check the path")
+
+
+def _check_no_packed_zarr(path: Path) -> None:
+    """Refuse a zip archive of a Zarr, by name: chunks are read from a folder.
+
+    Raises
+    ------
+    InputError
+    """
+    if not zipfile.is_zipfile(path):
+        return
+    marks = {mark for form in IMAGE_FORMATS.values() if form.has_levels for mark in form.folder_marks}
+    try:
+        with zipfile.ZipFile(path) as archive:
+            found = next((name for name in archive.namelist() if name.rpartition("/")[2] in marks), None)
+    except (zipfile.BadZipFile, NotImplementedError, ValueError):
+        return  # who reads the archive says what is wrong with it
+    if found is not None:
+        below = found.split("/")[0] if "/" in found else f"{path.name.split('.')[0]}.zarr"
+        raise InputError(
+            f"a zipped Zarr given (it has {found[:80]}), the folder of an OME-Zarr expected",
+            f"unpack it, and give the folder: unzip {path.name}{'' if '/' in found else f' -d {below}'}",
+        )
+
+
+def _folder_format(path: Path) -> ImageFormat | None:
+    """The format of a folder; None where it is none, or holds no image."""
+    if not path.is_dir():
+        return None
+    named = image_format(split_name(path)[1])
+    for form in IMAGE_FORMATS.values():
+        if form.folder_marks and (form is named or any((path / mark).is_file() for mark in form.folder_marks)):
+            return form
+    for form in IMAGE_FORMATS.values():
+        if form.is_folder is not None and load(form.is_folder)(path):
+            return form
+    return None
+
+
+def kind_of(form: ImageFormat) -> str:
+    """Name of an image of a format in messages.
+
+    Examples
+    --------
+    >>> kind_of(IMAGE_FORMATS["nii"]), kind_of(IMAGE_FORMATS["slices"])
+    ('a .nii', 'a folder of slices')
+    """
+    return f"a {form.suffixes[0]}" if form.suffixes else f"a folder of {form.name}"
+
+
+def options_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Names of the options of reading that the format of a file has; none where it is not known by its name.
+
+    Examples
+    --------
+    >>> options_of("cells.ome.zarr")
+    ('level', 'channel_index', 'time_index', 'channels_from_time')
+    """
+    path = Path(path)
+    if is_pattern(path):
+        return IMAGE_FORMATS["slices"].options
+    form = image_format(split_name(path)[1]) or _folder_format(path)
+    return () if form is None else form.options
+
+
+def counts(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[int, int]:
+    """Count the channels and time points of an image, by its header alone.
+
+    Raises
+    ------
+    InputError
+        As `parse`.
+    """
+    _, header = parse(path, options)
+    return int(getattr(header, "channels", 1)), int(getattr(header, "time_points", 1))
+
+
+def count_values(path: Path, options: ReadOptions = AS_IT_IS) -> int:
+    """Count the values of an image, those of all channels together, by its header alone.
+
+    Raises
+    ------
+    InputError
+        As `parse`, without the name of the file.
+
+    Examples
+    --------
+    >>> count_values(Path("absent.nii"))
+    Traceback (most recent call last):
+    ...
+    accelsurf.errors.InputError: there is no such file
+    hint: check the path
+    """
+    _, header = parse(path, options)
+    return int(header.values)
+
+
+def is_stored(path: Path) -> bool:
+    """Test if a path names a file, or a folder that is an image.
+
+    Examples
+    --------
+    >>> is_stored(Path("absent.ome.zarr"))
+    False
+    """
+    marks = {mark for form in IMAGE_FORMATS.values() for mark in form.folder_marks}
+    return path.is_file() or any((path / mark).is_file() for mark in marks)
+
+
+def is_store(path: Path) -> bool:
+    """Test if a path is the folder of an image that may have any size, and is opened rather than read."""
+    stores = [form for form in IMAGE_FORMATS.values() if form.has_levels]
+    return any((path / mark).is_file() for form in stores for mark in form.folder_marks)
+
+
+def is_pattern(path: Path) -> bool:
+    """Test if a path names files by a pattern, and no file itself.
+
+    Examples
+    --------
+    >>> is_pattern(Path("slices/a*.tif")), is_pattern(Path("scan.nii"))
+    (True, False)
+    """
+    return any(sign in path.name for sign in "*?") and not path.exists()
+
+
+def name_of(path: Path) -> str:
+    """The name of an image without folder and suffix, which its outputs have; of a pattern that of the folder.
+
+    Examples
+    --------
+    >>> name_of(Path("scans/head.nii.gz")), name_of(Path("scans/slices/*.tif"))
+    ('head', 'slices')
+    """
+    whole = path.absolute()
+    return split_name(whole.parent if is_pattern(path) else whole)[0]
+
+
+def split_name(path: str | os.PathLike[str]) -> tuple[str, str]:
+    """Name of a file without its folder and suffix, and the suffix in lower case (empty when no image format has it).
+
+    Examples
+    --------
+    >>> split_name("scans/head.v2.nii.gz"), split_name("photo.jpg")
+    (('head.v2', '.nii.gz'), ('photo', ''))
+    """
+    name = Path(path).name
+    for suffix in image_suffixes():
+        if name.lower().endswith(suffix) and len(name) > len(suffix):
+            return name[: -len(suffix)], suffix
+    return Path(name).stem, ""
+
+
+def check_name(path: Path) -> None:
+    """Refuse a name that libraries and reports cannot carry: one that is not text in UTF-8, or has a zero byte.
+
+    Raises
+    ------
+    InputError
+        With what to do.
+    """
+    name = os.fspath(path)
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        message = "the name of the file or of its folder is not valid UTF-8"
+        raise InputError(message, "rename it, or link to it") from None
+    if "\0" in name:
+        raise InputError("the name of the file has a zero byte", "correct the name")
+
+
+@contextmanager
+def outside_data_allowed(allowed: bool = True) -> Iterator[None]:
+    """While it lasts, a header may name a data file in another folder than its own.
+
+    A header comes from elsewhere more often than a data file does: it could name any file of the computer, whose bytes
+    would then be shown as an image.
+
+    Parameters
+    ----------
+    allowed : bool
+        False leaves it as it is.
+    """
+    before = _OUTSIDE_DATA.set(allowed or _OUTSIDE_DATA.get())
+    try:
+        yield
+    finally:
+        _OUTSIDE_DATA.reset(before)
+
+
+def is_outside_data_allowed() -> bool:
+    """Test if a header may name a data file in another folder now; for processes that go on with this work."""
+    return _OUTSIDE_DATA.get()
+
+
+def check_data_file(path: Path, data: Path) -> None:
+    """Refuse a further file that a header names where it is missing, or lies in another folder than its header.
+
+    Raises
+    ------
+    InputError
+        With what to do.
+    """
+    if not _OUTSIDE_DATA.get():
+        _check_data_folder(path, data)
+    if not data.is_file():
+        raise InputError(
+            f"the header names the file {data.name}, which is missing", f"copy {data.name} into the same folder"
+        )
+
+
+def _check_data_folder(path: Path, data: Path) -> None:
+    """Refuse a data file that lies, with links followed, in another folder than its header."""
+    folders = {path.parent.resolve(), path.resolve().parent}
+    if not any(data.resolve().is_relative_to(folder) for folder in folders):
+        raise _outside(f"the header names the data file {data}, outside of its own folder")
+
+
+def check_within_store(store: Path, path: Path) -> None:
+    """Refuse a file or folder of a store that lies, with links followed, outside of the store, if it is not allowed.
+
+    Raises
+    ------
+    InputError
+    """
+    if not _OUTSIDE_DATA.get() and not path.resolve().is_relative_to(store.resolve()):
+        raise _outside(f"{path.relative_to(store).as_posix()} is a link to a place outside of the store")
+
+
+def _outside(message: str) -> InputError:
+    return InputError(
+        message,
+        "copy it into the folder of the header; or, if you trust the header, add --allow-outside-data "
+        "(in Python: accelsurf.read(path, outside_data=True))",
+    )
+
+
+def is_anatomical(metadata: Mapping[str, str]) -> bool:
+    """Test if a header says that the world axes are a patient's: a NIfTI transform code, or an NRRD space by name.
+
+    Parameters
+    ----------
+    metadata : mapping of str to str
+        As in `Volume.metadata`.
+    """
+    said = (form.is_anatomical for form in IMAGE_FORMATS.values())
+    return any(load(asked)(metadata) for asked in said if asked is not None)
+
+
+def with_warnings(metadata: Mapping[str, str], *notes: str) -> dict[str, str]:
+    """The metadata with further warnings.
+
+    Examples
+    --------
+    >>> with_warnings({"warning": "a"}, "b", "")
+    {'warning': 'a; b'}
+    """
+    said = "; ".join(note for note in (metadata.get(WARNING_KEY, ""), *notes) if note)
+    return {**metadata, WARNING_KEY: said} if said else dict(metadata)
 
 
 @dataclass(frozen=True)
@@ -141,383 +510,3 @@ def single_precision(value: float) -> float:
     """
     with np.errstate(over="ignore"):
         return float(str(np.float32(value)))
-
-
-WARNING_KEY = "warning"
-"""A warning about the file that was read; absent when there is none."""
-
-LABELS_KEY = "labels"
-"""Names and colours of a label map, from `accelsurf.settings.labels.LabelTable.to_json`; absent where none are known.
-"""
-
-DICOM_KEY = "dicom_series"
-"""The UID of the series that an image was read from; absent where it was no DICOM."""
-
-ZERO_BEYOND_KEY = "zero_beyond"
-"""There where a label map's format stores only voxels near labels, as a DICOM segmentation: all beyond them are 0."""
-
-VALUE_UNIT_KEY = "value_unit"
-"""The unit of the values, as HU, where the file says it."""
-
-ORIENTED_KEY = "ome_oriented"
-"""Present where the axes of an OME-Zarr were given an anatomical orientation."""
-
-UNIT_KEY = "spatial_unit"
-"""The unit in which the file gives lengths: nm or um; absent where it is mm, or none. All lengths here are mm."""
-FRAME_KEY = "frame_seconds"
-"""Seconds from one time point of a sequence to the next; absent where the file does not say them."""
-
-
-def with_warnings(metadata: Mapping[str, str], *notes: str) -> dict[str, str]:
-    """The metadata with further warnings.
-
-    Examples
-    --------
-    >>> with_warnings({"warning": "a"}, "b", "")
-    {'warning': 'a; b'}
-    """
-    said = "; ".join(note for note in (metadata.get(WARNING_KEY, ""), *notes) if note)
-    return {**metadata, WARNING_KEY: said} if said else dict(metadata)
-
-
-#: Names of formats whose files may be zip archives, or are folders that somebody packed.
-_PACKED = ("dcm", "ome.zarr")
-_OUTSIDE_DATA = ContextVar("outside data", default=False)
-
-
-@contextmanager
-def outside_data_allowed(allowed: bool = True) -> Iterator[None]:
-    """While it lasts, a header may name a data file in another folder than its own.
-
-    A header comes from elsewhere more often than a data file does: it could name any file of the computer, whose bytes
-    would then be shown as an image.
-
-    Parameters
-    ----------
-    allowed : bool
-        False leaves it as it is.
-    """
-    before = _OUTSIDE_DATA.set(allowed or _OUTSIDE_DATA.get())
-    try:
-        yield
-    finally:
-        _OUTSIDE_DATA.reset(before)
-
-
-def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any]:
-    """Read the header of a file without its voxels; return its format and what the header claims.
-
-    Parameters
-    ----------
-    path : Path
-        A file, or a folder that is an image.
-    options : ReadOptions, optional
-        What is asked for beside.
-
-    Raises
-    ------
-    UsageError
-        When the format has not what is asked for.
-    InputError
-        When there is no such file, no format has its ending, or it is empty, is not of that format, is damaged, or
-        points to a data file that does not exist, or outside of its folder; GeometryError when its header does not
-        describe a grid.
-    """
-    form = format_of(path)
-    if not path.exists():
-        return form, _header(form, path, options)
-    header = _header(form, path, options)
-    if path.is_dir():
-        return form, header
-    data = getattr(header, "data", path)
-    if data != path and not _OUTSIDE_DATA.get():
-        _check_data_folder(path, data)
-    if hasattr(header, "check_claims"):
-        header.check_claims()
-    return form, header
-
-
-def kind_of(form: ImageFormat) -> str:
-    """Name of an image of a format in messages.
-
-    Examples
-    --------
-    >>> kind_of(IMAGE_FORMATS["nii"]), kind_of(IMAGE_FORMATS["slices"])
-    ('a .nii', 'a folder of slices')
-    """
-    return f"a {form.suffixes[0]}" if form.suffixes else f"a folder of {form.name}"
-
-
-def counts(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[int, int]:
-    """Count the channels and time points of an image, by its header alone.
-
-    Raises
-    ------
-    InputError
-        As `parse`.
-    """
-    _, header = parse(path, options)
-    return int(getattr(header, "channels", 1)), int(getattr(header, "time_points", 1))
-
-
-def is_pattern(path: Path) -> bool:
-    """Test if a path names files by a pattern, and no file itself.
-
-    Examples
-    --------
-    >>> is_pattern(Path("slices/a*.tif")), is_pattern(Path("scan.nii"))
-    (True, False)
-    """
-    return any(sign in path.name for sign in "*?") and not path.exists()
-
-
-def name_of(path: Path) -> str:
-    """The name of an image without folder and suffix, which its outputs have; of a pattern that of the folder.
-
-    Examples
-    --------
-    >>> name_of(Path("scans/head.nii.gz")), name_of(Path("scans/slices/*.tif"))
-    ('head', 'slices')
-    """
-    whole = path.absolute()
-    return split_name(whole.parent if is_pattern(path) else whole)[0]
-
-
-def _absent_form(path: Path) -> ImageFormat:
-    """The format where no file has the path itself: slices by a pattern, or an array in an archive.
-
-    Raises
-    ------
-    InputError
-        When it is neither.
-    """
-    if is_pattern(path):
-        return IMAGE_FORMATS["slices"]
-    archive = path.name.lower().partition(".npz@")
-    if archive[2] and path.with_name(path.name[: len(archive[0]) + 4]).is_file():
-        return IMAGE_FORMATS["npz"]
-    raise InputError("there is no such file", hint="check the path")
-
-
-def _header(form: ImageFormat, path: Path, options: ReadOptions) -> Any:
-    """Claims of a header."""
-    # The first of one is harmless to ask for, and the level that fits.
-    unknown = [n for n in options.given if n not in form.options and getattr(options, n) not in (0, "auto")]
-    if unknown:
-        name, value = unknown[0].replace("_", "-"), getattr(options, unknown[0])
-        raise UsageError(f"{name}: {value} was given, and {kind_of(form)} has no such choice", "leave it out")
-    return load(form.parse)(path, options) if form.options else load(form.parse)(path)
-
-
-def format_of(path: Path) -> ImageFormat:
-    """The format of a file or folder, of slices by a pattern or an array in an archive: by name, else by content.
-
-    Raises
-    ------
-    InputError
-        When there is no such file, it is empty, or of no known format.
-    """
-    check_name(path)
-    if path.is_dir():
-        form = _folder_format(path)
-        if form is None:
-            raise InputError("this is a folder, an image file expected", "give an image file, or a folder of DICOM")
-        return form
-    if not path.exists():
-        return _absent_form(path)
-    form = image_format(split_name(path)[1])
-    if (form is None or form.name in _PACKED) and path.is_file():
-        _check_no_packed_zarr(path)
-    if form is None and path.is_file():
-        form = next((kind for kind in IMAGE_FORMATS.values() if kind.is_file and load(kind.is_file)(path)), None)
-    if form is None:
-        raise InputError(
-            f"unknown file type, one of {', '.join(image_suffixes())} expected",
-            hint="convert the image to one of them first",
-        )
-    check_readable(path)
-    if path.stat().st_size == 0:
-        raise InputError("the file is empty", hint="copy or export it again")
-    return form
-
-
-def _check_no_packed_zarr(path: Path) -> None:
-    """Refuse a zip archive of a Zarr, by name: chunks are read from a folder.
-
-    Raises
-    ------
-    InputError
-    """
-    if not zipfile.is_zipfile(path):
-        return
-    marks = {mark for form in IMAGE_FORMATS.values() if form.has_levels for mark in form.folder_marks}
-    try:
-        with zipfile.ZipFile(path) as archive:
-            found = next((name for name in archive.namelist() if name.rpartition("/")[2] in marks), None)
-    except (zipfile.BadZipFile, NotImplementedError, ValueError):
-        return  # who reads the archive says what is wrong with it
-    if found is not None:
-        below = found.split("/")[0] if "/" in found else f"{path.name.split('.')[0]}.zarr"
-        raise InputError(
-            f"a zipped Zarr given (it has {found[:80]}), the folder of an OME-Zarr expected",
-            f"unpack it, and give the folder: unzip {path.name}{'' if '/' in found else f' -d {below}'}",
-        )
-
-
-def _folder_format(path: Path) -> ImageFormat | None:
-    """The format of a folder; None where it is none, or holds no image."""
-    if not path.is_dir():
-        return None
-    named = image_format(split_name(path)[1])
-    for form in IMAGE_FORMATS.values():
-        if form.folder_marks and (form is named or any((path / mark).is_file() for mark in form.folder_marks)):
-            return form
-    for form in IMAGE_FORMATS.values():
-        if form.is_folder is not None and load(form.is_folder)(path):
-            return form
-    return None
-
-
-def is_stored(path: Path) -> bool:
-    """Test if a path names a file, or a folder that is an image.
-
-    Examples
-    --------
-    >>> is_stored(Path("absent.ome.zarr"))
-    False
-    """
-    marks = {mark for form in IMAGE_FORMATS.values() for mark in form.folder_marks}
-    return path.is_file() or any((path / mark).is_file() for mark in marks)
-
-
-def is_store(path: Path) -> bool:
-    """Test if a path is the folder of an image that may have any size, and is opened rather than read."""
-    stores = [form for form in IMAGE_FORMATS.values() if form.has_levels]
-    return any((path / mark).is_file() for form in stores for mark in form.folder_marks)
-
-
-def count_values(path: Path, options: ReadOptions = AS_IT_IS) -> int:
-    """Count the values of an image, those of all channels together, by its header alone.
-
-    Raises
-    ------
-    InputError
-        As `parse`, without the name of the file.
-
-    Examples
-    --------
-    >>> count_values(Path("absent.nii"))
-    Traceback (most recent call last):
-    ...
-    accelsurf.errors.InputError: there is no such file
-    hint: check the path
-    """
-    _, header = parse(path, options)
-    return int(header.values)
-
-
-def options_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
-    """Names of the options of reading that the format of a file has; none where it is not known by its name.
-
-    Examples
-    --------
-    >>> options_of("cells.ome.zarr")
-    ('level', 'channel_index', 'time_index', 'channels_from_time')
-    """
-    path = Path(path)
-    if is_pattern(path):
-        return IMAGE_FORMATS["slices"].options
-    form = image_format(split_name(path)[1]) or _folder_format(path)
-    return () if form is None else form.options
-
-
-def is_outside_data_allowed() -> bool:
-    """Test if a header may name a data file in another folder now; for processes that go on with this work."""
-    return _OUTSIDE_DATA.get()
-
-
-def check_data_file(path: Path, data: Path) -> None:
-    """Refuse a further file that a header names where it is missing, or lies in another folder than its header.
-
-    Raises
-    ------
-    InputError
-        With what to do.
-    """
-    if not _OUTSIDE_DATA.get():
-        _check_data_folder(path, data)
-    if not data.is_file():
-        raise InputError(
-            f"the header names the file {data.name}, which is missing", f"copy {data.name} into the same folder"
-        )
-
-
-def _check_data_folder(path: Path, data: Path) -> None:
-    """Refuse a data file that lies, with links followed, in another folder than its header."""
-    folders = {path.parent.resolve(), path.resolve().parent}
-    if not any(data.resolve().is_relative_to(folder) for folder in folders):
-        raise _outside(f"the header names the data file {data}, outside of its own folder")
-
-
-def check_within_store(store: Path, path: Path) -> None:
-    """Refuse a file or folder of a store that lies, with links followed, outside of the store, if it is not allowed.
-
-    Raises
-    ------
-    InputError
-    """
-    if not _OUTSIDE_DATA.get() and not path.resolve().is_relative_to(store.resolve()):
-        raise _outside(f"{path.relative_to(store).as_posix()} is a link to a place outside of the store")
-
-
-def _outside(message: str) -> InputError:
-    return InputError(
-        message,
-        "copy it into the folder of the header; or, if you trust the header, add --allow-outside-data "
-        "(in Python: accelsurf.read(path, outside_data=True))",
-    )
-
-
-def check_name(path: Path) -> None:
-    """Refuse a name that libraries and reports cannot carry: one that is not text in UTF-8, or has a zero byte.
-
-    Raises
-    ------
-    InputError
-        With what to do.
-    """
-    name = os.fspath(path)
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        message = "the name of the file or of its folder is not valid UTF-8"
-        raise InputError(message, "rename it, or link to it") from None
-    if "\0" in name:
-        raise InputError("the name of the file has a zero byte", "correct the name")
-
-
-def split_name(path: str | os.PathLike[str]) -> tuple[str, str]:
-    """Name of a file without its folder and suffix, and the suffix in lower case (empty when no image format has it).
-
-    Examples
-    --------
-    >>> split_name("scans/head.v2.nii.gz"), split_name("photo.jpg")
-    (('head.v2', '.nii.gz'), ('photo', ''))
-    """
-    name = Path(path).name
-    for suffix in image_suffixes():
-        if name.lower().endswith(suffix) and len(name) > len(suffix):
-            return name[: -len(suffix)], suffix
-    return Path(name).stem, ""
-
-
-def is_anatomical(metadata: Mapping[str, str]) -> bool:
-    """Test if a header says that the world axes are a patient's: a NIfTI transform code, or an NRRD space by name.
-
-    Parameters
-    ----------
-    metadata : mapping of str to str
-        As in `Volume.metadata`.
-    """
-    said = (form.is_anatomical for form in IMAGE_FORMATS.values())
-    return any(load(asked)(metadata) for asked in said if asked is not None)

@@ -144,26 +144,6 @@ def write(volume: Volume, path: str | os.PathLike[str]) -> None:
     _write(volume, Path(path), labels=False)
 
 
-def _write(volume: Volume, path: Path, labels: bool) -> None:
-    """Write a volume, with what the format does for label maps."""
-    with naming(path):
-        headers.check_name(path)
-    stem, suffix = split_name(path)
-    form = image_format(suffix)
-    if form is None or form.write is None:
-        written = [IMAGE_FORMATS[name].suffixes[0] for name in label_formats()]
-        what = "unknown file type" if form is None else f"a {suffix} is read only"
-        raise UsageError(f"{path}: {what}, one of {', '.join(written)} expected")
-    volume = volume.with_array(_storable(volume.array))
-    _check_writable(volume.array, form, suffix)
-    with staging(path, form.folder_marks) as files:
-        target = files.drafts / (stem + suffix)  # in lower case, as ITK insists on
-        load((form.write_labels if labels else None) or form.write)(volume, target)
-        _check_draft(volume, target, path.name)
-        target.rename(files.drafts / path.name)
-        files.commit(last=path.name)  # of .mhd the data file first: a header never names what is not there
-
-
 def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
     """Write a label map: as `write`, with values as uint8, uint16 or uint32, as small as they fit.
 
@@ -185,6 +165,31 @@ def write_labels(volume: Volume, path: str | os.PathLike[str]) -> None:
     _write(volume.with_array(values), Path(path), labels=True)
 
 
+def _write(volume: Volume, path: Path, labels: bool) -> None:
+    """Write a volume, with what the format does for label maps."""
+    with naming(path):
+        headers.check_name(path)
+    stem, suffix = split_name(path)
+    form = image_format(suffix)
+    if form is None or form.write is None:
+        written = [IMAGE_FORMATS[name].suffixes[0] for name in label_formats()]
+        what = "unknown file type" if form is None else f"a {suffix} is read only"
+        raise UsageError(f"{path}: {what}, one of {', '.join(written)} expected")
+    volume = volume.with_array(_storable(volume.array))
+    _check_writable(volume.array, form, suffix)
+    with staging(path, form.folder_marks) as files:
+        target = files.staging / (stem + suffix)  # in lower case, as ITK insists on
+        load((form.write_labels if labels else None) or form.write)(volume, target)
+        _check_staged(volume, target, path.name)
+        target.rename(files.staging / path.name)
+        files.commit(last=path.name)  # of .mhd the data file first: a header never names what is not there
+
+
+def label_type(largest: int) -> np.dtype[Any]:
+    """Smallest unsigned type that holds labels up to ``largest``."""
+    return np.dtype(np.uint8 if largest <= 255 else np.uint16 if largest <= 65535 else np.uint32)
+
+
 def stored_grid(geometry: Geometry, suffix: str) -> Geometry:
     """The grid that is read back from a file with a suffix, where it keeps less than all of it.
 
@@ -204,13 +209,8 @@ def stored_grid(geometry: Geometry, suffix: str) -> Geometry:
     return Geometry(geometry.shape, (depth, *geometry.spacing[1:]))
 
 
-def label_type(largest: int) -> np.dtype[Any]:
-    """Smallest unsigned type that holds labels up to ``largest``."""
-    return np.dtype(np.uint8 if largest <= 255 else np.uint16 if largest <= 65535 else np.uint32)
-
-
-def _check_draft(volume: Volume, draft: Path, name: str) -> None:
-    """Read a draft back, and refuse one that does not hold the volume: ITK's writers say nothing of a full disk.
+def _check_staged(volume: Volume, staged: Path, name: str) -> None:
+    """Read a staging file back, and refuse one that does not hold the volume: ITK's writers say nothing of a full disk.
 
     Raises
     ------
@@ -218,13 +218,13 @@ def _check_draft(volume: Volume, draft: Path, name: str) -> None:
         With what differs.
     """
     try:
-        found = read(draft, memory_bytes=sys.maxsize)
-        difference = stored_grid(volume.geometry, split_name(draft)[1]).difference(found.geometry)
+        found = read(staged, memory_bytes=sys.maxsize)
+        difference = stored_grid(volume.geometry, split_name(staged)[1]).difference(found.geometry)
         same = found.array.dtype == volume.array.dtype and np.array_equal(
             found.array, volume.array, equal_nan=volume.array.dtype.kind == "f"
         )
     except InputError as error:
-        reason = error.message.removeprefix(f"{draft}: ")
+        reason = error.message.removeprefix(f"{staged}: ")
         raise OutputError(f"{name}: cannot be written (what was written is damaged: {reason})", SPACE_HINT) from error
     if difference or not same:
         what = difference or "other voxels are read than were written"

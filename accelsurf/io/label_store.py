@@ -1,6 +1,6 @@
-"""A label map on a grid that is written box by box, and is never in memory as a whole.
+"""Label maps written box by box, never in memory as a whole; and label maps put on the grid of their image.
 
-Label maps of formats that store only where labels are, as DICOM segmentations, put on the grid of an image.
+A format that stores only voxels near labels, as DICOM segmentations do, has a grid of its own.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ from accelsurf.io.headers import ZERO_BEYOND_KEY
 from accelsurf.io.lazy_volume import check_box
 from accelsurf.settings.file_formats import IMAGE_FORMATS, image_format
 from accelsurf.settings.registry import load
+
+#: Distance, in voxels of the smallest spacing, within which voxels of two grids are the same ones.
+_TOLERANCE = 1e-3
 
 
 class LabelStore:
@@ -88,8 +91,8 @@ class LabelStore:
         try:
             self._files = self._stack.enter_context(staging(self.path, form.folder_marks))
             with self._naming():
-                draft = self._files.drafts / self.path.name
-                self._store = load(form.store)(draft, geometry, self.dtype, metadata or {}, self._relative(source))
+                staged = self._files.staging / self.path.name
+                self._store = load(form.store)(staged, geometry, self.dtype, metadata or {}, self._relative(source))
         except BaseException:
             self.discard()
             raise
@@ -161,10 +164,6 @@ class LabelStore:
         if source is None or not Path(source).is_dir():
             return None
         return Path(os.path.relpath(source, self.path)).as_posix()
-
-
-#: Distance, in voxels of the smallest spacing, within which voxels of two grids are the same ones.
-_TOLERANCE = 1e-3
 
 
 def on_grid(labels: Volume, geometry: Geometry) -> Volume:

@@ -37,7 +37,7 @@ _ID_COLUMNS, _NAME_COLUMNS = ("index", "id", "label", "labelvalue"), ("name", "l
 _HEAD = "################################################\n# ITK-SnAP Label Description File\n"
 
 
-def read(path: str | os.PathLike[str]) -> LabelTable:
+def read_table(path: str | os.PathLike[str]) -> LabelTable:
     r"""Read names and colours of labels.
 
     Parameters
@@ -58,7 +58,7 @@ def read(path: str | os.PathLike[str]) -> LabelTable:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = pathlib.Path(folder, "labels.csv")
     ...     _ = file.write_text("id,name,color\n4,left kidney,#0080ff\n")
-    ...     read(file)[4]
+    ...     read_table(file)[4]
     LabelEntry(id=4, name='left kidney', color=(0, 128, 255))
     """
     path = Path(path)

@@ -30,152 +30,10 @@ from accelsurf.io.memory import available_memory
 from accelsurf.settings.reading import Level, ReadOptions, Spacing
 from accelsurf.settings.registry import load
 
-
-class StackedVoxels:
-    """Slabs, one after the other along z.
-
-    Parameters
-    ----------
-    slabs : sequence of VoxelSource
-        Of one type.
-    depths : sequence of int
-        Slices of each.
-
-    Raises
-    ------
-    InputError
-        When their types differ.
-    """
-
-    def __init__(self, slabs: Sequence[VoxelSource], depths: Sequence[int]) -> None:
-        self._slabs, self.dtype = tuple(slabs), slabs[0].dtype
-        if any(slab.dtype != self.dtype for slab in slabs):
-            raise InputError("the slices have values of several types", "convert them to one type first")
-        self._ends = np.cumsum(depths)
-
-    @property
-    def bytes_read(self) -> int:
-        """Bytes that were read so far."""
-        return sum(slab.bytes_read for slab in self._slabs)
-
-    def read(self, box: Box) -> NDArray[Any]:
-        """Return the values in a box; see `accelsurf.io.LazyVolume.read`."""
-        values = np.empty([s.stop - s.start for s in box], self.dtype)
-        at = box[0].start
-        while at < box[0].stop:
-            number = int(np.searchsorted(self._ends, at, side="right"))
-            begin = int(self._ends[number - 1]) if number else 0
-            stop = min(box[0].stop, int(self._ends[number]))
-            inside = (slice(at - begin, stop - begin), *box[1:])
-            values[at - box[0].start : stop - box[0].start] = self._slabs[number].read(inside)
-            at = stop
-        return values
-
-
 #: Of a run, for each voxel, at most.
 _RUN_BYTES = 80
-
-
-def checked_level(level: Level, shapes: Sequence[tuple[int, ...]]) -> int:
-    """The number of a level that was asked for.
-
-    Parameters
-    ----------
-    level : int or "auto"
-        "auto" is the finest whose run fits into the free memory, else the coarsest.
-    shapes : sequence of tuple of int
-        Of the levels, finest first.
-
-    Raises
-    ------
-    UsageError
-        When there is no such level.
-
-    Examples
-    --------
-    >>> checked_level("auto", [(10**5, 10**5, 10**5), (8, 8, 8)])
-    1
-    """
-    if level == "auto":
-        free = available_memory()
-        small = (n for n, shape in enumerate(shapes) if math.prod(shape) * _RUN_BYTES <= free)
-        return next(small, len(shapes) - 1)
-    if not 0 <= level < len(shapes):
-        raise UsageError(f"level {level} asked for, the image has {len(shapes)}", f"give 0 to {len(shapes) - 1}")
-    return level
-
-
-class ChunkCache:
-    """Arrays by a key; may be used by several threads.
-
-    Parameters
-    ----------
-    max_bytes : int
-        Of all arrays that are held. One that is larger by itself is not held.
-
-    Attributes
-    ----------
-    bytes_made : int
-        Of all arrays that were made so far, held or not.
-    """
-
-    def __init__(self, max_bytes: int) -> None:
-        self.max_bytes, self.bytes_made = max_bytes, 0
-        self._held: OrderedDict[Hashable, NDArray[Any]] = OrderedDict()
-        self._bytes = 0
-        self._lock = Lock()
-
-    def get(self, key: Hashable, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        """Return the array of a key, made if it is not held; nobody writes into it.
-
-        Parameters
-        ----------
-        key : hashable
-        make : callable
-            Returns the array; two threads that miss it at the same time both call it.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> cache = ChunkCache(16)
-        >>> for key in "abca":
-        ...     held = cache.get(key, lambda: np.zeros(1))
-        >>> cache.bytes_made
-        32
-        """
-        with self._lock:
-            if (array := self._held.get(key)) is not None:
-                self._held.move_to_end(key)
-                return array
-        array = make()
-        array.setflags(write=False)
-        with self._lock:
-            self.bytes_made += array.nbytes
-            if array.nbytes <= self.max_bytes and key not in self._held:
-                self._held[key] = array
-                self._bytes += array.nbytes
-                while self._bytes > self.max_bytes:
-                    self._bytes -= self._held.popitem(last=False)[1].nbytes
-        return array
-
-
 #: Bytes of unpacked chunks or pages that are held at most, where the caller says nothing.
 CACHE_BYTES = 1 << 28
-
-
-class VoxelSource(Protocol):
-    """Source of the voxels of a `LazyVolume`."""
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of the values, in this machine's byte order."""
-
-    @property
-    def bytes_read(self) -> int:
-        """Bytes that were read so far."""
-
-    def read(self, box: Box) -> NDArray[Any]:
-        """Return the voxels of a box within the grid as a new C-contiguous array; may be called by several threads."""
 
 
 @dataclass(frozen=True)
@@ -219,6 +77,21 @@ class StoreLayout:
     channels: int = 1
     time_points: int = 1
     level: int = 0
+
+
+class VoxelSource(Protocol):
+    """Source of the voxels of a `LazyVolume`."""
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the values, in this machine's byte order."""
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes that were read so far."""
+
+    def read(self, box: Box) -> NDArray[Any]:
+        """Return the voxels of a box within the grid as a new C-contiguous array; may be called by several threads."""
 
 
 class LazyVolume:
@@ -439,6 +312,11 @@ def _opened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
     return volume
 
 
+def _reopened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
+    """A volume that was opened, once more."""
+    return _opened(path, replace(opening, again=True), outside_data)
+
+
 def open_with(path: str | os.PathLike[str], options: ReadOptions) -> LazyVolume:
     """Open a volume with those options of an image that the format of the file has; see `open_volume`."""
     asked = options.restricted_to(headers.options_of(path))
@@ -462,6 +340,125 @@ def open_channels(path: str | os.PathLike[str], options: ReadOptions) -> list[La
     return [open_with(path, replace(asked, channels_from_time=False, time_index=t, channel_index=c)) for t, c in places]
 
 
-def _reopened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
-    """A volume that was opened, once more."""
-    return _opened(path, replace(opening, again=True), outside_data)
+def checked_level(level: Level, shapes: Sequence[tuple[int, ...]]) -> int:
+    """The number of a level that was asked for.
+
+    Parameters
+    ----------
+    level : int or "auto"
+        "auto" is the finest whose run fits into the free memory, else the coarsest.
+    shapes : sequence of tuple of int
+        Of the levels, finest first.
+
+    Raises
+    ------
+    UsageError
+        When there is no such level.
+
+    Examples
+    --------
+    >>> checked_level("auto", [(10**5, 10**5, 10**5), (8, 8, 8)])
+    1
+    """
+    if level == "auto":
+        free = available_memory()
+        small = (n for n, shape in enumerate(shapes) if math.prod(shape) * _RUN_BYTES <= free)
+        return next(small, len(shapes) - 1)
+    if not 0 <= level < len(shapes):
+        raise UsageError(f"level {level} asked for, the image has {len(shapes)}", f"give 0 to {len(shapes) - 1}")
+    return level
+
+
+class StackedVoxels:
+    """Slabs, one after the other along z.
+
+    Parameters
+    ----------
+    slabs : sequence of VoxelSource
+        Of one type.
+    depths : sequence of int
+        Slices of each.
+
+    Raises
+    ------
+    InputError
+        When their types differ.
+    """
+
+    def __init__(self, slabs: Sequence[VoxelSource], depths: Sequence[int]) -> None:
+        self._slabs, self.dtype = tuple(slabs), slabs[0].dtype
+        if any(slab.dtype != self.dtype for slab in slabs):
+            raise InputError("the slices have values of several types", "convert them to one type first")
+        self._ends = np.cumsum(depths)
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes that were read so far."""
+        return sum(slab.bytes_read for slab in self._slabs)
+
+    def read(self, box: Box) -> NDArray[Any]:
+        """Return the values in a box; see `accelsurf.io.LazyVolume.read`."""
+        values = np.empty([s.stop - s.start for s in box], self.dtype)
+        at = box[0].start
+        while at < box[0].stop:
+            number = int(np.searchsorted(self._ends, at, side="right"))
+            begin = int(self._ends[number - 1]) if number else 0
+            stop = min(box[0].stop, int(self._ends[number]))
+            inside = (slice(at - begin, stop - begin), *box[1:])
+            values[at - box[0].start : stop - box[0].start] = self._slabs[number].read(inside)
+            at = stop
+        return values
+
+
+class ChunkCache:
+    """Arrays by a key; may be used by several threads.
+
+    Parameters
+    ----------
+    max_bytes : int
+        Of all arrays that are held. One that is larger by itself is not held.
+
+    Attributes
+    ----------
+    bytes_made : int
+        Of all arrays that were made so far, held or not.
+    """
+
+    def __init__(self, max_bytes: int) -> None:
+        self.max_bytes, self.bytes_made = max_bytes, 0
+        self._held: OrderedDict[Hashable, NDArray[Any]] = OrderedDict()
+        self._bytes = 0
+        self._lock = Lock()
+
+    def get(self, key: Hashable, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """Return the array of a key, made if it is not held; nobody writes into it.
+
+        Parameters
+        ----------
+        key : hashable
+        make : callable
+            Returns the array; two threads that miss it at the same time both call it.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> cache = ChunkCache(16)
+        >>> for key in "abca":
+        ...     held = cache.get(key, lambda: np.zeros(1))
+        >>> cache.bytes_made
+        32
+        """
+        with self._lock:
+            if (array := self._held.get(key)) is not None:
+                self._held.move_to_end(key)
+                return array
+        array = make()
+        array.setflags(write=False)
+        with self._lock:
+            self.bytes_made += array.nbytes
+            if array.nbytes <= self.max_bytes and key not in self._held:
+                self._held[key] = array
+                self._bytes += array.nbytes
+                while self._bytes > self.max_bytes:
+                    self._bytes -= self._held.popitem(last=False)[1].nbytes
+        return array

@@ -1,4 +1,4 @@
-"""Closed meshes: read from files, their repeated corners made one, and as sets of voxels.
+"""Closed meshes: read from files, corners that were written several times joined, and as sets of voxels.
 
 Many programs write each triangle with corners of its own, so that an edge is shared only where the numbers agree.
 Where they agree except for rounding, the surface is closed all the same.
@@ -32,25 +32,108 @@ Ints = NDArray[np.int64]
 TOLERANCES = (2.0**-45, 2.0**-18, 2.0**-15)
 #: And never farther apart than this share of the usual open edge, so that small triangles stay.
 MAX_EDGE_SHARE = 0.25
+#: mm; beyond it differences of coordinates are no longer exact to a voxel.
+MAX_COORDINATE = 1e12
+#: Rows of voxels tested against triangles at once, for the sake of memory.
+BATCH_ROWS = 1 << 17
 
 
-class Edges(NamedTuple):
-    """Edges of triangles: their two points (k, 2), how many triangles each has (k,), and those of each (m, 3)."""
+def read_mesh(path: str | Path, space: str = "") -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Read a closed mesh; points that are RAS are turned to LPS, by half a turn about z.
 
-    ends: Ints
-    counts: Ints
-    of_triangles: Ints
+    Parameters
+    ----------
+    path : str or Path
+        In one of the formats of `accelsurf.settings.mesh_formats` that can be read.
+    space : {"", "lps", "ras"}
+        What its points are, where the file does not say it; LPS unless given.
+
+    Returns
+    -------
+    ndarray (n, 3) of float64, ndarray (m, 3) of int64
+        Points in mm, LPS, no two at the same place, and the point numbers of the triangles.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, names points that it does not have, its surface is not closed, or its header says
+        a space that is not understood or another than ``space``.
+    """
+    path = Path(path)
+    with naming(path):
+        suffix = path.suffix.lower()
+        readers = {form.suffix: form.read for form in MESH_FORMATS.values() if form.read is not None}
+        if suffix not in readers:
+            raise InputError("no mesh format that accelsurf reads", f"one of {', '.join(readers)}")
+        if not path.is_file():
+            raise InputError("there is no such file", "check the path")
+        size = path.stat().st_size
+        budgets.MESH_FILE.check(size * budgets.MESH_BYTES_PER_FILE_BYTE, factor=available_memory())
+        content = path.read_bytes()
+        try:
+            mesh = MeshContent(*load(readers[suffix])(content))
+            points = np.asarray(mesh.points, np.float64).reshape(-1, 3)
+        except MemoryError:
+            raise
+        except Exception as error:  # whatever a reader makes of a damaged file
+            reason = " ".join(str(error).split())[:200]
+            hint = error.hint if isinstance(error, InputError) else ""
+            raise InputError(f"cannot be read as a mesh ({reason})", hint or "is the file complete?") from None
+        if is_ras(mesh.header, space):
+            points = points * (-1.0, -1.0, 1.0)
+        return closed_mesh(points, mesh.triangles)
 
 
-def edges_of(triangles: Ints) -> Edges:
-    """The edges of triangles (m, 3)."""
-    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
-    width = int(triangles.max(initial=0)) + 1
-    keys, number, counts = np.unique(sides[:, 0] * width + sides[:, 1], return_inverse=True, return_counts=True)
-    return Edges(np.stack(np.divmod(keys, width), axis=1), counts, number.reshape(-1, 3))
+def closed_mesh(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the same surface with points at the same place made one; refuse what is damaged or open.
+
+    Parameters
+    ----------
+    points : ndarray (n, 3)
+        mm.
+    triangles : ndarray (m, 3)
+        Point numbers.
+
+    Returns
+    -------
+    ndarray (k, 3) of float64, ndarray (l, 3) of int64
+        Where the surface is closed except for rounding, corners that differ by it are one, as
+        `TOLERANCES` says. A triangle that is there several times is there once.
+
+    Raises
+    ------
+    InputError
+        When triangles name points that there are not, a corner is no place, or the surface is not closed.
+    """
+    points = np.asarray(points, np.float64).reshape(-1, 3)
+    triangles = np.asarray(triangles, np.int64).reshape(-1, 3)
+    if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
+        raise InputError(
+            f"its triangles name points {triangles.min()} to {triangles.max()}, it has {len(points)}, counted from 0",
+            "is the file complete?",
+        )
+    if not (np.abs(points[triangles]) < MAX_COORDINATE).all():
+        raise InputError(
+            f"a corner of a triangle is not finite or beyond {MAX_COORDINATE:g} mm, numbers expected",
+            "export the mesh again",
+        )
+    named, triangles = np.unique(triangles, return_inverse=True)
+    # Zeros have a sign.
+    points, same = np.unique(points[named] + 0.0, axis=0, return_inverse=True)
+    triangles = same.reshape(-1)[triangles.reshape(-1, 3)]
+    triangles, open_edges = closed_triangles(points, triangles)
+    if len(triangles) == 0:
+        raise InputError("no triangle in it, expected a closed surface", "is the file complete?")
+    if open_edges:
+        raise InputError(
+            f"{len(triangles)} triangles with {open_edges} open edges, expected a closed surface",
+            "close its holes first",
+        )
+    named, triangles = np.unique(triangles, return_inverse=True)
+    return points[named], triangles.reshape(-1, 3)
 
 
-def closed(points: Floats, triangles: Ints) -> tuple[Ints, int]:
+def closed_triangles(points: Floats, triangles: Ints) -> tuple[Ints, int]:
     """Triangles of a closed surface with the same points, and how many edges are open: 0, or they are as they were.
 
     Parameters
@@ -165,13 +248,23 @@ def _welded(places: Floats, cell: float) -> Ints:
     return first[group]
 
 
-#: mm; beyond it differences of coordinates are no longer exact to a voxel.
-MAX_COORDINATE = 1e12
-#: Rows of voxels tested against triangles at once, for the sake of memory.
-BATCH_ROWS = 1 << 17
+class Edges(NamedTuple):
+    """Edges of triangles: their two points (k, 2), how many triangles each has (k,), and those of each (m, 3)."""
+
+    ends: Ints
+    counts: Ints
+    of_triangles: Ints
 
 
-def inside(
+def edges_of(triangles: Ints) -> Edges:
+    """The edges of triangles (m, 3)."""
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+    width = int(triangles.max(initial=0)) + 1
+    keys, number, counts = np.unique(sides[:, 0] * width + sides[:, 1], return_inverse=True, return_counts=True)
+    return Edges(np.stack(np.divmod(keys, width), axis=1), counts, number.reshape(-1, 3))
+
+
+def voxels_in_mesh(
     path: str | Path, geometry: Geometry, space: str = "", box: Box | None = None
 ) -> NDArray[np.bool_]:
     """Voxels of a grid, or of a box of it, whose centres are inside a closed mesh.
@@ -183,7 +276,7 @@ def inside(
     geometry : Geometry
         The grid.
     space : {"", "lps", "ras"}
-        What its points are, as of `read`.
+        What its points are, as of `read_mesh`.
     box : tuple of slice, optional
         By default the whole grid.
 
@@ -194,109 +287,14 @@ def inside(
     Raises
     ------
     InputError
-        As `read`.
+        As `read_mesh`.
     """
-    points, triangles = read(path, space)
+    points, triangles = read_mesh(path, space)
     index = geometry.world_to_index(points)
     if box is None:
         return voxels_inside(index, triangles, geometry.shape)
     z, y, x = (s.stop - s.start for s in box)
     return voxels_inside(index - np.array(corner_of(box)), triangles, (z, y, x))
-
-
-def read(path: str | Path, space: str = "") -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Read a closed mesh; points that are RAS are turned to LPS, by half a turn about z.
-
-    Parameters
-    ----------
-    path : str or Path
-        In one of the formats of `accelsurf.settings.mesh_formats` that can be read.
-    space : {"", "lps", "ras"}
-        What its points are, where the file does not say it; LPS unless given.
-
-    Returns
-    -------
-    ndarray (n, 3) of float64, ndarray (m, 3) of int64
-        Points in mm, LPS, no two at the same place, and the point numbers of the triangles.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read, names points that it does not have, its surface is not closed, or its header says
-        a space that is not understood or another than ``space``.
-    """
-    path = Path(path)
-    with naming(path):
-        suffix = path.suffix.lower()
-        readers = {form.suffix: form.read for form in MESH_FORMATS.values() if form.read is not None}
-        if suffix not in readers:
-            raise InputError("no mesh format that accelsurf reads", f"one of {', '.join(readers)}")
-        if not path.is_file():
-            raise InputError("there is no such file", "check the path")
-        size = path.stat().st_size
-        budgets.MESH_FILE.check(size * budgets.MESH_BYTES_PER_FILE_BYTE, factor=available_memory())
-        content = path.read_bytes()
-        try:
-            mesh = MeshContent(*load(readers[suffix])(content))
-            points = np.asarray(mesh.points, np.float64).reshape(-1, 3)
-        except MemoryError:
-            raise
-        except Exception as error:  # whatever a reader makes of a damaged file
-            reason = " ".join(str(error).split())[:200]
-            hint = error.hint if isinstance(error, InputError) else ""
-            raise InputError(f"cannot be read as a mesh ({reason})", hint or "is the file complete?") from None
-        if is_ras(mesh.header, space):
-            points = points * (-1.0, -1.0, 1.0)
-        return closed_mesh(points, mesh.triangles)
-
-
-def closed_mesh(points: NDArray[Any], triangles: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the same surface with points at the same place made one; refuse what is damaged or open.
-
-    Parameters
-    ----------
-    points : ndarray (n, 3)
-        mm.
-    triangles : ndarray (m, 3)
-        Point numbers.
-
-    Returns
-    -------
-    ndarray (k, 3) of float64, ndarray (l, 3) of int64
-        Where the surface is closed except for rounding, corners that differ by it are one, as
-        `TOLERANCES` says. A triangle that is there several times is there once.
-
-    Raises
-    ------
-    InputError
-        When triangles name points that there are not, a corner is no place, or the surface is not closed.
-    """
-    points = np.asarray(points, np.float64).reshape(-1, 3)
-    triangles = np.asarray(triangles, np.int64).reshape(-1, 3)
-    if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
-        raise InputError(
-            f"its triangles name points {triangles.min()} to {triangles.max()}, it has {len(points)}, counted from 0",
-            "is the file complete?",
-        )
-    if not (np.abs(points[triangles]) < MAX_COORDINATE).all():
-        raise InputError(
-            f"a corner of a triangle is not finite or beyond {MAX_COORDINATE:g} mm, numbers expected",
-            "export the mesh again",
-        )
-    named, triangles = np.unique(triangles, return_inverse=True)
-    # Zeros have a sign.
-    points, same = np.unique(points[named] + 0.0, axis=0, return_inverse=True)
-    triangles = same.reshape(-1)[triangles.reshape(-1, 3)]
-    triangles, open_edges = closed(points, triangles)
-    if len(triangles) == 0:
-        raise InputError("no triangle in it, expected a closed surface", "is the file complete?")
-    if open_edges:
-        raise InputError(
-            f"{len(triangles)} triangles with {open_edges} open edges, expected a closed surface",
-            "close its holes first",
-        )
-    named, triangles = np.unique(triangles, return_inverse=True)
-    return points[named], triangles.reshape(-1, 3)
 
 
 def voxels_inside(

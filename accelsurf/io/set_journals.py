@@ -25,7 +25,7 @@ from typing import Any
 
 #: First and last characters of the name of a staging folder.
 PREFIX, SUFFIX = ".", ".accelsurf"
-_JOURNAL, _LOCK, _DRAFT = ".json", ".lock", ".draft"
+_JOURNAL, _LOCK, _UNFINISHED = ".json", ".lock", ".draft"
 #: Journals of killed runs whose folders nobody has written to since are forgotten after so long.
 _FORGOTTEN_DAYS = 90
 _STAGING = re.compile(r"\..+\.[0-9a-f]{16}\.accelsurf")
@@ -80,14 +80,14 @@ class Journal:
         """
         if self._path is not None:
             content = {"staging": self.staging.name, "moves": None if moves is None else asdict(moves)}
-            draft = self._path.with_suffix(_DRAFT)
-            draft.unlink(missing_ok=True)
-            with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+            unfinished = self._path.with_suffix(_UNFINISHED)
+            unfinished.unlink(missing_ok=True)
+            with open(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
                 file.write(json.dumps(content))  # names that are no UTF-8 are escaped
                 if moves is not None:
                     file.flush()
                     os.fsync(file.fileno())
-            os.replace(draft, self._path)
+            os.replace(unfinished, self._path)
             if moves is not None:
                 sync_folder(self._path.parent)
         self.moves = moves
@@ -109,7 +109,7 @@ class Journal:
     def end(self) -> None:
         """Remove it, and free the lock; more than once does nothing."""
         if self._path is not None and self._lock >= 0:
-            _unlink(self._path.with_suffix(_DRAFT))
+            _unlink(self._path.with_suffix(_UNFINISHED))
             _unlink(self._path)
             _free(self._lock, self._path.with_suffix(_LOCK))
         self._lock = -1

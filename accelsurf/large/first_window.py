@@ -119,7 +119,7 @@ def extent_of(text: str, geometry: Geometry) -> Box:
         points = [[m + sign * half / h for m, h in zip(middle, geometry.spacing, strict=True)] for sign in (-1, 1)]
         return _around(np.array(points), text, geometry)
     if start.kind == "mesh":
-        corners = meshes.read(start.file, start.word)[0]
+        corners = meshes.read_mesh(start.file, start.word)[0]
     else:
         low, high = start.numbers[:3], start.numbers[3:]
         corners = np.array([[(low, high)[i >> axis & 1][axis] for axis in range(3)] for i in range(8)])

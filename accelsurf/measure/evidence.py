@@ -25,7 +25,7 @@ HALF_EDGE, HALF_MODEL, LIKE = 3.0, 1.5, 2.5
 PATCH = 0.3
 #: Patches that are looked at one after another lie so many radii of a patch apart.
 APART = 3.0
-#: Least noise, as a part of the spread of the object's values and of those beside it.
+#: Least noise, as a part of the deviation of the object's values and of those beside it.
 MIN_NOISE = 0.05
 
 Floats = NDArray[np.float64]
@@ -48,7 +48,7 @@ class Evidence:
     inside_like : float
         Share of the surface where the outside has values of the object.
     drift : float
-        Difference of the object's values far from its middle and near it, in units of their spread.
+        Difference of the object's values far from its middle and near it, in units of their deviation.
     """
 
     index: NDArray[np.int64]
@@ -67,8 +67,8 @@ class Evidence:
     @property
     def total(self) -> Floats:
         """Evidence of each place (n,), 0 to 1: that at least one of the three holds."""
-        doubt: Floats = (1.0 - self.of_image) * (1.0 - self.click)
-        return 1.0 - doubt
+        uncertainty: Floats = (1.0 - self.of_image) * (1.0 - self.click)
+        return 1.0 - uncertainty
 
 
 def gather(
@@ -99,31 +99,31 @@ def gather(
     near, deep, out = (_sampled(values, index, normal, k * STEP) for k in (-1.0, -3.0, 1.0))
     core = values[ndimage.binary_erosion(part, border_value=1)]
     core = core if core.size > 20 else values[part]
-    middle, spread = _middle_and_spread(core)
-    beside = _middle_and_spread(out)[1]
-    floor = MIN_NOISE * max(spread, beside, 1e-12)
+    middle, deviation = _median_and_deviation(core)
+    beside = _median_and_deviation(out)[1]
+    floor = MIN_NOISE * max(deviation, beside, 1e-12)
     noise = max(float(np.median(np.abs(near - deep))), floor)
     across = np.abs(near - out) / noise
-    unlike = np.abs(out - middle) / max(spread, floor)
-    gain = np.maximum(unlike - np.abs(near - middle) / max(spread, floor), 0.0)
+    unlike = np.abs(out - middle) / max(deviation, floor)
+    gain = np.maximum(unlike - np.abs(near - middle) / max(deviation, floor), 0.0)
     corner = np.array(corner_of(box))
     places = index + corner
     return Evidence(
         places, _rising(across, HALF_EDGE), _rising(gain, HALF_MODEL), _near_click(places, clicked, inside, spacing),
-        float(np.median(across)), float((unlike < LIKE).mean()), _drift(part, values, spacing, spread, floor),
+        float(np.median(across)), float((unlike < LIKE).mean()), _drift(part, values, spacing, deviation, floor),
     )
 
 
-def doubtful_places(
+def uncertain_places(
     evidence: Evidence, spacing: tuple[float, float, float], volume_mm3: float, count: int = 1
 ) -> list[tuple[tuple[int, int, int], float]]:
-    """Return the patches with the least evidence, the most doubtful first: a voxel (z, y, x), and its doubt, 0 to 1.
+    """Return the patches with the least evidence, most uncertain first: a voxel (z, y, x), and its uncertainty, 0 to 1.
 
-    The voxel lies next to the surface, and the patch around it. Doubt is summed over the patch: a large doubtful piece
-    counts for more than a small one. Ties go to the first. There is at least one; a further one lies at least three
-    patches' radii from those before it.
+    The voxel lies next to the surface, and the patch around it. Uncertainty is summed over the patch: a large
+    uncertain piece counts for more than a small one. Ties go to the first. There is at least one; a further one lies at
+    least three patches' radii from those before it.
     """
-    doubt = 1.0 - evidence.total
+    uncertainty = 1.0 - evidence.total
     # Counted from the object's own first voxel: the blocks do not depend on where its grid begins.
     places = (evidence.index - evidence.index.min(axis=0)) * np.asarray(spacing)
     radius = max(PATCH * (0.75 * max(volume_mm3, 1e-30) / np.pi) ** (1.0 / 3.0), 2.0 * max(spacing))
@@ -131,7 +131,7 @@ def doubtful_places(
     blocks, member = np.unique((places / (0.5 * radius)).astype(np.int64), axis=0, return_inverse=True)
     member = member.reshape(-1)
     counts = np.bincount(member, minlength=len(blocks)).astype(np.float64)
-    sums = np.bincount(member, doubt, len(blocks))
+    sums = np.bincount(member, uncertainty, len(blocks))
     middles = np.stack([np.bincount(member, places[:, a], len(blocks)) for a in range(3)], axis=1) / counts[:, None]
     totals, shares = np.zeros(len(blocks)), np.zeros(len(blocks))
     for i, middle in enumerate(middles):
@@ -143,7 +143,7 @@ def doubtful_places(
     while len(out) < count and far.any():
         best = _first_largest(totals, far)
         members = np.flatnonzero(member == best)
-        z, y, x = evidence.index[members[int(np.argmax(doubt[members]))]]
+        z, y, x = evidence.index[members[int(np.argmax(uncertainty[members]))]]
         out.append(((int(z), int(y), int(x)), float(shares[best])))
         far &= ((middles - middles[best]) ** 2).sum(axis=1) > (APART * radius) ** 2
     return out
@@ -184,7 +184,7 @@ def _sampled(values: NDArray[np.float32], index: NDArray[np.int64], normal: Floa
     return np.asarray(ndimage.map_coordinates(values, at, order=1, mode="nearest"), np.float64)
 
 
-def _middle_and_spread(values: NDArray[np.floating]) -> tuple[float, float]:
+def _median_and_deviation(values: NDArray[np.floating]) -> tuple[float, float]:
     """Median, and the standard deviation by the median absolute deviation."""
     flat = np.asarray(values, np.float64).ravel()
     flat = flat[:: max(1, flat.size // (1 << 18))]
@@ -233,9 +233,9 @@ def _deepest(inside: NDArray[np.bool_], spacing: Sequence[float]) -> tuple[int, 
 
 
 def _drift(
-    inside: NDArray[np.bool_], values: NDArray[np.float32], spacing: Sequence[float], spread: float, floor: float
+    inside: NDArray[np.bool_], values: NDArray[np.float32], spacing: Sequence[float], deviation: float, floor: float
 ) -> float:
-    """Largest difference of the medians of shells around the deepest point, in units of the object's spread."""
+    """Largest difference of the medians of shells around the deepest point, in units of the object's deviation."""
     middle = _deepest(inside, spacing)
     core = ndimage.binary_erosion(inside, border_value=1)
     core = core if core.sum() > 20 else inside
@@ -243,4 +243,4 @@ def _drift(
     away = np.concatenate([(z[k] + y[:, None] + x)[plane] for k, plane in enumerate(core)])
     ordered = values[core][np.argsort(away, kind="stable")]
     shells = [float(np.median(shell)) for shell in np.array_split(ordered, 4) if shell.size]
-    return float(np.ptp(shells)) / max(spread, floor)
+    return float(np.ptp(shells)) / max(deviation, floor)

@@ -35,6 +35,7 @@ from accelsurf.image.volume import Volume
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float64]
+Spacing = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -253,9 +254,6 @@ def _object(volume: Volume) -> Mask:
 
 def _ratio(part: float, whole: float) -> float:
     return part / whole if whole else math.nan
-
-
-Spacing = tuple[float, float, float]
 
 
 def surface_dice(a: Mask, b: Mask, spacing: Spacing, tolerances: Sequence[float]) -> list[float]:

@@ -34,11 +34,25 @@ if TYPE_CHECKING:
 #: in units of the noise; relative growth over the last steps; share of the object unlike what was learned. A Gaussian
 #: has 1.2 % beyond the bounds.
 MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIKE = 0.2, 0.4, 2.0, 0.02, 20, 0.1
-#: A rest is noted where the object has grown to so many times its size since.
+#: A plateau is noted where the object has grown to so many times its size since.
 MIN_BURST = 1.1
 #: What counts for an object without clicks as its volume over theirs, where no click has corrected it (radii), and as
 #: compactness where no surface was measured.
 USUAL_BEYOND, USUAL_CORRECTION, USUAL_COMPACTNESS = 20.0, 0.37, 0.49
+#: A gradient is an edge if it is above this percentile of the gradients inside the object, at least so many voxels from
+#: its surface, and above this fraction of the image's range over the scale that gradients are computed at.
+INTERIOR_PERCENTILE, INTERIOR_DEPTH, MIN_EDGE = 75.0, 3, 0.005
+#: Gradients inside the object are sampled at about so many voxels.
+GRADIENT_SAMPLES = 1 << 18
+#: A slab has at least so many planes for each plane around it that is needed besides.
+MIN_SLAB_HALOS = 4
+#: A part counts from this fraction of the object's volume on; a neck is at most so many voxels to either side; so many
+#: parts are examined.
+LARGE_PART, NECK, MAX_PARTS = 0.05, 2, 200
+#: The file with the models of the probability.
+MODEL_FILE = "good_result.json"
+#: Names of the models.
+ModelKind = Literal["clicks", "image"]
 
 
 class ValueRange(NamedTuple):
@@ -48,7 +62,7 @@ class ValueRange(NamedTuple):
     high: float
 
 
-class RestNote(NamedTuple):
+class PlateauNote(NamedTuple):
     """A plateau of the front: its ``step``, its ``volume_mm3`` then, and the ``place`` (x, y, z; mm, LPS) near which
     the front broke through at step ``left_at``.
     """
@@ -68,9 +82,9 @@ class Quality(NamedTuple):
         That the result is good (a Dice of 0.8 or more), by a logistic model of the measures below; how it was
         calibrated stands in docs/explanation/quality.md.
     next_click : (x, y, z) or None
-        World mm (LPS): the most doubtful place, where to click next.
+        World mm (LPS): the most uncertain place, where to click next.
     next_doubt : float
-        Share of doubt there, 0 to 1.
+        Uncertainty there, 0 to 1.
     border_fraction : float
         Share of the object's surface that lies on the volume's border.
     contrast : float
@@ -88,7 +102,7 @@ class Quality(NamedTuple):
     inside_like : float
         Share of the surface beyond which the image has values of the object.
     drift : float
-        Difference of the object's values between shells around its middle, in units of their spread.
+        Difference of the object's values between shells around its middle, in units of their deviation.
     compactness : float
         36 pi V^2/A^3, 1 for a ball; in one slice 4 pi A/L^2.
     parts_beyond_necks : int
@@ -107,12 +121,12 @@ class Quality(NamedTuple):
         deviations from the mean of those that it was learned from; None where no model was learned once.
     leaked : bool
         Whether it grew beyond ``max_volume``.
-    rests : tuple of RestNote
-        Where the front rested before it broke through.
+    rests : tuple of PlateauNote
+        Plateaus of the front before it broke through.
     warnings : tuple of str
-        What is in doubt, each with a command to try next.
+        What is uncertain, each with a command to try next.
     notes : tuple of str
-        What is worth knowing and mostly harmless.
+        Remarks worth knowing and mostly harmless.
     first_size : Proposal or None
         The volume that the first click proposed, how sure that is, and other likely ones; None without a model of
         clicks.
@@ -139,7 +153,7 @@ class Quality(NamedTuple):
     size_spread: float | None
     unlike_learned: float | None
     leaked: bool
-    rests: tuple[RestNote, ...]
+    rests: tuple[PlateauNote, ...]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     first_size: Proposal | None = None
@@ -152,7 +166,7 @@ def assess(
     history: Sequence[StepRecord],
     stop: Stop,
     learned: ValueRange | None = None,
-    rests: Sequence[RestNote] = (),
+    plateaus: Sequence[PlateauNote] = (),
     clicked: NDArray[np.bool_] | None = None,
     sureness: Sureness | None = None,
 ) -> Quality:
@@ -170,7 +184,7 @@ def assess(
     stop : Stop
     learned : ValueRange, optional
         The values that a model learned from the start gives the object.
-    rests : sequence of RestNote, optional
+    plateaus : sequence of PlateauNote, optional
     clicked : ndarray (nz, ny, nx) of bool, optional
         Voxels that a person clicked, on either side.
     sureness : Sureness, optional
@@ -181,11 +195,11 @@ def assess(
     first, last = (history[0].volume_mm3, history[-1].volume_mm3) if history else (0.0, 0.0)
     before = finest[max(-LAST_STEPS - 1, -len(finest))].volume_mm3 if finest else 0.0
     found, volume = places.gather(inside, image, spacing, clicked), np.count_nonzero(inside) * geometry.voxel_volume
-    place, doubt = (None, 0.0) if found is None else places.doubtful_places(found, spacing, volume)[0]
+    place, uncertainty = (None, 0.0) if found is None else places.uncertain_places(found, spacing, volume)[0]
     measured = Quality(
         probability=0.0,
         next_click=None if place is None else _world(geometry, place),
-        next_doubt=doubt,
+        next_doubt=uncertainty,
         border_fraction=_border_fraction(inside, spacing),
         **_along_surface(found),
         no_edge_fraction=no_edge_fraction(inside, image, spacing),
@@ -197,11 +211,11 @@ def assess(
         **_by_clicks(sureness),
         unlike_learned=None if learned is None else _unlike_fraction(inside, image, learned),
         leaked=stop.reason == "leaked",
-        rests=tuple(rests),
+        rests=tuple(plateaus),
         warnings=(),
         notes=(),
     )
-    likely = probability_good(kind_of(measured), features(measured, stop.reason, last))
+    likely = probability_good(model_kind(measured), features(measured, stop.reason, last))
     measured = measured._replace(probability=likely)
     warnings, notes = _warnings(measured, stop, last, inside, geometry), _notes(measured, last, geometry)
     return measured._replace(warnings=tuple(warnings), notes=tuple(notes))
@@ -217,12 +231,12 @@ def _along_surface(found: Evidence | None) -> dict[str, Any]:
 
 def _by_clicks(sureness: Sureness | None) -> dict[str, Any]:
     """The measures by the model of the clicks; without one they are None."""
-    overlap, corrections, last, spread, first = sureness or (None, None, None, None, None)
-    known = {"level_overlap": overlap, "corrections": corrections, "correction": last, "size_spread": spread}
+    overlap, corrections, last, deviation, first = sureness or (None, None, None, None, None)
+    known = {"level_overlap": overlap, "corrections": corrections, "correction": last, "size_spread": deviation}
     return {**known, "first_size": first}
 
 
-def kind_of(found: Quality) -> ModelKind:
+def model_kind(found: Quality) -> ModelKind:
     """Return the model that tells the probability."""
     return "image" if found.level_overlap is None else "clicks"
 
@@ -250,7 +264,7 @@ def click_features(found: Quality) -> dict[str, float] | None:
 
 def image_features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]:
     """Return the features of the surface, the image and the run."""
-    burst = max((volume_mm3 / rest.volume_mm3 for rest in found.rests[:1] if rest.volume_mm3 > 0), default=1.0)
+    burst = max((volume_mm3 / note.volume_mm3 for note in found.rests[:1] if note.volume_mm3 > 0), default=1.0)
     return {
         "contrast": math.log(min(max(found.contrast, 0.1), 100.0)),
         "evidence": found.evidence,
@@ -298,7 +312,7 @@ def _warnings(
     there = "" if found.next_click is None else place_text(found.next_click, geometry.steps)
     if found.leaked:
         warnings.append(f"leak: {stop.message}; try {_against_leak(found, there, geometry)}")
-    if found.probability < warning_threshold(kind_of(found)) and found.next_click is not None:
+    if found.probability < warning_threshold(model_kind(found)) and found.next_click is not None:
         click = f"look at {there} first and try --inside point:{there}, or --outside if it is not the object"
         sure = f"{found.probability:.0%} likely to be good"
         warnings.append(f"doubt: probably not right ({_why(found)}; {sure}); {click}")
@@ -307,17 +321,17 @@ def _warnings(
         warnings.append(f"doubt: its surface cannot be judged, at {volume_text(last)}{tried}")
     if abs(found.late_growth) > MAX_GROWTH and stop.reason not in ("converged", "rested", "leaked"):
         change = f"the volume changed by {found.late_growth:+.0%} in the last {LAST_STEPS} steps"
-        # Where it has rested before, more steps lead farther away.
+        # After a plateau more steps lead farther away.
         tried = "--stop-at-rest" if found.rests else f"--max-steps {2 * stop.steps}"
         warnings.append(f"growth: {change}; try {tried}")
     return warnings
 
 
-def _against_leak(found: Quality, doubtful: str, geometry: Geometry) -> str:
+def _against_leak(found: Quality, uncertain: str, geometry: Geometry) -> str:
     """Return a remedy of a leak: a click where the front broke through, else at the most uncertain location."""
     if found.rests:
         return f"--outside point:{place_text(found.rests[-1].place, geometry.steps)}, near which it broke through"
-    return f"--outside point:{doubtful}, its most doubtful place" if doubtful else "--stop-at-rest"
+    return f"--outside point:{uncertain}, its most doubtful place" if uncertain else "--stop-at-rest"
 
 
 def _larger_ball(inside: NDArray[np.bool_], geometry: Geometry) -> str:
@@ -349,16 +363,16 @@ def _why(found: Quality) -> str:
     if found.correction is not None:
         words["correction"] = f"the last click was {found.correction:.2g} radii away from what was found before"
     last = found.rests[0].volume_mm3 if found.rests else 0.0
-    return words[lowest_term(kind_of(found), features(found, "converged", last), words)]
+    return words[lowest_term(model_kind(found), features(found, "converged", last), words)]
 
 
 def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
     notes = []
-    for rest in found.rests:
-        if last > MIN_BURST * rest.volume_mm3:
+    for plateau in found.rests:
+        if last > MIN_BURST * plateau.volume_mm3:
             notes.append(
-                f"rest: rested at step {rest.step} at {volume_text(rest.volume_mm3)}, then broke through near "
-                f"{place_text(rest.place, geometry.steps)}, to {volume_text(last)} in the end; try --stop-at-rest"
+                f"rest: rested at step {plateau.step} at {volume_text(plateau.volume_mm3)}, then broke through near "
+                f"{place_text(plateau.place, geometry.steps)}, to {volume_text(last)} in the end; try --stop-at-rest"
             )
     if found.unlike_learned is not None and found.unlike_learned > MAX_UNLIKE:
         notes.append(
@@ -410,15 +424,6 @@ def _unlike_fraction(inside: NDArray[np.bool_], image: NDArray[np.float32], lear
     return float(((values < learned.low) | (values > learned.high)).mean()) if values.size else 0.0
 
 
-#: A gradient is an edge if it is above this percentile of the gradients inside the object, at least so many voxels from
-#: its surface, and above this fraction of the image's range over the scale that gradients are computed at.
-INTERIOR_PERCENTILE, INTERIOR_DEPTH, MIN_EDGE = 75.0, 3, 0.005
-#: Gradients inside the object are sampled at about so many voxels.
-GRADIENT_SAMPLES = 1 << 18
-#: A slab has at least so many planes for each plane around it that is needed besides.
-MIN_SLAB_HALOS = 4
-
-
 def no_edge_fraction(
     inside: NDArray[np.bool_], image: NDArray[np.float32], spacing: tuple[float, float, float]
 ) -> float:
@@ -464,11 +469,6 @@ def gradients(
     return np.sqrt(total)
 
 
-#: A part counts from this fraction of the object's volume on; a neck is at most so many voxels to either side; so many
-#: parts are examined.
-LARGE_PART, NECK, MAX_PARTS = 0.05, 2, 200
-
-
 def parts_beyond_necks(inside: NDArray[np.bool_]) -> int:
     """Large parts that remain of the largest component without its necks."""
     box = bounding_box(inside, 1)
@@ -512,12 +512,6 @@ def _deeper_than_neck(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         there = tuple(slice(max(0, o), n - max(0, -o)) for o, n in zip(offset, mask.shape, strict=True))
         deep[here] &= mask[there]
     return deep
-
-
-#: The file with the models.
-MODEL_FILE = "good_result.json"
-#: Their names.
-ModelKind = Literal["clicks", "image"]
 
 
 @functools.cache

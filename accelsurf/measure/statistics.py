@@ -108,7 +108,7 @@ def _moments(inside: NDArray[np.bool_]) -> tuple[int, Floats, Floats]:
 
 
 def _of_image(values: NDArray[Any]) -> dict[str, float]:
-    """Mean, spread and percentiles."""
+    """Mean, deviation and percentiles."""
     flat = values.astype(np.float64)
     steps = np.percentile(flat, PERCENTILES)
     return {

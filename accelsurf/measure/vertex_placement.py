@@ -38,6 +38,25 @@ MIN_IN_PLANE = 0.2
 #: Cosine between the normals at the ends of an edge up to which there is a curvature: a surface of radius 1 voxel, or
 #: an edge of the object, turns by more.
 MIN_COSINE = 0.5
+#: A part is small where psi on its side stays within so many voxels of the coarsest axis.
+THICK = 2.0
+#: Cosine between the normals of psi at the ends of a side below which a face needs more than its curvature, ...
+TURNED = 0.8
+#: ... if that between the normals of the mesh is below this. The walls of a thin sheet, where psi is flat as well, have
+#: what they need, and beside the ridge between them the cubic errs.
+BENT = 0.97
+#: Least slope of psi over a voxel along the normal, on one side: else psi is no distance there.
+SMALL_MIN_SLOPE = 0.7
+#: Largest slope between two voxels.
+MAX_SLOPE = 1.1
+#: Steps, each by the mean of what is left.
+STEPS = 4
+#: Rounds in which a step is averaged among neighbours, so that single vertices do not stick out.
+SMALL_ROUNDS = 1
+#: Longest way of a vertex, parts of a voxel's size along the normal.
+MAX_WAY = 0.7
+#: Points whose psi is interpolated at a time: their arrays then stay in the cache.
+AT_A_TIME = 1 << 14
 
 
 def on_edges(
@@ -172,7 +191,7 @@ def balanced(
     placed = np.asarray(zyx + distance[:, None] * normals / h)
     # In the slice of a volume psi is no distance from the contour.
     rough = ~known[faces].all(axis=1) | (cosine < TURNED)
-    return placed if across is not None else settled(placed, faces[~is_cap], rough[~is_cap], psi, h, normals)
+    return placed if across is not None else with_zero_means(placed, faces[~is_cap], rough[~is_cap], psi, h, normals)
 
 
 def _within(normals: Floats, known: NDArray[np.bool_], across: int) -> tuple[Floats, NDArray[np.bool_]]:
@@ -209,28 +228,7 @@ def _normals(
     return gradient / np.maximum(norm, MIN_SLOPE)[:, None], known
 
 
-#: A part is small where psi on its side stays within so many voxels of the coarsest axis.
-THICK = 2.0
-#: Cosine between the normals of psi at the ends of a side below which a face needs more than its curvature, ...
-TURNED = 0.8
-#: ... if that between the normals of the mesh is below this. The walls of a thin sheet, where psi is flat as well, have
-#: what they need, and beside the ridge between them the cubic errs.
-BENT = 0.97
-#: Least slope of psi over a voxel along the normal, on one side: else psi is no distance there.
-SMALL_MIN_SLOPE = 0.7
-#: Largest slope between two voxels.
-MAX_SLOPE = 1.1
-#: Steps, each by the mean of what is left.
-STEPS = 4
-#: Rounds in which a step is averaged among neighbours, so that single vertices do not stick out.
-SMALL_ROUNDS = 1
-#: Longest way of a vertex, parts of a voxel's size along the normal.
-MAX_WAY = 0.7
-#: Points whose psi is interpolated at a time: their arrays then stay in the cache.
-AT_A_TIME = 1 << 14
-
-
-def settled(
+def with_zero_means(
     zyx: Floats, faces: NDArray[np.integer], rough: NDArray[np.bool_], psi: NDArray[np.float32], h: Floats,
     outward: Floats,
 ) -> Floats:

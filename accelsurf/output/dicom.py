@@ -23,6 +23,9 @@ from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.version import __version__
 
+#: Settings that change no voxel, beside those of the files that are written.
+_FREE = ("threads", "reproducible")
+
 
 def write_segmentation(result: Result, table: LabelTable, path: Path) -> None:
     """Write the objects as the segments of a binary DICOM Segmentation.
@@ -62,10 +65,6 @@ def _write(result: Result, table: LabelTable, path: Path, as_labelmap: bool) -> 
         Algorithm(__version__, parameters), seed, as_labelmap,
     )
     write_bytes(path, content)
-
-
-#: Settings that change no voxel, beside those of the files that are written.
-_FREE = ("threads", "reproducible")
 
 
 def source_of(result: Result) -> SourceImages:

@@ -37,6 +37,11 @@ Status = Literal["ok", "failed", "interrupted"]
 _MEASURES = ("volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components", "touches_border")
 #: Parts of a run that are timed, in the order they happen.
 TIMED = ("load", "start", "evolve", "refine", "mesh", "write", "total")
+#: Packages that a result can depend on.
+PACKAGES = (
+    "accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "nibabel", "trimesh", "Pillow", "pydantic",
+    "matplotlib",
+)
 
 
 def build(
@@ -180,9 +185,9 @@ def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
     """Return the part of the report about the quality of an object; None for several, which have their own."""
     if quality is None:
         return None
-    rests = [{**rest._asdict(), "place": list(rest.place)} for rest in quality.rests]
+    plateaus = [{**note._asdict(), "place": list(note.place)} for note in quality.rests]
     place = None if quality.next_click is None else list(quality.next_click)
-    lists = {"rests": rests, "warnings": list(quality.warnings), "notes": list(quality.notes)}
+    lists = {"rests": plateaus, "warnings": list(quality.warnings), "notes": list(quality.notes)}
     size = None if quality.first_size is None else quality.first_size._asdict()
     return {**quality._asdict(), "next_click": place, **lists, "first_size": size}
 
@@ -295,13 +300,6 @@ def _plain(value: Any) -> Any:
     return value
 
 
-#: Packages that a result can depend on.
-PACKAGES = (
-    "accelsurf", "numpy", "scipy", "numba", "scikit-image", "SimpleITK", "nibabel", "trimesh", "Pillow", "pydantic",
-    "matplotlib",
-)
-
-
 def versions() -> dict[str, str | None]:
     """Return the versions that a result can depend on: Python, the platform and the packages.
 
@@ -365,7 +363,7 @@ def describe_input(
     return {"path": str(Path(path).absolute()), "sha256": checksum, **grid}
 
 
-def describe_output(path: str | Path, kind: str, draft: Path | None = None) -> dict[str, str]:
+def describe_output(path: str | Path, kind: str, staged: Path | None = None) -> dict[str, str]:
     """Return the report's entry about a file that is written.
 
     Parameters
@@ -374,14 +372,14 @@ def describe_output(path: str | Path, kind: str, draft: Path | None = None) -> d
         The file.
     kind : str
         What it is: labels, surface, contour, trace, preview, sdf, ...
-    draft : Path, optional
+    staged : Path, optional
         Where its content is until all files of the run are complete.
     """
-    return {"path": str(Path(path).absolute()), "kind": kind, "sha256": sha256(draft or path)}
+    return {"path": str(Path(path).absolute()), "kind": kind, "sha256": sha256(staged or path)}
 
 
-def describe_drafts(files: FileSet, kinds: Mapping[str, str]) -> list[dict[str, str]]:
-    """Return the report's entries about all drafts of a set, those with a kind first.
+def describe_staged(files: FileSet, kinds: Mapping[str, str]) -> list[dict[str, str]]:
+    """Return the report's entries about all staging files of a set, those with a kind first.
 
     Parameters
     ----------
@@ -389,5 +387,5 @@ def describe_drafts(files: FileSet, kinds: Mapping[str, str]) -> list[dict[str, 
     kinds : mapping of str to str
         Kind by name; a file that belongs to another one, such as the voxels of an .mhd header, has none: it is "data".
     """
-    names = [*kinds, *sorted(path.name for path in files.drafts.iterdir() if path.name not in kinds)]
-    return [describe_output(files.folder / name, kinds.get(name, "data"), files.drafts / name) for name in names]
+    names = [*kinds, *sorted(path.name for path in files.staging.iterdir() if path.name not in kinds)]
+    return [describe_output(files.folder / name, kinds.get(name, "data"), files.staging / name) for name in names]

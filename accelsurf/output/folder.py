@@ -1,6 +1,6 @@
-"""The folder of a run's files: whether it can take them, what may be replaced there, and errors that name them.
+"""The folder of a run's files: is it writable, what may be replaced in it, and which files are inputs of the run.
 
-The files that a run reads: they are what it may not write.
+Inputs are never replaced. Errors name the files as they will be called.
 """
 
 from __future__ import annotations
@@ -20,6 +20,12 @@ from accelsurf.settings.track_config import TrackConfig
 
 #: Of a file's name, on the usual file systems.
 MAX_NAME_BYTES = 255
+#: Settings that are places, and kinds of places that name a file: ``label:FILE``.
+PLACES, FILE_KINDS = ("start", "foreground", "background", "inside", "outside"), ("label", "mesh", "stroke")
+#: Settings that name a file.
+_FILES = ("mask", "objects", "label_table")
+#: Endings of headers whose voxels may lie in another file.
+_DETACHED = (".mhd", ".nhdr", ".hdr", ".img")
 
 
 def refuse_existing(paths: dict[str, Path], overwrite: bool, inputs: Sequence[Path] = ()) -> None:
@@ -124,17 +130,17 @@ def opened_set(folder: Path, name: str, inputs: Sequence[Path] = ()) -> Iterator
 
 @contextmanager
 def naming_final(files: FileSet) -> Iterator[None]:
-    """Name in errors the files as they would be called, not their drafts.
+    """Name in errors the files as they would be called, not their staging files.
 
     Raises
     ------
     OutputError
-        Instead of one that names a draft, and of what a full disk makes Python raise.
+        Instead of one that names a staging file, and of what a full disk makes Python raise.
     """
     try:
         yield
     except OutputError as error:
-        message, hint = (text.replace(str(files.drafts), str(files.folder)) for text in (error.message, error.hint))
+        message, hint = (text.replace(str(files.staging), str(files.folder)) for text in (error.message, error.hint))
         raise OutputError(message, hint) from error
     except OSError as error:
         name = Path(error.filename).name if isinstance(error.filename, str) else ""
@@ -142,14 +148,6 @@ def naming_final(files: FileSet) -> Iterator[None]:
             f"{files.folder / name}: cannot be written ({error.strerror or error})",
             f"may {files.folder} be written to, is there space on the disk, is a file of it open in another program?",
         ) from error
-
-
-#: Settings that are places, and kinds of places that name a file: ``label:FILE``.
-PLACES, FILE_KINDS = ("start", "foreground", "background", "inside", "outside"), ("label", "mesh", "stroke")
-#: Settings that name a file.
-_FILES = ("mask", "objects", "label_table")
-#: Endings of headers whose voxels may lie in another file.
-_DETACHED = (".mhd", ".nhdr", ".hdr", ".img")
 
 
 def named_files(given: RunConfig | TrackConfig) -> list[Path]:

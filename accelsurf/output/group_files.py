@@ -50,7 +50,7 @@ class GroupRecord:
     stops : list of Stop
     meshes : list of dict of str to str
         Of each object: name of the file by kind.
-    facts : dict
+    report_entries : dict
         ``energy``, ``resolved_settings``, ``warnings``, ``window``.
     """
 
@@ -62,7 +62,7 @@ class GroupRecord:
     high: NDArray[np.int64]
     stops: list[Stop]
     meshes: list[dict[str, str]]
-    facts: dict[str, Any]
+    report_entries: dict[str, Any]
 
     def masks(self) -> list[NDArray[np.bool_]]:
         """Return the mask of each object, on its box."""
@@ -133,11 +133,11 @@ def write_group(
     OutputError
         When a mesh cannot be written; OSError when something else cannot.
     """
-    with _staged(folder) as draft:
-        meshes = [_write_meshes(draft, segmented, names, space) for segmented in result.objects]
+    with _staged(folder) as staged:
+        meshes = [_write_meshes(staged, segmented, names, space) for segmented in result.objects]
         packed = {str(segmented.id): np.packbits(segmented.labels) for segmented in result.objects}
-        np.savez(draft / _LABELS, **packed)  # type: ignore[arg-type]
-        _write_record(draft, {
+        np.savez(staged / _LABELS, **packed)  # type: ignore[arg-type]
+        _write_record(staged, {
             "near": [],
             "rows": [describe_object(segmented) for segmented in result.objects],
             "boxes": [[[side.start, side.stop] for side in segmented.box] for segmented in result.objects],
@@ -154,8 +154,8 @@ def write_group(
 
 def write_near(folder: Path, ids: Sequence[int]) -> None:
     """Write that a group came to where others begin, by their ids; parameters as of `write_group`."""
-    with _staged(folder) as draft:
-        _write_record(draft, {"near": list(ids)})
+    with _staged(folder) as staged:
+        _write_record(staged, {"near": list(ids)})
 
 
 def read_group(folder: Path) -> GroupRecord | None:
@@ -191,35 +191,35 @@ def _staged(folder: Path) -> Iterator[Path]:
 
     What cannot be read there goes.
     """
-    draft = Path(tempfile.mkdtemp(prefix=".draft-", dir=folder.parent))
+    staged = Path(tempfile.mkdtemp(prefix=".draft-", dir=folder.parent))
     try:
-        yield draft
-        sync(draft)
+        yield staged
+        sync(staged)
         try:
-            os.rename(draft, folder)
+            os.rename(staged, folder)
         except OSError:
             if read_group(folder) is None:
                 shutil.rmtree(folder, ignore_errors=True)
-                os.rename(draft, folder)
+                os.rename(staged, folder)
         sync_folder(folder.parent)
     finally:
-        shutil.rmtree(draft, ignore_errors=True)
+        shutil.rmtree(staged, ignore_errors=True)
 
 
 def _write_meshes(
-    draft: Path, segmented: Any, names: Mapping[str, str], space: Literal["lps", "ras"]
+    staged: Path, segmented: Any, names: Mapping[str, str], space: Literal["lps", "ras"]
 ) -> dict[str, str]:
     """Write the surface or the contours of an object; the names of its files by kind."""
     shape = "surface" if segmented.length_mm is None else "contour"
     wanted = {kind: name for kind, name in names.items() if kind.startswith(shape) and segmented.has_surface}
     files = {kind: output_names.name_of(name, segmented.id) for kind, name in wanted.items()}
     for name in files.values():
-        (segmented.surface if shape == "surface" else segmented.contours).write(draft / name, space)
+        (segmented.surface if shape == "surface" else segmented.contours).write(staged / name, space)
     return files
 
 
-def _write_record(draft: Path, record: dict[str, Any]) -> None:
-    (draft / _RECORD).write_text(json.dumps(record, default=_plain), encoding="utf-8")
+def _write_record(staged: Path, record: dict[str, Any]) -> None:
+    (staged / _RECORD).write_text(json.dumps(record, default=_plain), encoding="utf-8")
 
 
 def _plain(value: Any) -> Any:

@@ -19,13 +19,16 @@ if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
     from accelsurf.run.result import Result
 
+#: What the one object of a run without ids is called.
+ONE = "object"
+
 
 def entries_of(result: Result, table: LabelTable) -> list[LabelEntry]:
     """Return the name and the colour of each object, in order of their ids."""
     return [table[segmented.id] for segmented in result.objects]
 
 
-def check(config: RunConfig, volume: Volume, overwrite: bool = False) -> None:
+def check_label_settings(config: RunConfig, volume: Volume, overwrite: bool = False) -> None:
     """Refuse what cannot be made of an image, before anything is computed.
 
     Raises
@@ -39,7 +42,7 @@ def check(config: RunConfig, volume: Volume, overwrite: bool = False) -> None:
     if config.label_group is not None:
         from accelsurf.io.formats import ome_labels
 
-        group = ome_labels.check(volume.source or Path(), config.label_group, overwrite)
+        group = ome_labels.check_label_group(volume.source or Path(), config.label_group, overwrite)
         InputFiles(named_files(config)).refuse([group], "--label-group")
     for name in config.also:
         if name not in LABEL_OUTPUTS or not LABEL_OUTPUTS[name].needs_dicom:
@@ -93,10 +96,6 @@ def bids_table(result: Result, table: LabelTable, path: Path) -> None:
     write_bytes(path, label_tables.bids_text(entries_of(result, table)).encode())
 
 
-#: What the one object of a run without ids is called.
-ONE = "object"
-
-
 def table_of(config: RunConfig) -> LabelTable:
     """Return what is known of labels: the table of the settings, else that of a label map of objects; then names and
     colours of the settings.
@@ -108,10 +107,10 @@ def table_of(config: RunConfig) -> LabelTable:
     """
     known = LabelTable()
     if config.label_table is not None:
-        known = label_tables.read(config.label_table)
+        known = label_tables.read_table(config.label_table)
     elif config.objects is not None and config.objects.partition("@")[0].lower().endswith((".seg.nrrd", ".dcm")):
         try:
-            known = label_tables.read(Path(config.objects.partition("@")[0]))
+            known = label_tables.read_table(Path(config.objects.partition("@")[0]))
         except InputError:
             known = LabelTable()  # a label map of that name without segments is a label map
     if not config.has_ids and 1 not in known.entries:

@@ -91,7 +91,7 @@ class BidsName:
         return Path(*parts, folder.name if folder.parent.name == parts[-1] else "anat")
 
 
-def check(config: RunConfig, source: Path, folder: Path, name: str) -> None:
+def check_layout(config: RunConfig, source: Path, folder: Path, name: str) -> None:
     """Refuse what a layout cannot have, before anything is computed.
 
     Parameters

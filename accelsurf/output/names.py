@@ -11,13 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.settings.budgets import MAX_RESTS
+from accelsurf.settings.budgets import MAX_PLATEAUS
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, image_format
 from accelsurf.settings.mesh_formats import Shape, automatic_mesh_formats, ending_of, mesh_formats
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
+
+#: Kinds of outputs of which each object has its own.
+EACH = ("surface", "contour")
 
 
 def label_format(config: RunConfig, source_suffix: str) -> str:
@@ -72,7 +75,7 @@ def names(config: RunConfig, labels: str, is_2d: bool | None) -> dict[str, str]:
     files |= {f"also-{name}": ending_of(name) for name in config.also if name != labels}
     if labels in ("nii", "nii.gz") and (config.name or config.color or config.label_table):
         files["also-itk-snap"] = ending_of("itk-snap")  # which ITK-SNAP reads beside a NIfTI
-    files |= {f"rest{number}": f"rest{number}_seg.{labels}" for number in range(1, MAX_RESTS + 1)}
+    files |= {f"rest{number}": f"rest{number}_seg.{labels}" for number in range(1, MAX_PLATEAUS + 1)}
     files |= {"trace": "trace.csv", "preview": "preview.png"}
     return files | {"statistics": "statistics.csv", "statistics-json": "statistics.json"}
 
@@ -102,7 +105,7 @@ def _is_table_of_clicks(objects: str | None) -> bool:
         return False
 
 
-def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
+def check_outputs(config: RunConfig, labels: str, geometry: Geometry) -> None:
     """Refuse formats that cannot hold the results on this grid.
 
     Raises
@@ -128,10 +131,6 @@ def check(config: RunConfig, labels: str, geometry: Geometry) -> None:
             f"format: {labels} was given for {geometry.shape[0]} slices along z, expected one",
             "use --format tif for a stack, or a volume format",
         )
-
-
-#: Kinds of outputs of which each object has its own.
-EACH = ("surface", "contour")
 
 
 def name_of(name: str, object_id: int) -> str:

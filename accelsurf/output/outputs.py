@@ -1,6 +1,7 @@
-"""The files of a run, each written completely; `output_names` says which.
+"""The files of a run, each written completely, from the result and the settings of the run.
 
-The meshes of a result as its settings want them: smoother or coarser, with names and colours, and their figures.
+Meshes are smoothed, simplified, named and coloured as the settings say. `accelsurf.output.names` has the names of all
+files, `accelsurf.output.folder` the place.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ def write_result(
     mesh_writers = list(_mesh_writers(result, names, meshes or MeshNotes())) if has_surface else []
     seconds["mesh"] = seconds.get("mesh", 0.0) + time.perf_counter() - began
     writers = [*_label_writers(result, names)] if has_surface else []
-    writers += [*_rest_writers(result, names), *mesh_writers]
+    writers += [*_plateau_writers(result, names), *mesh_writers]
     if "sdf" in names and has_surface:
         distance = functools.partial(io.write, result.labels_volume().with_array(result.psi))
         writers.append(("sdf", names["sdf"], distance))
@@ -140,15 +141,15 @@ def _label_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]
             yield "labels", names[kind], functools.partial(_write_labels, result, result.labels)
 
 
-def _rest_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
-    """The writers of the label maps of rests: each object at that rest, or without it as it is."""
+def _plateau_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
+    """The writers of the label maps of plateaus: each object at its plateau of that number, else at its end."""
     count = max((len(segmented.rests) for segmented in result.objects), default=0)
     for number in range(1, count + 1):
         if (kind := f"rest{number}") in names:
-            yield kind, names[kind], functools.partial(_write_rest, result, number)
+            yield kind, names[kind], functools.partial(_write_plateau, result, number)
 
 
-def _write_rest(result: Result, number: int, path: Path) -> None:
+def _write_plateau(result: Result, number: int, path: Path) -> None:
     labels = np.zeros_like(result.labels)
     for segmented in result.objects:
         inside = segmented.labels if len(segmented.rests) < number else segmented.rests[number - 1].labels
@@ -252,7 +253,7 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
 
 
 def _next_clicks(result: Result) -> list[tuple[float, float, float]]:
-    """Return the voxels of the suggested next clicks, the most doubtful object's first."""
+    """Return the voxels of the suggested next clicks, the most uncertain object's first."""
     judged = [segmented.quality for segmented in result.objects if segmented.has_surface]
     places = []
     for quality in sorted(judged, key=lambda quality: quality.probability):
@@ -295,7 +296,7 @@ def is_shaped(config: RunConfig) -> bool:
     return bool(config.mesh_smooth or config.mesh_faces or config.mesh_error)
 
 
-def check(config: RunConfig) -> None:
+def check_mesh_settings(config: RunConfig) -> None:
     """Refuse meshes that cannot be made coarser here, before anything is computed.
 
     Raises

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from accelsurf.evolution.records import StepRecord
     from accelsurf.run.result import Result
 
+#: Of quality, what the tables have.
+_QUALITY = ("probability", "warnings")
+
 
 def trace_csv(history: Iterable[StepRecord]) -> str:
     """Return the trace of a run: one line per step, the columns of `accelsurf.settings.trace_columns`, without loss.
@@ -47,8 +50,8 @@ def objects_csv(objects: Sequence[Mapping[str, Any]]) -> str:
     for row in objects:
         quality = row["quality"] or {}
         place = row["centroid"] or (None, None, None)
-        doubts = "; ".join(quality.get("warnings", ()))
-        rows.append([*(row[key] for key in plain), *place, *(quality.get(key) for key in measures), doubts])
+        warnings = "; ".join(quality.get("warnings", ()))
+        rows.append([*(row[key] for key in plain), *place, *(quality.get(key) for key in measures), warnings])
     return csv_text((*plain, "x_mm", "y_mm", "z_mm", *measures, "warnings"), rows)
 
 
@@ -64,10 +67,6 @@ def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 def _cell(value: Any) -> Any:
     value = value.item() if isinstance(value, np.generic) else value
     return int(value) if isinstance(value, bool) else repr(value) if isinstance(value, float) else value
-
-
-#: Of quality, what the tables have.
-_QUALITY = ("probability", "warnings")
 
 
 def rows_of(result: Result, table: LabelTable, with_quality: bool = True) -> list[dict[str, Any]]:

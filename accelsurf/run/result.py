@@ -33,7 +33,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.levelset.checkpoint import psi_of
 from accelsurf.measure import contours
 from accelsurf.measure.contours import Contours
-from accelsurf.measure.quality import Quality, RestNote, ValueRange, assess
+from accelsurf.measure.quality import PlateauNote, Quality, ValueRange, assess
 from accelsurf.measure.surface_mesh import Surface, extract
 from accelsurf.run.ensemble import overall_stop
 from accelsurf.run.image_context import ImageContext
@@ -168,10 +168,10 @@ class SegmentedObject:
     @cached_property
     def quality(self) -> Quality:
         """Measures of quality that need no reference."""
-        rests = [RestNote(rest.step, rest.volume_mm3, rest.left_at, rest.place) for rest in self.rests]
+        plateaus = [PlateauNote(rest.step, rest.volume_mm3, rest.left_at, rest.place) for rest in self.rests]
         seen = self.labels, self.image, self.geometry, self.history, self.stop
         learned = None if self.learned is None else ValueRange(*self.learned)
-        return assess(*seen, learned, rests, self.clicked, self.sureness)
+        return assess(*seen, learned, plateaus, self.clicked, self.sureness)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 
 from accelsurf.errors import AccelsurfError, InputError
 
-#: So many rests of a run are kept, and written as label maps.
-MAX_RESTS = 3
+#: So many plateaus of the front in a run are kept, and written as label maps.
+MAX_PLATEAUS = 3
+#: Memory for each byte of a mesh file while it is read: text becomes lists of Python's numbers.
+MESH_BYTES_PER_FILE_BYTE = 40
 
 
 @dataclass(frozen=True)
@@ -131,8 +133,6 @@ MESH_FILE = Budget(
 UPLOAD = Budget(
     "a file that is dropped on the page", 1 << 31, "bytes", "open it from the folder of the page"
 )
-#: While it is read: text becomes lists of Python's numbers.
-MESH_BYTES_PER_FILE_BYTE = 40
 MESH_COPIES = Budget(
     "the points and triangles that a glTF builds", 1, "points and triangles",
     "export it as one mesh", "byte of the file (and 1048576)",

@@ -27,6 +27,7 @@ _KINDS: dict[str, tuple[str, ...]] = {
     "": ("inside", "outside", "near", "object"),
 }
 _AFTER_END = ("inside", "outside", "near", "object", "new", "size", "merge", "split", "remove")
+SettingName = Literal["edit", "refine", "correct"]
 
 
 class _Setting(NamedTuple):
@@ -52,7 +53,6 @@ _SETTINGS = {
         "else that accelsurf refine takes, after the frame", "frame=12",
     ),
 }
-SettingName = Literal["edit", "refine", "correct"]
 
 
 class Correction(BaseModel):

@@ -114,8 +114,7 @@ class ImageFormat:
     distances: str | None = None
 
 
-_FORMATS = "accelsurf.io.formats"
-_SEQUENCES = "accelsurf.io.sequences"
+_FORMATS, _SEQUENCES = "accelsurf.io.formats", "accelsurf.io.sequences"
 #: Options of formats that may hold several channels and time points.
 _PARTS = ("channel_index", "time_index", "channels_from_time")
 
@@ -125,7 +124,7 @@ _NIFTI: dict[str, Any] = {
     "options": _PARTS,
     "sequence": f"{_SEQUENCES}.packed:NiftiFrames",
     "read_channels": f"{_FORMATS}.nifti_volumes:read_nifti_channels",
-    "is_anatomical": f"{_FORMATS}.nifti_grid:is_anatomical",
+    "is_anatomical": f"{_FORMATS}.nifti_grid:is_nifti_anatomical",
 }
 _ITK: dict[str, Any] = {
     "read": f"{_FORMATS}.itk_volumes:read_by_itk",
@@ -136,7 +135,7 @@ _ITK: dict[str, Any] = {
 }
 _NRRD: dict[str, Any] = {
     "parse": f"{_FORMATS}.nrrd_metaimage:parse_nrrd",
-    "is_anatomical": f"{_FORMATS}.nrrd_metaimage:is_anatomical",
+    "is_anatomical": f"{_FORMATS}.nrrd_metaimage:is_nrrd_anatomical",
     **_ITK,
 }
 _METAIMAGE: dict[str, Any] = {
@@ -188,7 +187,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.ome_zarr:write_ome_zarr",
         ("level", *_PARTS),
         write_frames=f"{_SEQUENCES}.ome_zarr_frames:write_ome_zarr_frames",
-        is_anatomical=f"{_FORMATS}.ome_metadata:is_oriented",
+        is_anatomical=f"{_FORMATS}.ome_metadata:is_ome_anatomical",
         read_channels=f"{_FORMATS}.ome_zarr:read_ome_zarr_channels",
         write_labels=f"{_FORMATS}.ome_zarr:write_labels",
         open=f"{_FORMATS}.ome_zarr:open_ome_zarr",
@@ -235,7 +234,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         options=("series", "resample", "spacing"),
         read_labels=f"{_FORMATS}.dicom:read_labels",
         sequence=f"{_SEQUENCES}.sources:DicomFrames",
-        is_anatomical=f"{_FORMATS}.dicom:is_anatomical",
+        is_anatomical=f"{_FORMATS}.dicom:is_dicom_anatomical",
         is_folder=f"{_FORMATS}.dicom:holds_dicom",
         is_file=f"{_FORMATS}.dicom:is_dicom",
         listing=f"{_FORMATS}.dicom:listing",
@@ -246,7 +245,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         (".mgz", ".mgh"),
         f"{_FORMATS}.other_volumes:parse_mgh",
         f"{_FORMATS}.other_volumes:read_mgh",
-        is_anatomical=f"{_FORMATS}.other_volumes:is_anatomical",
+        is_anatomical=f"{_FORMATS}.other_volumes:is_mgh_anatomical",
     ),
     ImageFormat(
         "gipl",

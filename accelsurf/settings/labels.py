@@ -19,6 +19,9 @@ _HEX = re.compile(r"#([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})")
 _NUMBERS = re.compile(r"([0-9]{1,3}),([0-9]{1,3}),([0-9]{1,3})")
 #: Of a name; DICOM takes 64.
 MAX_NAME = 64
+#: First and last id of each range.
+IdRanges = tuple[tuple[int, int], ...]
+_LABEL = re.compile(r"[0-9]{1,18}")
 
 
 @dataclass(frozen=True)
@@ -193,12 +196,6 @@ def default_color(label: int) -> Color:
     """
     red, green, blue = (round(255 * part) for part in colorsys.hsv_to_rgb(label * _GOLDEN % 1.0, 0.75, 1.0))
     return red, green, blue
-
-
-#: First and last id of each range.
-IdRanges = tuple[tuple[int, int], ...]
-
-_LABEL = re.compile(r"[0-9]{1,18}")
 
 
 def parse_ids(text: str, what: str, example: str) -> IdRanges:

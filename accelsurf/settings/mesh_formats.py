@@ -15,6 +15,7 @@ from accelsurf.settings.registry import Registry
 _FORMATS = "accelsurf.io.formats"
 #: What a mesh file describes: the surface in a volume, or the contours in an image of one slice.
 Shape = Literal["surface", "contour"]
+_SURFACE, _CONTOUR = f"{_FORMATS}.surface_files", "accelsurf.measure.contours"
 
 
 @dataclass(frozen=True)
@@ -56,8 +57,6 @@ class MeshFormat:
         """Return the function that writes a surface or contours; None where the format does not hold them."""
         return self.surface if shape == "surface" else self.contour
 
-
-_SURFACE, _CONTOUR = f"{_FORMATS}.surface_files", "accelsurf.measure.contours"
 
 MESH_FORMATS: Registry[MeshFormat] = Registry(
     "mesh format",

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from accelsurf.errors import AccelsurfError, InputError, UsageError
+from accelsurf.settings.wording import mm_of
 
-#: mm of a unit that a spacing may have.
-_MM = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3}
+#: Units that a spacing may have.
+_UNITS = ("nm", "um", "µm", "μm", "mm", "cm", "m")
 _NUMBER = r"[0-9]{0,12}\.?[0-9]{0,20}(?:[eE][-+]?[0-9]{1,2})?"
 _SPACING = re.compile(rf"({_NUMBER})(?:,({_NUMBER}),({_NUMBER}))? ?([a-zµμ]*)")
 #: Sizes of a voxel that can be meant, mm.
@@ -98,13 +99,13 @@ def spacing_of(text: str) -> Spacing:
     """
     found = _SPACING.fullmatch(text.strip())
     numbers = [float(word) for word in found.groups()[:3] if word not in (None, ".", "")] if found else []
-    unit = _MM.get(found.group(4) or "mm") if found else None
-    if found is None or unit is None or len(numbers) != (1 if found.group(2) is None else 3):
+    unit = found.group(4) or "mm" if found else ""
+    if found is None or unit not in _UNITS or len(numbers) != (1 if found.group(2) is None else 3):
         raise UsageError(
             f"spacing: {text[:60]} was given, expected X,Y,Z or one number, in mm or with a unit",
             "as --spacing 0.5,0.5,2 or --spacing 0.2,0.2,1um",
         )
-    x, y, z = (number * unit for number in (numbers if len(numbers) == 3 else numbers * 3))
+    x, y, z = (number * mm_of(unit) for number in (numbers if len(numbers) == 3 else numbers * 3))
     if not all(_SMALLEST <= size <= _LARGEST for size in (x, y, z)):
         raise UsageError(
             f"spacing: {text[:60]} was given, expected sizes of {_SMALLEST:g} to {_LARGEST:g} mm",

@@ -239,7 +239,7 @@ class RunConfig(SettingFields):
             When the file cannot be read, is not TOML, has an unknown key (the nearest valid one is named), or a
             value is out of bounds.
         """
-        return cls(**toml.read(path))
+        return cls(**toml.read_toml(path))
 
     def to_toml(self) -> str:
         """Return the configuration as TOML; :meth:`from_toml` gives an equal object back.
@@ -257,7 +257,7 @@ class RunConfig(SettingFields):
         mesh = ["ply", "stl"]
         ...
         """
-        return toml.written(self.model_dump(), tables=("edit", "refine"))
+        return toml.toml_text(self.model_dump(), tables=("edit", "refine"))
 
     @classmethod
     def json_schema(cls) -> dict[str, Any]:

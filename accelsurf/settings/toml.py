@@ -1,8 +1,7 @@
-"""Configuration files: TOML read with an error that helps, and written without loss.
+"""Configuration files in TOML, and the values of settings as people write them: volumes, times, lengths, bounds, lists.
 
-Written by hand and not by tomli-w: its lists take a line for each item, and it may put tables of edits on one line.
-
-Values of settings as people write them: volumes, times, lengths, bounds and lists, read and checked.
+Files are read with errors that help, and written without loss: by hand and not by tomli-w, whose lists take a line for
+each item, and which may put tables of corrections on one line.
 """
 
 from __future__ import annotations
@@ -20,8 +19,20 @@ from accelsurf.settings import budgets, energy_expression
 from accelsurf.settings.reading import check_readable
 from accelsurf.settings.wording import shown
 
+#: mm3 of each unit of volume, and seconds of each unit of time.
+_MM3 = {"l": 1e6, "ml": 1e3, "ul": 1.0, "cm3": 1e3, "cc": 1e3, "mm3": 1.0, "um3": 1e-9, "nm3": 1e-18}
+_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
+#: Patterns of a length in voxels, a volume, an interval, and the fineness of a mesh.
+VOXELS = r"^([0-9]{1,9}(\.[0-9]{0,20})?|\.[0-9]{1,20})vox$"
+VOLUME = rf"^([0-9]{{1,9}}(\.[0-9]{{0,20}})?|\.[0-9]{{1,20}})({'|'.join(_MM3)})$"
+INTERVAL = rf"^([0-9]{{1,9}}|[0-9]{{1,9}}(\.[0-9]{{1,9}})?({'|'.join(_SECONDS)}))$"
+MESH_SIZE = r"^\s*(?:[0-9]{1,10}|[0-9.]+(?:e-?[0-9]+)?\s*(?:mm|um))\s*$"
+_NUMBER = r"[-+]?(?:[0-9]{1,20}(?:\.[0-9]{0,20})?|\.[0-9]{1,20})(?:[eE][-+]?[0-9]{1,2})?"
+_BOUNDS = re.compile(rf"({_NUMBER})?,({_NUMBER})?")
+_MESH_PARTS = re.compile(r"\s*([0-9.]+(?:e-?[0-9]+)?)\s*(mm|um)?\s*")
 
-def read(path: str | Path) -> dict[str, Any]:
+
+def read_toml(path: str | Path) -> dict[str, Any]:
     """Read a TOML file as a dictionary.
 
     Parameters
@@ -56,7 +67,7 @@ def read(path: str | Path) -> dict[str, Any]:
         ) from None
 
 
-def written(values: Mapping[str, Any], tables: Sequence[str]) -> str:
+def toml_text(values: Mapping[str, Any], tables: Sequence[str]) -> str:
     """Return values as TOML: a line for each but those that are None, and a table for each item of some of them.
 
     Parameters
@@ -68,7 +79,7 @@ def written(values: Mapping[str, Any], tables: Sequence[str]) -> str:
 
     Examples
     --------
-    >>> print(written({"cfl": 0.5, "mask": None, "edit": [{"step": 3}]}, tables=["edit"]), end="")
+    >>> print(toml_text({"cfl": 0.5, "mask": None, "edit": [{"step": 3}]}, tables=["edit"]), end="")
     cfl = 0.5
     <BLANKLINE>
     [[edit]]
@@ -91,19 +102,6 @@ def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return repr(value)
-
-
-#: mm3 of each unit of volume, and seconds of each unit of time.
-_MM3 = {"l": 1e6, "ml": 1e3, "ul": 1.0, "cm3": 1e3, "cc": 1e3, "mm3": 1.0, "um3": 1e-9, "nm3": 1e-18}
-_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
-#: Patterns of a length in voxels, a volume, an interval, and the fineness of a mesh.
-VOXELS = r"^([0-9]{1,9}(\.[0-9]{0,20})?|\.[0-9]{1,20})vox$"
-VOLUME = rf"^([0-9]{{1,9}}(\.[0-9]{{0,20}})?|\.[0-9]{{1,20}})({'|'.join(_MM3)})$"
-INTERVAL = rf"^([0-9]{{1,9}}|[0-9]{{1,9}}(\.[0-9]{{1,9}})?({'|'.join(_SECONDS)}))$"
-MESH_SIZE = r"^\s*(?:[0-9]{1,10}|[0-9.]+(?:e-?[0-9]+)?\s*(?:mm|um))\s*$"
-_NUMBER = r"[-+]?(?:[0-9]{1,20}(?:\.[0-9]{0,20})?|\.[0-9]{1,20})(?:[eE][-+]?[0-9]{1,2})?"
-_BOUNDS = re.compile(rf"({_NUMBER})?,({_NUMBER})?")
-_MESH_PARTS = re.compile(r"\s*([0-9.]+(?:e-?[0-9]+)?)\s*(mm|um)?\s*")
 
 
 def volume_mm3(text: str) -> float:

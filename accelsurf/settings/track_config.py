@@ -121,16 +121,15 @@ class TrackConfig(TrackFields):
         UsageError
             When the file cannot be read, has an unknown key, or a value is out of bounds.
         """
-        run, track = split_table(toml.read(path))
+        run, track = split_table(toml.read_toml(path))
         return cls(run=RunConfig(**run), **track)
 
     def to_toml(self) -> str:
         """Return the configuration as TOML; `from_toml` gives an equal object back."""
         of_tracking = self.model_dump(exclude={"run", "correct"})
-        table = toml.written(of_tracking, tables=())
-        corrections = "".join(
-            f"\n[[{TABLE}.correct]]\n{toml.written(correction.model_dump(), tables=())}" for correction in self.correct
-        )
+        table = toml.toml_text(of_tracking, tables=())
+        written = (toml.toml_text(correction.model_dump(), tables=()) for correction in self.correct)
+        corrections = "".join(f"\n[[{TABLE}.correct]]\n{text}" for text in written)
         return f"{self.run.to_toml()}\n[{TABLE}]\n{table}{corrections}"
 
 

@@ -1,15 +1,37 @@
-"""Words of messages: what was given, cut to a readable length, and the name that may have been meant."""
+"""Words of messages and of units: values cut to a readable length, names that may have been meant, lengths, times."""
 
 from __future__ import annotations
 
 import difflib
 import json
 import math
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 #: Largest number of characters of a value that a message repeats.
 MAX_SHOWN = 60
+_MICRO = ("um", "\u00b5m", "\u03bcm", "micron", "microns", "micrometer", "micrometers", "micrometre", "micrometres")
+#: Millimetres of the units of length, by every name that files give them.
+_MM_PER_UNIT = {
+    **dict.fromkeys(("pm", "picometer"), 1e-9), **dict.fromkeys(("\u00e5", "angstrom"), 1e-7),
+    **dict.fromkeys(("nm", "nanometer", "nanometers", "nanometre", "nanometres"), 1e-6), **dict.fromkeys(_MICRO, 1e-3),
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), 1.0),
+    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres"), 10.0),
+    **dict.fromkeys(("dm", "decimeter"), 100.0), **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1e3),
+    "km": 1e6, **dict.fromkeys(("inch", "inches", "in", '"'), 25.4), **dict.fromkeys(("ft", "foot"), 304.8),
+    "yard": 914.4, "thou": 0.0254, "li": 25.4 / 12, "pt": 25.4 / 72,
+}  # fmt: skip
+#: Seconds of the units of time.
+_SECONDS_PER_UNIT = {
+    **dict.fromkeys(("ns", "nanosecond"), 1e-9), **dict.fromkeys(("\u00b5s", "\u03bcs", "us", "microsecond"), 1e-6),
+    **dict.fromkeys(("ms", "msec", "millisecond"), 1e-3), **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
+    **dict.fromkeys(("min", "minute"), 60.0), **dict.fromkeys(("h", "hour"), 3600.0),
+    **dict.fromkeys(("d", "day"), 86400.0),
+}  # fmt: skip
+_ESCAPE = re.compile(r"\\u([0-9a-fA-F]{4})")
+#: How many of a unit in which sizes are shown are a mm.
+_IN_MM = {"nm": 1e6, "um": 1e3, "mm": 1.0}
 
 
 def shown(value: Any) -> str:
@@ -68,8 +90,40 @@ def did_you_mean(given: Any, names: Iterable[str]) -> str:
     return f"did you mean {name}? " if name else ""
 
 
-#: How many of a unit of length are a mm.
-_IN_MM = {"nm": 1e6, "um": 1e3, "mm": 1.0}
+def mm_of(unit: str) -> float:
+    r"""Millimetres of a unit of length; 0 for what is none, as pixel.
+
+    Examples
+    --------
+    >>> mm_of("micron"), mm_of("\\u00B5m"), mm_of("inch"), mm_of("pixel"), mm_of("Mm")
+    (0.001, 0.001, 25.4, 0.0, 0.0)
+    """
+    name = _ESCAPE.sub(lambda found: chr(int(found.group(1), 16)), unit).strip()
+    if len(name) == 2 and name[0] in "YZEPTGM" and name[1] == "m":  # megametres, and more
+        return 0.0
+    return _MM_PER_UNIT.get(name.lower(), 0.0)
+
+
+def unit_name(mm: float) -> str:
+    """The unit in which lengths are shown, by the millimetres of the unit of a file.
+
+    Examples
+    --------
+    >>> unit_name(1e-3), unit_name(10.0), unit_name(1e-7)
+    ('um', 'mm', 'nm')
+    """
+    return "nm" if mm < 1e-4 else "um" if mm < 0.1 else "mm"
+
+
+def seconds_of(unit: str) -> float:
+    """Seconds of a unit of time; 0 for what is none. Abbreviations are as they are written: Ms is a million seconds.
+
+    Examples
+    --------
+    >>> seconds_of("msec"), seconds_of("Minute"), seconds_of("Ms")
+    (0.001, 60.0, 0.0)
+    """
+    return _SECONDS_PER_UNIT.get(unit if len(unit) < 4 else unit.lower(), 0.0)
 
 
 def in_unit(mm: float, unit: str, power: int = 1) -> float:

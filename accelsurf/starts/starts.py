@@ -268,7 +268,7 @@ def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDAr
     if start.kind == "label":
         return psi_of_mask(_read_mask(start, window), geometry)
     if start.kind == "mesh":
-        return psi_of_mask(meshes.inside(start.file, geometry, start.word, box), geometry)
+        return psi_of_mask(meshes.voxels_in_mesh(start.file, geometry, start.word, box), geometry)
     if start.kind in BY_VALUES:
         return psi_of_mask(_by_values(start, geometry, values), geometry)
     if start.kind == "center":

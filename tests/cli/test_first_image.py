@@ -32,14 +32,14 @@ def first_image(path, reference=None):
 
 
 def test_it_is_read_while_something_else_is_done(scan, monkeypatch):
-    may_read, readers, read = threading.Event(), [], channels.read
+    may_read, readers, read = threading.Event(), [], channels.read_channels
 
     def slow(*given):
         readers.append(threading.current_thread())
         assert may_read.wait(60)
         return read(*given)
 
-    monkeypatch.setattr(channels, "read", slow)
+    monkeypatch.setattr(channels, "read_channels", slow)
     wait = first_image(scan).start_reading()  # comes back, though nothing has been read
     may_read.set()
     opened = wait()

@@ -9,7 +9,7 @@ from accelsurf.evolution.rests import Moment, fastest_place, watched
 from accelsurf.evolution.state import RestWatch
 from accelsurf.levelset import LevelSet, checkpoint_surface
 from accelsurf.levelset.checkpoint import psi_of
-from accelsurf.settings.budgets import MAX_RESTS
+from accelsurf.settings.budgets import MAX_PLATEAUS
 from tests.support.records import step_record
 
 
@@ -66,7 +66,7 @@ def test_a_restart_alone_is_no_rest():
 
 def test_no_more_rests_are_kept_than_wanted_and_another_level_begins_its_own():
     volumes = grown(*([*FAST, *SLOW] * 6))
-    assert len(watch_over(volumes).found) == MAX_RESTS
+    assert len(watch_over(volumes).found) == MAX_PLATEAUS
     watch = watch_over(grown(*FAST, *SLOW))
     surface = ball()
     fields = StepFields(surface.band.cells, surface.band.psi, -np.ones(surface.size, np.float32))

@@ -178,7 +178,7 @@ def labels(given: Input, folder: Path) -> None:
     """A table of names and colours."""
     from accelsurf.io import label_tables
 
-    for entry in label_tables.read(folder / f"input{given.suffix}"):
+    for entry in label_tables.read_table(folder / f"input{given.suffix}"):
         if not entry.name or not all(0 <= part <= 255 for part in entry.color) or entry.id < 0:
             raise Wrong(f"{entry}")
 

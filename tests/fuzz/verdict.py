@@ -98,7 +98,7 @@ def _image(given: Input, path: Path) -> str:
 
 
 def _channels(given: Input, path: Path) -> None:
-    channels.read(path)
+    channels.read_channels(path)
 
 
 def _sequence(given: Input, path: Path) -> None:
@@ -109,7 +109,7 @@ def _sequence(given: Input, path: Path) -> None:
         every += [ReadOptions(channels_from_time=True, channel_index=0)]
     for asked in every:
         try:
-            found = channels.read(path, asked)
+            found = channels.read_channels(path, asked)
         except AccelsurfError as error:
             if (verdict := _of_refusal(error)).is_fault:
                 raise Wrong(f"{verdict.outcome}: {verdict.text}") from error
@@ -119,10 +119,10 @@ def _sequence(given: Input, path: Path) -> None:
 
 
 def _mesh(given: Input, path: Path) -> None:
-    points, triangles = meshes.read(path)
+    points, triangles = meshes.read_mesh(path)
     if not np.isfinite(points).all() or triangles.min() < 0 or triangles.max() >= len(points):
         raise Wrong(f"{len(points)} points, triangles {triangles.min()} to {triangles.max()}")
-    meshes.inside(path, _volume().geometry)
+    meshes.voxels_in_mesh(path, _volume().geometry)
 
 
 def _volume() -> Volume:

@@ -53,8 +53,8 @@ def filled(folder):
 def write_new(folder):
     with open_set(folder, "scan") as files:
         for name, text in NEW.items():
-            (files.drafts / name).write_bytes(text)
-        (files.drafts / REPORT).write_bytes(report(NEW))
+            (files.staging / name).write_bytes(text)
+        (files.staging / REPORT).write_bytes(report(NEW))
         files.commit(last=REPORT, remove=["scan_surface.ply", "never_there"])
 
 
@@ -159,19 +159,19 @@ def test_a_kill_while_everything_is_put_back(tmp_path, monkeypatch):
 
 def test_what_a_living_process_writes_is_left_alone(tmp_path):
     with open_set(tmp_path, "scan") as files:
-        (files.drafts / "a").write_bytes(b"1")
-        assert recover(tmp_path) == [] and (files.drafts / "a").exists()
+        (files.staging / "a").write_bytes(b"1")
+        assert recover(tmp_path) == [] and (files.staging / "a").exists()
         with pytest.raises(OutputError, match="another run is writing there now"), open_set(tmp_path, "scan"):
             pytest.fail("two owners")
         with open_set(tmp_path, "other") as others:
-            assert others.drafts != files.drafts
+            assert others.staging != files.staging
         files.commit()
     assert content(tmp_path) == {"a": b"1"} and not list(tmp_path.glob(".*"))
 
 
-def test_drafts_of_an_exception_are_removed(tmp_path):
+def test_staging_files_of_an_exception_are_removed(tmp_path):
     with pytest.raises(ZeroDivisionError), open_set(tmp_path, "scan") as files:
-        (files.drafts / "a").write_bytes(b"1")
+        (files.staging / "a").write_bytes(b"1")
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
 
@@ -196,7 +196,7 @@ def test_signals_wait_until_all_files_are_in_place(tmp_path, monkeypatch):
 def test_long_names_have_a_short_hidden_folder(tmp_path):
     name = "名" * 80  # 240 bytes
     with open_set(tmp_path, name) as files:
-        (files.drafts / name).write_bytes(b"1")
+        (files.staging / name).write_bytes(b"1")
         files.commit()
     assert content(tmp_path) == {name: b"1"} and all(
         len(os.fsencode(set_journals.staging_name(text, "0" * 16))) < 255 for text in (name, "a" * 255, "名" * 66)
@@ -214,8 +214,8 @@ def test_file_systems_without_locks_take_files(tmp_path, monkeypatch):
     write_bytes(tmp_path / "a", b"1")
     for _ in range(2):  # the second after a kill
         with pytest.warns(AccelsurfWarning, match="No locks available"), open_set(tmp_path, "scan") as files:
-            write_bytes(files.drafts / "b", b"2")
-            write_bytes(files.drafts / "c", b"3")
+            write_bytes(files.staging / "b", b"2")
+            write_bytes(files.staging / "c", b"3")
             files.commit(last="c")
     assert content(tmp_path) == {"a": b"1", "b": b"2", "c": b"3"} and not list(tmp_path.glob(".*"))
 
@@ -285,7 +285,7 @@ def test_a_process_that_only_looks_for_dead_ones_is_waited_for(unique, tmp_path,
 
     monkeypatch.setattr(set_journals, "_try_lock", try_lock)
     with open_set(tmp_path, "scan", unique=unique) as files:
-        (files.drafts / "a").write_bytes(b"1")
+        (files.staging / "a").write_bytes(b"1")
         files.commit()
     monkeypatch.undo()
     recover(tmp_path)
@@ -376,8 +376,8 @@ def test_nothing_in_an_output_folder_orders_a_move_or_a_deletion(plant, seed, tm
     with pytest.warns(AccelsurfWarning):
         write_bytes(folder / "new.txt", b"1")
     with pytest.warns(AccelsurfWarning), open_set(folder, "scan") as files:
-        (files.drafts / "b").write_bytes(b"2")
-        (files.drafts / "c").write_bytes(b"3")
+        (files.staging / "b").write_bytes(b"2")
+        (files.staging / "c").write_bytes(b"3")
         files.commit(last="c")
     after = everything(tmp_path)
     assert {key: after.pop(f"data/{key}") for key in ("new.txt", "b", "c")} == {"new.txt": b"1", "b": b"2", "c": b"3"}
@@ -517,5 +517,5 @@ def test_an_output_folder_that_goes_away_is_an_error_of_its_name(tmp_path):
     with pytest.raises(OutputError, match="out"), opened_set(folder, "scan") as files, naming_final(files):
         shutil.rmtree(folder)
         files.discard()
-        write_bytes(files.drafts / "a", b"1")
+        write_bytes(files.staging / "a", b"1")
     assert not folder.exists()

@@ -211,7 +211,7 @@ def read_all(folder):
     for suffix in ("ply", "stl", "obj", "glb"):  # what is imported is not of a file
         (folder / f"a.{suffix}").write_bytes(b"")
         try:
-            meshes.read(folder / f"a.{suffix}")
+            meshes.read_mesh(folder / f"a.{suffix}")
         except AccelsurfError:
             pass
     for name, suffix, content in files():
@@ -225,7 +225,7 @@ def read_all(folder):
         opened.clear()
         began = time.process_time()  # a busy machine does not count
         try:
-            found = "read", str(len(meshes.read(path)[1])), ""
+            found = "read", str(len(meshes.read_mesh(path)[1])), ""
         except AccelsurfError as error:
             found = type(error).__name__, error.message, error.hint
         except BaseException as error:

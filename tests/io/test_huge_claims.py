@@ -85,10 +85,10 @@ def files(folder):
 
     def images(kind, suffix, name, content):
         path = made(suffix, content)
-        for read in (io.read, io.read_labels, io.open_volume, io.read_sequence, channels.read):
+        for read in (io.read, io.read_labels, io.open_volume, io.read_sequence, channels.read_channels):
             yield kind, f"{name} {read.__name__}", lambda read=read: read(path)
         if suffix in (".nii", ".nii.gz", ".nrrd", ".nhdr"):
-            yield kind, f"{name} label table", lambda: label_tables.read(path)
+            yield kind, f"{name} label table", lambda: label_tables.read_table(path)
 
     def packed_into(content, places, sizes=SIZES):
         """The content with each number (code, offset) changed."""
@@ -199,7 +199,7 @@ def files(folder):
         path.write_bytes(content)
         with path.open("r+b") as file:
             file.truncate(length)
-        for read in (io.read, io.open_volume, io.read_sequence, channels.read):
+        for read in (io.read, io.open_volume, io.read_sequence, channels.read_channels):
             yield "long files", f"{name} {read.__name__}", lambda read=read: read(path)
 
     many = bytearray(second)
@@ -272,7 +272,7 @@ def tables(made, small):
             (".seg.nrrd", f"NRRD0004\nSegment0_Name:=a\nSegment0_LabelValue:={size}\n\n"),
         ):  # fmt: skip
             path = made(suffix, text.encode())
-            yield "label tables", f"{suffix} {size}", lambda path=path: label_tables.read(path)
+            yield "label tables", f"{suffix} {size}", lambda path=path: label_tables.read_table(path)
         yield "texts", f"ids {size}", lambda size=size: parse_ids(f"1-{size}", "labels", "1-3")
         for key in ("max_steps", "threads", "levels", "seed", "half_width"):
             path = made(".toml", f"{key} = {size}\n".encode())

@@ -186,6 +186,6 @@ def test_files_of_single_triangles(tmp_path, suffix):
         moved = rounded(corners, rng, kind, ulps)
         write = getattr(surface_files, f"{suffix[1:]}_bytes")
         (tmp_path / f"a{suffix}").write_bytes(write(moved, numbers.astype(np.int32), "LPS"))
-        found, faces = meshes.read(tmp_path / f"a{suffix}")
+        found, faces = meshes.read_mesh(tmp_path / f"a{suffix}")
         assert len(faces) == len(triangles)
         assert volume(found, faces) == pytest.approx(exact_volume(points, triangles), rel=1e-4)

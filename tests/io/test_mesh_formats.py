@@ -30,7 +30,7 @@ def test_a_surface_is_read_back_in_place(kind: str, label: LabelEntry | None, tm
     TETRAHEDRON.write(one, label=label)
     TETRAHEDRON.write(two, label=label)
     assert one.read_bytes() == two.read_bytes()
-    points, triangles = meshes.read(one)
+    points, triangles = meshes.read_mesh(one)
     again = Surface(points, triangles.astype(np.int32))
     assert again.volume == pytest.approx(1.0, rel=1e-5)  # positive: the triangles still face outward
     np.testing.assert_allclose(again.bounds, TETRAHEDRON.bounds, atol=1e-5)
@@ -89,7 +89,7 @@ def test_damaged_glb_is_refused_by_name(change: dict[str, object], reason: str, 
     path = tmp_path / "bad.glb"
     path.write_bytes(_glb(change))
     with pytest.raises(InputError, match=reason):
-        meshes.read(path)
+        meshes.read_mesh(path)
 
 
 def test_nodes_of_a_glb_turn_scale_and_move(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_nodes_of_a_glb_turn_scale_and_move(tmp_path: Path) -> None:
     node = {"mesh": 0, "rotation": [0, 0, half, half], "scale": [2, 2, 2], "translation": [1, 0, 0]}
     path = tmp_path / "turned.glb"
     path.write_bytes(_glb({"nodes": [{"children": [1]}, node]}))
-    points, _ = meshes.read(path)
+    points, _ = meshes.read_mesh(path)
     # In glTF (x, y, z) -> (1 - 2 y, 2 x, 2 z) m; in LPS mm (x, -z, y) * 1000.
     x, y, z = CORNERS.T
     expected = 1000 * np.stack([1 - 2 * y, -2 * z, 2 * x], axis=1)

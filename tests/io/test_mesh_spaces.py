@@ -76,7 +76,7 @@ def written(folder, name, said):
 
 def is_there(path, corners, space=""):
     """Whether a mesh is read with these corners and its triangles facing outward."""
-    points, triangles = meshes.read(path, space)
+    points, triangles = meshes.read_mesh(path, space)
     # Exact, with the corners of each triangle in the order that the file has.
     assert Surface(points, triangles.astype(np.int32)).volume == pytest.approx(1.0, rel=1e-5)
     np.testing.assert_allclose(points, np.unique(corners, axis=0), atol=1e-5)
@@ -89,7 +89,7 @@ def test_ras_is_turned(name, said, tmp_path):
     is_there(written(tmp_path, name, said), TURNED)
     is_there(tmp_path / name, TURNED, "ras")
     with pytest.raises(InputError, match=r"says SPACE=RAS, @lps was given") as caught:
-        meshes.read(tmp_path / name, "lps")
+        meshes.read_mesh(tmp_path / name, "lps")
     assert caught.value.hint == "leave @lps out"
 
 
@@ -101,7 +101,7 @@ def test_lps_and_nothing_are_taken_as_they_are(name, said, tmp_path):
     is_there(tmp_path / name, CORNERS, "lps")
     if said:
         with pytest.raises(InputError, match=r"says SPACE=LPS, @ras was given"):
-            meshes.read(tmp_path / name, "ras")
+            meshes.read_mesh(tmp_path / name, "ras")
     else:
         is_there(tmp_path / name, TURNED, "ras")
 
@@ -112,7 +112,7 @@ def test_lps_and_nothing_are_taken_as_they_are(name, said, tmp_path):
 def test_other_spaces_are_refused_unless_the_user_says_which_they_are(name, said, tmp_path):
     path = written(tmp_path, name, said)
     with pytest.raises(InputError, match=r"its header says SPACE=.*SPACE=LPS or SPACE=RAS expected") as caught:
-        meshes.read(path)
+        meshes.read_mesh(path)
     assert "FILE@lps or FILE@ras" in caught.value.hint and "\n" not in str(caught.value)
     is_there(path, CORNERS, "lps")
     is_there(path, TURNED, "ras")
@@ -127,7 +127,7 @@ def test_what_accelsurf_writes_says_its_space_and_comes_back_in_place(suffix, sp
     is_there(path, CORNERS)
     is_there(path, CORNERS, space)
     with pytest.raises(InputError, match=f"says SPACE={space.upper()}, @"):
-        meshes.read(path, "ras" if space == "lps" else "lps")
+        meshes.read_mesh(path, "ras" if space == "lps" else "lps")
 
 
 def test_a_glb_is_where_its_nodes_put_it(tmp_path):
@@ -157,7 +157,7 @@ def test_another_unit_is_refused(name, tmp_path):
     is_there(written(tmp_path, name, "SPACE=RAS UNIT=Millimeter"), TURNED)
     for word in ("um", "cm", "inch"):
         with pytest.raises(InputError, match=f"says UNIT={word}, mm expected"):
-            meshes.read(written(tmp_path, name, f"SPACE=LPS UNIT={word}"))
+            meshes.read_mesh(written(tmp_path, name, f"SPACE=LPS UNIT={word}"))
 
 
 @pytest.mark.parametrize("said, given, place", [

@@ -36,14 +36,14 @@ def polydata(ball):
 def voxels(ball, tmp_path_factory):
     path = tmp_path_factory.mktemp("mesh") / "a.obj"
     ball.write(path)
-    found = meshes.inside(path, GRID)
+    found = meshes.voxels_in_mesh(path, GRID)
     assert 400 < found.sum() < 700
     return found
 
 
 def refuse(path, words):
     with pytest.raises(InputError, match=words) as caught:
-        meshes.inside(path, GRID)
+        meshes.voxels_in_mesh(path, GRID)
     assert str(caught.value).startswith(f"{path}: ") and "\n" not in str(caught.value) and caught.value.hint
     assert len(str(caught.value)) < 400 + len(str(path))
 
@@ -54,9 +54,9 @@ def refuse(path, words):
 def test_what_accelsurf_writes_it_reads(ball, voxels, tmp_path, suffix, space):
     path = tmp_path / f"a{suffix}"
     ball.write(path, space=space)
-    np.testing.assert_array_equal(meshes.inside(path, GRID), voxels)
-    np.testing.assert_array_equal(meshes.inside(path, GRID, space), voxels)
-    points, triangles = meshes.read(path)
+    np.testing.assert_array_equal(meshes.voxels_in_mesh(path, GRID), voxels)
+    np.testing.assert_array_equal(meshes.voxels_in_mesh(path, GRID, space), voxels)
+    points, triangles = meshes.read_mesh(path)
     assert len(points) == len(ball.vertices) and len(triangles) == len(ball.faces)
 
 
@@ -65,7 +65,7 @@ def test_what_accelsurf_writes_it_reads(ball, voxels, tmp_path, suffix, space):
 def test_what_vtk_writes_is_read(polydata, voxels, tmp_path, suffix, binary):
     path = tmp_path / f"a{suffix}"
     polydata.save(path, binary=binary)
-    np.testing.assert_array_equal(meshes.inside(path, GRID), voxels)
+    np.testing.assert_array_equal(meshes.voxels_in_mesh(path, GRID), voxels)
 
 
 def test_polygons_become_triangles(tmp_path):
@@ -73,11 +73,11 @@ def test_polygons_become_triangles(tmp_path):
     found = []
     for suffix in (".ply",):
         cube.save(tmp_path / f"a{suffix}")
-        found.append(meshes.inside(tmp_path / f"a{suffix}", GRID))
+        found.append(meshes.voxels_in_mesh(tmp_path / f"a{suffix}", GRID))
     corners = "".join(f"v {x} {y} {z}\n" for x, y, z in cube.points)
     faces = "".join("f " + " ".join(str(n + 1) for n in face) + "\n" for face in cube.regular_faces)
     (tmp_path / "a.obj").write_text(f"mtllib nowhere.mtl\no one\n{corners}{faces}")
-    found.append(meshes.inside(tmp_path / "a.obj", GRID))
+    found.append(meshes.voxels_in_mesh(tmp_path / "a.obj", GRID))
     x, y, z = np.moveaxis(np.abs(GRID.index_to_world(np.moveaxis(np.indices(GRID.shape), 0, -1)) - CENTRE), -1, 0)
     for voxels in found:
         np.testing.assert_array_equal(voxels, (x < 2.5) & (y < 3) & (z < 3.5))
@@ -89,7 +89,7 @@ def test_several_objects_in_one_obj_file(ball, voxels, tmp_path):
     points, faces = text[: text.index("\nf ")], text[text.index("\nf ") :]
     half = faces.index("\nf ", len(faces) // 2)
     (tmp_path / "b.obj").write_text(f"{points}\no first\nusemtl x{faces[:half]}\no second\nusemtl y{faces[half:]}")
-    np.testing.assert_array_equal(meshes.inside(tmp_path / "b.obj", GRID), voxels)
+    np.testing.assert_array_equal(meshes.voxels_in_mesh(tmp_path / "b.obj", GRID), voxels)
 
 
 @pytest.mark.parametrize("face", ["-4 -2 -3", "-4/1/1 -2/2/2 -3/3/3", "-4//1 -2//1 -3//1"])
@@ -101,7 +101,7 @@ def test_numbers_of_an_obj_that_count_back(tmp_path, face):
         text += f"o {name}\nusemtl {name}\n" + "".join(f"v {x + 10 * n} {y} {z}\n" for x, y, z in corners)
         text += f"f {face}\n" + "f -4 -3 -1\nf -4 -1 -2\nf -3 \\\n -2 -1\n"
     (tmp_path / "a.obj").write_text(text)
-    points, triangles = meshes.read(tmp_path / "a.obj")
+    points, triangles = meshes.read_mesh(tmp_path / "a.obj")
     sides = np.linalg.det(points[triangles]) / 6
     assert len(points) == 8 and sides.sum() == pytest.approx(72.0) and points[:, 0].max() == 16
 
@@ -134,7 +134,7 @@ def test_damage_is_refused_or_read_but_never_anything_else(ball, tmp_path, suffi
             damaged[place] = rng.integers(0, 256)
         path.write_bytes(damaged)
         try:
-            meshes.read(path)
+            meshes.read_mesh(path)
         except InputError as error:
             refused += 1
             assert str(error).startswith(f"{path}: ") and error.hint and "\n" not in str(error)
@@ -189,7 +189,7 @@ def test_nothing_is_printed_about_damage(tmp_path):
     facet = f"facet normal x y z\nouter loop\n{corners}endloop\nendfacet\n"
     (tmp_path / "a.stl").write_text(f"solid a\n{facet}endsolid a\n")
     code = "import sys; from accelsurf.io import meshes; from accelsurf.errors import InputError\n"
-    code += "try: meshes.read(sys.argv[1])\nexcept InputError as error: print(error.kind)"
+    code += "try: meshes.read_mesh(sys.argv[1])\nexcept InputError as error: print(error.kind)"
     words = [sys.executable, "-c", code, str(tmp_path / "a.stl")]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60)
     assert (done.stdout, done.stderr) == ("input\n", "")

@@ -140,12 +140,12 @@ def test_data_within_the_folder_are_read(folders, suffix, name):
 @pytest.mark.parametrize("name", ["../voxels.raw", "{top}/voxels.raw", "link.raw", "below/../../voxels.raw"])
 def test_data_outside_of_the_folder_are_refused_unless_allowed(folders, suffix, name):
     path = header(folders, suffix, name.format(top=folders.parent))
-    for read in (io.read, channels.read):
+    for read in (io.read, channels.read_channels):
         with pytest.raises(InputError, match="outside of its own folder") as caught:
             read(path)
         assert "--allow-outside-data" in caught.value.hint
     np.testing.assert_array_equal(images.read(path, outside_data=True).array, VALUES)
-    np.testing.assert_array_equal(channels.read(path, outside_data=True)[0].array, VALUES)
+    np.testing.assert_array_equal(channels.read_channels(path, outside_data=True)[0].array, VALUES)
     with pytest.raises(InputError, match="outside"):  # only while it was allowed
         io.read(path)
 

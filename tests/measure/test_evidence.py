@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from accelsurf.measure.evidence import doubtful_places, gather
+from accelsurf.measure.evidence import gather, uncertain_places
 
 SHAPE, SPACING = (36, 44, 48), (1.5, 1.0, 0.8)
 
@@ -64,19 +64,19 @@ def test_the_doubtful_place_is_where_it_leaked():
     z, y, x = coordinates()
     image = ball(9.0) + noise()
     leaked = ball(9.0) | ((np.abs(y) < 4) & (np.abs(z) < 4) & (x > 0) & (x < 16))  # into nothing, to the right
-    place, share = doubtful_places(look(leaked, image), SPACING, leaked.sum() * 1.2)[0]
+    place, share = uncertain_places(look(leaked, image), SPACING, leaked.sum() * 1.2)[0]
     assert x[place] > 8 and share > 0.5
-    _, little = doubtful_places(look(ball(9.0), image), SPACING, 3000.0)[0]
+    _, little = uncertain_places(look(ball(9.0), image), SPACING, 3000.0)[0]
     assert little < 0.2
 
 
-def test_several_doubtful_places_lie_apart_and_the_first_is_the_most_doubtful():
+def test_several_uncertain_places_lie_apart_and_the_first_is_the_most_uncertain():
     z, y, x = coordinates()
     image = ball(9.0) + noise()
     near = (np.abs(y) < 4) & (np.abs(z) < 4) & (np.abs(x) < 18)  # into nothing, to the right and farther to the left
     leaked = ball(9.0) | (near & (x < 14))
-    found = doubtful_places(look(leaked, image), SPACING, leaked.sum() * 1.2, 4)
-    assert found[0] == doubtful_places(look(leaked, image), SPACING, leaked.sum() * 1.2)[0]
+    found = uncertain_places(look(leaked, image), SPACING, leaked.sum() * 1.2, 4)
+    assert found[0] == uncertain_places(look(leaked, image), SPACING, leaked.sum() * 1.2)[0]
     assert x[found[0][0]] < -8 and x[found[1][0]] > 8 and min(found[0][1], found[1][1]) > 0.4
     places = np.array([place for place, _ in found]) * SPACING
     apart = np.linalg.norm(places[:, None] - places, axis=-1)[np.triu_indices(len(found), 1)]

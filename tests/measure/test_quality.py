@@ -15,7 +15,7 @@ from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.image.volume import Volume
 from accelsurf.measure import quality
 from accelsurf.measure.metrics import dice
-from accelsurf.measure.quality import RestNote, ValueRange, assess, click_features, features
+from accelsurf.measure.quality import PlateauNote, ValueRange, assess, click_features, features
 from accelsurf.output.document import describe_quality, to_json
 from accelsurf.starts import starts
 from tests.support.records import step_record
@@ -91,8 +91,8 @@ def test_growth_in_the_last_steps_counts_when_the_run_has_not_converged():
     assert look(mask, mask * 1.0, history).warnings == ()
     # What has broken through after a rest only goes on.
     seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), history
-    rest = RestNote(4, 110.0, 9, (1.0, 2.0, 3.0))
-    found = assess(*seen, Stop("max-steps", 60, 6.0, "not converged"), rests=[rest])
+    rest = PlateauNote(4, 110.0, 9, (1.0, 2.0, 3.0))
+    found = assess(*seen, Stop("max-steps", 60, 6.0, "not converged"), plateaus=[rest])
     assert any(words.startswith("growth: ") and words.endswith("try --stop-at-rest") for words in found.warnings)
 
 
@@ -100,15 +100,16 @@ def test_a_leak_names_a_place_to_click():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
     seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), []
-    leaked, rest = Stop("leaked", 60, 6.0, "the object grew beyond 2500 mm3"), RestNote(4, 110.0, 9, (1.0, 2.25, 3.0))
+    leaked = Stop("leaked", 60, 6.0, "the object grew beyond 2500 mm3")
+    rest = PlateauNote(4, 110.0, 9, (1.0, 2.25, 3.0))
     for rests, wanted in (((), "its most doubtful place"), ((rest,), "near which it broke through")):
-        found = assess(*seen, leaked, rests=rests)
+        found = assess(*seen, leaked, plateaus=rests)
         line = next(words for words in found.warnings if words.startswith("leak: "))
         place = rest.place if rests else found.next_click
         assert f"try --outside point:{place[0]:.1f},{place[1]:.1f},{place[2]:.1f}, {wanted}" in line
         # In an image of cells places have the digits that tell a voxel.
         small = Geometry(SHAPE, tuple(h * 1e-3 for h in SPACING))
-        found = assess(*seen[:2], small, [], leaked, rests=[r._replace(place=(0.0123, 0.0, 0.0)) for r in rests])
+        found = assess(*seen[:2], small, [], leaked, plateaus=[r._replace(place=(0.0123, 0.0, 0.0)) for r in rests])
         assert len(found.warnings[0].partition("point:")[2].split(",")[0].split(".")[1]) >= 3
 
 
@@ -150,10 +151,10 @@ def test_the_command_warns_of_doubt_and_notes_the_rest(case, tmp_path, capsys):
 def test_the_report_has_probability_place_and_rests_as_values():
     z, y, x = coordinates()
     mask = z**2 + y**2 + x**2 < 12**2
-    rest = RestNote(4, 3000.0, 9, (1.0, 2.0, 3.0))
+    rest = PlateauNote(4, 3000.0, 9, (1.0, 2.0, 3.0))
     geometry = Geometry(SHAPE, SPACING, origin=(100.0, 0.0, 0.0))
     history = [step_record(0, volume_mm3=900.0), step_record(9, volume_mm3=7200.0, area_mm2=1800.0)]
-    found = assess(mask.astype(np.uint8), mask.astype(np.float32), geometry, history, DONE, rests=[rest])
+    found = assess(mask.astype(np.uint8), mask.astype(np.float32), geometry, history, DONE, plateaus=[rest])
     described = json.loads(to_json(describe_quality(found)))
     assert described["rests"] == [{"step": 4, "volume_mm3": 3000.0, "left_at": 9, "place": [1.0, 2.0, 3.0]}]
     assert 0 <= described["probability"] <= 1 and described["next_click"][0] > 100
@@ -165,8 +166,8 @@ def test_a_rest_is_noted_where_the_object_has_grown_since():
     mask = (z**2 + y**2 + x**2 < 12**2).astype(np.uint8)
     history = [step_record(0, volume_mm3=1e-6), step_record(9, volume_mm3=5e-6, area_mm2=1800.0)]
     for size, noted in ((4e-6, True), (4.8e-6, False), (6e-6, False)):
-        rest = RestNote(4, size, 9, (1.0, 2.0, 3.0))
-        found = assess(mask, mask.astype(np.float32), Geometry(SHAPE, SPACING), history, DONE, rests=[rest])
+        rest = PlateauNote(4, size, 9, (1.0, 2.0, 3.0))
+        found = assess(mask, mask.astype(np.float32), Geometry(SHAPE, SPACING), history, DONE, plateaus=[rest])
         assert any(note.startswith("rest: ") for note in found.notes) == noted
         assert not noted or "at 4000 um3, then" in found.notes[0]
 

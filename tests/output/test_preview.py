@@ -21,7 +21,7 @@ from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.measure.surface_mesh import Surface, extract
 from accelsurf.output.pictures import canvas, preview
 from accelsurf.output.pictures.preview_content import ObjectShape, PreviewContent, marks_of
-from accelsurf.output.pictures.slice_views import click_views, doubt_views, main_views, shown_ranges, whole_ranges
+from accelsurf.output.pictures.slice_views import click_views, main_views, shown_ranges, uncertain_views, whole_ranges
 from accelsurf.settings.wording import volume_text
 from tests.support.records import step_record
 from tests.support.shapes import ball_on_grid
@@ -192,14 +192,14 @@ def test_where_to_click_next_is_drawn_with_a_slice_of_its_own_where_no_other_sho
     captions = {}
     for place in ((10, 20, 46), (13, 22, 42)):
         made = content(psi, geometry, history=[], next_clicks=[place])
-        views = doubt_views(made)
+        views = uncertain_views(made)
         assert [(view.index, view.why) for view in views] == ([] if place[0] == 10 else [(13, "click next")])
         picture = pixels(preview.preview_png(made))
         assert share_of(picture, canvas.YELLOW) > 2e-5
         captions[place] = texts_of(figures[-1]).count("click next?")
     assert captions == {(10, 20, 46): 2, (13, 22, 42): 1}  # in the slices that go through it
     late = content(psi, geometry, history=[], next_clicks=[(13, 22, 42)], late_growth=(12.0, 24.0, 40.0))
-    assert [view.why for view in doubt_views(late)] == ["latest growth", "click next"]
+    assert [view.why for view in uncertain_views(late)] == ["latest growth", "click next"]
     preview.preview_png(late)
     assert sum(text.startswith(("latest growth", "click next,")) for text in texts_of(figures[-1])) == 2
     preview.preview_png(content(psi, geometry))

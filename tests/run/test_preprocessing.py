@@ -271,7 +271,7 @@ def test_a_file_of_channels_is_its_channels(tmp_path, suffix, sort):
     path = tmp_path / f"image{suffix}"
     sitk.WriteImage(sitk.Compose(*parts) if sort == "vector" else sitk.JoinSeries(parts), str(path))
     # ITK writes seconds into a fourth axis, so it is time unless it is said to be channels.
-    found = channels.read(path, ReadOptions(channels_from_time=sort == "fourth axis"))
+    found = channels.read_channels(path, ReadOptions(channels_from_time=sort == "fourth axis"))
     assert len(found) == 3
     for volume, part in zip(found, parts, strict=True):
         np.testing.assert_array_equal(volume.array, sitk.GetArrayFromImage(part))
@@ -282,21 +282,21 @@ def test_a_file_of_channels_is_its_channels(tmp_path, suffix, sort):
 def test_ordinary_bad_and_endless_files(tmp_path):
     volume, _, _ = ball()
     io.write(Volume(volume.array.astype(np.float32), volume.geometry), tmp_path / "one.nii.gz")
-    (one,) = channels.read(tmp_path / "one.nii.gz")
+    (one,) = channels.read_channels(tmp_path / "one.nii.gz")
     np.testing.assert_array_equal(one.array, volume.array.astype(np.float32))
     series = [sitk.GetImageFromArray(np.full((2, 3, 4), i, np.float32)) for i in range(17)]
     sitk.WriteImage(sitk.JoinSeries(series), str(tmp_path / "time.nii"))
     with pytest.raises(InputError, match="a sequence of 17 time points given"):
-        channels.read(tmp_path / "time.nii")
+        channels.read_channels(tmp_path / "time.nii")
     sitk.WriteImage(sitk.JoinSeries(series[:2]), str(tmp_path / "cut.nii"))
     whole = (tmp_path / "cut.nii").read_bytes()
     (tmp_path / "cut.nii").write_bytes(whole[:-20])
     with pytest.raises(InputError, match="cut.nii"):
-        channels.read(tmp_path / "cut.nii")
+        channels.read_channels(tmp_path / "cut.nii")
     (tmp_path / "bad.nii.gz").write_bytes(b"nothing")
     for name in ("bad.nii.gz", "absent.nii", "absent.nrrd"):
         with pytest.raises(InputError, match=name):
-            channels.read(tmp_path / name)
+            channels.read_channels(tmp_path / name)
 
 
 def test_the_command_line_takes_a_vector_image(tmp_path, capsys):

@@ -1,11 +1,15 @@
 """What is said about settings, terms and flows agrees with itself."""
 
+import dataclasses
+
 import pytest
 
 from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of, is_switch
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.entry import entry_of
+from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.flow_specs import FLOWS
+from accelsurf.settings.mesh_formats import MESH_FORMATS
 from accelsurf.settings.output_fields import SettingFields
 from accelsurf.settings.registry import Registry, load
 from accelsurf.settings.run_config import RunConfig
@@ -73,3 +77,10 @@ def test_a_registration_can_be_removed_twice():
     handle = Registry("flow").register(first)
     handle.remove()
     handle.remove()
+
+
+@pytest.mark.parametrize("formats", [IMAGE_FORMATS, MESH_FORMATS], ids=["images", "meshes"])
+def test_functions_that_a_format_names_are_there(formats):
+    for form in formats.values():
+        values = (getattr(form, field.name) for field in dataclasses.fields(form))
+        assert all(load(value) for value in values if isinstance(value, str) and value.startswith("accelsurf."))

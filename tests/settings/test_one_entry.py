@@ -221,7 +221,7 @@ def test_an_image_is_read_and_written(toys, tmp_path):
     np.testing.assert_array_equal(back.array, bytes_volume().array)
     assert back.geometry.matches(bytes_volume().geometry)
     assert io.split_name("a/ball.toy") == ("ball", ".toy") and io.image_suffixes()[-1] == ".toy"
-    (only,) = channels.read(tmp_path / "ball.toy")
+    (only,) = channels.read_channels(tmp_path / "ball.toy")
     np.testing.assert_array_equal(only.array, bytes_volume().array)
     assert headers.is_anatomical({"toy": "patient"}) and not headers.is_anatomical(back.metadata)
     with pytest.raises(UsageError, match=r"values of type float32 given, a \.toy holds uint8"):
@@ -243,7 +243,8 @@ def test_a_run_with_its_files(toys, tmp_path, ending):
     report = json.loads((tmp_path / "ball_report.json").read_text())
     written = [(entry["kind"], entry["path"].rpartition(".")[2]) for entry in report["outputs"]]
     assert written[:4] == [("labels", "toy"), ("surface", "ply"), ("surface", "toymesh"), ("sdf", "nrrd")]
-    ours, other = (meshes.inside(tmp_path / f"ball_surface.{kind}", labels.geometry) for kind in ("toymesh", "ply"))
+    files = (tmp_path / f"ball_surface.{kind}" for kind in ("toymesh", "ply"))
+    ours, other = (meshes.voxels_in_mesh(file, labels.geometry) for file in files)
     np.testing.assert_array_equal(ours, other)
     np.testing.assert_array_equal(ours, labels.array > 0)
 
@@ -251,7 +252,7 @@ def test_a_run_with_its_files(toys, tmp_path, ending):
 def test_a_mesh_that_holds_no_contours_is_refused_for_a_slice(toys):
     grid = Geometry((1, 8, 9), (1.0, 1.0, 1.0))
     with pytest.raises(UsageError, match="toymesh was given for an image of one slice.*expected vtp, csv"):
-        names.check(RunConfig(mesh="toymesh"), "toy", grid)
+        names.check_outputs(RunConfig(mesh="toymesh"), "toy", grid)
 
 
 # --------------------------------------------------------------------------------------------------- command line

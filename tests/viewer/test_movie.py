@@ -206,7 +206,7 @@ def test_nothing_is_left_when_a_frame_fails(tmp_path):
 
     for name in ("a.gif", "a.webp", *(["a.mp4"] if importlib.util.find_spec("imageio_ffmpeg") else [])):
         with pytest.raises(InputError, match="disk is full"):
-            movies.write(tmp_path / name, frames(), (320, 180), 15.0)
+            movies.write_movie(tmp_path / name, frames(), (320, 180), 15.0)
         assert list(tmp_path.iterdir()) == []
 
 

@@ -37,103 +37,10 @@ from accelsurf.settings import budgets
 _NUCLEAR_TAGS = ("DetectorInformationSequence", "SliceVector", "TimeSlotVector", "EnergyWindowVector")
 _NUCLEAR = "1.2.840.10008.5.1.4.1.1.20"
 _RECONSTRUCTED = {"RECON TOMO", "RECON GATED TOMO"}
-
-
-def _is_reconstructed(dataset: Any) -> bool:
-    return str(dataset.get("SOPClassUID")) == _NUCLEAR and bool(_RECONSTRUCTED & set(listed(dataset.get("ImageType"))))
-
-
-def _entry(dataset: Any, name: str, number: int) -> int | None:
-    """Entry of a vector for a frame; None where there is none."""
-    value = dataset.get(name)
-    if value is None or isinstance(value, (str, bytes)):
-        return None
-    if isinstance(value, int):
-        return value if number == 0 else None
-    return int(value[number]) if number < len(value) else None
-
-
-def order_of(dataset: Any, count: int) -> list[int]:
-    """The frames of a file in the order of their slices; as they come where nothing else is said."""
-    numbers = list(range(count))
-    if not _is_reconstructed(dataset):
-        return numbers
-    places = [_entry(dataset, "SliceVector", number) for number in numbers]
-    return numbers if None in places else sorted(numbers, key=lambda number: places[number] or 0)
-
-
-def place_of(dataset: Any, number: int) -> tuple[Floats, Floats] | None:
-    """Position (3) and directions (6) of a frame; None where the file is of another kind, or does not say them.
-
-    The sign of *Spacing Between Slices* says whether slices follow along the normal or against it (PS3.3 C.8.4.15).
-    """
-    if not _is_reconstructed(dataset):
-        return None
-    detectors = dataset.get("DetectorInformationSequence")
-    first = detectors[0] if detectors else dataset
-    position, turn = numbers_of(first, "ImagePositionPatient", 3), numbers_of(first, "ImageOrientationPatient", 6)
-    step = number_of(dataset, "SpacingBetweenSlices")
-    if position is None or turn is None or step is None:
-        return None
-    place = _entry(dataset, "SliceVector", number)
-    normal = np.cross(turn[:3], turn[3:])
-    moved = np.array(position) + (number if place is None else place - 1) * step * normal
-    return tuple(moved.tolist()), turn
-
-
-def phase_of(dataset: Any, number: int) -> dict[str, str]:
-    """Elements that may tell apart slices at one place."""
-    if not _is_reconstructed(dataset):
-        return {}
-    names = {"energy window": "EnergyWindowVector", "trigger time": "TimeSlotVector"}
-    found = {what: _entry(dataset, name, number) for what, name in names.items()}
-    return {what: str(value) for what, value in found.items() if value is not None}
-
-
 #: The number of images in a mosaic, and the block that says which way they follow (Siemens), with their creators.
 _MOSAIC_COUNT, _MOSAIC_TAGS = 0x0019_100A, (0x0019_100A, 0x0019_0010, 0x0029_1010, 0x0029_0010)
 #: First row and column, rows, columns, position.
 Tile = tuple[tuple[int, int], int, int, tuple[float, ...]]
-
-
-def tiles_of(path: DicomFile, dataset: Any) -> list[Tile]:
-    """Places of the slices of a mosaic in the picture and in the patient.
-
-    The file says where the whole picture would lie if it were a slice with the middle of the first one; the slices
-    follow along the normal that the private block says.
-
-    Raises
-    ------
-    InputError
-        When the file does not say how many slices there are, or which way they follow.
-    """
-    with quiet():  # it warns of itself
-        from nibabel.nicom import csareader
-
-    count = dataset.get(_MOSAIC_COUNT)
-    block = csareader.get_csa_header(dataset, "image")
-    count = int(count.value) if count is not None else (csareader.get_n_mosaic(block) if block else None)
-    normal = csareader.get_slice_normal(block) if block else None
-    turn, place = dataset.get("ImageOrientationPatient"), dataset.get("ImagePositionPatient")
-    size, step = dataset.get("PixelSpacing"), dataset.get("SpacingBetweenSlices")
-    if not count or count < 1 or normal is None or None in (turn, place, size, step):
-        raise InputError(
-            f"{path.name}: a mosaic without what says where its slices lie", "convert it by dcm2niix first"
-        )
-    side = math.ceil(math.sqrt(count))
-    rows, columns = int(dataset.Rows) // side, int(dataset.Columns) // side
-    along_row, along_column = np.array(turn, float)[:3], np.array(turn, float)[3:]
-    shift = (int(dataset.Columns) - columns) / 2 * float(size[1]) * along_row
-    shift = shift + (int(dataset.Rows) - rows) / 2 * float(size[0]) * along_column
-    across = np.cross(along_row, along_column)
-    step = float(step) * (1.0 if float(np.dot(across, normal)) >= 0 else -1.0)
-    first = np.array(place, float) + shift
-    return [
-        ((n // side * rows, n % side * columns), rows, columns, tuple((first + n * step * across).tolist()))
-        for n in range(count)
-    ]
-
-
 _TAGS = [
     *("SOPClassUID", "SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID", "FrameOfReferenceUID", "Modality"),
     *("SeriesDescription", "SeriesNumber", "InstanceNumber", "ImageType", "Rows", "Columns", "NumberOfFrames"),
@@ -466,3 +373,92 @@ def _unit(dataset: Elements, scale: Any, table: Any) -> str:
     if text(dataset, "Modality") == "CT":
         return "HU" if said.upper() in ("", "HU", "US") else said
     return "" if said.upper() in ("US", "NONE") else said
+
+
+def tiles_of(path: DicomFile, dataset: Any) -> list[Tile]:
+    """Places of the slices of a mosaic in the picture and in the patient.
+
+    The file says where the whole picture would lie if it were a slice with the middle of the first one; the slices
+    follow along the normal that the private block says.
+
+    Raises
+    ------
+    InputError
+        When the file does not say how many slices there are, or which way they follow.
+    """
+    with quiet():  # it warns of itself
+        from nibabel.nicom import csareader
+
+    count = dataset.get(_MOSAIC_COUNT)
+    block = csareader.get_csa_header(dataset, "image")
+    count = int(count.value) if count is not None else (csareader.get_n_mosaic(block) if block else None)
+    normal = csareader.get_slice_normal(block) if block else None
+    turn, place = dataset.get("ImageOrientationPatient"), dataset.get("ImagePositionPatient")
+    size, step = dataset.get("PixelSpacing"), dataset.get("SpacingBetweenSlices")
+    if not count or count < 1 or normal is None or None in (turn, place, size, step):
+        raise InputError(
+            f"{path.name}: a mosaic without what says where its slices lie", "convert it by dcm2niix first"
+        )
+    side = math.ceil(math.sqrt(count))
+    rows, columns = int(dataset.Rows) // side, int(dataset.Columns) // side
+    along_row, along_column = np.array(turn, float)[:3], np.array(turn, float)[3:]
+    shift = (int(dataset.Columns) - columns) / 2 * float(size[1]) * along_row
+    shift = shift + (int(dataset.Rows) - rows) / 2 * float(size[0]) * along_column
+    across = np.cross(along_row, along_column)
+    step = float(step) * (1.0 if float(np.dot(across, normal)) >= 0 else -1.0)
+    first = np.array(place, float) + shift
+    return [
+        ((n // side * rows, n % side * columns), rows, columns, tuple((first + n * step * across).tolist()))
+        for n in range(count)
+    ]
+
+
+def _is_reconstructed(dataset: Any) -> bool:
+    return str(dataset.get("SOPClassUID")) == _NUCLEAR and bool(_RECONSTRUCTED & set(listed(dataset.get("ImageType"))))
+
+
+def order_of(dataset: Any, count: int) -> list[int]:
+    """The frames of a file in the order of their slices; as they come where nothing else is said."""
+    numbers = list(range(count))
+    if not _is_reconstructed(dataset):
+        return numbers
+    places = [_entry(dataset, "SliceVector", number) for number in numbers]
+    return numbers if None in places else sorted(numbers, key=lambda number: places[number] or 0)
+
+
+def place_of(dataset: Any, number: int) -> tuple[Floats, Floats] | None:
+    """Position (3) and directions (6) of a frame; None where the file is of another kind, or does not say them.
+
+    The sign of *Spacing Between Slices* says whether slices follow along the normal or against it (PS3.3 C.8.4.15).
+    """
+    if not _is_reconstructed(dataset):
+        return None
+    detectors = dataset.get("DetectorInformationSequence")
+    first = detectors[0] if detectors else dataset
+    position, turn = numbers_of(first, "ImagePositionPatient", 3), numbers_of(first, "ImageOrientationPatient", 6)
+    step = number_of(dataset, "SpacingBetweenSlices")
+    if position is None or turn is None or step is None:
+        return None
+    place = _entry(dataset, "SliceVector", number)
+    normal = np.cross(turn[:3], turn[3:])
+    moved = np.array(position) + (number if place is None else place - 1) * step * normal
+    return tuple(moved.tolist()), turn
+
+
+def phase_of(dataset: Any, number: int) -> dict[str, str]:
+    """Elements that may tell apart slices at one place."""
+    if not _is_reconstructed(dataset):
+        return {}
+    names = {"energy window": "EnergyWindowVector", "trigger time": "TimeSlotVector"}
+    found = {what: _entry(dataset, name, number) for what, name in names.items()}
+    return {what: str(value) for what, value in found.items() if value is not None}
+
+
+def _entry(dataset: Any, name: str, number: int) -> int | None:
+    """Entry of a vector for a frame; None where there is none."""
+    value = dataset.get(name)
+    if value is None or isinstance(value, (str, bytes)):
+        return None
+    if isinstance(value, int):
+        return value if number == 0 else None
+    return int(value[number]) if number < len(value) else None

@@ -1,13 +1,9 @@
-"""The DICOM files of a path: of a folder and those in it, of an archive, or of the series of one file.
+"""The DICOM files of a path, one of them read, and its elements as texts and numbers.
 
-The packages pydicom and highdicom, which are an extra, and reading one file.
-
-A file is read as one that somebody may have cut, damaged or made up: no read asks for more bytes than there are, and a
-deflated one unpacks to no more than `accelsurf.settings.budgets.DICOM_DEFLATED`.
-
-Elements of a DICOM data set as texts and numbers, whatever a file has made of them.
-
-Kinds of DICOM objects that are no slices of a volume.
+A path is a folder, an archive, or one file of a series. Somebody may have cut, damaged or made up a file: no read asks
+for more bytes than there are, a deflated file unpacks to no more than `accelsurf.settings.budgets.DICOM_DEFLATED`, and
+an element may hold anything. Objects that are no slices of a volume are named by their kind. The packages pydicom and
+highdicom are an extra, and imported when they are needed.
 """
 
 from __future__ import annotations
@@ -48,202 +44,6 @@ _ITEM, _END = (0xFFFE, 0xE000), (0xFFFE, 0xE0DD)
 _LARGE = 1 << 16
 #: Pieces of packed pixels that are counted.
 _MAX_PIECES = 1 << 20
-
-
-@dataclass(frozen=True)
-class PixelBytes:
-    """The pixels of a file, as far as its lengths tell of them.
-
-    Attributes
-    ----------
-    announced : int or None
-        Bytes; None where they are packed, piece by piece.
-    present : int
-        Bytes that the file has of them.
-    pieces : int
-        Of packed pixels, without the table of offsets.
-    is_whole : bool
-        Whether packed pixels end as they should.
-    """
-
-    announced: int | None
-    present: int
-    pieces: int = 0
-    is_whole: bool = True
-
-
-def library(name: str = "pydicom") -> ModuleType:
-    """One of the packages, or a module of it.
-
-    Raises
-    ------
-    InputError
-        When it is not installed.
-    """
-    try:
-        with quiet():
-            return import_module(name)
-    except ImportError as error:
-        package = name.partition(".")[0]
-        raise InputError(f"DICOM needs the package {package}", 'install it: pip install "accelsurf[dicom]"') from error
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Without the packages' warnings and log lines about values that break the standard: what matters is checked here,
-    and told.
-    """
-    loggers = [logging.getLogger(name) for name in _LOGGERS]
-    levels = [logger.level for logger in loggers]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            for logger in loggers:
-                logger.setLevel(logging.CRITICAL + 1)
-            yield
-        finally:
-            for logger, level in zip(loggers, levels, strict=True):
-                logger.setLevel(level)
-
-
-@contextmanager
-def damage_of(file: DicomFile, what: str) -> Iterator[None]:
-    """Turn what the packages raise about damaged files, of which there is no end, into an InputError.
-
-    Parameters
-    ----------
-    file : Path or Member
-    what : str
-        What is wrong, as "the header is damaged".
-    """
-    with quiet(), library_named(f"{file.name}: {what}", "copy it again"):
-        yield
-
-
-def read_dataset(file: DicomFile, tags: Sequence[str | int] | None = None) -> Any:
-    """Read a file: with ``tags`` those elements alone and no pixels, else all.
-
-    Raises
-    ------
-    InputError
-        When it is no DICOM, or damaged.
-    """
-    return _read(file, tags, _PIXELS if tags is not None else ())[0]
-
-
-def read_header(file: DicomFile, tags: Sequence[str | int]) -> tuple[Any, PixelBytes | None]:
-    """Read elements of a file, and find how much of its pixels is there; None: it has none.
-
-    Raises
-    ------
-    InputError
-        When it is no DICOM, or damaged.
-    """
-    return _read(file, tags, _PIXELS)
-
-
-def series_of(file: DicomFile) -> tuple[str, bool]:
-    """The UID of the series that a damaged file says it is of, and whether the file ends within it.
-
-    Empty where it cannot be read.
-    """
-    try:
-        found = _read(file, ["SeriesInstanceUID"], (_SERIES_UID + 1,), True)[0].get_item(_SERIES_UID)
-        return found.value.decode("ascii").strip("\0 "), len(found.value) < found.length
-    except Exception:  # it is damaged, in whatever way
-        return "", False
-
-
-def _read(
-    file: DicomFile, tags: Sequence[str | int] | None, stops: tuple[int, ...], is_damaged: bool = False
-) -> tuple[Any, PixelBytes | None]:
-    """The elements, and where reading stopped at pixels what there is of them; the first of ``stops`` ends it, or what
-    comes after.
-    """
-    pydicom = library()
-    seen: list[tuple[int, int]] = []
-
-    def stop(tag: int, vr: str | None, length: int) -> bool:
-        if tag in stops or (len(stops) == 1 and tag >= stops[0]):
-            seen.append((length, data.tell()))
-            return True
-        return False
-
-    wanted = None if tags is None else [pydicom.tag.Tag(tag) for tag in tags]
-    damage = damage_of(file, "no DICOM, or damaged")
-    with damage, _opened(file, is_damaged) as stream, _inflated(stream) as (data, meta):
-        dataset = pydicom.filereader.read_partial(data, stop if stops else None, force=True, specific_tags=wanted)
-        if meta is not None:
-            dataset.file_meta = meta
-        return dataset, _pixel_bytes(data, *seen[0]) if seen else None
-
-
-class _Bounded(io.BufferedReader):
-    """A file of which no more is asked for than there is: bytes are allocated before they are read."""
-
-    def __init__(self, path: os.PathLike[str]) -> None:
-        super().__init__(io.FileIO(path))
-        self._end = os.fstat(self.fileno()).st_size
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        if size is not None and size > _LARGE:
-            size = min(size, max(self._end - self.tell(), 0))
-        return super().read(size)
-
-
-def _opened(file: DicomFile, is_damaged: bool) -> BinaryIO:
-    if isinstance(file, Member):
-        return io.BytesIO(file.remains() if is_damaged else file.content())
-    return _Bounded(file)
-
-
-@contextmanager
-def _inflated(stream: BinaryIO) -> Iterator[tuple[BinaryIO, Any]]:
-    """The stream, or what a deflated one unpacks to, with the file's meta information."""
-    if _DEFLATED.encode() not in stream.read(1024):
-        stream.seek(0)
-        yield stream, None
-        return
-    stream.seek(0)
-    reader = library("pydicom.filereader")
-    reader.read_preamble(stream, True)
-    meta = library("pydicom.dataset").FileMetaDataset(
-        reader.read_dataset(stream, False, True, stop_when=lambda tag, vr, length: tag >> 16 != 2)
-    )
-    if meta.get("TransferSyntaxUID") != _DEFLATED:
-        stream.seek(0)
-        yield stream, None
-        return
-    packed = stream.read()
-    limit = DICOM_DEFLATED.limit * (len(packed) + (1 << 20))
-    unpacker = zlib.decompressobj(-zlib.MAX_WBITS)
-    content = unpacker.decompress(packed, limit + 1)
-    DICOM_DEFLATED.check(len(content), factor=len(packed) + (1 << 20))
-    if not unpacker.eof:
-        raise InputError("its deflated content ends early", "copy it again")
-    yield io.BytesIO(content), meta
-
-
-def _pixel_bytes(data: BinaryIO, length: int, start: int) -> PixelBytes:
-    """Describe the pixels that begin at a byte of a file."""
-    end = data.seek(0, os.SEEK_END)
-    if length != _UNDEFINED:
-        return PixelBytes(length, min(length, end - start))
-    place, pieces = start, -1  # the first item has the offsets
-    while place + 8 <= end and pieces < _MAX_PIECES:
-        data.seek(place)
-        head = data.read(8)
-        tag, size = (int.from_bytes(head[:2], "little"), int.from_bytes(head[2:4], "little")), int.from_bytes(
-            head[4:], "little"
-        )
-        if tag == _END:
-            return PixelBytes(None, place - start, max(pieces, 0))
-        if tag != _ITEM:
-            break
-        pieces, place = pieces + 1, place + 8 + size
-    return PixelBytes(None, min(place, end) - start, max(pieces, 0), False)
-
-
 SUFFIXES, ARCHIVE = (".dcm", ".ima", ".dicom"), ".zip"
 #: Files that are looked at; a folder of more is another kind of folder.
 MAX_FILES = 200_000
@@ -255,6 +55,29 @@ _FIRST_GROUPS = (b"\x02\x00", b"\x08\x00", b"\x00\x08")
 _HINT = "unpack it, and give the folder"
 #: Bytes of a damaged member that are looked at, and of one read of them.
 _MAX_REMAINS, _BLOCK = 1 << 16, 1 << 10
+_ZIP_ERRORS = (
+    zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError, zlib.error, lzma.LZMAError, ValueError
+)
+Floats = tuple[float, ...]
+SEGMENTATION, WHOLE_SLIDE, PROJECTION = "segmentation", "whole-slide image", "projection of a tomograph"
+#: Elements that tell the kind of image, beside class, modality and type of image.
+TAGS = ("TotalPixelMatrixRows", "TotalPixelMatrixColumns", "DimensionOrganizationType")
+_CLASSES = {
+    "1.2.840.10008.5.1.4.1.1.66.4": SEGMENTATION,
+    "1.2.840.10008.5.1.4.1.1.66.7": SEGMENTATION,
+    "1.2.840.10008.5.1.4.1.1.481.2": "dose",
+    "1.2.840.10008.5.1.4.1.1.77.1.6": WHOLE_SLIDE,
+}
+_MODALITIES = {
+    "SR": "report", "DOC": "report", "PR": "display state", "KO": "selection", "RTSTRUCT": "structure set",
+    "RTPLAN": "plan", "RTDOSE": "dose", "SEG": SEGMENTATION, "REG": "registration", "FID": "fiducials",
+    "SM": WHOLE_SLIDE,
+}
+#: Remedies for kinds that somebody may take for a volume.
+HINTS = {
+    WHOLE_SLIDE: "its frames are tiles of one plane: export a region as TIFF or OME-Zarr, by Bio-Formats or QuPath",
+    PROJECTION: "its frames are views from several sides: give the reconstructed series",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,9 +148,6 @@ class Member:
             raise InputError(f"{self.name}: damaged in the archive, or locked ({error})", _HINT) from error
 
 
-_ZIP_ERRORS = (
-    zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError, zlib.error, lzma.LZMAError, ValueError
-)
 #: A file on the disk or in an archive.
 DicomFile = Path | Member
 
@@ -470,7 +290,198 @@ def _is_seen(info: zipfile.ZipInfo) -> bool:
     )
 
 
-Floats = tuple[float, ...]
+def library(name: str = "pydicom") -> ModuleType:
+    """One of the packages, or a module of it.
+
+    Raises
+    ------
+    InputError
+        When it is not installed.
+    """
+    try:
+        with quiet():
+            return import_module(name)
+    except ImportError as error:
+        package = name.partition(".")[0]
+        raise InputError(f"DICOM needs the package {package}", 'install it: pip install "accelsurf[dicom]"') from error
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Without the packages' warnings and log lines about values that break the standard: what matters is checked here,
+    and told.
+    """
+    loggers = [logging.getLogger(name) for name in _LOGGERS]
+    levels = [logger.level for logger in loggers]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            for logger in loggers:
+                logger.setLevel(logging.CRITICAL + 1)
+            yield
+        finally:
+            for logger, level in zip(loggers, levels, strict=True):
+                logger.setLevel(level)
+
+
+@contextmanager
+def damage_of(file: DicomFile, what: str) -> Iterator[None]:
+    """Turn what the packages raise about damaged files, of which there is no end, into an InputError.
+
+    Parameters
+    ----------
+    file : Path or Member
+    what : str
+        What is wrong, as "the header is damaged".
+    """
+    with quiet(), library_named(f"{file.name}: {what}", "copy it again"):
+        yield
+
+
+@dataclass(frozen=True)
+class PixelBytes:
+    """The pixels of a file, as far as its lengths tell of them.
+
+    Attributes
+    ----------
+    announced : int or None
+        Bytes; None where they are packed, piece by piece.
+    present : int
+        Bytes that the file has of them.
+    pieces : int
+        Of packed pixels, without the table of offsets.
+    is_whole : bool
+        Whether packed pixels end as they should.
+    """
+
+    announced: int | None
+    present: int
+    pieces: int = 0
+    is_whole: bool = True
+
+
+def read_dataset(file: DicomFile, tags: Sequence[str | int] | None = None) -> Any:
+    """Read a file: with ``tags`` those elements alone and no pixels, else all.
+
+    Raises
+    ------
+    InputError
+        When it is no DICOM, or damaged.
+    """
+    return _read(file, tags, _PIXELS if tags is not None else ())[0]
+
+
+def read_header(file: DicomFile, tags: Sequence[str | int]) -> tuple[Any, PixelBytes | None]:
+    """Read elements of a file, and find how much of its pixels is there; None: it has none.
+
+    Raises
+    ------
+    InputError
+        When it is no DICOM, or damaged.
+    """
+    return _read(file, tags, _PIXELS)
+
+
+def series_of(file: DicomFile) -> tuple[str, bool]:
+    """The UID of the series that a damaged file says it is of, and whether the file ends within it.
+
+    Empty where it cannot be read.
+    """
+    try:
+        found = _read(file, ["SeriesInstanceUID"], (_SERIES_UID + 1,), True)[0].get_item(_SERIES_UID)
+        return found.value.decode("ascii").strip("\0 "), len(found.value) < found.length
+    except Exception:  # it is damaged, in whatever way
+        return "", False
+
+
+def _read(
+    file: DicomFile, tags: Sequence[str | int] | None, stops: tuple[int, ...], is_damaged: bool = False
+) -> tuple[Any, PixelBytes | None]:
+    """The elements, and where reading stopped at pixels what there is of them; the first of ``stops`` ends it, or what
+    comes after.
+    """
+    pydicom = library()
+    seen: list[tuple[int, int]] = []
+
+    def stop(tag: int, vr: str | None, length: int) -> bool:
+        if tag in stops or (len(stops) == 1 and tag >= stops[0]):
+            seen.append((length, data.tell()))
+            return True
+        return False
+
+    wanted = None if tags is None else [pydicom.tag.Tag(tag) for tag in tags]
+    damage = damage_of(file, "no DICOM, or damaged")
+    with damage, _opened(file, is_damaged) as stream, _inflated(stream) as (data, meta):
+        dataset = pydicom.filereader.read_partial(data, stop if stops else None, force=True, specific_tags=wanted)
+        if meta is not None:
+            dataset.file_meta = meta
+        return dataset, _pixel_bytes(data, *seen[0]) if seen else None
+
+
+class _Bounded(io.BufferedReader):
+    """A file of which no more is asked for than there is: bytes are allocated before they are read."""
+
+    def __init__(self, path: os.PathLike[str]) -> None:
+        super().__init__(io.FileIO(path))
+        self._end = os.fstat(self.fileno()).st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is not None and size > _LARGE:
+            size = min(size, max(self._end - self.tell(), 0))
+        return super().read(size)
+
+
+def _opened(file: DicomFile, is_damaged: bool) -> BinaryIO:
+    if isinstance(file, Member):
+        return io.BytesIO(file.remains() if is_damaged else file.content())
+    return _Bounded(file)
+
+
+@contextmanager
+def _inflated(stream: BinaryIO) -> Iterator[tuple[BinaryIO, Any]]:
+    """The stream, or what a deflated one unpacks to, with the file's meta information."""
+    if _DEFLATED.encode() not in stream.read(1024):
+        stream.seek(0)
+        yield stream, None
+        return
+    stream.seek(0)
+    reader = library("pydicom.filereader")
+    reader.read_preamble(stream, True)
+    meta = library("pydicom.dataset").FileMetaDataset(
+        reader.read_dataset(stream, False, True, stop_when=lambda tag, vr, length: tag >> 16 != 2)
+    )
+    if meta.get("TransferSyntaxUID") != _DEFLATED:
+        stream.seek(0)
+        yield stream, None
+        return
+    packed = stream.read()
+    limit = DICOM_DEFLATED.limit * (len(packed) + (1 << 20))
+    unpacker = zlib.decompressobj(-zlib.MAX_WBITS)
+    content = unpacker.decompress(packed, limit + 1)
+    DICOM_DEFLATED.check(len(content), factor=len(packed) + (1 << 20))
+    if not unpacker.eof:
+        raise InputError("its deflated content ends early", "copy it again")
+    yield io.BytesIO(content), meta
+
+
+def _pixel_bytes(data: BinaryIO, length: int, start: int) -> PixelBytes:
+    """Describe the pixels that begin at a byte of a file."""
+    end = data.seek(0, os.SEEK_END)
+    if length != _UNDEFINED:
+        return PixelBytes(length, min(length, end - start))
+    place, pieces = start, -1  # the first item has the offsets
+    while place + 8 <= end and pieces < _MAX_PIECES:
+        data.seek(place)
+        head = data.read(8)
+        tag, size = (int.from_bytes(head[:2], "little"), int.from_bytes(head[2:4], "little")), int.from_bytes(
+            head[4:], "little"
+        )
+        if tag == _END:
+            return PixelBytes(None, place - start, max(pieces, 0))
+        if tag != _ITEM:
+            break
+        pieces, place = pieces + 1, place + 8 + size
+    return PixelBytes(None, min(place, end) - start, max(pieces, 0), False)
 
 
 class Elements:
@@ -518,27 +529,6 @@ def listed(value: Any) -> list[str]:
     """The parts of an element in capitals."""
     parts = [] if value is None else [value] if isinstance(value, str) else list(value)
     return [str(part).upper() for part in parts]
-
-
-SEGMENTATION, WHOLE_SLIDE, PROJECTION = "segmentation", "whole-slide image", "projection of a tomograph"
-#: Elements that say it, beside class, modality and type of image.
-TAGS = ("TotalPixelMatrixRows", "TotalPixelMatrixColumns", "DimensionOrganizationType")
-_CLASSES = {
-    "1.2.840.10008.5.1.4.1.1.66.4": SEGMENTATION,
-    "1.2.840.10008.5.1.4.1.1.66.7": SEGMENTATION,
-    "1.2.840.10008.5.1.4.1.1.481.2": "dose",
-    "1.2.840.10008.5.1.4.1.1.77.1.6": WHOLE_SLIDE,
-}
-_MODALITIES = {
-    "SR": "report", "DOC": "report", "PR": "display state", "KO": "selection", "RTSTRUCT": "structure set",
-    "RTPLAN": "plan", "RTDOSE": "dose", "SEG": SEGMENTATION, "REG": "registration", "FID": "fiducials",
-    "SM": WHOLE_SLIDE,
-}
-#: What to do about those of them that somebody may take for a volume.
-HINTS = {
-    WHOLE_SLIDE: "its frames are tiles of one plane: export a region as TIFF or OME-Zarr, by Bio-Formats or QuPath",
-    PROJECTION: "its frames are views from several sides: give the reconstructed series",
-}
 
 
 def kind_of(dataset: Any) -> str:

@@ -1,6 +1,6 @@
-"""Slices put together: the volumes of each series, and what is none.
+"""The volumes of each series, put together from slices, and the files that are left out of them.
 
-Slices at the same places at several times: the frames of a sequence.
+Slices at the same places at several times are the frames of a sequence.
 """
 
 from __future__ import annotations
@@ -22,6 +22,11 @@ from accelsurf.io.headers import FrameTimes
 SAME_PLACE_MM = 0.01
 #: Files of a kind that a message names.
 _NAMED = 3
+#: Phases by which slices of one place may differ in a sequence; by others they are of several contrasts.
+TIME_PHASES = frozenset({"time point", "trigger time", "acquisition", "acquisition time", "file"})
+#: Attributes with the time of a slice, and with the order of slices at one place: the first that tells them apart.
+_TIMES = ("offset", "trigger", "frame", "acquisition", "content")
+_ORDERS = ("offset", "trigger", "point", "frame", "acquisition", "content", "number")
 
 
 @dataclass(frozen=True)
@@ -225,13 +230,6 @@ def _coincident(frames: Sequence[Frame]) -> bool:
             return True
         seen.add(key)
     return False
-
-
-#: Phases by which slices of one place may differ in a sequence; by others they are of several contrasts.
-TIME_PHASES = frozenset({"time point", "trigger time", "acquisition", "acquisition time", "file"})
-#: What says when a slice is, and what gives the order of those at one place: the first that tells them all apart.
-_TIMES = ("offset", "trigger", "frame", "acquisition", "content")
-_ORDERS = ("offset", "trigger", "point", "frame", "acquisition", "content", "number")
 
 
 def is_cine(frames: Sequence[Frame]) -> bool:

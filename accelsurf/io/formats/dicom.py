@@ -39,7 +39,7 @@ _LISTED = 6
 _DAMAGE_HINT = "copy the scan again"
 _SERIES_HINT = "give the folder of a CT, MR or PET series"
 
-__all__ = ["DicomHeader", "holds_dicom", "is_anatomical", "is_dicom", "listing", "parse_dicom", "read_dicom"]
+__all__ = ["DicomHeader", "holds_dicom", "is_dicom_anatomical", "is_dicom", "listing", "parse_dicom", "read_dicom"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,7 +306,7 @@ def read_labels(
     return Volume(labels, header.geometry, with_warnings(metadata, header.note), path)
 
 
-def is_anatomical(metadata: Mapping[str, str]) -> bool:
+def is_dicom_anatomical(metadata: Mapping[str, str]) -> bool:
     """True if the axes of the world are a patient's."""
     return DICOM_KEY in metadata
 

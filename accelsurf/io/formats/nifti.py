@@ -1,11 +1,9 @@
-"""NIfTI-1 and NIfTI-2 files: their headers, and their voxels.
+"""NIfTI-1 and NIfTI-2 files: their headers with the extensions, and their voxels.
 
 ITK repairs, guesses and forgets: it reads a file without voxels as zeros, takes a negative pixdim as a mirrored axis,
 falls back on the qform when the sform is sheared, and writes both codes as 1. So the header is read here first,
 and the fields that place the grid are put back after writing. nibabel takes the header apart; its own checks, which
-repair too, are not used.
-
-nibabel for programs that read voxels: without pydicom, which takes longer to import than nibabel itself.
+repair too, are not used. It is imported without pydicom, which takes longer to import than nibabel itself.
 """
 
 from __future__ import annotations
@@ -32,6 +30,28 @@ from accelsurf.io.headers import TIMES_KEY, single_precision, split_name
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
+ITK_NAME = "NiftiImageIO"
+"""The class of ITK that reads and writes the format."""
+HEADER_BYTES = {1: 348, 2: 540}
+"""Length of the header by the version of the format; a file begins with it."""
+COMMENT_CODE = 6
+"""The code of an extension of the header with a text."""
+_BEGINNINGS = {
+    struct.pack(order + "i", count): (version, order) for version, count in HEADER_BYTES.items() for order in "<>"
+}
+_MAGIC = {1: (344, b"n+1\0"), 2: (4, b"n+2\0\r\n\x1a\n")}
+_QFORM = ("quatern_b", "quatern_c", "quatern_d", "qoffset_x", "qoffset_y", "qoffset_z")
+#: Bytes before the voxels that are searched for times.
+_MAX_EXTENSION = 1 << 24
+_REAL = (2, 4, 8, 16, 64, 256, 512, 768, 1024, 1280)  # type codes: integers of 1 to 8 bytes, floats of 4 and 8
+#: Intents of components: matrices, vectors, colours.
+_VECTORS = frozenset((1004, 1005, 1006, 1007, 2003, 2004))
+#: Seconds of the units of time; the other units of the fourth axis are of spectra.
+_SECONDS = {8: 1.0, 16: 1e-3, 24: 1e-6}
+#: A slope this near to 1 is 1, rounded by who wrote it: two steps of single precision.
+_SLOPE_ROUNDING = 3e-7
+_NOT_REAL = {32: "complex", 1792: "complex", 2048: "complex", 128: "colour (RGB)", 2304: "colour (RGBA)"}
+
 
 def import_nibabel_for(path: Path) -> None:
     """Import nibabel for a NIfTI as if pydicom were not installed; nothing where either is loaded already.
@@ -52,31 +72,6 @@ def import_nibabel_for(path: Path) -> None:
             import nibabel  # noqa: F401
         finally:
             del sys.modules["pydicom"]
-
-
-COMMENT = 6
-"""Code of an extension that is a comment; ours has the times of a sequence."""
-ITK_NAME = "NiftiImageIO"
-"""The class of ITK that reads and writes the format."""
-
-HEADER_BYTES = {1: 348, 2: 540}
-"""Length of the header by the version of the format; a file begins with it."""
-
-_BEGINNINGS = {
-    struct.pack(order + "i", count): (version, order) for version, count in HEADER_BYTES.items() for order in "<>"
-}
-_MAGIC = {1: (344, b"n+1\0"), 2: (4, b"n+2\0\r\n\x1a\n")}
-_QFORM = ("quatern_b", "quatern_c", "quatern_d", "qoffset_x", "qoffset_y", "qoffset_z")
-#: Bytes before the voxels that are searched for times.
-_MAX_EXTENSION = 1 << 24
-_REAL = (2, 4, 8, 16, 64, 256, 512, 768, 1024, 1280)  # type codes: integers of 1 to 8 bytes, floats of 4 and 8
-#: Intents of components: matrices, vectors, colours.
-_VECTORS = frozenset((1004, 1005, 1006, 1007, 2003, 2004))
-#: Seconds of the units of time; the other units of the fourth axis are of spectra.
-_SECONDS = {8: 1.0, 16: 1e-3, 24: 1e-6}
-#: A slope this near to 1 is 1, rounded by who wrote it: two steps of single precision.
-_SLOPE_ROUNDING = 3e-7
-_NOT_REAL = {32: "complex", 1792: "complex", 2048: "complex", 128: "colour (RGB)", 2304: "colour (RGBA)"}
 
 
 @dataclass(frozen=True)
@@ -242,7 +237,7 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
             file.seek(0)
             start = first_bytes(file, max(HEADER_BYTES.values()))
         header = parse_header(start)
-        times_text = times_text_in(_extensions(file, header, compressed)) if len(header.size) > 3 else ""
+        times_text = _times_text_in(_extensions(file, header, compressed)) if len(header.size) > 3 else ""
     if times_text:  # frames that are counted have no unit, but times
         header = replace(header, says_time=True)
     header.grid.check_forms()
@@ -275,10 +270,10 @@ def _extensions(file: BinaryIO, header: NiftiHeader, compressed: bool) -> list[t
         return []
     file.seek(0)
     raw = first_bytes(file, end) if compressed else file.read(end)
-    return list(extensions_in(raw[begin:], _BEGINNINGS[raw[:4]][1]))
+    return list(_extensions_in(raw[begin:], _BEGINNINGS[raw[:4]][1]))
 
 
-def extensions_in(raw: bytes, order: str) -> Iterator[tuple[int, str]]:
+def _extensions_in(raw: bytes, order: str) -> Iterator[tuple[int, str]]:
     """Code and text of each extension of a NIfTI.
 
     Parameters
@@ -297,10 +292,10 @@ def extensions_in(raw: bytes, order: str) -> Iterator[tuple[int, str]]:
         at += size
 
 
-def times_text_in(extensions: Iterable[tuple[int, str]]) -> str:
+def _times_text_in(extensions: Iterable[tuple[int, str]]) -> str:
     """The line with the times among the extensions of a NIfTI; empty where none has it."""
     begin = f"{TIMES_KEY}: "
-    found = (text.removeprefix(begin) for code, text in extensions if code == COMMENT and text.startswith(begin))
+    found = (text.removeprefix(begin) for code, text in extensions if code == COMMENT_CODE and text.startswith(begin))
     return next(found, "")
 
 

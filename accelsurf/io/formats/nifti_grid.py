@@ -212,7 +212,7 @@ def _near(a: Geometry, b: Geometry) -> bool:
     return a.matches(b, 0.5 * min(*a.spacing, *b.spacing))
 
 
-def is_anatomical(metadata: Mapping[str, str]) -> bool:
+def is_nifti_anatomical(metadata: Mapping[str, str]) -> bool:
     """Test if a transform code says that the world's axes are a patient's."""
     # Bytes 17 to 20 of these fields are the codes of qform and sform; both 0 means that the world is not known.
     return any(bytes.fromhex(metadata.get(METADATA_KEY, ""))[17:21])

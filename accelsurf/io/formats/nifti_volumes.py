@@ -1,10 +1,10 @@
-"""NIfTI volumes: ITK writes them, and places those of version 1 in the world; the voxels are read here.
+"""NIfTI volumes: read, opened, written whole or box by box, with names and colours of labels.
 
-ITK turns NaN and infinity into 0 without a word, ignores small slopes, and reads voxels from places in the header.
-
-A plain NIfTI is also written box by box, into a file that is sparse where nothing was written. Where an axis has more
-than 32767 voxels it is a NIfTI-2. Names and colours of a label map are in an extension of the header with the code 30
-(CARET), as XML of Connectome Workbench; programs that do not know it read the file as any other.
+ITK writes them, and places those of version 1 in the world; the voxels are read here, since ITK turns NaN and infinity
+into 0 without a word, ignores small slopes, and reads voxels from places in the header. Box by box a plain NIfTI is
+written into a file that is sparse where nothing was written; it is a NIfTI-2 where an axis has more than 32767 voxels.
+Names and colours are in an extension of the header with the code 30 (CARET), as XML of Connectome Workbench; programs
+that do not know it read the file as any other.
 """
 
 from __future__ import annotations
@@ -36,6 +36,133 @@ from accelsurf.settings.labels import LabelTable
 MAX_AXIS = 2**15 - 1
 _DIM_OFFSET = 40
 _RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
+_CODE = 30
+_HEADER, _FIRST = 348, 352
+_OFFSET_PLACE = 108
+#: Bytes before the voxels of a file that ITK writes.
+_MAX_HEADER_BYTES = 352
+#: The code of a unit of length in a header.
+_MICRON = 3
+
+
+def read_nifti(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
+    """Read a file of one volume.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : NiftiFile
+        What its header claims.
+    available : int
+        Bytes of memory.
+
+    Raises
+    ------
+    InputError
+        When the file holds several volumes, is incomplete or larger than the memory; GeometryError when its header
+        contradicts itself.
+    """
+    fields, number = header.nifti, header.single()
+    if fields.version == 2 or fields.volumes > 1:
+        return _read_some(path, header, [number], available)[0]
+    scaled = (fields.slope, fields.intercept) != (1.0, 0.0) or not fields.voxel_type.isnative
+    check_memory(fields.size, fields.voxel_type.itemsize + (8 if scaled else 0), available)
+    # Packed voxels are counted, and their checksum verified, while they are read.
+    geometry = itk.geometry_of(itk.open_reader(path, header.itk_name))
+    return Volume(nifti.read_volumes(header, [0])[0], geometry, _metadata(header, geometry), path)
+
+
+def read_nifti_channels(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:
+    """Read the volumes of a file, which follow one another in it.
+
+    Raises
+    ------
+    InputError
+        As `read_nifti`, and for more than `accelsurf.io.channels.MAX_CHANNELS` of them.
+    """
+    if header.nifti.volumes == 1:
+        return [read_nifti(path, header, available)]
+    return _read_some(path, header, header.selected(), available)
+
+
+def _read_some(path: Path, header: nifti.NiftiFile, numbers: Sequence[int], available: int) -> list[Volume]:
+    """Read volumes of a file that ITK does not read: one of version 2, or several one after the other."""
+    fields = header.nifti
+    # The voxels as they are stored and as they are given are in memory at the same time.
+    span = max(numbers) - min(numbers) + 1
+    needed = span * fields.voxel_type.itemsize + len(numbers) * fields.value_type.itemsize
+    check_memory(fields.size[:3], needed, available)
+    header.check_complete()
+    geometry = fields.grid.geometry()
+    metadata = _metadata(header, geometry)
+    return [Volume(array, geometry, dict(metadata), path) for array in nifti.read_volumes(header, numbers)]
+
+
+def _metadata(header: nifti.NiftiFile, geometry: Geometry) -> dict[str, str]:
+    """The metadata of a volume: fields of its header, and a warning when qform and sform disagree."""
+    fields, notes = header.nifti, [header.nifti.grid.check_agreement(geometry)]
+    if fields.are_channels_guessed and header.asked.channel_index is None:
+        notes.append(
+            f"the {fields.volumes} volumes of the file are taken for channels: its header says nothing of time or "
+            "vectors; --channel-index N takes one of them"
+        )
+    said = with_warnings(header.metadata, *notes)
+    if fields.grid.units & 7 == _MICRON:
+        said[UNIT_KEY] = "um"
+    return said | {FRAME_KEY: repr(fields.seconds)} if fields.seconds and fields.time_points > 1 else said
+
+
+def open_nifti(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVolume:
+    """Open an uncompressed file of one volume, to be read box by box.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    header : NiftiFile
+        What its header claims.
+    opening : Opening
+        Has no more to say here.
+
+    Raises
+    ------
+    InputError
+        As `read_nifti`.
+    """
+    fields = header.nifti
+    number, (nx, ny, nz) = header.single(), fields.size[:3]
+    offset = fields.data_offset + number * nx * ny * nz * fields.voxel_type.itemsize
+    voxels = RawVoxels(RawLayout(path, offset, fields.voxel_type, (nz, ny, nx)), fields.values)
+    by_itk = fields.version == 1 and fields.volumes == 1
+    geometry = itk.geometry_of(itk.open_reader(path, nifti.ITK_NAME)) if by_itk else fields.grid.geometry()
+    layout = StoreLayout((geometry,), None, fields.channels, fields.time_points)
+    return LazyVolume(voxels, geometry, _metadata(header, geometry), path, layout)
+
+
+def write_nifti(volume: Volume, path: Path) -> None:
+    """Write NIfTI-1, with the numbers and codes that placed the volume when it was read."""
+    reserve(path, volume.array.nbytes + _MAX_HEADER_BYTES)
+    itk.save(volume, path, nifti.ITK_NAME, compress=False)
+    if (fields := volume.metadata.get(nifti_grid.METADATA_KEY)) is not None:
+        itk_volumes.restore_grid(path, volume.geometry, nifti.ITK_NAME, lambda file: nifti_grid.put_grid(file, fields))
+    if (labels := volume.metadata.get(LABELS_KEY)) is not None:
+        put_labels(path, LabelTable.from_json(labels))
+
+
+def write_compressed(volume: Volume, path: Path) -> None:
+    """Write NIfTI-1, compressed, the same bytes for the same volume."""
+    plain = path.with_suffix("")  # ends in .nii
+    write_nifti(volume, plain)
+    gzip_file(plain, path)
+    plain.unlink()
+
+
+def store_nifti(
+    path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str], source: str | None
+) -> NiftiBoxes:
+    """Begin a file that is written box by box; a NIfTI has no place for the name of its source."""
+    return NiftiBoxes(path, geometry, dtype, metadata)
 
 
 class NiftiBoxes:
@@ -107,11 +234,6 @@ def _write_second_header(path: Path, geometry: Geometry, dtype: np.dtype[Any]) -
     path.write_bytes(header.binaryblock + b"\0" * 4)
 
 
-_CODE = 30
-_HEADER, _FIRST = 348, 352
-_OFFSET_PLACE = 108
-
-
 def extension_of(table: LabelTable) -> bytes:
     """The extension: its size, a multiple of 16, its code, and the XML."""
     rows = "".join(
@@ -131,8 +253,8 @@ def extension_of(table: LabelTable) -> bytes:
 def put_labels(path: Path, table: LabelTable) -> None:
     """Put the extension into an uncompressed little-endian NIfTI-1 file that has none."""
     extension = extension_of(table)
-    draft = path.with_name("extended.nii")
-    with path.open("rb") as old, draft.open("wb") as new:
+    extended = path.with_name("extended.nii")
+    with path.open("rb") as old, extended.open("wb") as new:
         header = bytearray(old.read(_FIRST))
         struct.pack_into("<f", header, _OFFSET_PLACE, float(_FIRST + len(extension)))
         header[_HEADER] = 1
@@ -140,131 +262,4 @@ def put_labels(path: Path, table: LabelTable) -> None:
         new.write(extension)
         while block := old.read(1 << 22):
             new.write(block)
-    os.replace(draft, path)
-
-
-#: Bytes before the voxels of a file that ITK writes.
-_MAX_HEADER_BYTES = 352
-#: The code of a unit of length in a header.
-_MICRON = 3
-
-
-def read_nifti(path: Path, header: nifti.NiftiFile, available: int) -> Volume:
-    """Read a file of one volume.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header : NiftiFile
-        What its header claims.
-    available : int
-        Bytes of memory.
-
-    Raises
-    ------
-    InputError
-        When the file holds several volumes, is incomplete or larger than the memory; GeometryError when its header
-        contradicts itself.
-    """
-    fields, number = header.nifti, header.single()
-    if fields.version == 2 or fields.volumes > 1:
-        return _read_some(path, header, [number], available)[0]
-    scaled = (fields.slope, fields.intercept) != (1.0, 0.0) or not fields.voxel_type.isnative
-    check_memory(fields.size, fields.voxel_type.itemsize + (8 if scaled else 0), available)
-    if header.encoding != "deflate":  # packed voxels are counted, and their checksum verified, while they are read
-        header.check_complete()
-    geometry = itk.geometry_of(itk.open_reader(path, header.itk_name))
-    return Volume(nifti.read_volumes(header, [0])[0], geometry, _metadata(header, geometry), path)
-
-
-def read_nifti_channels(path: Path, header: nifti.NiftiFile, available: int) -> list[Volume]:
-    """Read the volumes of a file, which follow one another in it.
-
-    Raises
-    ------
-    InputError
-        As `read_nifti`, and for more than `accelsurf.io.channels.MAX_CHANNELS` of them.
-    """
-    if header.nifti.volumes == 1:
-        return [read_nifti(path, header, available)]
-    return _read_some(path, header, header.selected(), available)
-
-
-def open_nifti(path: Path, header: nifti.NiftiFile, opening: Opening) -> LazyVolume:
-    """Open an uncompressed file of one volume, to be read box by box.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    header : NiftiFile
-        What its header claims.
-    opening : Opening
-        Has no more to say here.
-
-    Raises
-    ------
-    InputError
-        As `read_nifti`.
-    """
-    fields = header.nifti
-    number, (nx, ny, nz) = header.single(), fields.size[:3]
-    offset = fields.data_offset + number * nx * ny * nz * fields.voxel_type.itemsize
-    voxels = RawVoxels(RawLayout(path, offset, fields.voxel_type, (nz, ny, nx)), fields.values)
-    by_itk = fields.version == 1 and fields.volumes == 1
-    geometry = itk.geometry_of(itk.open_reader(path, nifti.ITK_NAME)) if by_itk else fields.grid.geometry()
-    layout = StoreLayout((geometry,), None, fields.channels, fields.time_points)
-    return LazyVolume(voxels, geometry, _metadata(header, geometry), path, layout)
-
-
-def write_nifti(volume: Volume, path: Path) -> None:
-    """Write NIfTI-1, with the numbers and codes that placed the volume when it was read."""
-    reserve(path, volume.array.nbytes + _MAX_HEADER_BYTES)
-    itk.save(volume, path, nifti.ITK_NAME, compress=False)
-    if (fields := volume.metadata.get(nifti_grid.METADATA_KEY)) is not None:
-        itk_volumes.restore_grid(path, volume.geometry, nifti.ITK_NAME, lambda file: nifti_grid.put_grid(file, fields))
-    if (labels := volume.metadata.get(LABELS_KEY)) is not None:
-        put_labels(path, LabelTable.from_json(labels))
-
-
-def write_compressed(volume: Volume, path: Path) -> None:
-    """Write NIfTI-1, compressed, the same bytes for the same volume."""
-    plain = path.with_suffix("")  # ends in .nii
-    write_nifti(volume, plain)
-    gzip_file(plain, path)
-    plain.unlink()
-
-
-def store_nifti(
-    path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str], source: str | None
-) -> NiftiBoxes:
-    """Begin a file that is written box by box; a NIfTI has no place for the name of its source."""
-    return NiftiBoxes(path, geometry, dtype, metadata)
-
-
-def _read_some(path: Path, header: nifti.NiftiFile, numbers: Sequence[int], available: int) -> list[Volume]:
-    """Read volumes of a file that ITK does not read: one of version 2, or several one after the other."""
-    fields = header.nifti
-    # The voxels as they are stored and as they are given are in memory at the same time.
-    span = max(numbers) - min(numbers) + 1
-    needed = span * fields.voxel_type.itemsize + len(numbers) * fields.value_type.itemsize
-    check_memory(fields.size[:3], needed, available)
-    header.check_complete()
-    geometry = fields.grid.geometry()
-    metadata = _metadata(header, geometry)
-    return [Volume(array, geometry, dict(metadata), path) for array in nifti.read_volumes(header, numbers)]
-
-
-def _metadata(header: nifti.NiftiFile, geometry: Geometry) -> dict[str, str]:
-    """The metadata of a volume: fields of its header, and a warning when qform and sform disagree."""
-    fields, notes = header.nifti, [header.nifti.grid.check_agreement(geometry)]
-    if fields.are_channels_guessed and header.asked.channel_index is None:
-        notes.append(
-            f"the {fields.volumes} volumes of the file are taken for channels: its header says nothing of time or "
-            "vectors; --channel-index N takes one of them"
-        )
-    said = with_warnings(header.metadata, *notes)
-    if fields.grid.units & 7 == _MICRON:
-        said[UNIT_KEY] = "um"
-    return said | {FRAME_KEY: repr(fields.seconds)} if fields.seconds and fields.time_points > 1 else said
+    os.replace(extended, path)

@@ -1,4 +1,4 @@
-"""NRRD and MetaImage: what their text headers claim, and the lines of an NRRD header that place the grid.
+"""NRRD and MetaImage: the claims of their text headers, and the lines of an NRRD header that place the grid.
 
 ITK reads the voxels. It takes any unit for mm, and for some damaged headers it returns uninitialized memory. So the
 headers are read here first. A segmentation of 3D Slicer is an NRRD with the names and colours of its segments.
@@ -23,12 +23,148 @@ from accelsurf.io.headers import TIMES_KEY
 from accelsurf.settings import budgets
 from accelsurf.settings.labels import LabelEntry
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
+from accelsurf.settings.wording import seconds_of
 
-#: Seconds of a unit of time.
-SECONDS = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 #: Kinds of an axis of space, of time points, and of none that is said; along the others lie the values of a voxel.
 _SPACE, _TIME, _SAYS_NOTHING = ("domain", "space"), ("time",), ("", "???", "none", "list")
 _NUMBER = re.compile(r"[0-9.eE+-]{1,30}")
+NRRD_KEY = "nrrd_space"
+"""Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
+NRRD_ITK_NAME, METAIMAGE_ITK_NAME = "NrrdImageIO", "MetaImageIO"
+"""The classes of ITK that read and write these formats."""
+_NRRD_BYTES = {
+    **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
+    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2),
+    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), 2),
+    **dict.fromkeys(("int", "signed int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t"), 4),
+    **dict.fromkeys(("longlong", "long long", "long long int", "signed long long", "signed long long int"), 8),
+    **dict.fromkeys(("int64", "int64_t", "ulonglong", "unsigned long long", "unsigned long long int"), 8),
+    **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
+    "float": 4,
+}
+_NRRD_ENCODINGS: dict[str, Encoding] = {
+    **{"raw": "raw", "gzip": "deflate", "gz": "deflate", "hex": "other"},
+    **{"text": "text", "txt": "text", "ascii": "text"},
+}
+_META_BYTES = {
+    **dict.fromkeys(("MET_CHAR", "MET_UCHAR"), 1),
+    **dict.fromkeys(("MET_SHORT", "MET_USHORT"), 2),
+    **dict.fromkeys(("MET_INT", "MET_UINT", "MET_LONG", "MET_ULONG", "MET_FLOAT"), 4),
+    **dict.fromkeys(("MET_LONG_LONG", "MET_ULONG_LONG", "MET_DOUBLE"), 8),
+}
+_MAX_LENGTH = 1e12  # mm
+_MAX_FIELD = 1000
+_MAX_AXES = 16
+_NOT_PACKED = (
+    "the voxels are compressed without a CompressedDataSize, or with a HeaderSize: ITK cannot read that",
+    "save the image again, e.g. uncompressed",
+)
+# Lines whose length depends on NDims, which must come before them.
+_META_SIZED = frozenset(
+    "NDims DimSize ElementSpacing ElementSize Offset Position Origin TransformMatrix Orientation Rotation "
+    "CenterOfRotation AnatomicalOrientation".split()
+)
+# Without a value libraries take either.
+_META_FLAGS = ("BinaryData", "BinaryDataByteOrderMSB", "ElementByteOrderMSB", "CompressedData")
+#: Bytes after the header that are looked at.
+_REST = 4096
+
+
+def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
+    """Read the header of an NRRD.
+
+    Raises
+    ------
+    InputError
+        When it is none, is damaged, gives another unit than mm, or names a data file that does not exist;
+        GeometryError when its axes are none.
+    """
+    with path.open("rb") as file:
+        if file.read(4) != b"NRRD":
+            raise InputError("this is not an NRRD image: it does not start with NRRD", hint="is it the right file?")
+        file.seek(0)
+        lines = _header_lines(file, lambda line: not line.strip())
+        offset = file.tell()
+    _check_fields(lines)
+    fields = {
+        key.strip().lower(): value.strip()
+        for key, colon, value in (line.partition(": ") for line in lines[1:] if not line.startswith("#"))
+        if colon
+    }
+    try:
+        sizes = _whole(fields["sizes"])
+        item = _NRRD_BYTES[fields["type"].lower()]
+        encoding = fields["encoding"].lower()
+        if _whole(fields["dimension"]) != [len(sizes)] or min(sizes) < 1 or len(sizes) > _MAX_AXES:
+            raise ValueError
+    except (LookupError, ValueError):
+        raise InputError(
+            f"the NRRD header is damaged: type {fields.get('type')}, sizes {fields.get('sizes')}, "
+            f"encoding {fields.get('encoding')}",
+            hint="copy or export the file again",
+        ) from None
+    budgets.AXIS.check(max(sizes), "an axis of the image")
+    _check_nrrd_axes(fields, len(sizes))
+    axis = fourth_axis(fields, lines, sizes)
+    said = " ".join(fields.get(key, "") for key in ("space units", "units")).replace('"', " ").split()
+    _check_units([unit for unit in said if not seconds_of(unit)])
+    data = path
+    if detached := fields.get("data file") or fields.get("datafile"):
+        data, offset = _detached(path, detached), 0
+    if encoding not in _NRRD_ENCODINGS:
+        raise InputError(f"an NRRD of encoding {encoding} given, raw, gzip, text or hex expected", "save it as gzip")
+    coding = _NRRD_ENCODINGS[encoding]
+    if any(fields.get(k, "0") != "0" for k in ("line skip", "lineskip", "byte skip", "byteskip")) and coding != "raw":
+        coding = "other"  # of raw voxels at least so many must be there
+    metadata = {}
+    if len(sizes) == 3 and "space directions" in fields:
+        keys = ("space", "space dimension", "space directions", "space origin")
+        metadata[NRRD_KEY] = "\n".join(f"{k}: {fields[k]}" for k in keys if k in fields)
+    numbers, position, order = math.prod(sizes), _nrrd_position(fields, coding, offset), _nrrd_order(fields, item)
+    return RawHeader(
+        data, offset, coding, NRRD_ITK_NAME, numbers * item, None, metadata, numbers, position, order, **axis,
+        asked=options,
+    )
+
+
+def _nrrd_position(fields: dict[str, str], coding: Encoding, offset: int) -> int | None:
+    """Byte at which raw voxels begin; None where lines are to be skipped."""
+    try:
+        (lines,) = _whole(fields.get("line skip") or fields.get("lineskip") or "0")
+        (skip,) = _whole(fields.get("byte skip") or fields.get("byteskip") or "0")
+    except ValueError:
+        return None
+    if coding != "raw" or lines:
+        return None
+    return offset + skip if skip >= 0 else -1
+
+
+def _nrrd_order(fields: dict[str, str], item: int) -> ByteOrder:
+    """Byte order; of single bytes any."""
+    said = fields.get("endian", "little" if item == 1 else "").lower()
+    return "<" if said == "little" else ">" if said == "big" else ""
+
+
+def _check_fields(lines: list[str]) -> None:
+    """Refuse what would overrun the memory of the library that reads the voxels when it quotes a header."""
+    fields = (line for line in lines if not line.startswith(("#", "content:")) and ":=" not in line)
+    longest = max(map(len, fields), default=0)
+    if longest > _MAX_FIELD:
+        raise InputError(
+            f"the NRRD header has a field of {longest} characters, at most {_MAX_FIELD} expected", "is it damaged?"
+        )
+
+
+def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
+    if dimension != 3:
+        return  # another kind of image: refused by that name later
+    if text := fields.get("space directions"):
+        vectors = text.replace("(", " ").replace(")", " ").replace(",", " ")
+        values = _numbers(vectors, "space directions", 9)
+        spacing = np.linalg.norm(np.reshape(values, (3, 3)), axis=1).tolist()
+    else:
+        spacing = _numbers(fields.get("spacings", "1 1 1"), "spacings", 3)
+    _check_spacing(spacing)
 
 
 def fourth_axis(fields: Mapping[str, str], lines: Sequence[str], sizes: Sequence[int]) -> dict[str, Any]:
@@ -95,9 +231,9 @@ def _place(kinds: Sequence[str], directions: str) -> tuple[int, bool]:
 def _times_of_slicer(said: Mapping[str, str], fields: Mapping[str, str], count: int) -> str:
     """The line of `accelsurf.io.headers` with the times of a sequence of 3D Slicer; empty where it has none."""
     units = re.findall(r'"([^"]*)"', fields.get("units", ""))
-    factor = SECONDS.get((said.get("axis 0 index unit") or (units[0] if units else "")).lower())
+    factor = seconds_of((said.get("axis 0 index unit") or (units[0] if units else "")).lower())
     words = said.get("axis 0 index values", "").replace(",", " ").split()
-    if factor is None or len(words) != count or not all(map(_NUMBER.fullmatch, words)):
+    if not factor or len(words) != count or not all(map(_NUMBER.fullmatch, words)):
         return ""
     try:
         times = [float(word) * factor for word in words]
@@ -116,194 +252,10 @@ def _seconds(fields: Mapping[str, str]) -> float | None:
     if len(steps) != 4 or len(units) != 4 or _NUMBER.fullmatch(steps[3].strip()) is None:
         return None
     try:
-        seconds = float(steps[3]) * SECONDS.get(units[3], 0.0)
+        seconds = float(steps[3]) * seconds_of(units[3])
     except ValueError:
         return None
     return seconds if math.isfinite(seconds) and seconds > 0 else None
-
-
-def write_segmentation(labels: Volume, entries: list[LabelEntry], path: Path) -> None:
-    """Write a segmentation.
-
-    Parameters
-    ----------
-    labels : Volume
-        A label map.
-    entries : list of LabelEntry
-        Its segments; those without a voxel are written too.
-    path : Path
-        Ends in .seg.nrrd.
-    """
-    keys = {
-        "Segmentation_SourceRepresentation": "Binary labelmap",
-        "Segmentation_MasterRepresentation": "Binary labelmap",
-        "Segmentation_ContainedRepresentationNames": "Binary labelmap|",
-        "Segmentation_ReferenceImageExtentOffset": "0 0 0",
-    }
-    for number, entry in enumerate(entries):
-        inside = labels.array == entry.id
-        box = bounding_box(inside) or whole_box(labels.array.shape)
-        extent = " ".join(f"{part.start} {part.stop - 1}" for part in reversed(box))
-        keys |= {
-            f"Segment{number}_ID": f"Segment_{entry.id}",
-            f"Segment{number}_Name": entry.name,
-            f"Segment{number}_NameAutoGenerated": "0",
-            f"Segment{number}_Color": " ".join(f"{part / 255:.6g}" for part in entry.color),
-            f"Segment{number}_ColorAutoGenerated": "0",
-            f"Segment{number}_Extent": extent,
-            f"Segment{number}_LabelValue": str(entry.id),
-            f"Segment{number}_Layer": "0",
-            f"Segment{number}_Tags": "Segmentation.Status:completed|",
-        }
-    values = labels.with_array(np.ascontiguousarray(labels.array))
-    itk.save(values, path, NRRD_ITK_NAME, compress=True, keys=keys)
-
-
-NRRD_KEY = "nrrd_space"
-"""Where `Volume.metadata` keeps the lines of an NRRD header that place the grid."""
-
-NRRD_ITK_NAME, METAIMAGE_ITK_NAME = "NrrdImageIO", "MetaImageIO"
-"""The classes of ITK that read and write these formats."""
-
-_NRRD_BYTES = {
-    **dict.fromkeys(("signed char", "int8", "int8_t", "uchar", "unsigned char", "uint8", "uint8_t"), 1),
-    **dict.fromkeys(("short", "short int", "signed short", "signed short int", "int16", "int16_t"), 2),
-    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), 2),
-    **dict.fromkeys(("int", "signed int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t"), 4),
-    **dict.fromkeys(("longlong", "long long", "long long int", "signed long long", "signed long long int"), 8),
-    **dict.fromkeys(("int64", "int64_t", "ulonglong", "unsigned long long", "unsigned long long int"), 8),
-    **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
-    "float": 4,
-}
-_NRRD_ENCODINGS: dict[str, Encoding] = {
-    **{"raw": "raw", "gzip": "deflate", "gz": "deflate", "hex": "other"},
-    **{"text": "text", "txt": "text", "ascii": "text"},
-}
-_META_BYTES = {
-    **dict.fromkeys(("MET_CHAR", "MET_UCHAR"), 1),
-    **dict.fromkeys(("MET_SHORT", "MET_USHORT"), 2),
-    **dict.fromkeys(("MET_INT", "MET_UINT", "MET_LONG", "MET_ULONG", "MET_FLOAT"), 4),
-    **dict.fromkeys(("MET_LONG_LONG", "MET_ULONG_LONG", "MET_DOUBLE"), 8),
-}
-
-
-_MAX_LENGTH = 1e12  # mm
-_MAX_FIELD = 1000
-_MAX_AXES = 16
-
-_NOT_PACKED = (
-    "the voxels are compressed without a CompressedDataSize, or with a HeaderSize: ITK cannot read that",
-    "save the image again, e.g. uncompressed",
-)
-
-# Lines whose length depends on NDims, which must come before them.
-_META_SIZED = frozenset(
-    "NDims DimSize ElementSpacing ElementSize Offset Position Origin TransformMatrix Orientation Rotation "
-    "CenterOfRotation AnatomicalOrientation".split()
-)
-# Without a value libraries take either.
-_META_FLAGS = ("BinaryData", "BinaryDataByteOrderMSB", "ElementByteOrderMSB", "CompressedData")
-
-
-def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
-    """Read the header of an NRRD.
-
-    Raises
-    ------
-    InputError
-        When it is none, is damaged, gives another unit than mm, or names a data file that does not exist;
-        GeometryError when its axes are none.
-    """
-    with path.open("rb") as file:
-        if file.read(4) != b"NRRD":
-            raise InputError("this is not an NRRD image: it does not start with NRRD", hint="is it the right file?")
-        file.seek(0)
-        lines = _header_lines(file, lambda line: not line.strip())
-        offset = file.tell()
-    _check_fields(lines)
-    fields = {
-        key.strip().lower(): value.strip()
-        for key, colon, value in (line.partition(": ") for line in lines[1:] if not line.startswith("#"))
-        if colon
-    }
-    try:
-        sizes = _whole(fields["sizes"])
-        item = _NRRD_BYTES[fields["type"].lower()]
-        encoding = fields["encoding"].lower()
-        if _whole(fields["dimension"]) != [len(sizes)] or min(sizes) < 1 or len(sizes) > _MAX_AXES:
-            raise ValueError
-    except (LookupError, ValueError):
-        raise InputError(
-            f"the NRRD header is damaged: type {fields.get('type')}, sizes {fields.get('sizes')}, "
-            f"encoding {fields.get('encoding')}",
-            hint="copy or export the file again",
-        ) from None
-    budgets.AXIS.check(max(sizes), "an axis of the image")
-    _check_nrrd_axes(fields, len(sizes))
-    axis = fourth_axis(fields, lines, sizes)
-    said = " ".join(fields.get(key, "") for key in ("space units", "units")).replace('"', " ").split()
-    _check_units([unit for unit in said if unit not in SECONDS])
-    data = path
-    if detached := fields.get("data file") or fields.get("datafile"):
-        data, offset = _detached(path, detached), 0
-    if encoding not in _NRRD_ENCODINGS:
-        raise InputError(f"an NRRD of encoding {encoding} given, raw, gzip, text or hex expected", "save it as gzip")
-    coding = _NRRD_ENCODINGS[encoding]
-    if any(fields.get(k, "0") != "0" for k in ("line skip", "lineskip", "byte skip", "byteskip")) and coding != "raw":
-        coding = "other"  # of raw voxels at least so many must be there
-    metadata = {}
-    if len(sizes) == 3 and "space directions" in fields:
-        keys = ("space", "space dimension", "space directions", "space origin")
-        metadata[NRRD_KEY] = "\n".join(f"{k}: {fields[k]}" for k in keys if k in fields)
-    numbers, position, order = math.prod(sizes), _nrrd_position(fields, coding, offset), _nrrd_order(fields, item)
-    return RawHeader(
-        data, offset, coding, NRRD_ITK_NAME, numbers * item, None, metadata, numbers, position, order, **axis,
-        asked=options,
-    )
-
-
-def _nrrd_position(fields: dict[str, str], coding: Encoding, offset: int) -> int | None:
-    """Byte at which raw voxels begin; None where lines are to be skipped."""
-    try:
-        (lines,) = _whole(fields.get("line skip") or fields.get("lineskip") or "0")
-        (skip,) = _whole(fields.get("byte skip") or fields.get("byteskip") or "0")
-    except ValueError:
-        return None
-    if coding != "raw" or lines:
-        return None
-    return offset + skip if skip >= 0 else -1
-
-
-def _nrrd_order(fields: dict[str, str], item: int) -> ByteOrder:
-    """Byte order; of single bytes any."""
-    said = fields.get("endian", "little" if item == 1 else "").lower()
-    return "<" if said == "little" else ">" if said == "big" else ""
-
-
-def _check_fields(lines: list[str]) -> None:
-    """Refuse what would overrun the memory of the library that reads the voxels when it quotes a header."""
-    fields = (line for line in lines if not line.startswith(("#", "content:")) and ":=" not in line)
-    longest = max(map(len, fields), default=0)
-    if longest > _MAX_FIELD:
-        raise InputError(
-            f"the NRRD header has a field of {longest} characters, at most {_MAX_FIELD} expected", "is it damaged?"
-        )
-
-
-def _check_nrrd_axes(fields: dict[str, str], dimension: int) -> None:
-    if dimension != 3:
-        return  # another kind of image: refused by that name later
-    if text := fields.get("space directions"):
-        vectors = text.replace("(", " ").replace(")", " ").replace(",", " ")
-        values = _numbers(vectors, "space directions", 9)
-        spacing = np.linalg.norm(np.reshape(values, (3, 3)), axis=1).tolist()
-    else:
-        spacing = _numbers(fields.get("spacings", "1 1 1"), "spacings", 3)
-    _check_spacing(spacing)
-
-
-#: Bytes after the header that are looked at.
-_REST = 4096
 
 
 def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
@@ -474,6 +426,11 @@ def _check_units(units: list[str]) -> None:
             )
 
 
+def is_nrrd_anatomical(metadata: Mapping[str, str]) -> bool:
+    """Test if an NRRD names its space by a patient's axes."""
+    return "space: left-" in metadata.get(NRRD_KEY, "")
+
+
 def put_nrrd_space(path: Path, lines: str) -> None:
     """Replace the lines of an NRRD header that place the grid by others, in place."""
     head, gap, voxels = path.read_bytes().partition(b"\n\n")
@@ -490,6 +447,38 @@ def put_nrrd_space(path: Path, lines: str) -> None:
     path.write_bytes("\n".join(written).encode() + gap + voxels)
 
 
-def is_anatomical(metadata: Mapping[str, str]) -> bool:
-    """Test if an NRRD names its space by a patient's axes."""
-    return "space: left-" in metadata.get(NRRD_KEY, "")
+def write_segmentation(labels: Volume, entries: list[LabelEntry], path: Path) -> None:
+    """Write a segmentation.
+
+    Parameters
+    ----------
+    labels : Volume
+        A label map.
+    entries : list of LabelEntry
+        Its segments; those without a voxel are written too.
+    path : Path
+        Ends in .seg.nrrd.
+    """
+    keys = {
+        "Segmentation_SourceRepresentation": "Binary labelmap",
+        "Segmentation_MasterRepresentation": "Binary labelmap",
+        "Segmentation_ContainedRepresentationNames": "Binary labelmap|",
+        "Segmentation_ReferenceImageExtentOffset": "0 0 0",
+    }
+    for number, entry in enumerate(entries):
+        inside = labels.array == entry.id
+        box = bounding_box(inside) or whole_box(labels.array.shape)
+        extent = " ".join(f"{part.start} {part.stop - 1}" for part in reversed(box))
+        keys |= {
+            f"Segment{number}_ID": f"Segment_{entry.id}",
+            f"Segment{number}_Name": entry.name,
+            f"Segment{number}_NameAutoGenerated": "0",
+            f"Segment{number}_Color": " ".join(f"{part / 255:.6g}" for part in entry.color),
+            f"Segment{number}_ColorAutoGenerated": "0",
+            f"Segment{number}_Extent": extent,
+            f"Segment{number}_LabelValue": str(entry.id),
+            f"Segment{number}_Layer": "0",
+            f"Segment{number}_Tags": "Segmentation.Status:completed|",
+        }
+    values = labels.with_array(np.ascontiguousarray(labels.array))
+    itk.save(values, path, NRRD_ITK_NAME, compress=True, keys=keys)

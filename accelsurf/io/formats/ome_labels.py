@@ -24,7 +24,7 @@ _NAME = re.compile(r"[0-9A-Za-z][0-9A-Za-z_.-]{0,63}")
 _VERSION, _GROUP, _MARK = "0.5", "labels", "zarr.json"
 
 
-def check(image: Path, name: str, overwrite: bool) -> Path:
+def check_label_group(image: Path, name: str, overwrite: bool) -> Path:
     """Refuse beforehand what cannot be written.
 
     Parameters
@@ -90,19 +90,19 @@ def put(image: Path, labels: Volume, name: str, overwrite: bool) -> Path:
     OutputError
         When it cannot be written; the image and the other label maps are as they were.
     """
-    check(image, name, overwrite)
+    check_label_group(image, name, overwrite)
     group = ome_zarr.parse_ome_zarr(image).folder / _GROUP
     try:
         group.mkdir(exist_ok=True)
         with open_set(group, name) as files:
             pyramid = ZarrPyramid(
-                files.drafts / name, labels.geometry, labels.array.dtype, labels.metadata, name, True, "../../"
+                files.staging / name, labels.geometry, labels.array.dtype, labels.metadata, name, True, "../../"
             )
             for first in range(0, labels.array.shape[0], CHUNK):
                 box = (slice(first, min(first + CHUNK, labels.array.shape[0])), *whole_box(labels.array.shape)[1:])
                 pyramid.write(box, labels.array[box])
             pyramid.finish()
-            write_bytes(files.drafts / _MARK, _listing(group / _MARK, name))
+            write_bytes(files.staging / _MARK, _listing(group / _MARK, name))
             files.commit(last=_MARK)
     except OSError as error:
         reason = error.strerror or str(error)

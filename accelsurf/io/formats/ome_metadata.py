@@ -23,7 +23,13 @@ from accelsurf.grid.geometry import Floats, Geometry
 from accelsurf.io.formats.zarr_files import STORED_KEY
 from accelsurf.io.headers import FRAME_KEY, ORIENTED_KEY, UNIT_KEY, WARNING_KEY, is_anatomical, with_warnings
 from accelsurf.settings import budgets
+from accelsurf.settings.wording import mm_of, seconds_of, unit_name
 
+#: Name of the attribute that accelsurf writes.
+OWN_KEY = "accelsurf"
+MAX_AXES = 5
+VERSIONS = ("0.4", "0.5")
+_DAMAGED_HINT = "is the store complete? copy or export it again"
 #: The field of an axis, and what drafts of RFC-4 called it.
 _FIELDS = ("orientation", "anatomicalOrientation", "anatomical_orientation")
 #: Sides towards which x, y and z of the world (LPS) increase, and those that they come from.
@@ -33,133 +39,6 @@ _QUADRUPED = {
     **{"cranial": "superior", "rostral": "superior", "caudal": "inferior"},
 }
 _HINT = "correct the orientation of the axes in the metadata of the store, or remove it from all of them"
-
-
-def word_of(axis: Mapping[str, Any]) -> str:
-    """The orientation that an axis says it has, as RFC-4 spells it; empty where it says none.
-
-    Raises
-    ------
-    InputError
-        When it says two.
-
-    Examples
-    --------
-    >>> word_of({"name": "x", "orientation": {"type": "anatomical", "value": "left-to-right"}})
-    'left-to-right'
-    >>> word_of({"name": "x", "anatomicalOrientation": "LEFT_TO_RIGHT"})
-    'left-to-right'
-    """
-    words = {_word(axis[field]) for field in _FIELDS if axis.get(field) is not None}
-    if len(words) > 1:
-        named = " and ".join(sorted(words))
-        raise InputError(f"the axis {str(axis.get('name'))[:40]} of the OME-Zarr is oriented {named}", _HINT)
-    return "".join(words)
-
-
-def _word(given: Any) -> str:
-    if isinstance(given, Mapping):
-        kind, given = str(given.get("type", "anatomical")), given.get("value", "")
-        if kind.lower() != "anatomical":
-            return f"{kind[:40]} {str(given)[:40]}"
-    spaced = re.sub("(?<=[a-z])(?=[A-Z])", "-", str(given)[:80])
-    return re.sub(r"[\s_-]+", "-", spaced.strip()).lower()
-
-
-def _line(word: str) -> tuple[int, float] | None:
-    """The axis of the world that a word is along, and whether with it (1) or against it (-1)."""
-    ends = tuple(_QUADRUPED.get(side, side) for side in word.split("-to-"))
-    for axis, sides in enumerate(_SIDES):
-        if ends in (sides, sides[::-1]):
-            return axis, 1.0 if ends == sides else -1.0
-    return None
-
-
-def direction_of(axes: Sequence[tuple[str, str]]) -> tuple[Floats | None, list[str]]:
-    """The directions of a grid by the orientation of its axes.
-
-    Parameters
-    ----------
-    axes : sequence of (name, word)
-        x, y and z of the array, or x and y, with what `word_of` gives.
-
-    Returns
-    -------
-    tuple
-        Directions (3, 3) as in `Geometry`, None where no axis has a known orientation; and what a person should know.
-
-    Raises
-    ------
-    InputError
-        When two axes are oriented along the same line of the body.
-    """
-    lines = [_line(word) for _, word in axes]
-    known = [(line[0], name, word) for line, (name, word) in zip(lines, axes, strict=True) if line is not None]
-    for number, (axis, name, word) in enumerate(known):
-        for other_axis, other, other_word in known[:number]:
-            if axis == other_axis:
-                raise InputError(
-                    f"the axes {other[:40]} ({other_word}) and {name[:40]} ({word}) of the OME-Zarr are oriented along "
-                    "the same line of the body",
-                    _HINT,
-                )
-    notes = [
-        f"the orientation {word} of the axis {name[:40]} is no side of the body and not used"
-        for line, (name, word) in zip(lines, axes, strict=True) if word and line is None
-    ]
-    if not known:
-        return None, notes
-    direction = np.zeros((3, 3))
-    for column, line in enumerate(lines):
-        if line is not None:
-            direction[line[0], column] = line[1]
-    for column in (column for column in range(3) if not direction[:, column].any()):
-        free = [axis for axis in (column, 0, 1, 2) if not direction[axis].any()]
-        direction[free[0], column] = 1.0
-        if column < len(axes):
-            taken = "-to-".join(_SIDES[free[0]])
-            notes.append(f"the axis {axes[column][0][:40]} has no orientation, others have: it is taken as {taken}")
-    if len(axes) == 2 and np.linalg.det(direction) < 0:
-        direction[:, 2] *= -1.0  # the slice is seen from the side that makes the axes right-handed
-    if any(side in _QUADRUPED for _, _, word in known for side in word.split("-to-")):
-        notes.append(
-            "the axes are oriented in words for animals: dorsal is taken as posterior, cranial and rostral as superior"
-        )
-    return direction, notes
-
-
-def words_for(direction: Floats) -> list[str] | None:
-    """The words for the axes x, y and z of a grid; None where it is oblique.
-
-    Examples
-    --------
-    >>> words_for(np.diag([-1.0, -1.0, 1.0]))
-    ['left-to-right', 'posterior-to-anterior', 'inferior-to-superior']
-    """
-    if not np.isin(direction, (-1.0, 0.0, 1.0)).all():
-        return None
-    axes = np.abs(direction).argmax(axis=0)
-    return [
-        "-to-".join(_SIDES[axis] if direction[axis, column] > 0 else _SIDES[axis][::-1])
-        for column, axis in enumerate(axes)
-    ]
-
-
-#: Name of the attribute that accelsurf writes.
-OWN_KEY = "accelsurf"
-MAX_AXES = 5
-VERSIONS = ("0.4", "0.5")
-_DAMAGED_HINT = "is the store complete? copy or export it again"
-_MM = {
-    **{"angstrom": 1e-7, "picometer": 1e-9, "nanometer": 1e-6, "micrometer": 1e-3, "millimeter": 1.0},
-    **{"centimeter": 10.0, "decimeter": 100.0, "meter": 1e3, "inch": 25.4, "foot": 304.8, "yard": 914.4},
-    **{"nm": 1e-6, "um": 1e-3, "\u00b5m": 1e-3, "\u03bcm": 1e-3, "micron": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3},
-}
-#: Seconds of a unit of time.
-_SECONDS = {
-    **{"nanosecond": 1e-9, "microsecond": 1e-6, "millisecond": 1e-3, "second": 1.0, "minute": 60.0, "hour": 3600.0},
-    **{"day": 86400.0, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0},
-}
 
 
 @dataclass(frozen=True)
@@ -300,56 +179,13 @@ def parse_attributes(attributes: Mapping[str, Any]) -> OmeMetadata:
     if all(not axis.unit for axis in space):
         metadata = with_warnings(metadata, "the OME-Zarr gives no unit of length: it is taken as mm")
     units = [_mm_per_unit(axis.unit) for axis in space]
-    if units[-1] < 0.1:
-        metadata[UNIT_KEY] = "nm" if units[-1] < 1e-4 else "um"
+    if (unit := unit_name(units[-1])) != "mm":
+        metadata[UNIT_KEY] = unit
     for axis, step in zip(axes, levels[0].scale, strict=True):
-        if axis.kind == "time" and (seconds := step * _SECONDS.get(axis.unit.lower(), 0.0)) > 0:
+        if axis.kind == "time" and (seconds := step * seconds_of(axis.unit)) > 0:
             metadata[FRAME_KEY] = repr(seconds)
     direction, metadata = _placed(axes, levels[0], direction, metadata)
     return OmeMetadata(version, axes, levels, direction, metadata, stored)
-
-
-def _space_axes(axes: Sequence[OmeAxis]) -> tuple[int, ...]:
-    found = [i for i, axis in enumerate(axes) if axis.kind == "space"]
-    names = [axes[i].name.lower() for i in found]
-    wanted = ("z", "y", "x")[3 - len(found) :]
-    return tuple(found[names.index(name)] for name in wanted) if set(names) == set(wanted) else tuple(found)
-
-
-def _placed(
-    axes: Sequence[OmeAxis], finest: OmeLevel, stored: Floats | None, metadata: dict[str, str]
-) -> tuple[Floats, dict[str, str]]:
-    """The directions of the axes, and the metadata with what is to be said of them.
-
-    Raises
-    ------
-    InputError
-        When two axes are along one line, or the words contradict the directions that accelsurf has written.
-    """
-    order = _space_axes(axes)[::-1]
-    direction, notes = direction_of([(axes[i].name, axes[i].orientation) for i in order])
-    notes += [
-        f"the orientation of the axis {axis.name[:40]}, which is none of space, is not used"
-        for axis in axes if axis.orientation and axis.kind != "space"
-    ]
-    if direction is None or stored is not None:
-        if direction is not None and stored is not None and not np.allclose(direction, stored, rtol=0.0, atol=1e-4):
-            raise InputError(
-                'the orientation of the axes of the OME-Zarr contradicts "direction" in its attribute "accelsurf"',
-                'remove what is wrong: "orientation" of the axes, or "direction" of "accelsurf"',
-            )
-        return np.eye(3) if stored is None else stored, with_warnings(metadata, *notes)
-    if not np.array_equal(direction, np.eye(3)) and any(finest.translation[i] for i in order):
-        notes.append(
-            "the axes are oriented and the store has a translation: it is read as the place of the first voxel in LPS, "
-            "as ngff-zarr writes it; if the image lies elsewhere, correct the translation"
-        )
-    return direction, with_warnings(metadata | {ORIENTED_KEY: "yes"}, *notes)
-
-
-def is_oriented(metadata: Mapping[str, str]) -> bool:
-    """Test if the axes of an OME-Zarr have an anatomical orientation."""
-    return ORIENTED_KEY in metadata
 
 
 def _other_kind(ome: Mapping[str, Any]) -> tuple[str, str]:
@@ -400,9 +236,146 @@ def _own(given: Mapping[str, Any]) -> tuple[Floats | None, dict[str, str], dict[
 
 def _mm_per_unit(unit: str) -> float:
     """Millimetres of a unit; of none, 1."""
-    if unit and unit.lower() not in _MM:
+    mm = mm_of(unit) if unit else 1.0
+    if not mm:
         raise InputError(f"the OME-Zarr gives lengths in {unit[:40]}, a unit of length expected", "correct the unit")
-    return _MM[unit.lower()] if unit else 1.0
+    return mm
+
+
+def _space_axes(axes: Sequence[OmeAxis]) -> tuple[int, ...]:
+    found = [i for i, axis in enumerate(axes) if axis.kind == "space"]
+    names = [axes[i].name.lower() for i in found]
+    wanted = ("z", "y", "x")[3 - len(found) :]
+    return tuple(found[names.index(name)] for name in wanted) if set(names) == set(wanted) else tuple(found)
+
+
+def _placed(
+    axes: Sequence[OmeAxis], finest: OmeLevel, stored: Floats | None, metadata: dict[str, str]
+) -> tuple[Floats, dict[str, str]]:
+    """The directions of the axes, and the metadata with what is to be said of them.
+
+    Raises
+    ------
+    InputError
+        When two axes are along one line, or the words contradict the directions that accelsurf has written.
+    """
+    order = _space_axes(axes)[::-1]
+    direction, notes = direction_of([(axes[i].name, axes[i].orientation) for i in order])
+    notes += [
+        f"the orientation of the axis {axis.name[:40]}, which is none of space, is not used"
+        for axis in axes if axis.orientation and axis.kind != "space"
+    ]
+    if direction is None or stored is not None:
+        if direction is not None and stored is not None and not np.allclose(direction, stored, rtol=0.0, atol=1e-4):
+            raise InputError(
+                'the orientation of the axes of the OME-Zarr contradicts "direction" in its attribute "accelsurf"',
+                'remove what is wrong: "orientation" of the axes, or "direction" of "accelsurf"',
+            )
+        return np.eye(3) if stored is None else stored, with_warnings(metadata, *notes)
+    if not np.array_equal(direction, np.eye(3)) and any(finest.translation[i] for i in order):
+        notes.append(
+            "the axes are oriented and the store has a translation: it is read as the place of the first voxel in LPS, "
+            "as ngff-zarr writes it; if the image lies elsewhere, correct the translation"
+        )
+    return direction, with_warnings(metadata | {ORIENTED_KEY: "yes"}, *notes)
+
+
+def is_ome_anatomical(metadata: Mapping[str, str]) -> bool:
+    """Test if the axes of an OME-Zarr have an anatomical orientation."""
+    return ORIENTED_KEY in metadata
+
+
+def word_of(axis: Mapping[str, Any]) -> str:
+    """The orientation that an axis says it has, as RFC-4 spells it; empty where it says none.
+
+    Raises
+    ------
+    InputError
+        When it says two.
+
+    Examples
+    --------
+    >>> word_of({"name": "x", "orientation": {"type": "anatomical", "value": "left-to-right"}})
+    'left-to-right'
+    >>> word_of({"name": "x", "anatomicalOrientation": "LEFT_TO_RIGHT"})
+    'left-to-right'
+    """
+    words = {_word(axis[field]) for field in _FIELDS if axis.get(field) is not None}
+    if len(words) > 1:
+        named = " and ".join(sorted(words))
+        raise InputError(f"the axis {str(axis.get('name'))[:40]} of the OME-Zarr is oriented {named}", _HINT)
+    return "".join(words)
+
+
+def _word(given: Any) -> str:
+    if isinstance(given, Mapping):
+        kind, given = str(given.get("type", "anatomical")), given.get("value", "")
+        if kind.lower() != "anatomical":
+            return f"{kind[:40]} {str(given)[:40]}"
+    spaced = re.sub("(?<=[a-z])(?=[A-Z])", "-", str(given)[:80])
+    return re.sub(r"[\s_-]+", "-", spaced.strip()).lower()
+
+
+def direction_of(axes: Sequence[tuple[str, str]]) -> tuple[Floats | None, list[str]]:
+    """The directions of a grid by the orientation of its axes.
+
+    Parameters
+    ----------
+    axes : sequence of (name, word)
+        x, y and z of the array, or x and y, with what `word_of` gives.
+
+    Returns
+    -------
+    tuple
+        Directions (3, 3) as in `Geometry`, None where no axis has a known orientation; and what a person should know.
+
+    Raises
+    ------
+    InputError
+        When two axes are oriented along the same line of the body.
+    """
+    lines = [_line(word) for _, word in axes]
+    known = [(line[0], name, word) for line, (name, word) in zip(lines, axes, strict=True) if line is not None]
+    for number, (axis, name, word) in enumerate(known):
+        for other_axis, other, other_word in known[:number]:
+            if axis == other_axis:
+                raise InputError(
+                    f"the axes {other[:40]} ({other_word}) and {name[:40]} ({word}) of the OME-Zarr are oriented along "
+                    "the same line of the body",
+                    _HINT,
+                )
+    notes = [
+        f"the orientation {word} of the axis {name[:40]} is no side of the body and not used"
+        for line, (name, word) in zip(lines, axes, strict=True) if word and line is None
+    ]
+    if not known:
+        return None, notes
+    direction = np.zeros((3, 3))
+    for column, line in enumerate(lines):
+        if line is not None:
+            direction[line[0], column] = line[1]
+    for column in (column for column in range(3) if not direction[:, column].any()):
+        free = [axis for axis in (column, 0, 1, 2) if not direction[axis].any()]
+        direction[free[0], column] = 1.0
+        if column < len(axes):
+            taken = "-to-".join(_SIDES[free[0]])
+            notes.append(f"the axis {axes[column][0][:40]} has no orientation, others have: it is taken as {taken}")
+    if len(axes) == 2 and np.linalg.det(direction) < 0:
+        direction[:, 2] *= -1.0  # the slice is seen from the side that makes the axes right-handed
+    if any(side in _QUADRUPED for _, _, word in known for side in word.split("-to-")):
+        notes.append(
+            "the axes are oriented in words for animals: dorsal is taken as posterior, cranial and rostral as superior"
+        )
+    return direction, notes
+
+
+def _line(word: str) -> tuple[int, float] | None:
+    """The axis of the world that a word is along, and whether with it (1) or against it (-1)."""
+    ends = tuple(_QUADRUPED.get(side, side) for side in word.split("-to-"))
+    for axis, sides in enumerate(_SIDES):
+        if ends in (sides, sides[::-1]):
+            return axis, 1.0 if ends == sides else -1.0
+    return None
 
 
 def attributes_of(
@@ -459,3 +432,20 @@ def _words(geometry: Geometry, metadata: Mapping[str, str]) -> list[str] | None:
     is_dish = UNIT_KEY in metadata and not is_anatomical(metadata) and np.array_equal(geometry.direction, np.eye(3))
     words = None if is_dish else words_for(geometry.direction)
     return None if words is None else words[::-1]
+
+
+def words_for(direction: Floats) -> list[str] | None:
+    """The words for the axes x, y and z of a grid; None where it is oblique.
+
+    Examples
+    --------
+    >>> words_for(np.diag([-1.0, -1.0, 1.0]))
+    ['left-to-right', 'posterior-to-anterior', 'inferior-to-superior']
+    """
+    if not np.isin(direction, (-1.0, 0.0, 1.0)).all():
+        return None
+    axes = np.abs(direction).argmax(axis=0)
+    return [
+        "-to-".join(_SIDES[axis] if direction[axis, column] > 0 else _SIDES[axis][::-1])
+        for column, axis in enumerate(axes)
+    ]

@@ -27,6 +27,8 @@ _TO_LPS = np.diag([-1.0, -1.0, 1.0])
 #: Type codes; others are of FreeSurfer's own kinds, or none.
 _MGH_TYPES = {0: "uint8", 4: "int16", 1: "int32", 3: "float32", 10: "uint16"}
 _AGAIN = "copy or export it again"
+#: Directions are written in single precision, by some with few digits.
+_UNIT_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,10 +116,6 @@ def parse_mgh(path: Path) -> VolumeHeader:
     return header
 
 
-#: Directions are written in single precision, by some with few digits.
-_UNIT_TOLERANCE = 1e-3
-
-
 def _mgh_geometry(head: Any, shape: tuple[int, ...]) -> Geometry:
     """The grid that a header of MGH describes; where it says that it describes none, voxels of 1 mm as FreeSurfer."""
     numbers = np.concatenate([head[key].ravel() for key in ("delta", "Mdc", "Pxyz_c")])
@@ -154,7 +152,7 @@ def read_mgh(path: Path, header: VolumeHeader, available: int) -> Volume:
     return Volume(stored.astype(header.dtype), header.geometry, {"mgh": "scanner"}, path)
 
 
-def is_anatomical(metadata: dict[str, str]) -> bool:
+def is_mgh_anatomical(metadata: dict[str, str]) -> bool:
     """True if the axes of the world are a patient's: FreeSurfer's are."""
     return "mgh" in metadata
 

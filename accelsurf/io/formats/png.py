@@ -12,7 +12,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,43 +34,6 @@ STORED = {
 """Types of values that a TIFF can hold here: bits and sample format (1 unsigned, 2 signed, 3 floating point)."""
 
 TRUNCATED_HINT = "the file is truncated or damaged: copy or export it again"
-
-
-@dataclass(frozen=True)
-class RasterHeader:
-    """Claims of the header of a PNG or TIFF.
-
-    Attributes
-    ----------
-    data : Path
-        The file.
-    shape : tuple of int
-        (pages, rows, columns).
-    spacing : tuple of float or None
-        mm, (z, y, x); None for a PNG, which says it further on.
-    pixel_bytes : int
-        Bytes that a pixel takes in memory, with all its colours.
-    """
-
-    itk_name: ClassVar[str]
-    """The format, as ITK names the class that reads it."""
-
-    data: Path
-    shape: tuple[int, int, int]
-    spacing: tuple[float, float, float] | None
-    pixel_bytes: int
-
-    @property
-    def values(self) -> int:
-        """Number of pixels of the image; colours become one value."""
-        return math.prod(self.shape)
-
-    @property
-    def geometry(self) -> Geometry | None:
-        """The grid; None for a PNG, which says it further on."""
-        return None if self.spacing is None else Geometry(self.shape, self.spacing)
-
-
 _START = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 4, 6: 4}
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
@@ -83,22 +46,41 @@ _PALETTE, _COLOUR, _GREY = ((b"IHDR", b"IDAT", b"IEND", *more) for more in ((b"P
 
 
 @dataclass(frozen=True)
-class PngHeader(RasterHeader):
+class PngHeader:
     """Claims of the header of a PNG, and the check that all of it is there.
 
     Attributes
     ----------
+    data : Path
+        The file.
+    shape : tuple of int
+        (1, rows, columns).
+    spacing : tuple of float or None
+        mm, (z, y, x); None where it was not given: the file says it further on.
+    pixel_bytes : int
+        Bytes that a pixel takes in memory, with all its colours.
     unpacked_bytes : int
         Bytes of all rows when unpacked.
     colour : int
         Colour type.
     """
 
-    itk_name: ClassVar[str] = "PNGImageIO"
-
+    data: Path
+    shape: tuple[int, int, int]
+    spacing: tuple[float, float, float] | None
+    pixel_bytes: int
     unpacked_bytes: int
-
     colour: int
+
+    @property
+    def values(self) -> int:
+        """Number of pixels of the image; colours become one value."""
+        return math.prod(self.shape)
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """The grid; None where the file says it further on."""
+        return None if self.spacing is None else Geometry(self.shape, self.spacing)
 
     def copy_checked(self, out: BinaryIO) -> tuple[float, float] | None:
         """Copy the parts that say what the pixels are; refuse a PNG that is cut short or damaged.
@@ -193,7 +175,7 @@ def read_png(path: Path, header: PngHeader, available: int) -> Volume:
     with itk.copied(".png") as (copy, out):
         scale = header.copy_checked(out)
         out.close()
-        array, note = itk.array_of(copy, header.itk_name), ""
+        array, note = itk.array_of(copy, "PNGImageIO"), ""
     if array.ndim > 2:
         array, note = to_grey(array)
     if array.shape != header.shape[1:]:

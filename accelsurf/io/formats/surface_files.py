@@ -1,8 +1,7 @@
-"""Surface files: PLY, STL, OBJ, VTP. Without a label they have neither name nor colour.
+"""Surface files, PLY, STL, OBJ and VTP, with the space and the unit that their headers say.
 
-trimesh reads them, all but VTP, and writes none with a comment that says the space of the points.
-
-Space and unit in the header of a mesh: ``SPACE=RAS``, as 3D Slicer and accelsurf write it.
+trimesh reads them, all but VTP. It writes no comment with the space of the points (``SPACE=RAS``, as 3D Slicer has it),
+so they are written here; name and colour are those of the label, if there is one.
 """
 
 from __future__ import annotations
@@ -30,6 +29,18 @@ _REMARKS = {
     "stl": re.compile(rb"^[ \t]*(?:end)?solid\b(.*)$", re.MULTILINE | re.IGNORECASE),
     "obj": re.compile(rb"^[ \t]*#(.*)$", re.MULTILINE),
 }
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+#: The spaces that are understood, by their letters: the short and the long name.
+_SPACES: dict[str, Literal["LPS", "RAS", ""]] = {
+    "LPS": "LPS", "LEFTPOSTERIORSUPERIOR": "LPS", "RAS": "RAS", "RIGHTANTERIORSUPERIOR": "RAS",
+}
+_MILLIMETRES = ("MM", "MILLIMETER", "MILLIMETERS", "MILLIMETRE", "MILLIMETRES")
+#: A colour space is none of the world.
+_STATED = (
+    r"(?<![\w-])(?<!color )(?<!colour ){name}[ \t]*=[ \t]*[\"']?[ \t]*"
+    r"((?:left|right)[ _-]+(?:anterior|posterior)[ _-]+(?:superior|inferior)|[\w+-]++)(?![ \t]*=)"
+)
 
 
 def _read(content: bytes, kind: str) -> MeshContent:
@@ -90,10 +101,6 @@ def _silent(logger: logging.Logger) -> Iterator[None]:
         yield
     finally:
         logger.disabled = before
-
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 
 def ply_bytes(vertices: Floats, faces: Ints, space: str, label: LabelEntry | None = None) -> bytes:
@@ -204,18 +211,6 @@ def ascii_name(name: str) -> str:
     'ni?o'
     """
     return name.encode("ascii", "replace").decode()
-
-
-#: The spaces that are understood, by their letters: the short and the long name.
-_SPACES: dict[str, Literal["LPS", "RAS", ""]] = {
-    "LPS": "LPS", "LEFTPOSTERIORSUPERIOR": "LPS", "RAS": "RAS", "RIGHTANTERIORSUPERIOR": "RAS",
-}
-_MILLIMETRES = ("MM", "MILLIMETER", "MILLIMETERS", "MILLIMETRE", "MILLIMETRES")
-#: A colour space is none of the world.
-_STATED = (
-    r"(?<![\w-])(?<!color )(?<!colour ){name}[ \t]*=[ \t]*[\"']?[ \t]*"
-    r"((?:left|right)[ _-]+(?:anterior|posterior)[ _-]+(?:superior|inferior)|[\w+-]++)(?![ \t]*=)"
-)
 
 
 class MeshContent(NamedTuple):

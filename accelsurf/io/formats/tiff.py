@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.formats.png import STORED, TRUNCATED_HINT, RasterHeader
+from accelsurf.io.formats.png import STORED, TRUNCATED_HINT
 from accelsurf.settings import budgets
 
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = 254, 256, 257, 258, 259, 262, 270
@@ -32,6 +32,20 @@ _TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 7: "s", 13: "I", 16: "Q", 18:
 _WHOLE, _OFFSET, _TEXT, _FRACTION = (1, 3, 4, 16), (3, 4, 13, 16, 18), (1, 2, 7), (5,)
 _OF_BIG_TIFF = (16, 18)
 MAX_SAMPLES, ANY = (1 << 16) - 1, 1 << 62
+_MAX_ENTRIES = 4096
+Page = dict[int, tuple[Any, ...]]
+_PLAIN_HINT = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
+_MAX_TILE_EDGE = 1 << 12  # along an edge: a tile is held in memory, whatever the size of the image
+_DIRECTORY_BYTES = 186  # about
+DEFLATE = (8, 32946)
+LZW, PACKBITS = 5, 32773
+_RATIOS = {LZW: budgets.LZW, PACKBITS: budgets.PACKBITS, **dict.fromkeys(DEFLATE, budgets.DEFLATE)}
+_NO_PREDICTOR = (1, PACKBITS)  # packings whose bytes are no differences
+_FIRST_BYTE = 8  # after which strips and directories begin
+#: Types of values by bits and sample format.
+_KINDS = {kind: name for name, kind in STORED.items()} | {
+    **{(1, 1): "uint8", (64, 1): "uint64", (64, 2): "int64", (16, 3): "float16", (64, 3): "float64"}
+}
 
 
 class TagRule(NamedTuple):
@@ -66,9 +80,6 @@ RULES = {
     TILE_BYTES: TagRule("TileByteCounts", _WHOLE, ANY), SUB_PAGES: TagRule("SubIFDs", _OFFSET, 32),
     EXTRA: TagRule("ExtraSamples", most=MAX_SAMPLES), FORMAT: TagRule("SampleFormat", most=MAX_SAMPLES),
 }
-_MAX_ENTRIES = 4096
-
-Page = dict[int, tuple[Any, ...]]
 
 
 class TiffForm(NamedTuple):
@@ -279,26 +290,18 @@ def strips_of(page: Page) -> NDArray[np.int64]:
     return strips
 
 
-_PLAIN_HINT = "save it as plain 8- or 16-bit grey (or RGB), uncompressed or with LZW or deflate"
-_MAX_TILE_EDGE = 1 << 12  # along an edge: a tile is held in memory, whatever the size of the image
-_DIRECTORY_BYTES = 186  # about
-
-DEFLATE = (8, 32946)
-LZW, PACKBITS = 5, 32773
-_RATIOS = {LZW: budgets.LZW, PACKBITS: budgets.PACKBITS, **dict.fromkeys(DEFLATE, budgets.DEFLATE)}
-_NO_PREDICTOR = (1, PACKBITS)  # packings whose bytes are no differences
-_FIRST_BYTE = 8  # after which strips and directories begin
-#: Types of values by bits and sample format.
-_KINDS = {kind: name for name, kind in STORED.items()} | {
-    **{(1, 1): "uint8", (64, 1): "uint64", (64, 2): "int64", (16, 3): "float16", (64, 3): "float64"}
-}
-
 @dataclass(frozen=True)
-class TiffHeader(RasterHeader):
+class TiffHeader:
     """Claims of the directories of a TIFF, and the check that all of it is there.
 
     Attributes
     ----------
+    data : Path
+        The file.
+    shape : tuple of int
+        (pages, rows, columns).
+    pixel_bytes : int
+        Bytes that a pixel takes in memory, with all its colours.
     strip_bytes : ndarray (m,) of int64
         Bytes of each of the strips or tiles of a page when unpacked.
     strips : ndarray (n, 2) of int64
@@ -319,6 +322,9 @@ class TiffHeader(RasterHeader):
         Which value of each pixel is read, where it has several that are no colour.
     """
 
+    data: Path
+    shape: tuple[int, int, int]
+    pixel_bytes: int
     strip_bytes: NDArray[np.int64]
     strips: NDArray[np.int64]
     compression: int
@@ -373,9 +379,7 @@ class TiffHeader(RasterHeader):
             )
 
 
-def header_of(
-    path: Path, form: TiffForm, pages: Mapping[int, Page], spacing: tuple[float, float, float], repeats: int = 1
-) -> TiffHeader:
+def header_of(path: Path, form: TiffForm, pages: Mapping[int, Page], repeats: int = 1) -> TiffHeader:
     """Collect the claims of the directories of like pages.
 
     Parameters
@@ -386,8 +390,6 @@ def header_of(
         How it is written.
     pages : mapping of int to Page
         Where each begins, and its tags.
-    spacing : tuple of float
-        (z, y, x) in mm.
     repeats : int
         How many pages follow the rows of the only directory, its own among them.
 
@@ -427,7 +429,7 @@ def header_of(
     ends = np.cumsum([len(some) for some in strips], dtype=np.int64) if repeats == 1 else np.arange(1, repeats + 1)
     strip_bytes = np.array([page_bytes]) if planes is not None else _strip_bytes(page, width, height, strips)
     return TiffHeader(
-        path, (len(places), height, width), spacing, pixel, strip_bytes, np.concatenate(strips), compression,
+        path, (len(places), height, width), pixel, strip_bytes, np.concatenate(strips), compression,
         places, stored, planes, ends, page.get(PHOTOMETRIC, (1,))[0] == 0,
     )
 

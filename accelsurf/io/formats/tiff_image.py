@@ -128,7 +128,7 @@ def parse_tiff(path: Path, options: ReadOptions = AS_IT_IS) -> TiffImage:
             spacing, metadata = _spacing(stack, options)
             grids = _grids(stack, sizes, spacing)
             found = found if stack.counts_all else found._replace(pages=pages)
-            parts, stack = _headers_of_files(path, found, stack, level, grids[level].spacing)
+            parts, stack = _headers_of_files(path, found, stack, level)
     except (LookupError, TypeError, ValueError, OverflowError, struct.error):
         raise InputError("the TIFF header is cut short or damaged", hint=TRUNCATED_HINT) from None
     return TiffImage(path, stack, parts, samples, grids, level, metadata, options)
@@ -215,7 +215,7 @@ def _grids(stack: TiffStack, sizes: Sequence[tuple[int, int]], spacing: Spacing)
 
 
 def _headers_of_files(
-    path: Path, found: Directories, stack: TiffStack, level: int, spacing: Spacing
+    path: Path, found: Directories, stack: TiffStack, level: int
 ) -> tuple[tuple[TiffHeader, ...], TiffStack]:
     """The headers of the files at a level, and the stack with numbers of their pages."""
     numbers = np.zeros_like(stack.pages) if stack.file_numbers is None else stack.file_numbers
@@ -228,12 +228,12 @@ def _headers_of_files(
         wanted, places = np.unique(stack.pages[mine], return_inverse=True)
         if not number:
             repeats = stack.pages.size if len(stack.files) == len(found.pages) == 1 and not stack.counts_all else 1
-            header = _file_header(path, found, wanted, level, spacing, repeats)
+            header = _file_header(path, found, wanted, level, repeats)
         else:
             other = path.parent / name
             headers.check_data_file(path, other)
             with other.open("rb") as file:
-                header = _file_header(other, read_pages(file), wanted, level, spacing, 1)
+                header = _file_header(other, read_pages(file), wanted, level)
         new_pages[mine], new_files[mine] = places, len(parts)
         parts.append(header)
     if len({(part.shape[1:], part.stored) for part in parts}) > 1:
@@ -241,14 +241,11 @@ def _headers_of_files(
     return tuple(parts), replace(stack, pages=new_pages, file_numbers=new_files)
 
 
-def _file_header(
-    path: Path, found: Directories, wanted: np.ndarray, level: int, spacing: Spacing,
-    repeats: int,
-) -> TiffHeader:
+def _file_header(path: Path, found: Directories, wanted: np.ndarray, level: int, repeats: int = 1) -> TiffHeader:
     """The header of some pages of a file."""
     file, form, pages = found
     if repeats > 1:
-        return header_of(path, form, pages, spacing, repeats)
+        return header_of(path, form, pages, repeats)
     listed = list(pages.items())
     if wanted[-1] >= len(listed):
         raise InputError(
@@ -260,7 +257,7 @@ def _file_header(
         some = {at: read_directory(file, form, at).page for at in below}
         if len(some) < len(below):
             raise InputError("pages of the TIFF share a directory of a level", TRUNCATED_HINT)
-    return header_of(path, form, some, spacing)
+    return header_of(path, form, some)
 
 
 def open_tiff(path: Path, header: TiffImage, opening: Opening) -> LazyVolume:

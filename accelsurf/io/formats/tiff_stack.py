@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -20,31 +19,12 @@ from accelsurf.io.formats.png import TRUNCATED_HINT
 from accelsurf.io.formats.tiff import DESCRIPTION, RES_UNIT, X_RES, Y_RES, Page
 from accelsurf.io.headers import TIMES_KEY, FrameTimes
 from accelsurf.settings import budgets
+from accelsurf.settings.wording import mm_of, seconds_of, unit_name
 
-_MICRO = ("um", "\u00b5m", "\u03bcm", "micron", "microns", "micrometer", "micrometers", "micrometre", "micrometres")
-_MM = {
-    **dict.fromkeys(_MICRO, 1e-3), "pm": 1e-9, "\u00e5": 1e-7, "angstrom": 1e-7,
-    **dict.fromkeys(("nm", "nanometer", "nanometers", "nanometre", "nanometres"), 1e-6),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), 1.0),
-    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres"), 10.0), "dm": 100.0,
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1e3), "km": 1e6,
-    **dict.fromkeys(("inch", "inches", "in", '"'), 25.4), "thou": 0.0254, "li": 25.4 / 12, "ft": 304.8, "pt": 25.4 / 72,
-}  # fmt: skip
-_ESCAPE = re.compile(r"\\u([0-9a-fA-F]{4})")
-
-
-def mm_of(unit: str) -> float:
-    r"""Millimetres of a unit of length; 0 for what is none, as pixel.
-
-    Examples
-    --------
-    >>> mm_of("micron"), mm_of("\\u00B5m"), mm_of("inch"), mm_of("pixel"), mm_of("Mm")
-    (0.001, 0.001, 25.4, 0.0, 0.0)
-    """
-    name = _ESCAPE.sub(lambda found: chr(int(found.group(1), 16)), unit).strip()
-    if len(name) == 2 and name[0] in "YZEPTGM" and name[1] == "m":  # megametres, and more
-        return 0.0
-    return _MM.get(name.lower(), 0.0)
+_CM = 3  # as unit of the resolution
+#: How texts begin that say what the pages are.
+_MARKS = ("ImageJ=", "<?xml", "<OME", '{"shape": [')
+_ONE_MM = (1.0, 1.0, 1.0)
 
 
 def number(text: str, name: str) -> float:
@@ -84,26 +64,6 @@ def length(value: float, mm: float) -> float:
     """
     found = abs(value) * mm
     return found if math.isfinite(found) else 0.0
-
-
-def unit_name(mm: float) -> str:
-    """The unit in which lengths are shown, by the millimetres of the unit of a file.
-
-    Examples
-    --------
-    >>> unit_name(1e-3), unit_name(10.0), unit_name(1e-7)
-    ('um', 'mm', 'nm')
-    """
-    return "nm" if mm < 1e-4 else "um" if mm < 0.1 else "mm"
-
-
-#: Seconds of a unit of time in OME.
-_SECONDS = {"ms": 1e-3, "\u00b5s": 1e-6, "\u03bcs": 1e-6, "ns": 1e-9, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
-_SECONDS |= {"sec": 1.0, "msec": 1e-3}  # in ImageJ
-_CM = 3  # as unit of the resolution
-#: How texts begin that say what the pages are.
-_MARKS = ("ImageJ=", "<?xml", "<OME", '{"shape": [')
-_ONE_MM = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +219,7 @@ def _imagej_stack(text: str, page: Page, pages: int) -> TiffStack:
             hint="save the stack again with ImageJ",
         )
     budgets.TIFF_PLANES.check(count)
-    seconds = number(fields.get("finterval", "0"), "finterval") * _SECONDS.get(fields.get("tunit", "s"), 0.0)
+    seconds = number(fields.get("finterval", "0"), "finterval") * seconds_of(fields.get("tunit", "s"))
     spacing, unit, is_depth_known, reason = _imagej_spacing(fields, page)
     return TiffStack(
         _table([("T", frames), ("Z", slices), ("C", channels)]), spacing, unit, is_depth_known,
@@ -320,7 +280,7 @@ class _OmeReader:
         delays: dict[int, float] = {}  # seconds of the first plane of each time point
         for plane in self._first.iterfind("{*}Plane"):
             if "DeltaT" in plane.attrib:
-                seconds = float(plane.attrib["DeltaT"]) * _SECONDS.get(plane.get("DeltaTUnit", "s"), math.nan)
+                seconds = float(plane.attrib["DeltaT"]) * (seconds_of(plane.get("DeltaTUnit", "s")) or math.nan)
                 point = int(plane.get("TheT", 0))
                 delays[point] = min(seconds, delays.get(point, math.inf))
         values = tuple(delays.get(point, math.nan) for point in range(count))
@@ -360,7 +320,7 @@ def _ome_stack(text: str, pages: int, samples: int) -> TiffStack:
             f"the OME-TIFF announces page {int(table[1].max()) + 1}, and has {pages}", "export it again, as a whole"
         )
     spacing, unit, known, reason = _ome_spacing(fields)
-    second = _SECONDS.get(fields.get("TimeIncrementUnit", "s"), 0.0)
+    second = seconds_of(fields.get("TimeIncrementUnit", "s"))
     seconds = number(fields.get("TimeIncrement", "0"), "TimeIncrement") * second
     return TiffStack(
         table[1], spacing, unit, known, seconds if math.isfinite(seconds) and seconds > 0 else None, tuple(names),

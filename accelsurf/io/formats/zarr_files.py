@@ -43,6 +43,13 @@ _FILTERS = (
     *("crc32", "adler32", "fletcher32", "jenkins_lookup3"),
 )
 Config = Mapping[str, Any]
+#: In the attribute of accelsurf of a group: for each array that it wrote, the files of the chunks, as `runs_of`.
+STORED_KEY = "stored"
+_SHARDS = "sharding_indexed"
+#: What the index of a shard has, twice, for a chunk that was left out.
+_LEFT_OUT = 2**64 - 1
+#: Bytes of indices of shards that are held.
+_INDEX_BYTES = 1 << 25
 
 
 @dataclass(frozen=True)
@@ -245,15 +252,6 @@ _UNPACKED: dict[str, Callable[[Any, int, Config], Any]] = {
     "lzma": _inflated(_lzma),
     "crc32c": _crc32c,
 }
-
-
-#: In the attribute of accelsurf of a group: for each array that it wrote, the files of the chunks, as `runs_of`.
-STORED_KEY = "stored"
-_SHARDS = "sharding_indexed"
-#: What the index of a shard has, twice, for a chunk that was left out.
-_LEFT_OUT = 2**64 - 1
-#: Bytes of indices of shards that are held.
-_INDEX_BYTES = 1 << 25
 
 
 class ChunkFiles:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from accelsurf.io.formats.deflate import gzip_file
-from accelsurf.io.formats.nifti import COMMENT
+from accelsurf.io.formats.nifti import COMMENT_CODE
 from accelsurf.io.headers import TIMES_KEY, single_precision
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def _nifti_header(frames: FrameStack) -> bytes:
 def _extension(text: str) -> bytes:
     content = f"{TIMES_KEY}: {text}".encode()
     size = -(-(len(content) + 8) // 16) * 16
-    return struct.pack("<2i", size, COMMENT) + content.ljust(size - 8, b"\0")
+    return struct.pack("<2i", size, COMMENT_CODE) + content.ljust(size - 8, b"\0")
 
 
 def write_nrrd(path: Path, frames: FrameStack) -> None:

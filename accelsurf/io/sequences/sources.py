@@ -1,6 +1,6 @@
-"""Sources of the frames of sequences: the time points of a file, the slices of a volume, the files of a folder.
+"""Sources of the frames of sequences: time points of a file, slices of a volume, files of a folder, DICOM series.
 
-A DICOM series at several times, or a loop in one file, as a sequence.
+A DICOM series is a sequence if it has slices at several times, or is a loop in one file.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Write sequences of images, frame by frame in any order: one file with a time axis, or a file for each frame."""
+"""Sequences written frame by frame, in any order: one file with a time axis, or a file for each frame."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class SequenceWriter:
             base = self.path.with_name(self.path.name.replace("*", "_"))
             self._files = self._stack.enter_context(staging(base, self._form.folder_marks))
             with self._naming():
-                scratch = self._files.drafts.parent / "frames.raw"
+                scratch = self._files.staging.parent / "frames.raw"
                 self._frames = FrameStack(scratch, geometry, self.times, self.dtype)
                 with scratch.open("wb") as file:
                     file.truncate(len(self._frames) * self._frames.frame_bytes)  # sparse where the system can
@@ -191,7 +191,7 @@ class SequenceWriter:
             else:
                 names = [self.path.name]
                 assert self._form.write_frames is not None
-                load(self._form.write_frames)(self._files.drafts / self.path.name, self._frames)
+                load(self._form.write_frames)(self._files.staging / self.path.name, self._frames)
                 self._check()
             self._frames.path.unlink()
             self._files.commit(last=self.path.name if self.path.name in names else None)
@@ -220,15 +220,15 @@ class SequenceWriter:
         names = [self.path.name.replace("*", str(number).zfill(digits)) for number in numbers]
         write = images.write_labels if self.dtype.kind == "u" else images.write
         for name, array in zip(names, self._frames, strict=True):
-            write(Volume(array.astype(self.dtype, copy=False), self.geometry), self._files.drafts / name)
+            write(Volume(array.astype(self.dtype, copy=False), self.geometry), self._files.staging / name)
         return names
 
     def _check(self) -> None:
-        """Read the draft back, and refuse one that does not hold the frames."""
+        """Read the staging file back, and refuse one that does not hold the frames."""
         from accelsurf.io.sequences.reading import open_sequence
 
         try:
-            found = open_sequence(self._files.drafts / self.path.name, memory_bytes=sys.maxsize)
+            found = open_sequence(self._files.staging / self.path.name, memory_bytes=sys.maxsize)
             difference = images.stored_grid(self.geometry, headers.split_name(self.path)[1]).difference(found.geometry)
             if not difference and FrameTimes.checked(found.times, found.time_unit) != self.times:
                 difference = "other times are read than were written"

@@ -49,7 +49,7 @@ def check_target(path: Path, size: tuple[int, int]) -> None:
         raise UsageError("webp: Pillow was built without it here", "take .mp4 or .gif")
 
 
-def write(path: Path, frames: Iterable[Picture], size: tuple[int, int], fps: float) -> int:
+def write_movie(path: Path, frames: Iterable[Picture], size: tuple[int, int], fps: float) -> int:
     """Write frames as a movie by suffix; the file appears whole or not at all. Returns how many there were.
 
     Parameters
@@ -70,15 +70,15 @@ def write(path: Path, frames: Iterable[Picture], size: tuple[int, int], fps: flo
     """
     check_target(path, size)
     with staging(path) as files:
-        draft = files.drafts / path.name
+        staged = files.staging / path.name
         is_mp4 = path.suffix.lower() == ".mp4"
-        count = _mp4(draft, frames, size, fps) if is_mp4 else _animation(draft, frames, fps)
-        _check_draft(draft, count)
+        count = _mp4(staged, frames, size, fps) if is_mp4 else _animation(staged, frames, fps)
+        _check_staged(staged, count)
         files.commit()
     return count
 
 
-def _check_draft(draft: Path, count: int) -> None:
+def _check_staged(staged: Path, count: int) -> None:
     """Refuse a movie that does not hold all its frames: encoders may say nothing of a full disk.
 
     Raises
@@ -87,18 +87,18 @@ def _check_draft(draft: Path, count: int) -> None:
         With the number that it holds.
     """
     try:
-        if draft.suffix.lower() == ".mp4":
-            found, _ = _ffmpeg().count_frames_and_secs(str(draft))
+        if staged.suffix.lower() == ".mp4":
+            found, _ = _ffmpeg().count_frames_and_secs(str(staged))
         else:
-            with Image.open(draft) as movie:
+            with Image.open(staged) as movie:
                 # Frames that are alike are joined: the last one must be whole.
                 found = count
                 movie.seek(getattr(movie, "n_frames", 1) - 1)
                 movie.load()
     except (OSError, EOFError, SyntaxError, ValueError, RuntimeError) as error:
-        raise OutputError(f"{draft.name}: cannot be written (it is damaged: {error})", SPACE_HINT) from error
+        raise OutputError(f"{staged.name}: cannot be written (it is damaged: {error})", SPACE_HINT) from error
     if found != count:
-        raise OutputError(f"{draft.name}: cannot be written ({found} of {count} frames arrived)", SPACE_HINT)
+        raise OutputError(f"{staged.name}: cannot be written ({found} of {count} frames arrived)", SPACE_HINT)
 
 
 def _mp4(path: Path, frames: Iterable[Picture], size: tuple[int, int], fps: float) -> int:

@@ -40,9 +40,9 @@ from accelsurf.output.pictures.slice_views import (
     SliceView,
     box_of,
     click_views,
-    doubt_views,
     main_views,
     shown_ranges,
+    uncertain_views,
 )
 from accelsurf.output.pictures.slices import draw_slice
 
@@ -78,15 +78,15 @@ def preview_png(content: PreviewContent) -> bytes:
     if content.geometry.slice_axis is not None:
         return _png_2d(content, content.geometry.slice_axis)
     ranges = shown_ranges(content)
-    window, doubtful = content_window(content, ranges), doubt_views(content)
-    more = [*click_views(content), *doubtful[1:]][-3:]
+    window, uncertain = content_window(content, ranges), uncertain_views(content)
+    more = [*click_views(content), *uncertain[1:]][-3:]
     rows = 3 if more else 2
     canvas = Canvas(WIDTH, TOP + rows * (PANEL + BELOW), content.title)
     for column, view in enumerate(main_views(content)):
         draw_slice(canvas, panel_at(0, column), content, view, ranges, window)
     energies = panel_at(1, 1)
-    if doubtful:
-        draw_slice(canvas, panel_at(1, 0), content, doubtful[0], ranges, window)
+    if uncertain:
+        draw_slice(canvas, panel_at(1, 0), content, uncertain[0], ranges, window)
     else:
         energies = energies._replace(left=panel_at(1, 0).left)
     draw_energies(canvas, energies._replace(right=energies.right - 24), content.history, content.steps_left_out)

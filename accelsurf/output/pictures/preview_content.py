@@ -108,7 +108,7 @@ class PreviewContent:
     late_growth : (float, float, float), optional
         Index (z, y, x) of the place where the surface grew fastest in the last part of the run.
     next_clicks : sequence of (float, float, float)
-        Indices (z, y, x) of the places to click next, the most doubtful object's first.
+        Indices (z, y, x) of the places to click next, the most uncertain object's first.
     steps_left_out : int
         Steps of corrections, whose energies compare with no others and are not in ``history``.
     window : GreyWindow, optional

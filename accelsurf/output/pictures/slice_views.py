@@ -138,7 +138,7 @@ def late_view(content: PreviewContent) -> SliceView | None:
     return SliceView(plane, round(displayed(content.late_growth, content.geometry)[plane]), "latest growth")
 
 
-def doubt_views(content: PreviewContent) -> list[SliceView]:
+def uncertain_views(content: PreviewContent) -> list[SliceView]:
     """The slices of the fastest late growth and of where to click next, of the latter where none else shows it."""
     late = late_view(content)
     views = [] if late is None else [late]

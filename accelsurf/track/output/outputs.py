@@ -29,7 +29,7 @@ from accelsurf.measure import contours, surface_mesh
 from accelsurf.measure.surface_mesh import Surface
 from accelsurf.output import folder as output_folder
 from accelsurf.output import result_sets
-from accelsurf.output.document import describe_drafts
+from accelsurf.output.document import describe_staged
 from accelsurf.output.folder import inputs_of
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.settings.registry import load
@@ -144,7 +144,7 @@ class TrackOutputs:
             self._set = stack.enter_context(output_folder.opened_set(folder, name, inputs))
             output_folder.refuse_existing(self.files.paths(folder, name), overwrite, inputs)
             self._own_store = store is not None
-            self._store = FrameStore(self._set.drafts.parent / "frames" if store is None else store, resume)
+            self._store = FrameStore(self._set.staging.parent / "frames" if store is None else store, resume)
             self._stack = stack.pop_all()
 
     def __enter__(self) -> TrackOutputs:
@@ -207,13 +207,13 @@ class TrackOutputs:
             rows = tuple(self._store.frame_row(number) for number in self.frames())
             tracks = TrackSet(self.name, self.sequence, rows, lineage, self._store)
             kinds = self._write_all(tracks)
-            entries = describe_drafts(self._set, kinds)
+            entries = describe_staged(self._set, kinds)
             document = track_document.build(
                 tracks, status=status, exit_code=exit_code, argv=self._argv, settings=self._settings,
                 warnings=warnings, seconds=seconds or {}, outputs=entries,
             )
             report = result_sets.report_name(self.name)
-            write_bytes(self._set.drafts / report, track_document.to_json(document).encode())
+            write_bytes(self._set.staging / report, track_document.to_json(document).encode())
             _commit(self._set, report, self._overwrite)
         if self._own_store and status == "ok":
             with suppress(OutputError):  # somebody has put a file there
@@ -280,28 +280,28 @@ class TrackOutputs:
     # -------------------------------------------------------------------------------------------------------- end
 
     def _write_all(self, tracks: TrackSet) -> dict[str, str]:
-        """Write the drafts of all files but the report; kind by name."""
+        """Write the staging files of all outputs but the report; kind by name."""
         names, kinds = self.files.names(self.name), {}
         for path in sorted(self._mesh_folder.iterdir()):
             if not is_of_frame(path.name, self.name) or path.is_symlink() or not path.is_file():
                 continue  # somebody has put it there
-            shutil.copyfile(path, self._set.drafts / path.name)
+            shutil.copyfile(path, self._set.staging / path.name)
             kinds[path.name] = "surface" if self.sequence.geometry.slice_axis is None else "contour"
         if self.files.per_frame:
             kinds |= dict.fromkeys(self._write_frames(tracks), "labels")
         else:
-            self._write_sequence(tracks, self._set.drafts / names["labels"])
+            self._write_sequence(tracks, self._set.staging / names["labels"])
             kinds[names["labels"]] = "labels"
         texts = {"tracks": track_document.tracks_csv(tracks), "curves": track_document.curves_csv(tracks)}
         for kind, text in (texts | ({"config": self._toml} if self._toml else {})).items():
-            write_bytes(self._set.drafts / names[kind], text.encode())
+            write_bytes(self._set.staging / names[kind], text.encode())
             kinds[names[kind]] = kind
         pictures = {"preview": slices.film_strip_png(tracks), "curves-picture": slices.curves_png(tracks)}
         for kind, picture in pictures.items():
-            write_bytes(self._set.drafts / names[kind], picture)
+            write_bytes(self._set.staging / names[kind], picture)
             kinds[names[kind]] = kind
         for kind in self.files.also:
-            load(TRACK_FORMATS[kind].write)(tracks, self._set.drafts / names[kind])
+            load(TRACK_FORMATS[kind].write)(tracks, self._set.staging / names[kind])
             kinds[names[kind]] = kind
         return kinds
 
@@ -311,7 +311,7 @@ class TrackOutputs:
         for row in tracks.rows:
             volume = Volume(tracks.labels(row.frame), tracks.geometry)
             names.append(labels_name(self.name, f"{row.frame:0{self._digits}d}", self.files.labels))
-            io.write(volume, self._set.drafts / names[-1])
+            io.write(volume, self._set.staging / names[-1])
         return names
 
     def _write_sequence(self, tracks: TrackSet, path: Path) -> None:
@@ -354,13 +354,13 @@ def write_failure(
         When it cannot be written.
     """
     inputs = inputs_of(source, None)
-    with output_folder.opened_set(folder, name, inputs) as drafts, output_folder.naming_final(drafts):
-        _write_failure(drafts, name, files, error, source=source, settings=settings, argv=argv)
+    with output_folder.opened_set(folder, name, inputs) as staged, output_folder.naming_final(staged):
+        _write_failure(staged, name, files, error, source=source, settings=settings, argv=argv)
 
 
-def _write_failure(drafts: FileSet, name: str, files: TrackFiles, error: BaseException, **facts: Any) -> None:
+def _write_failure(staged: FileSet, name: str, files: TrackFiles, error: BaseException, **facts: Any) -> None:
     """Write a report without a result, under a name of its own where a result stands; ``facts`` as of the document."""
-    folder = drafts.folder
+    folder = staged.folder
     if result_sets.result_stands(folder, name, files.paths(folder, name).values()):
         name += result_sets.FAILED
         if result_sets.result_stands(folder, name, ()):
@@ -368,15 +368,15 @@ def _write_failure(drafts: FileSet, name: str, files: TrackFiles, error: BaseExc
     code = error.exit_code if isinstance(error, AccelsurfError) else 3 if isinstance(error, MemoryError) else 1
     document = track_document.build(None, status="failed", exit_code=code, error=error, **facts)
     report = result_sets.report_name(name)
-    write_bytes(drafts.drafts / report, track_document.to_json(document).encode())
-    _commit(drafts, report, False, failed=True)
+    write_bytes(staged.staging / report, track_document.to_json(document).encode())
+    _commit(staged, report, False, failed=True)
 
 
-def _commit(drafts: FileSet, report: str, overwrite: bool, failed: bool = False) -> None:
-    """Put the drafts in place, the report last; what an earlier run wrote and this one does not goes."""
-    written = [path.name for path in drafts.drafts.iterdir()]
+def _commit(staged: FileSet, report: str, overwrite: bool, failed: bool = False) -> None:
+    """Put the staging files in place, the report last; what an earlier run wrote and this one does not goes."""
+    written = [path.name for path in staged.staging.iterdir()]
     if not (failed or overwrite):  # another program may have put a file there while the run went on
-        paths = {"report" if name == report else name: drafts.folder / name for name in written}
+        paths = {"report" if name == report else name: staged.folder / name for name in written}
         output_folder.refuse_existing(paths, False)
     name = report.removesuffix("_report.json")
-    drafts.commit(last=report, remove=result_sets.outdated(drafts.folder, name, written, failed, overwrite))
+    staged.commit(last=report, remove=result_sets.outdated(staged.folder, name, written, failed, overwrite))

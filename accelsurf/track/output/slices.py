@@ -276,7 +276,7 @@ def write_movie(tracks: TrackSet, path: Path) -> None:
     if not tracks.rows:
         raise OutputError(f"{path.name}: no frame to show")
     speed = min(max(len(tracks.rows) / SECONDS, SLOWEST), FASTEST)
-    movies.write(path, movie_frames(tracks), MOVIE_SIZE, speed)
+    movies.write_movie(path, movie_frames(tracks), MOVIE_SIZE, speed)
 
 
 def movie_frames(tracks: TrackSet) -> Iterator[Picture]:

@@ -153,7 +153,7 @@ def read_image(path: Path, config: RunConfig) -> OpenedImage:
     asked = config.reading.restricted_to(_options(path))
     config = config.replace(**{name: getattr(asked, name) for name in OF_ONE_IMAGE if hasattr(asked, name)})
     config, note = _with_level(path, config)
-    volume, *more = channels.read(path, config.reading)
+    volume, *more = channels.read_channels(path, config.reading)
     notes = [text for text in (note, volume.metadata.get(io.WARNING_KEY, "")) if text]
     name = io.split_name(path)[0]
     return OpenedImage(volume, config, name, path, tuple(more), note="; ".join(notes), frames=frames_of(path, config))

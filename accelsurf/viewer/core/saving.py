@@ -74,8 +74,8 @@ def save(
         raise UsageError("there is no surface to save", "go back, or restart")
     suffix = "" if source is None else io.split_name(source)[1]
     labels = output_names.label_format(config, suffix)
-    output_names.check(config, labels, run.volume.geometry)
-    label_files.check(config, run.volume)
+    output_names.check_outputs(config, labels, run.volume.geometry)
+    label_files.check_label_settings(config, run.volume)
     inputs = inputs_of(source, result.config) if source is not None else named_files(result.config)
     with output_folder.opened_set(folder, name, inputs) as files:
         what = _all_beside_report(folder / result_sets.report_name(name), what)
@@ -104,17 +104,18 @@ def _write(
     """Write all files at once; return them, the configuration first and the report last."""
     kinds = {}
     if "run" in paths:
-        write_bytes(files.drafts / RUN_FILE, _toml(result.config, result, source).encode())
+        write_bytes(files.staging / RUN_FILE, _toml(result.config, result, source).encode())
         kinds[RUN_FILE] = "run"
     content = outputs.preview_content(result, outputs.outcome_title(name, result))
     image = io.sha256(source) if source is not None and "state" in names else None
-    kinds |= {path.name: kind for kind, path in outputs.write_result(result, files.drafts, names, content, image=image)}
+    by_kind = outputs.write_result(result, files.staging, names, content, image=image)
+    kinds |= {path.name: kind for kind, path in by_kind}
     last = None
     if "report" in paths:
         last = paths["report"].name
         _write_report(files, last, kinds, source, result)
         kinds[last] = "report"
-    written = [path.name for path in files.drafts.iterdir()]
+    written = [path.name for path in files.staging.iterdir()]
     files.commit(last=last, remove=result_sets.outdated(files.folder, name, written, failed=False))
     return [files.folder / written for written in kinds]
 
@@ -137,7 +138,7 @@ def _check_paths(paths: dict[str, Path], replaceable: Collection[Path] | None) -
 def _write_report(
     files: FileSet, report: str, kinds: Mapping[str, str], source: Path | None, result: Result
 ) -> None:
-    """Write the report that names the drafts of these ``kinds``."""
+    """Write the report that names the staging files of these ``kinds``."""
     contents = document.build(
         status="ok",
         exit_code=0,
@@ -145,9 +146,9 @@ def _write_report(
         config=result.config,
         source=None if source is None else document.describe_input(source, geometry=result.geometry),
         result=result,
-        outputs=document.describe_drafts(files, kinds),
+        outputs=document.describe_staged(files, kinds),
     )
-    write_bytes(files.drafts / report, (document.to_json(contents) + "\n").encode())
+    write_bytes(files.staging / report, (document.to_json(contents) + "\n").encode())
 
 
 def _kind(output: str) -> str:

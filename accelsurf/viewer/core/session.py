@@ -22,7 +22,7 @@ from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
 from accelsurf.image.volume import Volume
 from accelsurf.measure.diameters import Diameters
-from accelsurf.measure.evidence import doubtful_places, gather
+from accelsurf.measure.evidence import gather, uncertain_places
 from accelsurf.run.result import Result, SegmentedObject
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
@@ -539,7 +539,7 @@ def _doubts(segmented: SegmentedObject) -> list[Doubt]:
         return []
     volume = float(np.count_nonzero(inside)) * segmented.geometry.voxel_volume
     out = []
-    for index, share in doubtful_places(evidence, segmented.geometry.spacing, volume, COUNT):
+    for index, share in uncertain_places(evidence, segmented.geometry.spacing, volume, COUNT):
         x, y, z = (float(v) for v in segmented.geometry.index_to_world(np.array(index, float)))
         if share >= MIN_SHARE:
             out.append(Doubt((x, y, z), share, segmented.id))

@@ -140,7 +140,7 @@ def test_ours_come_back(tmp_path, seed, as_labelmap):
     found = check(path, geometry, label_map(masks, numbers))
     table = LabelTable.from_json(found.metadata["labels"])
     assert [(entry.id, entry.name) for entry in table] == [(numbers[0], "Leber rechts ä"), (numbers[1], "tumour")]
-    assert [entry.color for entry in label_tables.read(path)] == [(200, 60, 60), (0, 255, 0)]
+    assert [entry.color for entry in label_tables.read_table(path)] == [(200, 60, 60), (0, 255, 0)]
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -339,7 +339,7 @@ def test_damage_of_the_header_is_refused_or_read_but_never_anything_else(tmp_pat
                 damaged[place] = rng.integers(0, 256)
             path = save(tmp_path / "a.nii", bytes(damaged))
             try:
-                channels.read(path, ReadOptions(channels_from_time=True))
+                channels.read_channels(path, ReadOptions(channels_from_time=True))
             except InputError as error:
                 refused += 1
                 assert str(error).startswith(f"{path}: ") and error.hint
@@ -370,7 +370,7 @@ def test_channels_are_placed_and_scaled_as_one_alone(tmp_path, version, axes):
     one = raw[:40] + struct.pack("<8h", 3, 5, 4, 3, 1, 1, 1, 1) + raw[56:]
     alone = io.read(save(tmp_path / "alone.nii", bytes(one)))
     path = save(tmp_path / "a.nii.gz", second(bytes(raw)) if version == 2 else bytes(raw))
-    found = channels.read(path, ReadOptions(channels_from_time=True))
+    found = channels.read_channels(path, ReadOptions(channels_from_time=True))
     assert len(found) == 2
     for number, volume in enumerate(found):
         np.testing.assert_array_equal(volume.array, alone.array + 30 * number)

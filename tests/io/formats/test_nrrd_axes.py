@@ -105,7 +105,7 @@ def check_frames(path):
                 values = volume.array if hasattr(volume, "array") else volume.read(box)
                 np.testing.assert_array_equal(values, array)
                 assert volume.geometry.spacing == (4.0, 3.0, 2.0) and volume.geometry.origin == (1.0, 2.0, 3.0)
-    every = channels.read(path, ReadOptions(channels_from_time=True))
+    every = channels.read_channels(path, ReadOptions(channels_from_time=True))
     np.testing.assert_array_equal([volume.array for volume in every], FRAMES)
 
 
@@ -119,7 +119,7 @@ def test_values_of_a_voxel_are_channels(tmp_path, name, place, kind):
     with pytest.raises(InputError, match="channels given|vector image") as caught:
         io.read(path)
     assert "--channel-index" in caught.value.hint
-    np.testing.assert_array_equal([volume.array for volume in channels.read(path)], FRAMES)
+    np.testing.assert_array_equal([volume.array for volume in channels.read_channels(path)], FRAMES)
     for number, array in enumerate(FRAMES):
         np.testing.assert_array_equal(io.read(path, options=ReadOptions(channel_index=number)).array, array)
 
@@ -141,7 +141,7 @@ def test_detached_headers_are_read_where_others_are(tmp_path, capfd):
     np.testing.assert_array_equal(io.read(path).array, FRAMES[0])
     np.testing.assert_array_equal(io.read_labels(path).array, FRAMES[0])
     np.testing.assert_array_equal(io.open_volume(path).read((slice(0, 4), slice(0, 5), slice(0, 6))), FRAMES[0])
-    assert label_tables.read(path)[4].name == "liver"
+    assert label_tables.read_table(path)[4].name == "liver"
     words = ["segment", str(path), "-o", str(tmp_path / "out"), "--start", "ball:3,4,6,3", "--channel", str(path)]
     assert execute([*words, "--mask", str(path), "--max-steps", "1", "--quiet"]) == 0, capfd.readouterr().err
     assert (tmp_path / "out" / "a_seg.nii.gz").exists()

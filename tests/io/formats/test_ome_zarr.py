@@ -122,7 +122,7 @@ def test_channels_and_time_points_are_named(tmp_path):
     path = make_store(tmp_path / "b.zarr", [array[0]], "czyx", [((1.0,) * 4,)])
     with pytest.raises(InputError, match="3 channels given"):
         io.read(path)
-    for found, channel in zip(channels.read(path), array[0], strict=True):
+    for found, channel in zip(channels.read_channels(path), array[0], strict=True):
         np.testing.assert_array_equal(found.array, channel)
 
 

@@ -42,7 +42,7 @@ def write(path, kind, order="TZC", **more):
 def test_each_channel_and_time_point_is_where_the_axes_say(tmp_path, kind, order):
     path = write(tmp_path / "a.tif", kind, order)
     for t in range(2):
-        found = channels.read(path, ReadOptions(time_index=t))
+        found = channels.read_channels(path, ReadOptions(time_index=t))
         for c, one in enumerate(found):
             np.testing.assert_array_equal(one.array, FULL[t, c], strict=True)
             lazy = io.open_volume(path, time_index=t, channel_index=c)
@@ -57,13 +57,13 @@ def test_each_channel_and_time_point_is_where_the_axes_say(tmp_path, kind, order
 
 def test_a_sequence_is_refused_until_a_time_point_is_named(tmp_path):
     path = write(tmp_path / "a.tif", "imagej")
-    for read in (io.read, io.open_volume, channels.read):
+    for read in (io.read, io.open_volume, channels.read_channels):
         with pytest.raises(InputError, match="sequence of 2 time points given") as caught:
             read(path)
         assert "--time-index 0 to 1" in caught.value.hint and "--channels-from-time" in caught.value.hint
     with pytest.raises(InputError, match="3 channels given, one expected"):
         io.read(path, options=ReadOptions(time_index=1))
-    found = channels.read(path, ReadOptions(channels_from_time=True, channel_index=2))
+    found = channels.read_channels(path, ReadOptions(channels_from_time=True, channel_index=2))
     np.testing.assert_array_equal([one.array for one in found], FULL[:, 2])
     for wrong, words in (
         (ReadOptions(time_index=2), "time 2 asked for"),
@@ -73,7 +73,7 @@ def test_a_sequence_is_refused_until_a_time_point_is_named(tmp_path):
         (ReadOptions(series="1"), "series"),
     ):
         with pytest.raises(UsageError, match=words):
-            channels.read(path, wrong)
+            channels.read_channels(path, wrong)
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_several_grey_values_of_a_pixel_are_channels(tmp_path, planar, tile):
     array = np.random.default_rng(1).integers(0, 60000, (4, 2, 20, 30)).astype(np.uint16)  # z c y x
     stored = array if planar == "separate" else array.transpose(0, 2, 3, 1)
     tifffile.imwrite(tmp_path / "a.tif", stored, planarconfig=planar, tile=tile, metadata=None, **GREY)
-    found = channels.read(tmp_path / "a.tif")
+    found = channels.read_channels(tmp_path / "a.tif")
     np.testing.assert_array_equal([one.array for one in found], array.transpose(1, 0, 2, 3))
 
 
@@ -120,11 +120,11 @@ def test_an_imagej_stack_with_one_directory_has_all_its_pages(tmp_path):
     text = "ImageJ=1.53\nimages=6\nchannels=3\nframes=2\nhyperstack=true\n"
     tifffile.imwrite(path, array[0], description=text, metadata=None, byteorder=">", **GREY)
     path.write_bytes(path.read_bytes() + array[1:].astype(">u2").tobytes())
-    found = channels.read(path, ReadOptions(time_index=1))
+    found = channels.read_channels(path, ReadOptions(time_index=1))
     np.testing.assert_array_equal([one.array[0] for one in found], FULL[1, :, 0])
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(InputError, match="bytes of voxels"):
-        channels.read(path, ReadOptions(time_index=1))
+        channels.read_channels(path, ReadOptions(time_index=1))
 
 
 def test_levels_cover_the_same_rectangle(tmp_path):
@@ -174,7 +174,7 @@ def ome_of_files(folder, name=lambda t, z: f"t{t}z{z}.ome.tif", head=""):
 
 def test_the_files_of_a_set_are_one_image(tmp_path):
     path = ome_of_files(tmp_path)
-    found = channels.read(path, ReadOptions(time_index=1))
+    found = channels.read_channels(path, ReadOptions(time_index=1))
     np.testing.assert_array_equal([one.array for one in found], FULL[1])
     lazy = io.open_volume(path, time_index=0, channel_index=2)
     np.testing.assert_array_equal(lazy.read((slice(1, 4), slice(0, 2), slice(3, 5))), FULL[0, 2, 1:4, :2, 3:5])
@@ -182,7 +182,7 @@ def test_the_files_of_a_set_are_one_image(tmp_path):
         io.read(tmp_path / "t1z0.ome.tif")
     (tmp_path / "t1z3.ome.tif").unlink()
     with pytest.raises(InputError, match="names the file t1z3.ome.tif, which is missing"):
-        channels.read(path, ReadOptions(time_index=0))
+        channels.read_channels(path, ReadOptions(time_index=0))
 
 
 def test_files_of_a_set_lie_in_its_folder(tmp_path):
@@ -190,8 +190,8 @@ def test_files_of_a_set_lie_in_its_folder(tmp_path):
     ome_of_files(tmp_path)
     path = ome_of_files(tmp_path / "here", name=lambda t, z: f"../t{t}z{z}.ome.tif" if t else f"t{t}z{z}.ome.tif")
     with pytest.raises(InputError, match="outside of its own folder"):
-        channels.read(path, ReadOptions(time_index=0))
-    found = channels.read(path, ReadOptions(time_index=1), outside_data=True)
+        channels.read_channels(path, ReadOptions(time_index=0))
+    found = channels.read_channels(path, ReadOptions(time_index=1), outside_data=True)
     np.testing.assert_array_equal([one.array for one in found], FULL[1])
 
 
@@ -215,7 +215,7 @@ def test_xml_that_says_what_cannot_be_is_refused(tmp_path, data, head, words):
     text = XML.format(data=data, head=head)
     tifffile.imwrite(tmp_path / "a.ome.tif", FULL.reshape(24, 5, 6), description=text, metadata=None, **GREY)
     with pytest.raises(InputError, match=words):
-        channels.read(tmp_path / "a.ome.tif", ReadOptions(time_index=0))
+        channels.read_channels(tmp_path / "a.ome.tif", ReadOptions(time_index=0))
 
 
 def test_huge_sizes_of_xml_cost_nothing(tmp_path):

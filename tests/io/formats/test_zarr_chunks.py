@@ -225,7 +225,7 @@ def test_missing_chunks_are_counted_in_a_warning(tmp_path, version, separator, f
         words = f"{absent} of 27 chunks of the array 0 are not in the store, and {fill} stands there: programs leave"
         assert words in lazy.metadata[io.WARNING_KEY] and "copy the store again" in lazy.metadata[io.WARNING_KEY]
         np.testing.assert_array_equal(lazy.read(whole_box(lazy.shape)), array[channel])
-    both = io.channels.read(path)
+    both = io.channels.read_channels(path)
     assert [words[0] for words in (one.metadata[io.WARNING_KEY] for one in both)] == ["1", "2"]
 
 

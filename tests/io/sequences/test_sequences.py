@@ -31,7 +31,7 @@ def nifti(path, array=FULL, units=("mm", None), step=1.0, intent=None):
 @pytest.mark.parametrize(("unit", "step", "seconds"), [("sec", 2.0, 2.0), ("msec", 40.0, 0.04), (None, 2.5, None)])
 def test_a_nifti_that_says_time_is_a_sequence(tmp_path, suffix, unit, step, seconds):
     path = nifti(tmp_path / f"a{suffix}", units=("mm", unit), step=step)
-    for read in (io.read, channels.read):
+    for read in (io.read, channels.read_channels):
         with pytest.raises(InputError, match="sequence of 3 time points given"):
             read(path)
     for t in range(3):
@@ -44,7 +44,7 @@ def test_a_nifti_that_says_time_is_a_sequence(tmp_path, suffix, unit, step, seco
             lazy = io.open_volume(path, time_index=t)
             np.testing.assert_array_equal(lazy.read((slice(1, 3), slice(2, 5), slice(0, 4))), FULL[t, 1:3, 2:, :4])
             assert lazy.geometry.difference(volume.geometry) == ""
-    found = channels.read(path, ReadOptions(channels_from_time=True))
+    found = channels.read_channels(path, ReadOptions(channels_from_time=True))
     np.testing.assert_array_equal([one.array for one in found], FULL)
     with pytest.raises(UsageError, match="time 3 asked for, the image has 3"):
         io.read(path, options=ReadOptions(time_index=3))
@@ -53,7 +53,7 @@ def test_a_nifti_that_says_time_is_a_sequence(tmp_path, suffix, unit, step, seco
 
 def test_a_few_volumes_of_which_nothing_is_said_are_channels_with_a_note(tmp_path):
     path = nifti(tmp_path / "a.nii")
-    found = channels.read(path)
+    found = channels.read_channels(path)
     np.testing.assert_array_equal([one.array for one in found], FULL)
     assert "taken for channels" in found[0].metadata[io.WARNING_KEY]
     one = io.read(path, options=ReadOptions(channel_index=1))
@@ -61,25 +61,25 @@ def test_a_few_volumes_of_which_nothing_is_said_are_channels_with_a_note(tmp_pat
     assert io.WARNING_KEY not in one.metadata
     many = nifti(tmp_path / "b.nii", np.repeat(FULL, 6, axis=0)[:17])
     with pytest.raises(InputError, match="sequence of 17 time points"):
-        channels.read(many)
+        channels.read_channels(many)
     with pytest.raises(InputError, match="17 channels or time points, expected at most 16"):
-        channels.read(many, ReadOptions(channels_from_time=True))
+        channels.read_channels(many, ReadOptions(channels_from_time=True))
     np.testing.assert_array_equal(io.read(many, options=ReadOptions(time_index=16)).array, FULL[2])
 
 
 def test_vectors_are_channels_whatever_is_said_of_time(tmp_path):
     path = nifti(tmp_path / "a.nii", units=("micron", "sec"), intent="vector")
-    found = channels.read(path)
+    found = channels.read_channels(path)
     np.testing.assert_array_equal([one.array for one in found], FULL)
     assert io.WARNING_KEY not in found[0].metadata and found[0].metadata[UNIT_KEY] == "um"
     five = np.stack([FULL, FULL + 7], axis=0)  # channel, time
     path = nifti(tmp_path / "b.nii", five, units=("mm", "sec"))
-    found = channels.read(path, ReadOptions(time_index=2))
+    found = channels.read_channels(path, ReadOptions(time_index=2))
     np.testing.assert_array_equal([one.array for one in found], five[:, 2])
-    found = channels.read(path, ReadOptions(channels_from_time=True, channel_index=1))
+    found = channels.read_channels(path, ReadOptions(channels_from_time=True, channel_index=1))
     np.testing.assert_array_equal([one.array for one in found], five[1])
     with pytest.raises(InputError, match="2 channels at 3 time points"):
-        channels.read(path, ReadOptions(channels_from_time=True))
+        channels.read_channels(path, ReadOptions(channels_from_time=True))
     assert headers.counts(path) == (2, 3) and headers.count_values(path, ReadOptions(time_index=1)) == 2 * 120
 
 
@@ -92,7 +92,7 @@ def test_a_fourth_axis_of_nrrd_and_metaimage_is_time(tmp_path, suffix, packed):
         one.SetOrigin((5.0, 6.0, 7.0))
     path = tmp_path / f"a{suffix}"
     sitk.WriteImage(sitk.JoinSeries(volumes), str(path), packed)
-    for read in (io.read, channels.read, *(() if packed else (io.open_volume,))):
+    for read in (io.read, channels.read_channels, *(() if packed else (io.open_volume,))):
         with pytest.raises(InputError, match="sequence of 3 time points given"):
             read(path)
     for t in range(3):
@@ -102,7 +102,7 @@ def test_a_fourth_axis_of_nrrd_and_metaimage_is_time(tmp_path, suffix, packed):
         if not packed:
             lazy = io.open_volume(path, time_index=t)
             np.testing.assert_array_equal(lazy.read((slice(1, 3), slice(2, 5), slice(0, 4))), FULL[t, 1:3, 2:, :4])
-    found = channels.read(path, ReadOptions(channels_from_time=True))
+    found = channels.read_channels(path, ReadOptions(channels_from_time=True))
     np.testing.assert_array_equal([one.array for one in found], FULL)
 
 
@@ -116,19 +116,19 @@ LIST = {"sizes": "3 6 5 4", "kinds": "list domain domain domain", "directions": 
 def test_a_list_axis_of_nrrd_is_channels_unless_it_says_time(tmp_path):
     path, voxels = tmp_path / "a.nrrd", FULL.transpose(1, 2, 3, 0).tobytes()
     path.write_bytes(NRRD.format(**LIST, more="").encode() + voxels)
-    found = channels.read(path)
+    found = channels.read_channels(path)
     np.testing.assert_array_equal([one.array for one in found], FULL)
     np.testing.assert_array_equal(io.read(path, options=ReadOptions(channel_index=2)).array, FULL[2])
     path.write_bytes(NRRD.format(**LIST, more="axis 0 index type:=time\n").encode() + voxels)
     with pytest.raises(InputError, match="sequence of 3 time points given"):
-        channels.read(path)
+        channels.read_channels(path)
     volume = io.read(path, options=ReadOptions(time_index=1))
     np.testing.assert_array_equal(volume.array, FULL[1])
     assert volume.geometry.spacing == (3.0, 2.0, 1.0) and volume.geometry.origin == (5.0, 6.0, 7.0)
     first = NRRD.format(**LIST | {"kinds": "time domain domain domain"}, more="")
     path.write_bytes(first.encode() + voxels)
     with pytest.raises(InputError, match="time axis of the NRRD comes first"):
-        channels.read(path)
+        channels.read_channels(path)
 
 
 def test_units_of_a_time_axis_of_nrrd_are_seconds(tmp_path):
