@@ -142,7 +142,7 @@ def run_objects(
             print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
         return int(report["exit_code"])
     if report is not None and report["status"] != "ok" and report.get("objects"):
-        place = resumed_place(place, config)
+        place = resumed_place(place, place.paths(config).values())
     inputs = place.inputs(config)
     with output_folder.opened_set(place.folder, place.name, inputs) as files:
         output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)

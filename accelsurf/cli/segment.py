@@ -104,7 +104,7 @@ def _run(
         from accelsurf.cli.case import exit_code_of_finished, resumed_place
         if (code := exit_code_of_finished(place, run, display.quiet)) is not None:
             return code
-        place = resumed_place(place, run)
+        place = resumed_place(place, place.paths(run).values())
     done = run_case(place, run, Watcher(display), strict, compute)
     return _summed_up(place.name, done, display.quiet, profile)
 

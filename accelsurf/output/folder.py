@@ -14,7 +14,14 @@ from pathlib import Path
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io import headers, is_stored
 from accelsurf.io.file_set import FileSet, InputFiles, open_set, refuse_links
-from accelsurf.output.result_sets import has_guests, is_failure_report, is_output, outdated_inputs
+from accelsurf.output.result_sets import (
+    has_guests,
+    is_failure_report,
+    is_output,
+    outdated,
+    outdated_inputs,
+    report_name,
+)
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
@@ -142,6 +149,33 @@ def naming_final(files: FileSet) -> Iterator[None]:
             f"{files.folder / name}: cannot be written ({error.strerror or error})",
             f"may {files.folder} be written to, is there space on the disk, is a file of it open in another program?",
         ) from error
+
+
+def commit(files: FileSet, report: str, failed: bool, overwrite: bool, gone: Sequence[str] = ()) -> None:
+    """Put the staged files of a run in place, the report last; outdated files of an earlier run are removed.
+
+    Parameters
+    ----------
+    files : FileSet
+    report : str
+        Name of the report.
+    failed : bool
+        Whether the run failed.
+    overwrite : bool
+        Whether an earlier result may be replaced.
+    gone : sequence of str, optional
+        Further files that are removed.
+
+    Raises
+    ------
+    OutputError
+        When a file exists that may not be replaced: another program may have put it there while the run went on.
+    """
+    written = [path.name for path in files.drafts.iterdir()]
+    if not (failed or overwrite):
+        refuse_existing({"report" if name == report else name: files.folder / name for name in written}, False)
+    name = report.removesuffix(report_name(""))
+    files.commit(last=report, remove=[*outdated(files.folder, name, written, failed, overwrite), *gone])
 
 
 #: Settings that are places, and kinds of places that name a file: ``label:FILE``.
