@@ -1,4 +1,4 @@
-"""Tables that people write, as CSV; and cases in a table, with a row for each and a column for each setting."""
+"""Tables that people write, as CSV: a row for each case, a column for each setting."""
 
 from __future__ import annotations
 

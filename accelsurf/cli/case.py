@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from accelsurf.cli import INTERRUPTED
 from accelsurf.cli.interrupts import Interrupts, doubt_line, say
-from accelsurf.cli.outcome import shortcoming
+from accelsurf.cli.outcome import shortcoming, summary_lines
 from accelsurf.errors import AccelsurfError, GeometryError, OutputError, exit_code_of
 from accelsurf.io import is_stored, sha256
 from accelsurf.io.file_set import finish_killed_runs
@@ -229,6 +229,11 @@ class Finished:
     log: Log
     code: int
     error: AccelsurfError | None = None
+
+    def summary_lines(self, name: str) -> list[str]:
+        """Return the lines printed at the end; ``name`` is that of the case."""
+        log = self.log
+        return summary_lines(name, self.result, log.outputs, log.seconds["total"], self.place.report_path)
 
 
 def run_case(

@@ -1,4 +1,4 @@
-"""The files of many objects of a large image, put together from what their groups have left."""
+"""The files of many objects of a large image, put together from the files of their groups."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import os
 import shutil
 import sys
 from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +24,6 @@ from accelsurf.run.ensemble import overall_stop
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Place
-    from accelsurf.cli.object_work import ObjectsDone
     from accelsurf.cli.options import Display
     from accelsurf.io.file_set import FileSet
     from accelsurf.large.windowed import LargeImage
@@ -34,12 +35,37 @@ _BEGIN_ANEW = "add --overwrite in place of --resume, to begin anew"
 _SUMS = ("volume_mm3", "area_mm2", "enclosed_mm2", "length_mm", "components")
 
 
+@dataclass(frozen=True)
+class ObjectsDone:
+    """The results of all groups.
+
+    Attributes
+    ----------
+    records : list of GroupRecord
+        In order of their first objects.
+    failures : dict of int to str
+        Why an object has no result, by its id.
+    ids : list of int
+        Of all objects.
+    folder : Path
+        The folder of the records.
+    notes : list of str
+        Notes about the whole image.
+    """
+
+    records: list[GroupRecord]
+    failures: dict[int, str]
+    ids: list[int]
+    folder: Path
+    notes: list[str]
+
+
 def write_outputs(
     place: Place, config: RunConfig, image: LargeImage, done: ObjectsDone, files: FileSet, display: Display
 ) -> int:
     """Write the label map, the table, the meshes and the report, all at once; returns the exit code.
 
-    What the groups have left is removed, unless some have failed: then ``--resume`` tries these again.
+    The files of the groups are removed, unless some have failed: then ``--resume`` tries these again.
 
     Parameters
     ----------
@@ -77,7 +103,7 @@ def write_outputs(
 
 
 def rows_of(done: ObjectsDone) -> list[dict[str, Any]]:
-    """Return an entry for each object, in order of the ids: how it ended, or why there is nothing of it."""
+    """Return an entry for each object, in order of the ids: how it ended, or why it has no result."""
     rows = {row["id"]: {**row, "status": "ok", "failure": ""} for record in done.records for row in record.rows}
     keys = next(iter(rows.values()), dict.fromkeys(("id", "reason", "message", "centroid", "quality")))
     for label, why in done.failures.items():
@@ -103,7 +129,7 @@ def _link_meshes(done: ObjectsDone, files: FileSet, case: str) -> dict[str, str]
     return kinds
 
 
-def _write_labels(path: Any, image: LargeImage, done: ObjectsDone) -> None:
+def _write_labels(path: Path, image: LargeImage, done: ObjectsDone) -> None:
     """Write the label map box by box; no voxel is in two objects."""
     first, dtype = image.channels[0], io.label_type(done.ids[-1])
     with io.LabelStore(path, image.geometry, dtype, dict(first.metadata), first.source) as store:

@@ -19,6 +19,7 @@ from accelsurf.cli import large_image
 from accelsurf.cli.case import Place, resumed_place
 from accelsurf.cli.interrupts import Interrupts
 from accelsurf.cli.large_image import ObjectOptions
+from accelsurf.cli.object_outputs import ObjectsDone, write_outputs
 from accelsurf.cli.options import Display
 from accelsurf.cli.progress import BatchProgress
 from accelsurf.errors import AccelsurfError, OutputError
@@ -90,7 +91,7 @@ def load() -> None:
 
 
 def run_task(task: GroupTask) -> GroupEnd:
-    """Run a group and write its files; return why that is not possible, or nothing.
+    """Run a group and write its files; return why it failed, if it did.
 
     Parameters
     ----------
@@ -148,27 +149,21 @@ def run_objects(
         output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
         work = _work_folder(place, resume)
         done = _Work(place, config, image, options, work).run(display)
-        from accelsurf.cli.object_outputs import write_outputs
-
         return write_outputs(place, config, image, done, files, display)
 
 
 def _work_folder(place: Place, resume: bool) -> Path:
-    """The folder for what groups leave.
+    """Return the folder for the files of the groups.
 
     Raises
     ------
     OutputError
-        When an earlier run has left something there that may not be lost.
+        When an earlier run has left files there that may not be lost.
     """
     work = (place.folder / f".{place.name}_objects").absolute()
     refuse_links(work, "remove the link, or choose another folder with -o")
+    replace(place, resume=resume).refuse_left(work)
     if work.is_dir() and not resume:
-        if not place.overwrite:
-            raise OutputError(
-                f"{work}: has what a run that was stopped has left",
-                "add --resume to go on from it, or --overwrite to begin anew",
-            )
         others = [name for name in os.listdir(work) if not name.startswith(("group-", ".draft-"))]
         if others:
             raise OutputError(f"{work}: has {others[0]}, which no run has left there", "move it away")
@@ -179,33 +174,8 @@ def _work_folder(place: Place, resume: bool) -> Path:
     return work
 
 
-@dataclass(frozen=True)
-class ObjectsDone:
-    """The results of all groups.
-
-    Attributes
-    ----------
-    records : list of GroupRecord
-        In order of their first objects.
-    failures : dict of int to str
-        Why there is nothing of an object, by its id.
-    ids : list of int
-        Of all objects.
-    folder : Path
-        Where the records are.
-    notes : list of str
-        About all of them.
-    """
-
-    records: list[GroupRecord]
-    failures: dict[int, str]
-    ids: list[int]
-    folder: Path
-    notes: list[str]
-
-
 class _Work:
-    """The groups of objects of one image, from the first to the last."""
+    """Runs the groups of objects of one image, from the first to the last."""
 
     def __init__(
         self, place: Place, config: RunConfig, image: LargeImage, options: ObjectOptions, folder: Path
@@ -252,7 +222,7 @@ class _Work:
         return ObjectsDone(records, failures, ids.tolist(), self._folder, self._notes)
 
     def _round(self, pool: Pool, number: int, progress: BatchProgress) -> None:
-        """Run what waits, and take note of what becomes of it."""
+        """Run the groups that wait, and record how they ended."""
         groups = {f"{number}-{place}": group for place, group in enumerate(self._groups.waiting)}
         for key, group in groups.items():
             record = group_files.read_group(self._folder_of(group))
@@ -267,7 +237,7 @@ class _Work:
                 self._took(event, {"alone": group}, progress, True)
 
     def _took(self, event: Any, groups: dict[str, Places], progress: BatchProgress, alone: bool) -> bool:
-        """Take note of what became of a group; False where it was too large for its part of the memory."""
+        """Record how a group ended; False where it was too large for its part of the memory."""
         if not isinstance(event, Ended):
             return True
         group, failure = groups[event.key], event.value.failed if event.failure is None else event.failure.message

@@ -11,7 +11,6 @@ from accelsurf.io.headers import UNIT_KEY
 from accelsurf.settings.wording import place_text, size_option, size_text, volume_text
 
 if TYPE_CHECKING:
-    from accelsurf.cli.case import Finished
     from accelsurf.measure.quality import Quality
     from accelsurf.run.result import Result, SegmentedObject
 
@@ -108,18 +107,23 @@ def _and_more(texts: Sequence[str]) -> str:
     return f" (and {len(texts) - 1} more)" if len(texts) > 1 else ""
 
 
-def summary_lines(name: str, done: Finished) -> list[str]:
+def summary_lines(
+    name: str, result: Result, outputs: Sequence[Mapping[str, Any]], seconds: float, report: Path
+) -> list[str]:
     """Return the lines printed at the end: how the run ended, the measures, the files.
 
     Parameters
     ----------
     name : str
         Of the case.
-    done : Finished
+    result : Result
+    outputs : sequence of mapping
+        The files, as the report lists them.
+    seconds : float
+        Wall time of the whole run.
+    report : Path
     """
-    result = done.result
-    lines = _ending(name, result, done.log.seconds["total"])
-    outputs = done.log.outputs
+    lines = _ending(name, result, seconds)
     shaped = [output for output in outputs if "largest_distance_mm" in output]
     if result.has_ids or {"surface", "contour"} & {output["kind"] for output in outputs}:
         lines.append(_measures(result))
@@ -129,7 +133,7 @@ def summary_lines(name: str, done: Finished) -> list[str]:
         lines.append(
             f"  mesh: {furthest['faces']} triangles, at most {furthest['largest_distance_mm']:.3g} mm from the surface"
         )
-    return [*lines, *file_lines(outputs, done.place.report_path, first_alone=result.has_ids)]
+    return [*lines, *file_lines(outputs, report, first_alone=result.has_ids)]
 
 
 def file_lines(outputs: Sequence[Mapping[str, Any]], report: Path, first_alone: bool) -> list[str]:

@@ -154,9 +154,7 @@ class _Refinement:
 
 
 def _print_summary(done: Finished, compute: _Refinement) -> None:
-    from accelsurf.cli.outcome import summary_lines
-
-    lines = summary_lines(done.place.name, done)
+    lines = done.summary_lines(done.place.name)
     print("\n".join([lines[0], *compute.lines(), *lines[1:]]))
 
 

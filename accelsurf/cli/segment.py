@@ -127,9 +127,7 @@ def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
 
 def _summed_up(name: str, done: Finished, quiet: bool, profile: bool) -> int:
     """Print how the run ended, and where its seconds went; return the exit code."""
-    from accelsurf.cli.outcome import summary_lines
-
-    lines = [] if quiet else summary_lines(name, done)
+    lines = [] if quiet else done.summary_lines(name)
     if profile:
         lines += profile_lines({**done.result.seconds, **done.log.seconds}, done.result.kernels)
     if lines:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,23 @@ from accelsurf.levelset.transfer import transfer_fields
 from accelsurf.settings.trace_columns import measured
 
 
+class Continuation(NamedTuple):
+    """Grid of an evolution, the state that it continues from, and how it ends.
+
+    ``level`` of the grid, for the history: one above 0 has no last record without motion, as the surface continues on
+    the next level, whose first record has its state; ``corner``, first voxel (z, y, x) of the surface's box on the
+    level's grid; ``state`` of an evolution on another grid or under other settings (`LoopState.on_next_grid`);
+    ``fields`` of the flow on this band, None for zero momentum; ``stop_at_rest`` and ``end``, see `Evolution`.
+    """
+
+    level: int = 0
+    corner: Corner = (0, 0, 0)
+    state: LoopState | None = None
+    fields: list[np.ndarray] | None = None
+    stop_at_rest: bool = False
+    end: str = "lowest"
+
+
 class Evolution:
     """Evolves a surface; iterate over it to run, one `Step` at a time.
 
@@ -40,13 +57,8 @@ class Evolution:
         None never restarts.
     rule : StopRule or None
         None runs to ``max_steps``.
-    level : int
-        The grid's level, for the history. A level above 0 has no last record without motion: the surface continues on
-        the next level, whose first record has its state.
-    state : LoopState, optional
-        State to continue from, of an evolution on another grid or under other settings (`LoopState.on_next_grid`).
-    fields : list of ndarray (n,), optional
-        The fields of ``flow`` on this band; without them the flow starts with zero momentum.
+    begin : Continuation, optional
+        By default the evolution begins from zero momentum on the image's own grid.
 
     Attributes
     ----------
@@ -74,23 +86,20 @@ class Evolution:
         max_steps: int = 1000,
         restart: Restart | None = None,
         rule: StopRule | None = None,
-        level: int = 0,
-        state: LoopState | None = None,
-        fields: list[np.ndarray] | None = None,
+        begin: Continuation | None = None,
     ) -> None:
+        begin = begin or Continuation()
         self.surface, self.energy, self.flow = surface, energy, flow
         self.limits = limits or StepLimits()
         self.max_steps = max_steps
         self.restart = restart
         self.rule = rule
-        self.level = level
-        self.state = state or LoopState()
+        self.level, self.corner = begin.level, begin.corner
+        self.state = begin.state or LoopState()
         self.stop: Stop | None = None
-        self.corner: Corner = (0, 0, 0)
-        self.stop_at_rest = False
-        self.end = "lowest"
+        self.stop_at_rest, self.end = begin.stop_at_rest, begin.end
         self._stop_requested = False
-        self._fields = fields
+        self._fields = begin.fields
         self._initialized = False
 
     @classmethod
@@ -105,12 +114,9 @@ class Evolution:
         fields: list[np.ndarray] | None = None,
         corner: Corner = (0, 0, 0),
     ) -> Evolution:
-        """Return the evolution of a surface under solver settings; the other parameters are those of the class."""
-        made = cls(
-            surface, energy, setup.flow, setup.limits, max_steps, setup.restart, setup.rule, level, state, fields
-        )
-        made.corner, made.stop_at_rest, made.end = corner, setup.stop_at_rest, setup.end
-        return made
+        """Return the evolution of a surface under solver settings; the others are those of `Continuation`."""
+        begin = Continuation(level, corner, state, fields, setup.stop_at_rest, setup.end)
+        return cls(surface, energy, setup.flow, setup.limits, max_steps, setup.restart, setup.rule, begin)
 
     def use(self, setup: SolverSetup, energy: Energy | None = None) -> None:
         """Have other solver settings, and another energy unless it is None; a `restore` follows."""

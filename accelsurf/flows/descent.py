@@ -1,8 +1,5 @@
-"""Flows without inertia: their base, and plain L2 gradient descent, the baseline.
-
-Gradient descent with the plain momentum of the literature: the second baseline.
-
-Sobolev descent: the force smoothed along the surface by a solve at each step. The expensive baseline.
+"""Flows without inertia, the baselines: plain L2 gradient descent, descent with the momentum of the literature, and
+Sobolev descent, whose force is smoothed along the surface by a solve at each step.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Boxes of voxels: around a mask, made larger, where two overlap; and large arrays worked on a slab at a time.
-
-Pieces of a mask, connected through faces of voxels.
-"""
+"""Boxes of voxels: around a mask, made larger, the overlap of two; slabs of an array; connected pieces of a mask."""
 
 from __future__ import annotations
 

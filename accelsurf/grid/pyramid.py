@@ -5,7 +5,7 @@ voxel of a coarser level is a block of two voxels along each axis that is halved
 are centred on every other voxel and take half of its neighbours; the first and the last reach half a voxel beyond the
 border, where the array is continued linearly. Positions are (z, y, x) in voxels of level 0; its first voxel is at 0.
 
-On how many levels of a pyramid each part of an object is thick enough to be resolved.
+The number of levels is that on which each part of the first surface is thick enough to be resolved.
 """
 
 from __future__ import annotations

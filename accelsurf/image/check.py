@@ -1,6 +1,6 @@
-"""Check of an image's voxels before a run: can something be segmented, found from its planes in one pass.
+"""Checks of voxels before a run: an image has something to segment, a label map has whole numbers.
 
-Values of a label map as whole numbers, exactly.
+An image is checked in one pass over its planes.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ TRACK_FORMATS: Registry[TrackFormat] = Registry(
     "format of tracks",
     TrackFormat(
         "ctc", "folder of the Cell Tracking Challenge: res_track.txt and a TIFF for each frame", "RES",
-        "accelsurf.track.output.outputs:write", mark="res_track.txt",
+        "accelsurf.track.output.outputs:write_challenge", mark="res_track.txt",
     ),
     TrackFormat(
         "geff", "folder of the Graph Exchange File Format", "tracks.geff", "accelsurf.track.output.geff_file:write",

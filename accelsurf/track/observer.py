@@ -4,8 +4,8 @@ A surface shows only how far it has moved along its normal (the aperture problem
 fitted first: such that the predicted surface, shifted by b, lies on the measured one. Only what is left, delta, goes
 along the normal.
 
-The surfaces of two frames differ by noise, too, which has no momentum. Noise is rough, motion is even: what is left
-becomes velocity as far as it is even over the surface and more than what the roughness lets expect of noise.
+The surfaces of two frames differ by noise, too, which has no momentum. Noise is rough, motion is smooth: what is left
+becomes velocity as far as it is smooth over the surface and more than what the roughness lets expect of noise.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Records of a tracking: the objects of one frame, and the links between parents and children.
+"""Records of a tracking: the objects of one frame, and their identities.
 
-Identities: who begins where, is seen in which frames, came from whom, and why it ends.
+An identity has its first and last frame, the frames that do not show it, its parents and children, and its end.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """track(): objects through a sequence of images, frame by frame, from a first frame that is segmented as an image.
 
-Several sequences of one scene as the channels of one, as the settings of a tracking name them.
-
-The state of a tracking after a frame, as a file from which it goes on to the same bytes.
+Several sequences of one scene may be the channels of one. The state after each frame is a file, from which a tracking
+goes on to the same bytes.
 """
 
 from __future__ import annotations

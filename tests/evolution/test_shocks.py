@@ -24,7 +24,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from accelsurf.energies import RegionField
-from accelsurf.evolution.loop import Evolution
+from accelsurf.evolution.loop import Continuation, Evolution
 from accelsurf.flows import ConstantDensity, FlowableMass, StepLimits
 from accelsurf.flows.accelerated import Accelerated
 from accelsurf.levelset import LevelSet
@@ -60,7 +60,8 @@ def coasting(flow: Accelerated, height: np.ndarray, n: int, t_end: float) -> Ite
     if isinstance(flow, FlowableMass):
         speeds = [*np.ascontiguousarray(surface.normals().T, np.float32), *speeds]
     flow.start_moving(surface, speeds)
-    evolution = Evolution(surface, RegionField(np.zeros(surface.shape)), flow, max_steps=10_000, fields=flow.fields)
+    begin = Continuation(fields=flow.fields)
+    evolution = Evolution(surface, RegionField(np.zeros(surface.shape)), flow, max_steps=10_000, begin=begin)
     now = 0.0
     while t_end - now > 1e-9:
         # Speeds grow at shocks: the limiter would hold them at those of the step before.

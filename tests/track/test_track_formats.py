@@ -31,7 +31,7 @@ def flat(tmp_path):
 
 
 def test_challenge_has_a_new_track_after_a_gap_and_the_parents_of_a_division(cells, tmp_path):
-    outputs.write(cells, tmp_path / "RES")
+    outputs.write_challenge(cells, tmp_path / "RES")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 1 0\n2 0 2 0\n3 3 4 2\n4 3 4 2\n5 3 4 1\n"
     for number, ids in enumerate(({1: 1, 2: 2}, {1: 1, 2: 2}, {2: 2}, {1: 5, 3: 3, 4: 4}, {1: 5, 3: 3, 4: 4})):
         found = io.read(tmp_path / "RES" / f"mask{number:03d}.tif").array
@@ -45,21 +45,21 @@ def test_challenge_has_a_new_track_after_a_gap_and_the_parents_of_a_division(cel
 
 
 def test_challenge_has_one_parent_of_several(flat, tmp_path):
-    outputs.write(flat, tmp_path / "RES")
+    outputs.write_challenge(flat, tmp_path / "RES")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 2 0\n2 0 2 0\n3 3 3 1\n"
 
 
 def test_challenge_refuses_labels_beyond_16_bits(tmp_path):
     made = tracking(flat_cells().sequence.geometry, [{70000: Ball((0.0, 12.0, 12.0), 2.0)}])
     with pytest.raises(OutputError, match="label 70000"):
-        outputs.write(set_of(made, tmp_path), tmp_path / "RES")
+        outputs.write_challenge(set_of(made, tmp_path), tmp_path / "RES")
     assert not (tmp_path / "RES").exists()
 
 
 def test_an_object_without_a_voxel_is_in_no_frame_of_the_challenge(tmp_path):
     made = tracking(flat_cells().sequence.geometry, [{1: Ball((0.0, 12.0, 12.0), 2.0)}] * 3)
     made.results[1].objects[0].surface.psi[...] = 1.0  # shrunk between the voxels, and still tracked
-    outputs.write(set_of(made, tmp_path), tmp_path / "RES")
+    outputs.write_challenge(set_of(made, tmp_path), tmp_path / "RES")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 0 0\n2 2 2 1\n"
 
 
@@ -146,7 +146,7 @@ def test_tracks_of_no_object_can_be_written(tmp_path):
     made = tracking(flat_cells().sequence.geometry, [{}, {}])
     empty = set_of(made, tmp_path)
     empty = TrackSet("none", empty.sequence, empty.rows, Lineage((), ()), empty.store)
-    outputs.write(empty, tmp_path / "RES")
+    outputs.write_challenge(empty, tmp_path / "RES")
     trackmate_file.write(empty, tmp_path / "none.xml")
     geff_file.write(empty, tmp_path / "none.geff")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == ""
@@ -156,5 +156,5 @@ def test_tracks_of_no_object_can_be_written(tmp_path):
 def test_a_track_that_is_never_seen_has_no_line(tmp_path):
     made = tracking(flat_cells().sequence.geometry, [{1: Ball((0.0, 12.0, 12.0), 2.0)}])
     more = Lineage((*made.lineage.tracks, Track(2, 0, 0, (), "vanished")), ())
-    outputs.write(set_of(made._replace(lineage=more), tmp_path), tmp_path / "RES")
+    outputs.write_challenge(set_of(made._replace(lineage=more), tmp_path), tmp_path / "RES")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 0 0\n"
