@@ -45,7 +45,7 @@ class Shard(NamedTuple):
 
 
 def read_cases(given: Sequence[str], layout: Layout = "auto", tracking: bool = False) -> tuple[list[Case], str]:
-    """Return the cases that are named, in a fixed order, and what they were read from in words.
+    """Return the cases that are named, in a fixed order, and their source in words.
 
     Parameters
     ----------

@@ -92,7 +92,7 @@ class Place:
         return self.folder / f"{self.name}_checkpoint.npz"
 
     def refuse_left(self, *states: Path) -> None:
-        """Refuse to lose the work of a run that was stopped: what it has left in ``states``.
+        """Refuse to lose the state of a run that was stopped, in one of ``states``.
 
         Raises
         ------
@@ -189,7 +189,7 @@ class Log:
             self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - began
 
     def note_grid(self, geometry: Geometry) -> None:
-        """Take note of the image's grid."""
+        """Keep the image's grid."""
         self.geometry = geometry
 
     def take_checksum(self, image: Path) -> None:
@@ -239,7 +239,7 @@ class Finished:
 def run_case(
     place: Place, config: RunConfig, watcher: Watcher, strict: bool = False, compute: Compute | None = None
 ) -> Finished:
-    """Run a case and write its outputs, all at once; what is wrong with its result is printed.
+    """Run a case and write its outputs, all at once; print the shortcomings of its result.
 
     Parameters
     ----------
@@ -386,7 +386,7 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
 
 
 def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> None:
-    """Note what is said about an image, and check that the formats of the outputs can hold a result on its grid.
+    """Keep warning and grid of an image, and check that the formats of the outputs can hold a result on its grid.
 
     Raises
     ------

@@ -93,10 +93,10 @@ def compare(
             check_reference(truth, volume)
         watcher = Watcher(display)
         results = _evolve_each(volume, channels, configs, watcher)
-        facts: dict[str, Any] = {"input": describe_input(source, geometry=volume.geometry, checksum=io.sha256(source))}
-        facts["reference"] = describe_input(reference, checksum=io.sha256(reference)) if reference is not None else None
+        given: dict[str, Any] = {"input": describe_input(source, geometry=volume.geometry, checksum=io.sha256(source))}
+        given["reference"] = describe_input(reference, checksum=io.sha256(reference)) if reference is not None else None
         with watcher.writing():
-            code = conclude(results, files, paths, facts, truth, source.name, display.quiet)
+            code = conclude(results, files, paths, given, truth, source.name, display.quiet)
         watcher.note(f"the comparison so far is written: {paths['comparison'].absolute()}")
     return code
 
@@ -119,7 +119,7 @@ def conclude(
     results: Mapping[str, Result],
     files: FileSet,
     paths: Mapping[str, Path],
-    facts: Mapping[str, Any],
+    given: Mapping[str, Any],
     truth: Volume | None,
     title: str,
     quiet: bool,
@@ -133,7 +133,7 @@ def conclude(
         That the two files are put in place by.
     paths : mapping of str to Path
         ``comparison`` and ``picture``.
-    facts : mapping
+    given : mapping
         ``input`` and ``reference`` for the report.
     truth : Volume or None
     title : str
@@ -165,7 +165,7 @@ def conclude(
     picture, report = paths["picture"].name, paths["comparison"].name
     with naming_final(files):
         write_bytes(files.drafts / picture, preview.comparison_png(contents, title))
-        comparison = {**_heading(code, next(iter(results.values())).config), **facts, "runs": runs}
+        comparison = {**_heading(code, next(iter(results.values())).config), **given, "runs": runs}
         comparison["agreement_dice"] = _agreement_of_runs(results)
         comparison["outputs"] = describe_drafts(files, {picture: "picture"})
         write_bytes(files.drafts / report, (document.to_json(comparison) + "\n").encode())
@@ -306,11 +306,11 @@ def demo(
         results[place.name], code = done.result, max(code, done.code)
         if watcher.interrupted:
             break
-    facts = {"input": describe_input(image, geometry=phantom.image.geometry, checksum=io.sha256(image))}
-    facts["reference"] = describe_input(labels, checksum=io.sha256(labels))
+    given = {"input": describe_input(image, geometry=phantom.image.geometry, checksum=io.sha256(image))}
+    given["reference"] = describe_input(labels, checksum=io.sha256(labels))
     title = "A cube in noise: gradient descent and accelerated flow"
     with opened_set(output, "demo") as files, watcher.writing():
-        conclude(results, files, paths, facts, phantom.truth, title, display.quiet)
+        conclude(results, files, paths, given, phantom.truth, title, display.quiet)
     if not display.quiet:
         print(f"\nAll files are in {output.absolute()} ({time.perf_counter() - began:.0f} s)")
     return code

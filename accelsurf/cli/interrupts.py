@@ -29,8 +29,8 @@ _AGAIN_SECONDS = 0.05
 class Interrupts:
     """The handler of both signals while a command runs.
 
-    A signal raises KeyboardInterrupt, so that drafts are removed and the earlier result stays. While there is a result
-    to save (`patience`), a first Ctrl-C only asks the run to stop; the second raises.
+    A signal raises KeyboardInterrupt, so that staging files are removed and the earlier result stays. While there is a
+    result to save (`patience`), a first Ctrl-C only asks the run to stop; the second raises.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class Interrupts:
             self._hooks[-1](lost)
 
     def __call__(self, number: int, frame: FrameType | None = None) -> None:
-        """Take note of a signal; raise KeyboardInterrupt unless it only asks."""
+        """Count a signal; raise KeyboardInterrupt unless it only asks."""
         self.number = self.number if self.count else number
         self.count += 1
         if self._ending:
@@ -123,11 +123,11 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def note(self, text: str) -> None:
-        """Take note of the files on the disk, for the last line that is printed."""
+        """Keep a line about the files on the disk, for the last line that is printed."""
         self._outcome = text
 
     def report(self, kind: str = "") -> None:
-        """Print what is on the disk, once, if there was a signal.
+        """Print the line about the files on the disk, once, if there was a signal.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ MAX_ERROR, MAX_HINT = 390, 1000
 
 
 def without_garbage(message: str, arguments: Sequence[str]) -> str:
-    """Return a message of the command line's parser, with what was typed cut to a readable length.
+    """Return a message of the command line's parser, with the typed text cut to a readable length.
 
     Examples
     --------
@@ -267,7 +267,7 @@ class GuardedStream:
         return len(text)
 
     def flush(self) -> None:
-        """Write what is still in memory."""
+        """Write the text that is still in memory."""
         if self.error is None:
             try:
                 self._stream.flush()

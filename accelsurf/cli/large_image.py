@@ -212,7 +212,7 @@ class ObjectOptions:
         return self.jobs is not None or self.scheduler is not None
 
     def check(self, config: RunConfig) -> None:
-        """Refuse what does not fit together.
+        """Refuse options that exclude each other.
 
         Raises
         ------

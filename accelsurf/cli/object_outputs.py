@@ -112,7 +112,7 @@ def rows_of(done: ObjectsDone) -> list[dict[str, Any]]:
 
 
 def _link_meshes(done: ObjectsDone, files: FileSet, case: str) -> dict[str, str]:
-    """Put the meshes beside the other drafts; kind of each by its name."""
+    """Put the meshes beside the other staging files; kind of each by its name."""
     kinds = {}
     for record in done.records:
         for meshes in record.meshes:

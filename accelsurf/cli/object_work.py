@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from accelsurf.large.windowed import LargeImage
     from accelsurf.output.group_files import GroupRecord
 
-#: Settings that change nothing of what a group leaves.
+#: Settings without effect on the files of a group.
 _WITHOUT_EFFECT = ("threads", "checkpoint", "format")
 #: Modules that a group loads, so that a worker has it before its first one.
 _LOADED = ("accelsurf.large.many_objects", "accelsurf.output.document")
@@ -85,7 +85,7 @@ class GroupEnd(NamedTuple):
 
 
 def load() -> None:
-    """Load what every group needs."""
+    """Load the modules that every group needs."""
     for name in _LOADED:
         importlib.import_module(name)
 

@@ -25,7 +25,7 @@ _REPORT = "use a smaller --cfl; and please report this image and its settings"
 
 
 def shortcoming(name: str, result: Result, strict: bool) -> tuple[AccelsurfError | None, list[str]]:
-    """Return what is wrong with a result: an error or None, and warnings.
+    """Return the shortcomings of a result: an error or None, and warnings.
 
     Of several objects, one that vanished is a warning; it is an error when none remains.
 

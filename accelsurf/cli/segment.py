@@ -110,7 +110,7 @@ def _run(
 
 
 def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
-    """Refuse what is not known of many objects that are run in groups.
+    """Refuse options that have no effect on many objects that are run in groups.
 
     Raises
     ------

@@ -223,7 +223,7 @@ def view(
 
 
 def show_tracks(source: Path, tracks: Path, config: TrackConfig, page: PageOptions) -> int:
-    """Open a sequence with what ``accelsurf track`` has found in it, until the user ends it.
+    """Open a sequence with the tracks of ``accelsurf track``, until the user ends it.
 
     Parameters
     ----------
@@ -274,7 +274,7 @@ class _Shown(NamedTuple):
 
 
 def _check_given(image: Path | None, reference: Path | None, tracks: Path | None, times: TrackConfig) -> None:
-    """Refuse what lacks its image, or does not go together."""
+    """Refuse inputs that lack their image, or exclude each other."""
     if image is None and (times.frame_time is not None or times.frames_from_slices):
         key = "frames_from_slices" if times.frames_from_slices else "frame_time"
         raise UsageError(f"{key}: it was given without a sequence", "give the sequence, too")
@@ -307,7 +307,7 @@ def _is_local(page: PageOptions) -> bool:
 
 
 def _load() -> None:
-    """Load what window and page draw with; it takes seconds."""
+    """Load the libraries with which window and page draw; it takes seconds."""
     import accelsurf.viewer.actions.opening  # noqa: F401
 
 

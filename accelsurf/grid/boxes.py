@@ -104,7 +104,7 @@ def counted_from(box: Box, corner: Corner) -> Box:
 def with_halo(
     made: Callable[[Box], NDArray[Any]], box: Box, shape: Sequence[int], halo: Sequence[int]
 ) -> NDArray[Any]:
-    """Return what is made of a box, a view of what is made of one that is ``halo`` (z, y, x) voxels wider.
+    """Return the values that are made of a box, a view of those of a box that is ``halo`` (z, y, x) voxels wider.
 
     Parameters
     ----------
@@ -293,7 +293,7 @@ def connected_to(mask: NDArray[np.bool_], seeds: NDArray[np.bool_]) -> NDArray[n
 
 
 def holes_filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask (nz, ny, nx) with what it encloses: what is connected to no face of the grid.
+    """Return a mask (nz, ny, nx) with the voxels that it encloses: those connected to no face of the grid.
 
     In an image of one slice nothing is enclosed: all of it lies at a face.
 

@@ -1,4 +1,4 @@
-"""Measures on the band: shares of voxels, area, curvature, displacement, and what a redistancing did to it."""
+"""Measures on the band: shares of voxels, area, curvature, displacement, and the change by a redistancing."""
 
 from __future__ import annotations
 

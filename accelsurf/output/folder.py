@@ -110,6 +110,33 @@ def make_writable(folder: Path) -> None:
         raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
 
 
+def commit(files: FileSet, report: str, failed: bool, overwrite: bool, gone: Sequence[str] = ()) -> None:
+    """Put the staged files of a run in place, the report last; outdated files of an earlier run are removed.
+
+    Parameters
+    ----------
+    files : FileSet
+    report : str
+        Name of the report.
+    failed : bool
+        Whether the run failed.
+    overwrite : bool
+        Whether an earlier result may be replaced.
+    gone : sequence of str, optional
+        Further files that are removed.
+
+    Raises
+    ------
+    OutputError
+        When a file exists that may not be replaced: another program may have put it there while the run went on.
+    """
+    written = [path.name for path in files.drafts.iterdir()]
+    if not (failed or overwrite):
+        refuse_existing({"report" if name == report else name: files.folder / name for name in written}, False)
+    name = report.removesuffix(report_name(""))
+    files.commit(last=report, remove=[*outdated(files.folder, name, written, failed, overwrite), *gone])
+
+
 @contextmanager
 def opened_set(folder: Path, name: str, inputs: Sequence[Path] = ()) -> Iterator[FileSet]:
     """Make a folder, and prepare the files of a run in it; see `accelsurf.io.file_set.open_set`.
@@ -149,33 +176,6 @@ def naming_final(files: FileSet) -> Iterator[None]:
             f"{files.folder / name}: cannot be written ({error.strerror or error})",
             f"may {files.folder} be written to, is there space on the disk, is a file of it open in another program?",
         ) from error
-
-
-def commit(files: FileSet, report: str, failed: bool, overwrite: bool, gone: Sequence[str] = ()) -> None:
-    """Put the staged files of a run in place, the report last; outdated files of an earlier run are removed.
-
-    Parameters
-    ----------
-    files : FileSet
-    report : str
-        Name of the report.
-    failed : bool
-        Whether the run failed.
-    overwrite : bool
-        Whether an earlier result may be replaced.
-    gone : sequence of str, optional
-        Further files that are removed.
-
-    Raises
-    ------
-    OutputError
-        When a file exists that may not be replaced: another program may have put it there while the run went on.
-    """
-    written = [path.name for path in files.drafts.iterdir()]
-    if not (failed or overwrite):
-        refuse_existing({"report" if name == report else name: files.folder / name for name in written}, False)
-    name = report.removesuffix(report_name(""))
-    files.commit(last=report, remove=[*outdated(files.folder, name, written, failed, overwrite), *gone])
 
 
 #: Settings that are places, and kinds of places that name a file: ``label:FILE``.

@@ -162,7 +162,7 @@ _OBJECT_KEYS = {key for solid in SOLIDS.values() for key in inspect.signature(so
 
 @dataclass(frozen=True, eq=False)
 class Phantom:
-    """A synthetic volume and what is known about it.
+    """A synthetic volume and its exact measures.
 
     Attributes
     ----------

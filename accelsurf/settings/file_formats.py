@@ -114,7 +114,7 @@ class ImageFormat:
     distances: str | None = None
 
 
-_FORMATS = "accelsurf.io.formats"
+_FORMATS, _SEQUENCES = "accelsurf.io.formats", "accelsurf.io.sequences"
 #: Options of formats that may hold several channels and time points.
 _PARTS = ("channel_index", "time_index", "channels_from_time")
 
@@ -122,14 +122,14 @@ _PARTS = ("channel_index", "time_index", "channels_from_time")
 _NIFTI: dict[str, Any] = {
     "read": f"{_FORMATS}.nifti_volumes:read_nifti",
     "options": _PARTS,
-    "sequence": "accelsurf.io.sequences.packed:NiftiFrames",
+    "sequence": f"{_SEQUENCES}.packed:NiftiFrames",
     "read_channels": f"{_FORMATS}.nifti_volumes:read_nifti_channels",
     "is_anatomical": f"{_FORMATS}.nifti_grid:is_anatomical",
 }
 _ITK: dict[str, Any] = {
     "read": f"{_FORMATS}.itk_volumes:read_by_itk",
     "options": _PARTS,
-    "sequence": "accelsurf.io.sequences.packed:ItkFrames",
+    "sequence": f"{_SEQUENCES}.packed:ItkFrames",
     "read_channels": f"{_FORMATS}.itk_volumes:read_channels_by_itk",
     "open": f"{_FORMATS}.itk_volumes:open_raw",
 }
@@ -141,7 +141,7 @@ _NRRD: dict[str, Any] = {
 _METAIMAGE: dict[str, Any] = {
     "parse": f"{_FORMATS}.nrrd_metaimage:parse_metaimage",
     "write": f"{_FORMATS}.itk_volumes:write_metaimage",
-    "write_frames": f"{_FORMATS}.sequence_files:write_metaimage",
+    "write_frames": f"{_SEQUENCES}.sequence_files:write_metaimage",
     **_ITK,
 }
 
@@ -153,7 +153,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         (".nii.gz",),
         parse=f"{_FORMATS}.nifti:read_compressed_header",
         write=f"{_FORMATS}.nifti_volumes:write_compressed",
-        write_frames=f"{_FORMATS}.sequence_files:write_packed_nifti",
+        write_frames=f"{_SEQUENCES}.sequence_files:write_packed_nifti",
         **_NIFTI,
     ),
     ImageFormat(
@@ -162,7 +162,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         (".nii",),
         parse=f"{_FORMATS}.nifti:read_plain_header",
         write=f"{_FORMATS}.nifti_volumes:write_nifti",
-        write_frames=f"{_FORMATS}.sequence_files:write_nifti",
+        write_frames=f"{_SEQUENCES}.sequence_files:write_nifti",
         open=f"{_FORMATS}.nifti_volumes:open_nifti",
         store=f"{_FORMATS}.nifti_volumes:store_nifti",
         **_NIFTI,
@@ -172,7 +172,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         "NRRD; written compressed",
         (".nrrd",),
         write=f"{_FORMATS}.itk_volumes:write_nrrd",
-        write_frames=f"{_FORMATS}.sequence_files:write_nrrd",
+        write_frames=f"{_SEQUENCES}.sequence_files:write_nrrd",
         **_NRRD,
     ),
     ImageFormat("nhdr", "NRRD, a header that names its data file; read only", (".nhdr",), **_NRRD),
@@ -186,7 +186,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.ome_zarr:read_ome_zarr",
         f"{_FORMATS}.ome_zarr:write_ome_zarr",
         ("level", *_PARTS),
-        write_frames=f"{_FORMATS}.ome_zarr_frames:write_ome_zarr_frames",
+        write_frames=f"{_SEQUENCES}.ome_zarr_frames:write_ome_zarr_frames",
         is_anatomical=f"{_FORMATS}.ome_metadata:is_oriented",
         read_channels=f"{_FORMATS}.ome_zarr:read_ome_zarr_channels",
         write_labels=f"{_FORMATS}.ome_zarr:write_labels",
@@ -217,7 +217,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.tiff_image:read_tiff",
         f"{_FORMATS}.tiff_file:write_tiff",
         ("level", *_PARTS, "spacing"),
-        write_frames=f"{_FORMATS}.tiff_frames:write_tiff_frames",
+        write_frames=f"{_SEQUENCES}.tiff_frames:write_tiff_frames",
         read_channels=f"{_FORMATS}.tiff_image:read_tiff_channels",
         open=f"{_FORMATS}.tiff_image:open_tiff",
         has_levels=True,
@@ -233,7 +233,7 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.dicom:read_dicom",
         options=("series", "resample", "spacing"),
         read_labels=f"{_FORMATS}.dicom:read_labels",
-        sequence="accelsurf.io.sequences.sources:DicomFrames",
+        sequence=f"{_SEQUENCES}.sources:DicomFrames",
         is_anatomical=f"{_FORMATS}.dicom:is_anatomical",
         is_folder=f"{_FORMATS}.dicom:holds_dicom",
         is_file=f"{_FORMATS}.dicom:is_dicom",

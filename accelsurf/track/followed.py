@@ -1,4 +1,4 @@
-"""An object that is followed: its momentum, what it looked like when it was seen last, its mesh."""
+"""An object that is followed: its momentum, its appearance when it was seen last, its mesh."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class MeshCarrier:
 
 
 def _topology_of(piece: SurfacePiece) -> tuple[int, int]:
-    """Parts inside, and parts of what is outside: they change where an object divides, merges or encloses something."""
+    """Numbers of parts inside and outside: they change where an object divides, merges or encloses something."""
     inside = np.pad(piece.psi < 0, 1, mode="edge")
     outside = np.pad(piece.psi >= 0, 1, constant_values=True)
     return int(ndimage.label(inside)[1]), int(ndimage.label(outside)[1])
@@ -153,7 +153,7 @@ class Followed:
         return x, y, z
 
     def note_seen(self, found: Measured, profile: Profile, time: float, geometry: Geometry) -> None:
-        """Note what the frame showed, after the momentum was corrected by it."""
+        """Keep the measures of the frame, after the momentum was corrected by it."""
         self.profile, self.volume_mm3, self.area_mm2 = profile, found.volume_mm3, found.area_mm2
         self.centroid, self.velocity = self.momentum.centroid(), self.momentum.mean_velocity()
         self.time, self.quality, self.missing = time, found.quality, 0

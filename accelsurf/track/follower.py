@@ -1,4 +1,4 @@
-"""From one frame to the next: prediction, what the frame shows, correction, identities."""
+"""From one frame to the next: prediction, measurement, correction, identities."""
 
 from __future__ import annotations
 
@@ -193,7 +193,7 @@ class Follower:
     # -- identities ----------------------------------------------------------------------------------------
 
     def _begin_clicked(self, found: dict[int, Measured], arrival: Arrival) -> None:
-        """Begin what corrections of the frame have made, and end what they have taken away."""
+        """Begin the objects that corrections of the frame have made, and end those that they have removed."""
         if not arrival.refinements:
             return
         ids = {followed.id for followed in self.objects}
@@ -259,7 +259,7 @@ class Follower:
             self._take_in(found[place], Whole(like, usual), absent, arrival)
 
     def _take_in(self, found: Measured, whole: Whole, absent: list[Followed], arrival: Arrival) -> None:
-        """Link what has appeared to an object that was missing, or let it enter; ``whole`` is a usual object."""
+        """Link a part that has appeared to an object that was missing, or let it enter; ``whole`` is a usual object."""
         if not found.surface.psi.size:
             return
         found = self._largest(found)

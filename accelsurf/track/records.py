@@ -103,7 +103,7 @@ class TrackedObject:
 
 @dataclass(frozen=True, eq=False)
 class FrameResult:
-    """The objects of one frame; what `accelsurf.track.track` yields, one frame at a time.
+    """The objects of one frame, as `accelsurf.track.track` yields them, one frame at a time.
 
     Attributes
     ----------

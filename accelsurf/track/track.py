@@ -77,7 +77,7 @@ class JoinedSequence(ImageSequence):
 
 
 def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:
-    """Open what is tracked, with the channels that the settings add; the headers are read.
+    """Open the sequence that is tracked, with the channels that the settings add; the headers are read.
 
     Parameters
     ----------
@@ -571,7 +571,7 @@ def read(path: Path) -> tuple[Header, TrackState]:
 
 
 def refuse_another(path: Path, header: Header, expected: Header) -> None:
-    """Refuse the state of another tracking; what differs is named.
+    """Refuse the state of another tracking, and name the difference.
 
     Raises
     ------

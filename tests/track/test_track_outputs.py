@@ -12,6 +12,7 @@ import trimesh
 from accelsurf import io
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.settings.track_fields import TRACK_FORMATS, TrackFormat
+from accelsurf.track.output import outputs as track_outputs
 from accelsurf.track.output.document import TrackRun
 from accelsurf.track.output.files import TrackFiles
 from accelsurf.track.output.outputs import TrackOutputs
@@ -214,7 +215,7 @@ def test_a_report_that_cannot_be_written_does_not_hide_what_went_wrong(tmp_path,
     def fail(path, content):
         raise OutputError("the disk is full")
 
-    monkeypatch.setattr("accelsurf.track.output.outputs.write_bytes", fail)
+    monkeypatch.setattr(track_outputs, "write_bytes", fail)
     with pytest.raises(InputError, match="frame 3"), TrackOutputs(tmp_path, "cells", dividing_cells().sequence):
         raise InputError("frame 3 cannot be read")
     assert list(tmp_path.iterdir()) == []

@@ -48,7 +48,7 @@ class TrackFiles:
     also: tuple[str, ...] = ()
 
     def check(self, geometry: Geometry) -> None:
-        """Refuse what cannot be written of frames on a grid.
+        """Refuse files that cannot be written of frames on a grid.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Tracks as GEFF, the Graph Exchange File Format: a folder of Zarr with nodes, edges and what is known of them.
+"""Tracks as GEFF, the Graph Exchange File Format: a folder of Zarr with nodes, edges and their properties.
 
 Written to version 1 of its specification (live-image-tracking-tools/geff, MIT). Zarr of version 2, as its own library
 writes by default, and uncompressed: the arrays are small, and any reader opens them.

@@ -226,7 +226,7 @@ class TrackOutputs:
     # -------------------------------------------------------------------------------------------------------- end
 
     def _write_all(self, tracks: TrackSet) -> dict[str, str]:
-        """Write the drafts of all files but the report; kind by name."""
+        """Write the staging files of all outputs but the report; kind by name."""
         names, kinds = self.files.names(self.name), {}
         for path in sorted(self._mesh_folder.iterdir()):
             if not is_of_frame(path.name, self.name) or path.is_symlink() or not path.is_file():
