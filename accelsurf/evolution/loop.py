@@ -68,7 +68,7 @@ class Evolution:
     corner : (z, y, x)
         First voxel of the surface's box on the level's grid.
     stop_at_rest : bool
-        Whether to go back to where the front rested when it breaks through from there, and end.
+        Whether to go back to a plateau of the front speed when the front breaks through from there, and end.
     end : {"lowest", "present"}
         The state after the last of ``max_steps``: that of the lowest energy, or the present one.
 
@@ -267,7 +267,7 @@ class Evolution:
         reason = self._reason_to_stop(n, potential)
         decision = self._decide(n, reason)
         if decision != "stay":
-            lowest.go_back(state, n, area, surface, flow, self.energy)
+            self._return_to_lowest(n, area)
             if decision == "continue":
                 reason = None
             elif reason is None:
@@ -276,7 +276,7 @@ class Evolution:
             potential = state.potential
         columns = self._columns(n, potential, fraction, area) | {"returned": decision != "stay"}
         if reason is None and (rest := self._left_rest(n, columns)) is not None:
-            fraction, area = rests.go_back(rest, state, area, surface, self.energy, flow, self.corner)
+            fraction, area = self._return_to_plateau(rest, area)
             columns = self._columns(n, state.potential, fraction, area) | {"returned": True, "back_to": rest.at.step}
             reason = Reason("rested", rests.WHY.format(rest.at.step))
         if reason is not None:
@@ -395,12 +395,35 @@ class Evolution:
         elif state.lowest is not None:
             self.state.lowest = lowest.completed(state.lowest, surface)
         since = n - max(state.returned_at, state.lowest.step if state.lowest else 0)
-        decision = lowest.decide(reason, state, surface, since, self.rule.motion)
+        decision = lowest.decide(
+            reason, state.lowest, state.returns, state.potential, surface, since, self.rule.motion
+        )
         # On a coarse level the surface has only come near its end.
         return "stay" if decision == "end" and self.level > 0 and reason is not None else decision
 
+    def _return_to_lowest(self, n: int, area: np.ndarray) -> None:
+        """Go back to the state of the lowest potential, at rest, before step ``n``; the next steps are shorter."""
+        surface, flow, state = self.surface, self.flow, self.state
+        assert state.lowest is not None
+        before = state.potential + flow.energy(area)
+        state.lowest.restore(surface, flow, self.energy)
+        fraction, area = surface.fraction_and_area()
+        flow.zero_momentum(area)
+        state.record_return(self.energy.value(surface, fraction, area), n)
+        if math.isfinite(before):
+            state.budget.record_loss(before - state.potential - flow.energy(area))
+
+    def _return_to_plateau(self, rest: rests.FoundRest, area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Go back to a plateau, without momentum; return the volume fractions and areas there."""
+        state, flow = self.state, self.flow
+        before = state.potential + flow.energy(area)
+        fraction, area = rests.go_back(rest, self.surface, self.energy, flow, self.corner)
+        state.record_rest(self.energy.value(self.surface, fraction, area))
+        state.budget.record_loss(before - state.potential - flow.energy(area))
+        return fraction, area
+
     def _left_rest(self, n: int, columns: dict[str, Any]) -> rests.FoundRest | None:
-        """Watch for a rest; the one that the surface has just broken through from, if the run shall end at it."""
+        """Watch for a plateau; return the one that the front has just broken through from, if the run ends at it."""
         state, found = self.state, len(self.state.rests.found)
         now = rests.Moment(n, self.level, columns["volume_mm3"], columns["area_mm2"], self.corner)
         self.state.rests = rests.watched(state.rests, self.history[state.first :], now, self.surface, state.fields)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -12,9 +11,6 @@ from accelsurf.evolution.records import Reason
 from accelsurf.flows import Flow
 from accelsurf.levelset import LevelSet, Snapshot
 from accelsurf.levelset.checkpoint import SurfaceState, band_state, complete_state, restore_surface
-
-if TYPE_CHECKING:
-    from accelsurf.evolution.state import LoopState
 
 #: A run goes back when it has found no lower potential in so many steps and the surface has moved away since.
 PATIENCE = 60
@@ -84,36 +80,34 @@ def completed(lowest: LowestState, surface: LevelSet) -> LowestState:
     return lowest._replace(surface=complete_state(lowest.surface, surface), complete=True)
 
 
-def go_back(state: LoopState, n: int, area: np.ndarray, surface: LevelSet, flow: Flow, energy: Energy) -> None:
-    """Go back to the state of the lowest potential, at rest, before step ``n``; the steps from there are shorter."""
-    assert state.lowest is not None
-    before = state.potential + flow.energy(area)
-    state.lowest.restore(surface, flow, energy)
-    fraction, area = surface.fraction_and_area()
-    flow.zero_momentum(area)
-    state.record_return(energy.value(surface, fraction, area), n)
-    if math.isfinite(before):
-        state.budget.record_loss(before - state.potential - flow.energy(area))
-
-
-def decide(reason: Reason | None, state: LoopState, surface: LevelSet, since: int, same: float) -> Decision:
+def decide(
+    reason: Reason | None,
+    lowest: LowestState | None,
+    returns: int,
+    potential: float,
+    surface: LevelSet,
+    since: int,
+    same: float,
+) -> Decision:
     """Decide if the loop goes back to the lowest state.
 
     Parameters
     ----------
     reason : Reason or None
         Why the run would end here; None while it goes on.
-    state : LoopState
-        With the present potential.
+    lowest : LowestState or None
+    returns : int
+        How often the run went back.
+    potential : float
+        The present one.
     surface : LevelSet
-        Now.
+        The present one.
     since : int
         Steps since the lowest state, or since it was last gone back to.
     same : float
         Mean distance, voxels, up to which two surfaces count as the same: the run just ends at the lower one.
     """
-    lowest, returns = state.lowest, state.returns
-    if lowest is None or not lowest.is_below(state.potential):
+    if lowest is None or not lowest.is_below(potential):
         return "stay"
     name = None if reason is None else reason.name
     if name in ("vanished", "filled"):

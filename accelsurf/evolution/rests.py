@@ -1,14 +1,14 @@
-"""Rests: where a growing front nearly stops, before it breaks through to something else.
+"""Plateaus of the front speed: a growing front nearly stops, before it breaks through to something else.
 
 The speed of the front is its rate of volume per area, dV/dt / A, over the last `WINDOW` steps. It rests where that
 falls below `SLOW` of its peak, at its least, and breaks through where it rises again: above `BURST` of the peak and
-twice the least, once the volume has grown by `GROWTH`. What follows is mostly a leak.
+twice the least, once the volume has grown by `GROWTH`. The growth after it is mostly a leak.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,17 +20,14 @@ from accelsurf.levelset import LevelSet
 from accelsurf.levelset.checkpoint import SurfaceState, band_state, complete_state, psi_of
 from accelsurf.settings.budgets import MAX_RESTS
 
-if TYPE_CHECKING:
-    from accelsurf.evolution.state import LoopState
-
 #: Steps that the speed is a mean over; parts of the peak below which a front may rest and above which it breaks
 #: through; part of the volume that it has grown by then.
 WINDOW, SLOW, BURST, GROWTH = 5, 0.5, 0.04, 0.05
-#: Below this part of the peak it is as good as still.
+#: Below this part of the peak the front counts as still.
 STILL = 0.01
-#: A front without momentum is slow for this many steps: no rest.
+#: A front without momentum is slow for this many steps: no plateau.
 AFTER_RESTART = 10
-#: Why a run ends at one.
+#: Why a run ends at a plateau.
 WHY = "it rested at step {}, before it broke through to something else"
 
 
@@ -51,7 +48,7 @@ class Slowest(NamedTuple):
 
 
 class FoundRest(NamedTuple):
-    """Rest of the front (``at``), the step ``left_at`` in which it was seen to break through, and the voxel
+    """Plateau of the front speed (``at``), the step ``left_at`` in which it was seen to break through, and the voxel
     ``place`` (z, y, x) of that level's grid in which it grew fastest then.
     """
 
@@ -61,10 +58,10 @@ class FoundRest(NamedTuple):
 
 
 class RestWatch(NamedTuple):
-    """Rests found so far; a value, replaced at each step.
+    """Plateaus found so far; a value, replaced at each step.
 
     ``peak`` speed of the front, mm per unit of flow time; ``slowest`` state since it fell below `SLOW` of that; the
-    rests ``found``, on all grids.
+    plateaus ``found``, on all grids.
     """
 
     peak: float = 0.0
@@ -157,19 +154,18 @@ def _is_slowest(watch: RestWatch, speed: float, now: Moment) -> bool:
     """Test if it grows slower than at any time since it fell below `SLOW`; after an overshoot where it is smallest."""
     if watch.slowest is None:
         return speed < SLOW * watch.peak
-    # What creeps on from a rest is not more at rest later.
+    # A front that creeps on from a plateau has no later one that is slower.
     slower = STILL * watch.peak < watch.slowest.speed and 0.0 < speed < watch.slowest.speed
     return slower or (speed <= 0.0 and now.volume_mm3 < watch.slowest.volume_mm3)
 
 
 def go_back(
-    rest: FoundRest, state: LoopState, area: np.ndarray, surface: LevelSet, energy: Energy, flow: Flow, corner: Corner
+    rest: FoundRest, surface: LevelSet, energy: Energy, flow: Flow, corner: Corner
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Go back to a rest on this level, in a box from voxel ``corner`` on that has grown since at most.
+    """Go back to a plateau on this level, in a box from voxel ``corner`` on that has grown since at most.
 
     Energy and flow start anew on it, without momentum. Returns the volume fractions and areas there.
     """
-    before = state.potential + flow.energy(area)
     psi = surface.dense.psi.reshape(surface.shape)
     psi.fill(surface.gamma)
     z, y, x = (slice(c - k, c - k + n) for c, k, n in zip(rest.at.corner, corner, rest.at.shape, strict=True))
@@ -177,10 +173,7 @@ def go_back(
     surface.reinitialize(surface.requested_half_width)
     energy.start(surface)
     flow.start(surface)
-    fraction, area = surface.fraction_and_area()
-    state.record_rest(energy.value(surface, fraction, area))
-    state.budget.record_loss(before - state.potential - flow.energy(area))
-    return fraction, area
+    return surface.fraction_and_area()
 
 
 def fastest_place(fields: StepFields, shape: tuple[int, int, int], corner: Corner) -> Corner:

@@ -105,7 +105,7 @@ class LoopState:
     moved : float
         Its mean distance from there to ``snapshot``, voxels; NaN if there was none.
     rests : RestWatch
-        Where the front rested, and what is needed to find the next place.
+        Plateaus of the front speed, and the values with which the next one is found.
     """
 
     history: list[StepRecord] = field(default_factory=list)
@@ -183,7 +183,7 @@ class LoopState:
         self.snapshot, self.earlier, self.moved, self.fields = None, None, math.nan, None
 
     def record_rest(self, potential: float) -> None:
-        """Record that the surface went back to where its front rested."""
+        """Record that the surface went back to a plateau of its front speed."""
         self.potential = potential
 
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from accelsurf.kernels import fast_marching, march, residues
 from accelsurf.levelset.extension import FAST_MARCHING
-
-if TYPE_CHECKING:
-    from accelsurf.levelset.level_set import LevelSet
-    from accelsurf.levelset.measures import Motion
+from accelsurf.levelset.measures import BandSurface, Motion
 
 #: Rounds in which closest points are passed on: more than the cells of a path through the band.
 MAX_ROUNDS = 64
@@ -30,7 +27,7 @@ class ClosestPoints(NamedTuple):
     size: int
 
 
-def find_closest_points(surface: LevelSet) -> ClosestPoints:
+def find_closest_points(surface: BandSurface) -> ClosestPoints:
     """Find the closest points of the zero level of psi as it is; cells that may enter get a slot in ``dense.slot``.
 
     Where ``surface.residues`` is None psi has been no distance yet: the interpolation is limited instead.
@@ -77,7 +74,7 @@ def find_closest_points(surface: LevelSet) -> ClosestPoints:
     return ClosestPoints(cells, to_closest, state, size)
 
 
-def find_residues(surface: LevelSet, moved: Motion) -> np.ndarray:
+def find_residues(surface: BandSurface, moved: Motion) -> np.ndarray:
     """Residues (n,) float32 of psi at the closest points of the band, ``moved`` since."""
     parallel, psi, slot = surface.workers.parallel, surface.dense.psi, surface.dense.slot
     motion = np.ascontiguousarray(moved.velocity, np.float32), float(moved.dt)
@@ -93,7 +90,7 @@ def find_residues(surface: LevelSet, moved: Motion) -> np.ndarray:
     return out
 
 
-def beside_surface(surface: LevelSet, psi: np.ndarray) -> np.ndarray:
+def beside_surface(surface: BandSurface, psi: np.ndarray) -> np.ndarray:
     """Mask (n,) of the band cells with a neighbour on the other side, by ``psi`` (n,)."""
     beside, where = np.empty(surface.size, np.bool_), (surface.dense.slot, surface.grid, surface.band.cells)
     surface.workers.parallel(fast_marching.cells_beside, surface.size, *where, psi, beside)

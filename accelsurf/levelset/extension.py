@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from accelsurf.kernels import band as band_kernels
 from accelsurf.kernels import motion, transport
 from accelsurf.kernels.grid import Band
-
-if TYPE_CHECKING:
-    from accelsurf.levelset.level_set import LevelSet
-    from accelsurf.levelset.measures import Motion
-    from accelsurf.levelset.threads import Workers
-
+from accelsurf.levelset.measures import BandSurface, Motion
+from accelsurf.levelset.threads import Workers
 
 #: How distances and fields get from the front to the cells further off: by closest points, or by a fast march.
 CLOSEST_POINT, FAST_MARCHING = "closest-point", "fast-marching"
@@ -38,7 +34,7 @@ class ExtensionTable(NamedTuple):
         workers.parallel(band_kernels.extend_outwards, self.off.size, self.off, self.slots, self.shares, values)
 
 
-def extension_table(surface: LevelSet, front: np.ndarray, off: np.ndarray) -> ExtensionTable:
+def extension_table(surface: BandSurface, front: np.ndarray, off: np.ndarray) -> ExtensionTable:
     """Return the table by which the slots ``off`` (m,) read the cells of ``front`` (n,)."""
     off = off.astype(np.uint32)
     table = np.empty((off.size, 8), np.uint32), np.empty((off.size, 8), np.float32)
@@ -74,7 +70,7 @@ class FrontRows(NamedTuple):
         beside = self.order[self.on.size :]
         workers.parallel(band_kernels.extend_quadratically, self.off.size, beside, self.read, self.shares, values)
 
-    def turned(self, surface: LevelSet, component: int) -> FrontRows:
+    def turned(self, surface: BandSurface, component: int) -> FrontRows:
         """The rows of a vector's ``component``: beyond the borders across that axis it has the other sign."""
         turning = np.flatnonzero(self.mirrored & (1 << component))
         if turning.size == 0:
@@ -86,7 +82,7 @@ class FrontRows(NamedTuple):
         return self._replace(shares=shares)
 
 
-def front_rows(surface: LevelSet, front: np.ndarray) -> FrontRows:
+def front_rows(surface: BandSurface, front: np.ndarray) -> FrontRows:
     """The rows of the ``front`` (n,) and of the cells beside it: a Laplacian on the front reads no others."""
     parallel, n, on = surface.workers.parallel, surface.size, np.flatnonzero(front)
     slots, walls, near = np.empty((on.size, 6), np.int32), np.empty(on.size, np.int8), np.zeros(n, np.bool_)
@@ -104,7 +100,7 @@ def front_rows(surface: LevelSet, front: np.ndarray) -> FrontRows:
 
 
 def _quadratic_table(
-    surface: LevelSet, row_of: np.ndarray, off: np.ndarray, component: int
+    surface: BandSurface, row_of: np.ndarray, off: np.ndarray, component: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find how the slots ``off`` (k,) read the rows ``row_of`` (n,) has: (read, shares, mirrored), see `FrontRows`."""
     table = np.empty((off.size, 10), np.uint32), np.empty((off.size, 10), np.float32), np.empty(off.size, np.int8)
@@ -114,7 +110,7 @@ def _quadratic_table(
 
 
 def sampled(
-    surface: LevelSet, new: Band, front: np.ndarray, fields: Sequence[np.ndarray]
+    surface: BandSurface, new: Band, front: np.ndarray, fields: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
     """Return fields (n_old,) on the ``front`` (n,) of a new band: their values at each closest point."""
     if not fields:
@@ -128,7 +124,7 @@ def sampled(
 
 
 def advected(
-    surface: LevelSet, new: Band, fields: Sequence[np.ndarray], moved: Motion
+    surface: BandSurface, new: Band, fields: Sequence[np.ndarray], moved: Motion
 ) -> list[np.ndarray]:
     """Return fields (n_old,) on a new band, from the points that ``moved`` there.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,13 +11,11 @@ from accelsurf.kernels.band import MIN_DISTANCE
 from accelsurf.kernels.fast_marching import ACCEPTED, FAR
 from accelsurf.levelset.closest_points import MAX_ROUNDS, ClosestPoints, beside_surface
 from accelsurf.levelset.extension import FAST_MARCHING, ExtensionTable, extension_table
-
-if TYPE_CHECKING:
-    from accelsurf.levelset.level_set import LevelSet
-    from accelsurf.levelset.threads import Workers
+from accelsurf.levelset.measures import BandSurface
+from accelsurf.levelset.threads import Workers
 
 
-def march_outwards(surface: LevelSet) -> ClosestPoints:
+def march_outwards(surface: BandSurface) -> ClosestPoints:
     """Find closest points as `closest_points.find_closest_points`, with only those beside the surface sought in psi.
 
     Distances further off are those of a fast march, and the closest points fields that it carries.
@@ -51,7 +49,7 @@ def _with_room(known: tuple[np.ndarray, ...], heap: tuple[np.ndarray, ...]) -> t
     return rows, tuple(np.concatenate([row, np.zeros(more, row.dtype)]) for row in heap)
 
 
-def _find_closest_beside(surface: LevelSet, front: np.ndarray, to_closest: np.ndarray) -> None:
+def _find_closest_beside(surface: BandSurface, front: np.ndarray, to_closest: np.ndarray) -> None:
     """Closest points of the slots ``front`` (m,) into ``to_closest``: from psi, and closer ones from each other."""
     parallel, grid, dense, n = surface.workers.parallel, surface.grid, surface.dense, surface.size
     known = surface.residues
@@ -93,7 +91,7 @@ class UpwindExtension(NamedTuple):
         workers.serial(fast_marching.carry_outwards, self.off, self.slots, self.shares, values)
 
 
-def extension_from(surface: LevelSet, front: np.ndarray) -> ExtensionTable | UpwindExtension:
+def extension_from(surface: BandSurface, front: np.ndarray) -> ExtensionTable | UpwindExtension:
     """The extension of values known on the ``front`` (n,) to the band, as the surface's setting has it."""
     if surface.extension != FAST_MARCHING:
         return extension_table(surface, front, np.flatnonzero(~front))

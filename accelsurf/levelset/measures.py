@@ -2,14 +2,44 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from accelsurf.kernels import statistics
+from accelsurf.kernels.grid import Band, DenseArrays, Grid
+from accelsurf.levelset.threads import Workers
 
-if TYPE_CHECKING:
-    from accelsurf.levelset.level_set import LevelSet
+#: A part of the surface that is further than so many voxels from an earlier surface is still moving.
+FAR = 2.0
+
+
+class BandSurface(Protocol):
+    """Surface on a band, as far as the functions on it need it; `LevelSet` describes each attribute."""
+
+    grid: Grid
+    band: Band
+    dense: DenseArrays
+    workers: Workers
+    gamma: np.float32
+    half_width: float
+    extension: str
+
+    @property
+    def size(self) -> int:
+        """Number of band cells."""
+
+    @property
+    def smallest_spacing(self) -> float:
+        """Smallest spacing, mm."""
+
+    @property
+    def residues(self) -> np.ndarray | None:
+        """Residues (n,) of the signed distance; None where psi has been no distance yet."""
+
+    def fraction_and_area(self) -> tuple[np.ndarray, np.ndarray]:
+        """Share of each band voxel that is inside, and its part of the surface's area (mm2)."""
+
 
 class Measures(NamedTuple):
     """Measures on the band, see `LevelSet.fraction_and_area` and `LevelSet.curvature`.
@@ -44,10 +74,6 @@ class BandChange(NamedTuple):
     fields: list[np.ndarray]
 
 
-#: A part of the surface that is further than so many voxels from an earlier surface is still moving.
-FAR = 2.0
-
-
 class Snapshot(NamedTuple):
     """Band cells in raster order and their psi (mm) at one moment."""
 
@@ -62,7 +88,7 @@ class Displacement(NamedTuple):
     far: float
 
 
-def displacement(surface: LevelSet, before: Snapshot) -> Displacement:
+def displacement(surface: BandSurface, before: Snapshot) -> Displacement:
     """Distance of a surface from an earlier one, in voxels along the normal and weighted by area.
 
     Measured at the voxels that the surface cuts now; where the earlier band did not extend, its half width counts.
