@@ -40,6 +40,10 @@ if TYPE_CHECKING:
     from accelsurf.io.file_set import FileSet
     from accelsurf.run.result import Result
 
+T = TypeVar("T")
+#: Bytes of the largest image whose checksum is in the report of a run that could not begin.
+MAX_HASHED = 1 << 31
+
 
 @dataclass(frozen=True)
 class Place:
@@ -147,9 +151,6 @@ class Place:
         return paths | {"report": self.report_path}
 
 
-T = TypeVar("T")
-#: Bytes of the largest image whose checksum is in the report of a run that could not begin.
-MAX_HASHED = 1 << 31
 #: Computes the result of a case.
 Compute = Callable[["Place", RunConfig, "Watcher", "Log"], "Result"]
 

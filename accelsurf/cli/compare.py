@@ -40,6 +40,15 @@ if TYPE_CHECKING:
 
 #: It chooses the flow and the files itself.
 SharedSettings = settings_class("SharedSettings", leave_out=("flow",), groups=WITHOUT_FILES)
+#: Small ball inside the cube, off its centre: most of the object has to be found.
+DEMO_START = "ball:9,-7,6,10"
+#: Descent and momentum.
+DEMO_FLOWS = ("gradient", "constant-density")
+DEMO_STEPS = 250
+#: The largest speed sets the time step, for both flows: with the default percentile descent comes close to
+#: momentum within these steps. So it does on a coarser grid, where noise is averaged, and with the area that noise
+#: asks for.
+DEMO_SETTINGS: dict[str, Any] = {"percentile": 100.0, "levels": 1, "energy": "chan-vese:area=0"}
 
 
 def compare(
@@ -245,17 +254,6 @@ def _names(flows: str) -> list[str]:
     for name in names:
         RunConfig(flow=name)
     return names
-
-
-#: Small ball inside the cube, off its centre: most of the object has to be found.
-DEMO_START = "ball:9,-7,6,10"
-#: Descent and momentum.
-DEMO_FLOWS = ("gradient", "constant-density")
-DEMO_STEPS = 250
-#: The largest speed sets the time step, for both flows: with the default percentile descent comes close to
-#: momentum within these steps. So it does on a coarser grid, where noise is averaged, and with the area that noise
-#: asks for.
-DEMO_SETTINGS: dict[str, Any] = {"percentile": 100.0, "levels": 1, "energy": "chan-vese:area=0"}
 
 
 def demo(

@@ -24,6 +24,8 @@ from accelsurf.settings.wording import escaped, shown
 #: Signals that end a program on request; their exit code is 128 more than their number.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _AGAIN_SECONDS = 0.05
+#: Longest line of an error and of a hint, characters: most paths have room, a megabyte of garbage has not.
+MAX_ERROR, MAX_HINT = 390, 1000
 
 
 class Interrupts:
@@ -172,10 +174,6 @@ def say(line: str) -> None:
             os.write(2, f"{line}\n".encode(errors="replace"))
     except (OSError, ValueError):  # nobody reads it
         return
-
-
-#: Longest line of an error and of a hint, characters: most paths have room, a megabyte of garbage has not.
-MAX_ERROR, MAX_HINT = 390, 1000
 
 
 def without_garbage(message: str, arguments: Sequence[str]) -> str:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 #: Formats of label maps that are written box by box.
 STORES = ("ome.zarr", "nii")
+OBJECTS = Group("Many objects in a large image", sort_key=0)
 
 
 @Parameter(name="*")
@@ -188,9 +189,6 @@ def _in_windows(image: LargeImage) -> Compute:
         return result
 
     return compute
-
-
-OBJECTS = Group("Many objects in a large image", sort_key=0)
 
 
 @Parameter(name="*")

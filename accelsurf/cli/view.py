@@ -31,6 +31,10 @@ if TYPE_CHECKING:
     from accelsurf.viewer.core.opening import OpenedImage
     from accelsurf.viewer.core.session import Session
 
+Settings = settings_class("Settings")
+#: Settings that say how a sequence is read.
+_OF_READING = {field.name for field in fields(ReadOptions)} - {"time_index", "channels_from_time"}
+
 
 @dataclass(frozen=True)
 class FirstImage:
@@ -124,11 +128,6 @@ def loading() -> Iterator[None]:
         gc.freeze()
         if was_enabled:
             gc.enable()
-
-
-Settings = settings_class("Settings")
-#: Settings that say how a sequence is read.
-_OF_READING = {field.name for field in fields(ReadOptions)} - {"time_index", "channels_from_time"}
 
 
 @Parameter(name="*")

@@ -13,6 +13,8 @@ from scipy import ndimage
 Box = tuple[slice, slice, slice]
 #: First voxel of a box, (z, y, x).
 Corner = tuple[int, int, int]
+#: Voxels of a slab.
+SLAB_VOXELS = 1 << 20
 
 
 def bounding_box(mask: NDArray[np.bool_], margin: int = 0) -> Box | None:
@@ -212,10 +214,6 @@ def on_box(values: NDArray[Any], source: Box, box: Box, beyond: float) -> NDArra
     if all(s.start < s.stop for s in mine):
         out[mine] = values[theirs]
     return out
-
-
-#: Voxels of a slab.
-SLAB_VOXELS = 1 << 20
 
 
 def slabs(shape: Sequence[int], multiple: int = 1, at_least: int = 1) -> Iterator[slice]:

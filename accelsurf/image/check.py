@@ -19,6 +19,11 @@ MAX_VALUE, MIN_RANGE = 1e30, 1e-30
 """Values beyond the first mean "no value" in many files, and their squares are beyond 32-bit floats; so is the inverse
 of a range below the second."""
 
+#: A value may differ from a label by this share of it, as scaled by a header; of larger labels by no more than of this.
+ROUNDING, MAX_ROUNDED = 1e-4, 1e3
+#: Whole numbers up to this are exact as floats of 8 bytes.
+MAX_EXACT = 2.0**53
+
 
 class ImageCheck:
     """Check of the voxels of an image; planes are added from the first to the last.
@@ -143,12 +148,6 @@ class Places:
         return (
             f"{self.count} {'voxel is' if self.count == 1 else 'voxels are'} (first at index x={x}, y={y}, z={z})"
         )
-
-
-#: A value may differ from a label by this share of it, as scaled by a header; of larger labels by no more than of this.
-ROUNDING, MAX_ROUNDED = 1e-4, 1e3
-#: Whole numbers up to this are exact as floats of 8 bytes.
-MAX_EXACT = 2.0**53
 
 
 def as_labels(array: NDArray[Any], corner: Corner = (0, 0, 0)) -> NDArray[Any]:

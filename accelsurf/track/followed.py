@@ -21,6 +21,7 @@ from accelsurf.track.records import CarriedMesh, SurfacePiece, TrackedObject
 #: A new mesh is made where the volume of a carried one differs from that of its surface by more than this part, or
 #: where more than this part of its triangles has turned over.
 MAX_DIFFERENCE = 0.05
+VANISHED, LEFT = "vanished", "left"
 
 
 class MeshCarrier:
@@ -66,9 +67,6 @@ def _topology_of(piece: SurfacePiece) -> tuple[int, int]:
     inside = np.pad(piece.psi < 0, 1, mode="edge")
     outside = np.pad(piece.psi >= 0, 1, constant_values=True)
     return int(ndimage.label(inside)[1]), int(ndimage.label(outside)[1])
-
-
-VANISHED, LEFT = "vanished", "left"
 
 
 class Whole(NamedTuple):

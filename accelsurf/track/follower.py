@@ -28,6 +28,11 @@ from accelsurf.track.momentum import Gains, SurfaceMomentum, Triple
 from accelsurf.track.momentum_models import make_momentum
 from accelsurf.track.records import BAND, Identities, SurfacePiece, TrackedObject
 
+#: What is nearer to a tracked object than so many voxels is no object of its own.
+APART = 2
+#: Of an object that the border of the grid cuts at least so many voxels must be there.
+MIN_CUT = 8
+
 
 @dataclass(frozen=True)
 class Arrival:
@@ -326,12 +331,6 @@ class Follower:
 def measured_part(piece: SurfacePiece, momentum: SurfaceMomentum, quality: float) -> Measured:
     """Measure a part of a surface."""
     return Measured(piece, momentum.volume(), momentum.area(), quality)
-
-
-#: What is nearer to a tracked object than so many voxels is no object of its own.
-APART = 2
-#: Of an object that the border of the grid cuts at least so many voxels must be there.
-MIN_CUT = 8
 
 
 def appearing(

@@ -20,6 +20,7 @@ from accelsurf.io.images import label_type
 
 #: Voxels around what is inside that a surface has on its box.
 BAND = 5
+END = "end of sequence"
 
 
 class SurfacePiece(NamedTuple):
@@ -189,9 +190,6 @@ class Lineage:
     def children(self, parent: int) -> tuple[int, ...]:
         """Identities that came from ``parent``."""
         return tuple(link.child for link in self.links if link.parent == parent)
-
-
-END = "end of sequence"
 
 
 @dataclass

@@ -40,6 +40,14 @@ from accelsurf.track.frame_run import Measured, measured
 from accelsurf.track.momentum import Triple
 from accelsurf.track.records import FrameResult, Identities, Lineage, SurfacePiece
 
+#: Called with each step and the id of its object; a true value ends the run.
+OnStep = Callable[[StepRecord, int], bool | None]
+#: Voxels along each axis of the frames that warm up kernels, and the radius of the ball in them.
+WARMUP_SIDE, WARMUP_RADIUS = 24, 6.0
+#: Version of the state file; raised when its content changes.
+VERSION = 1
+_BEGIN = "begin anew without --resume, with --overwrite"
+
 
 class JoinedSequence(ImageSequence):
     """The channels of several sequences, frame by frame; times and grid are those of the first.
@@ -98,10 +106,6 @@ def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:
         for path in (source, *(Path(file) for file in config.run.channel))
     )
     return JoinedSequence(first, others) if others else first
-
-
-#: Called with each step and the id of its object; a true value ends the run.
-OnStep = Callable[[StepRecord, int], bool | None]
 
 
 class FirstObjects(NamedTuple):
@@ -375,7 +379,7 @@ class Tracking:
         """Write the state after a frame."""
         if self._path is None or self.interrupted:
             return
-        write(self._path, self._state(), self._header)
+        write_state(self._path, self._state(), self._header)
 
     @cached_property
     def _header(self) -> Header:
@@ -389,7 +393,7 @@ class Tracking:
         )
 
     def _restore(self, path: Path) -> None:
-        header, state = read(path)
+        header, state = read_state(path)
         if state.seed is not None and self.config.run.seed != state.seed:
             self.config = self.config.replace(run=self.config.run.replace(seed=state.seed))
         refuse_another(path, header, self._header)
@@ -454,10 +458,6 @@ def track(
     )
 
 
-#: Voxels along each axis, and the radius of the ball that moves.
-WARMUP_SIDE, WARMUP_RADIUS = 24, 6.0
-
-
 def small_runs() -> dict[str, Callable[[], Any]]:
     """Return runs by name of the kernels that only a tracking calls, for ``accelsurf warmup``."""
     return {
@@ -478,11 +478,6 @@ def _warm_up(model: str) -> None:
 def _warmup_frame(shift: float) -> Volume:
     z, y, x = np.indices([WARMUP_SIDE] * 3) - WARMUP_SIDE / 2
     return Volume.from_array((z**2 + y**2 + (x - shift) ** 2 < WARMUP_RADIUS**2).astype(np.float32), 1.0)
-
-
-#: Version of the file; raised when its content changes.
-VERSION = 1
-_BEGIN = "begin anew without --resume, with --overwrite"
 
 
 class Header(NamedTuple):
@@ -539,7 +534,7 @@ def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Hea
     return Header(VERSION, versions(), sha.hexdigest(), {**run, **tracking, "meshes": meshes})
 
 
-def write(path: Path, state: TrackState, header: Header) -> None:
+def write_state(path: Path, state: TrackState, header: Header) -> None:
     """Write a state, completely or not at all.
 
     Raises
@@ -550,7 +545,7 @@ def write(path: Path, state: TrackState, header: Header) -> None:
     write_bytes(path, to_bytes((header, state), TYPES))
 
 
-def read(path: Path) -> tuple[Header, TrackState]:
+def read_state(path: Path) -> tuple[Header, TrackState]:
     """Read a state of any tracking.
 
     Raises

@@ -81,7 +81,7 @@ def test_a_child_without_a_parent_that_was_seen_has_no_link(cells):
 
 
 def test_trackmate_has_spots_along_the_grid_and_an_edge_for_each_link(cells, tmp_path):
-    trackmate_file.write(cells, tmp_path / "cells.xml")
+    trackmate_file.write_trackmate(cells, tmp_path / "cells.xml")
     root = ElementTree.parse(tmp_path / "cells.xml").getroot()
     spots = {int(spot.get("ID")): spot for spot in root.iter("Spot")}
     assert root.find("Model").attrib == {"spatialunits": "mm", "timeunits": "s"}
@@ -104,7 +104,7 @@ def test_trackmate_has_spots_along_the_grid_and_an_edge_for_each_link(cells, tmp
 
 
 def test_trackmate_of_one_slice_has_radii_of_discs_and_mergers(flat, tmp_path):
-    trackmate_file.write(flat, tmp_path / "flat.xml")
+    trackmate_file.write_trackmate(flat, tmp_path / "flat.xml")
     root = ElementTree.parse(tmp_path / "flat.xml").getroot()
     assert [float(spot.get("RADIUS")) for spot in root.iter("Spot")] == pytest.approx([2.0] * 6 + [2.8])
     (track,) = root.findall("Model/AllTracks/Track")
@@ -114,7 +114,7 @@ def test_trackmate_of_one_slice_has_radii_of_discs_and_mergers(flat, tmp_path):
 def test_geff_has_nodes_edges_and_what_is_known_of_them(cells, tmp_path):
     import zarr
 
-    geff_file.write(cells, tmp_path / "cells.geff")
+    geff_file.write_geff(cells, tmp_path / "cells.geff")
     root = zarr.open_group(tmp_path / "cells.geff", mode="r")
     about = root.attrs["geff"]
     assert (about["directed"], [axis["name"] for axis in about["axes"]]) == (True, ["t", "z", "y", "x"])
@@ -134,7 +134,7 @@ def test_geff_has_nodes_edges_and_what_is_known_of_them(cells, tmp_path):
 @pytest.mark.parametrize("made", [dividing_cells, flat_cells])
 def test_geff_is_valid_by_its_own_library(made, tmp_path):
     geff = pytest.importorskip("geff")
-    geff_file.write(set_of(made(), tmp_path), tmp_path / "cells.geff")
+    geff_file.write_geff(set_of(made(), tmp_path), tmp_path / "cells.geff")
     geff.validate_structure(tmp_path / "cells.geff")
     graph, about = geff.read(tmp_path / "cells.geff")
     links = spots_of(set_of(made(), tmp_path)).links
@@ -147,8 +147,8 @@ def test_tracks_of_no_object_can_be_written(tmp_path):
     empty = set_of(made, tmp_path)
     empty = TrackSet("none", empty.sequence, empty.rows, Lineage((), ()), empty.store)
     outputs.write_challenge(empty, tmp_path / "RES")
-    trackmate_file.write(empty, tmp_path / "none.xml")
-    geff_file.write(empty, tmp_path / "none.geff")
+    trackmate_file.write_trackmate(empty, tmp_path / "none.xml")
+    geff_file.write_geff(empty, tmp_path / "none.geff")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == ""
     assert ElementTree.parse(tmp_path / "none.xml").getroot().find("Model/AllSpots").get("nspots") == "0"
 

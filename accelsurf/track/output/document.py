@@ -14,6 +14,12 @@ from accelsurf.track.output.frames import TrackSet
 from accelsurf.track.output.slices import beats_of
 
 __all__ = ["Status", "build", "to_json"]
+#: A line for each object in each frame. Velocities are mm per unit of time.
+TRACK_COLUMNS = (
+    "frame", "time", "time_unit", "id", "parent", "x_mm", "y_mm", "z_mm", "vx", "vy", "vz", "volume_ml",
+    "area_mm2", "quality", "seen",
+)
+ML = 1e-3  # mm3
 
 
 class TrackRun(NamedTuple):
@@ -140,14 +146,6 @@ def describe_frames(tracks: TrackSet) -> list[dict[str, Any]]:
         }
         for row in tracks.rows
     ]
-
-
-#: A line for each object in each frame. Velocities are mm per unit of time.
-TRACK_COLUMNS = (
-    "frame", "time", "time_unit", "id", "parent", "x_mm", "y_mm", "z_mm", "vx", "vy", "vz", "volume_ml",
-    "area_mm2", "quality", "seen",
-)
-ML = 1e-3  # mm3
 
 
 def tracks_csv(tracks: TrackSet) -> str:

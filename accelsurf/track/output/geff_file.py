@@ -42,7 +42,7 @@ _EDGES = {
 }
 
 
-def check(geometry: Geometry) -> None:
+def check_geff(geometry: Geometry) -> None:
     """Refuse to begin without the package that writes it.
 
     Raises
@@ -53,7 +53,7 @@ def check(geometry: Geometry) -> None:
     library()
 
 
-def write(tracks: TrackSet, folder: Path) -> None:
+def write_geff(tracks: TrackSet, folder: Path) -> None:
     """Write the folder; the same tracks give the same bytes.
 
     Raises

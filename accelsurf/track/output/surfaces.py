@@ -36,7 +36,7 @@ _LEAST = 0.05
 _TRACK = "give the folder that accelsurf track has written of this sequence"
 
 
-def write(tracks: TrackSet, folder: Path) -> None:
+def write_surfaces(tracks: TrackSet, folder: Path) -> None:
     """Write the folder.
 
     Raises
