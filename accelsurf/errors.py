@@ -127,3 +127,16 @@ class DivergedError(AccelsurfError):
     """The energy became infinite or NaN (exit 1)."""
 
     kind = "diverged"
+
+
+def exit_code_of(error: BaseException) -> int:
+    """Return the exit code of a run that an error has ended.
+
+    Examples
+    --------
+    >>> exit_code_of(OutputError("no space")), exit_code_of(MemoryError()), exit_code_of(KeyError("psi"))
+    (7, 3, 1)
+    """
+    if isinstance(error, AccelsurfError):
+        return error.exit_code
+    return InputError.exit_code if isinstance(error, MemoryError) else AccelsurfError.exit_code

@@ -1,1 +1,1 @@
-"""Many cases with one command: which they are, how many at once, worker processes, tables of what came out."""
+"""Many cases with one command: their choice, how many run at once, worker processes, tables of their outcomes."""

@@ -105,7 +105,7 @@ def need_of(
     options: ReadOptions = AS_IT_IS,
     flow: str = "constant-density",
 ) -> Need:
-    """Estimate what a case needs.
+    """Estimate the memory that a case needs.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def need_of(
 
 
 def need_of_sequence(source: Path, config: TrackConfig) -> Need:
-    """Estimate what the tracking of a sequence needs: a run on a frame, and what is held of the frame before it.
+    """Estimate the memory that a tracking needs: a run on a frame, and what is kept of the frame before it.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def admit(
     threads: int | None = None,
     memory: int | None = None,
 ) -> Admission:
-    """Decide what runs at once: on all cores together, unless told otherwise.
+    """Decide how many cases run at once: on all cores together, unless told otherwise.
 
     As many cases as there are cores, and as the memory holds of the middle one: cases on one thread each are done
     sooner than one after the other on all. A larger case waits until there is room.
@@ -195,7 +195,7 @@ def by_cluster(needs: Sequence[Need], threads: int | None = None) -> Admission:
 
 
 def plan_rows(needs: Mapping[str, Need], admission: Admission) -> list[tuple[str, str, str, str]]:
-    """Return the rows of a table: id, values, estimate, and what is wrong or when it runs."""
+    """Return the rows of a table: id, values, estimate, and its error or when it runs."""
     rows = []
     for name, need in needs.items():
         if need.values is None:

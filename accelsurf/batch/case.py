@@ -1,4 +1,4 @@
-"""A case of a batch: an image with an id, and what is particular about it."""
+"""A case of a batch: an image with an id, and the settings that it alone has."""
 
 from __future__ import annotations
 

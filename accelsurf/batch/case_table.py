@@ -1,4 +1,4 @@
-"""Tables that people write, as CSV; and cases in a table, with a row for each and a column for each setting."""
+"""Tables that people write, as CSV: a row for each case, a column for each setting."""
 
 from __future__ import annotations
 
@@ -23,6 +23,12 @@ from accelsurf.settings.track_fields import TrackFields
 from accelsurf.settings.wording import did_you_mean, shown
 
 T = TypeVar("T")
+IMAGE, ID, REFERENCE = "image", "id", "reference"
+#: Setting of tracking whose words may name files.
+CORRECTIONS = "correct"
+#: Endings of tables.
+SUFFIXES = (".csv", ".tsv")
+_FILES = ("mask", "objects", "channel")
 
 
 def read_rows(path: Path, what: str, parse: Callable[[list[str], Any], list[T]]) -> list[T]:
@@ -58,16 +64,7 @@ def read_rows(path: Path, what: str, parse: Callable[[list[str], Any], list[T]])
     return rows
 
 
-IMAGE, ID, REFERENCE = "image", "id", "reference"
-#: Setting of tracking whose words may name files.
-CORRECTIONS = "correct"
-#: Endings of tables.
-SUFFIXES = (".csv", ".tsv")
-
-_FILES = ("mask", "objects", "channel")
-
-
-def read(path: Path, tracking: bool = False) -> list[Case]:
+def read_cases(path: Path, tracking: bool = False) -> list[Case]:
     """Read a table of cases.
 
     The columns are ``image``, ``id`` (by default the name of the image), ``reference``, and any setting of a run;

@@ -45,7 +45,7 @@ class Shard(NamedTuple):
 
 
 def read_cases(given: Sequence[str], layout: Layout = "auto", tracking: bool = False) -> tuple[list[Case], str]:
-    """Return the cases that are named, in a fixed order, and what they were read from in words.
+    """Return the cases that are named, in a fixed order, and their source in words.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def _read(given: Sequence[str], layout: Layout, tracking: bool) -> tuple[list[Ca
     if layout != "auto":
         raise UsageError(f"--layout {layout} was given, but {given[0]} is no folder", "name the folder of the images")
     if alone and path.suffix.lower() in case_table.SUFFIXES:
-        return case_table.read(path, tracking), "a table"
+        return case_table.read_cases(path, tracking), "a table"
     if alone and _PATTERN.search(given[0]) and not path.exists():
         return layouts.of_files(_matches(given[0], tracking)), "a pattern"
     for name in given:

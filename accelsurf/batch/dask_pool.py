@@ -95,7 +95,7 @@ class DaskPool:
         self._client.cancel(list(self._futures.values()), force=True)
 
     def close(self) -> None:
-        """Take back what still waits, and leave the cluster as it is."""
+        """Take back the jobs that still wait, and leave the cluster as it is."""
         if self._futures:
             self._client.cancel(list(self._futures.values()), force=True)
             self._futures.clear()

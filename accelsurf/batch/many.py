@@ -1,4 +1,4 @@
-"""segment_many(): what ``accelsurf batch`` does, from Python; each case is a future."""
+"""segment_many(): ``accelsurf batch`` from Python; each case is a future."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
         return {id: future.result() for id, future in self._futures.items()}
 
     def close(self, wait: bool = True) -> None:
-        """Wait for the end, or end what runs: what is finished stays, the rest is cancelled.
+        """Wait for the end, or end the cases that run: finished ones stay, the others are cancelled.
 
         Parameters
         ----------
@@ -103,7 +103,7 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
             raise
 
     def _leave(self, error: BaseException | None) -> None:
-        """Settle the futures that nobody else will."""
+        """Give a result to the futures that have none yet."""
         self._pool.close()
         for future in self._futures.values():
             if future.done():
@@ -198,7 +198,7 @@ def segment_many(
 
 
 def _cases(given: str | Path | Sequence[CaseLike]) -> tuple[list[Case], str]:
-    """The cases, and what they were read from in words."""
+    """The cases, and their source in words."""
     if isinstance(given, (str, Path)):
         return read_cases([str(given)])
     several = list(given)

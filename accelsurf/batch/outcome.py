@@ -14,6 +14,9 @@ from accelsurf.settings.track_config import TrackConfig
 
 #: How it stands with a case; waiting: it has not been run, or has not ended.
 Status = Literal["ok", "failed", "waiting"]
+#: Columns of the table of a batch of images, and of sequences.
+COLUMNS = ("id", "status", "reason", "ml", "quality", "dice", "steps", "seconds", "folder")
+TRACK_COLUMNS = ("id", "status", "reason", "objects", "frames", "quality", "seconds", "folder")
 
 
 @dataclass(frozen=True)
@@ -114,11 +117,6 @@ class Outcome:
     exit_code: int = 0
     warnings: tuple[str, ...] = ()
     details: str = ""
-
-
-#: Columns of the table of a batch of images, and of sequences.
-COLUMNS = ("id", "status", "reason", "ml", "quality", "dice", "steps", "seconds", "folder")
-TRACK_COLUMNS = ("id", "status", "reason", "objects", "frames", "quality", "seconds", "folder")
 
 
 def outcome_of_report(task: CaseTask, report: Mapping[str, Any], dice: float | None) -> Outcome:

@@ -1,4 +1,4 @@
-"""Jobs on worker processes of this machine: what is submitted comes back as events, whatever happens to a worker.
+"""Jobs on worker processes of this machine: each job comes back as an event, whatever happens to its worker.
 
 The standard pool breaks when one worker dies, and neither it nor those built on it can end one that hangs (record
 0032), so each worker is watched here: one that is gone, takes too long or too much memory is replaced, and its job
@@ -100,7 +100,7 @@ class Pool(Protocol):
         ...
 
     def close(self) -> None:
-        """End what still runs, and free everything."""
+        """End the jobs that still run, and free everything."""
         ...
 
 
@@ -360,7 +360,7 @@ class InlinePool:
         self._interrupted = True
 
     def close(self) -> None:
-        """Forget what waits."""
+        """Forget the jobs that wait."""
         self._waiting.clear()
 
 
@@ -391,7 +391,7 @@ def serve(connection: Connection, function: Callable[[Any], Any], prepare: Calla
 
 
 def run_job(function: Callable[[Any], Any], payload: Any) -> Reply:
-    """Return what a function makes of a payload, and why it makes nothing: one of them is None."""
+    """Return the value of a function of a payload, and why it has none: one of them is None."""
     try:
         return function(payload), None
     except MemoryError as error:

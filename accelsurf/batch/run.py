@@ -1,4 +1,4 @@
-"""A batch from its first case to its last: cases go to a pool, what comes back goes into the tables."""
+"""A batch from its first case to its last: cases go to a pool, their outcomes into the tables."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ class Batch:
     def planned(
         cls, tasks: Sequence[CaseTask], limits: Limits, shard: Shard | None, layout: str, argv: Sequence[str]
     ) -> Self:
-        """Return a batch whose cases have their number of threads, and what runs of it at once."""
+        """Return a batch whose cases have their number of threads, and how many of them run at once."""
         needs = {task.case.id: _need(task) for task in tasks}
         given = {task.run.threads for task in tasks} - {"auto"}
         threads = max((int(number) for number in given), default=None)
@@ -162,7 +162,7 @@ class Batch:
         return any(isinstance(task.config, TrackConfig) for task in self.tasks)
 
     def run(self, pool: Pool, tables: Tables, observer: Observer, lost: Lost, resume: bool) -> None:
-        """Run the cases in a pool, take note of what becomes of each, and close the pool.
+        """Run the cases in a pool, record the outcome of each, and close the pool.
 
         Parameters
         ----------

@@ -56,8 +56,8 @@ class Tables:
     files : FileSet
         That the tables are put in place by.
     names : TableNames
-    facts : mapping
-        Of the whole batch, for the report.
+    about : mapping
+        Entries about the whole batch, for the report.
     outcomes : sequence of Outcome
         A line for each case, in their order.
     images : mapping of str to Path
@@ -70,13 +70,13 @@ class Tables:
         self,
         files: FileSet,
         names: TableNames,
-        facts: Mapping[str, Any],
+        about: Mapping[str, Any],
         outcomes: Sequence[Outcome],
         images: Mapping[str, Path],
         columns: Sequence[str] = COLUMNS,
     ) -> None:
         self._columns = columns
-        self._files, self._names, self._facts, self._images = files, names, facts, images
+        self._files, self._names, self._about, self._images = files, names, about, images
         self._outcomes = {outcome.id: outcome for outcome in outcomes}
         self._began = self._written = time.monotonic()
         self._cost = 0.0
@@ -100,11 +100,11 @@ class Tables:
         return sum(outcome.status == status for outcome in self._outcomes.values())
 
     def put(self, outcomes: Iterable[Outcome]) -> None:
-        """Take note of what has become of some cases, without writing anything."""
+        """Record the outcomes of some cases, without writing anything."""
         self._outcomes |= {outcome.id: outcome for outcome in outcomes}
 
     def add(self, outcome: Outcome) -> None:
-        """Take note of what has become of a case; write the tables if that was long ago.
+        """Record the outcome of a case; write the tables if the last time was long ago.
 
         Raises
         ------
@@ -160,7 +160,7 @@ class Tables:
             "status": status,
             "exit_code": exit_code,
             "versions": versions(),
-            **self._facts,
+            **self._about,
             "counts": {"cases": len(cases), **counts},
             "seconds": self.seconds,
             "cases": cases,
@@ -168,7 +168,7 @@ class Tables:
 
 
 def table_csv(outcomes: Sequence[Outcome], columns: Sequence[str] = COLUMNS) -> str:
-    """Return the table as CSV text: one row per case; what is not known is empty.
+    """Return the table as CSV text: one row per case; unknown values are empty.
 
     Examples
     --------

@@ -154,7 +154,7 @@ def execute(argv: Sequence[str]) -> int:
 
 
 def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
-    """Run a command; print what is wrong."""
+    """Run a command; print its error."""
     try:
         code = int(app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0)
     except CycloptsError as error:

@@ -41,6 +41,9 @@ if TYPE_CHECKING:
     from accelsurf.batch.tables import Tables
     from accelsurf.settings.track_config import TrackConfig
 
+BATCH = Group("Batch", sort_key=0)
+_SWITCH = Parameter(negative=(), show_default=False, group=BATCH)
+
 
 def _batch_settings() -> type:
     """Return a dataclass with the options of images and of tracking; where both have one it is a text for either."""
@@ -50,8 +53,6 @@ def _batch_settings() -> type:
 
 
 BatchSettings = _batch_settings()
-BATCH = Group("Batch", sort_key=0)
-_SWITCH = Parameter(negative=(), show_default=False, group=BATCH)
 
 
 @Parameter(name="*")

@@ -1,7 +1,6 @@
-"""One case of ``accelsurf batch`` in a worker process: what ``segment`` or ``track`` does, and a line for the tables.
+"""One case of ``accelsurf batch`` in a worker process, run as ``segment`` or ``track`` runs it; its line in the tables.
 
-`run_one` is where a case starts: whatever a case needs beyond a run from the start, such as the state of a run that
-was ended, is given to `run_case` here.
+A case starts in `run_one`, which gives `run_case` all that it needs: also the state of a run that was ended.
 """
 
 from __future__ import annotations
@@ -49,13 +48,13 @@ _FAILURES = {
 
 
 def load() -> None:
-    """Load what every case needs."""
+    """Load the modules that every case needs."""
     for name in _LOADED:
         importlib.import_module(name)
 
 
 def run_one(task: CaseTask) -> Outcome:
-    """Run a case and write its files; what is wrong with it is in the line that is returned.
+    """Run a case and write its files; return its line, which also names an error.
 
     Parameters
     ----------
@@ -117,7 +116,7 @@ def place_of(task: CaseTask) -> Place:
 
 
 def refuse_inputs_of(tasks: Sequence[CaseTask], tables: Sequence[Path], given: Sequence[Path]) -> None:
-    """Refuse a batch whose tables, or the files of one of its cases, are what it or another of its cases reads.
+    """Refuse a batch that would write its tables, or files of a case, over a file that it or one of its cases reads.
 
     Raises
     ------
@@ -176,7 +175,7 @@ def _run(task: CaseTask) -> Outcome:
 
 
 def _concluded(task: CaseTask, path: Path, dice: float | None = None, is_good: bool = True) -> Outcome:
-    """The line of a case that has a result, from its report; what `--resume` needs is written where it is good."""
+    """The line of a case that has a result, from its report; a good one leaves a record for `--resume`."""
     report = load_report(path)
     if report is None:  # somebody has removed it at this moment
         return _failed(task, f"{path}: cannot be read", "run it again", 7)

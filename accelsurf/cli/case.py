@@ -1,4 +1,4 @@
-"""One segmentation from file to files: what `segment` does once and `demo` for each flow.
+"""One segmentation from file to files: `segment` does it once, `demo` for each flow.
 
 Existing outputs are refused before anything is computed. The files of a run appear all at once or not at all. A report
 says how the case ended, also when it failed; a failed run leaves an earlier result as it was. ``--resume`` goes on from
@@ -9,33 +9,23 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from accelsurf.cli import INTERRUPTED
 from accelsurf.cli.interrupts import Interrupts, doubt_line, say
-from accelsurf.cli.outcome import shortcoming
-from accelsurf.errors import AccelsurfError, GeometryError, OutputError
+from accelsurf.cli.outcome import shortcoming, summary_lines
+from accelsurf.errors import AccelsurfError, GeometryError, OutputError, exit_code_of
 from accelsurf.io import is_stored, sha256
 from accelsurf.io.file_set import finish_killed_runs
 from accelsurf.io.files import write_bytes
-from accelsurf.output import (
-    document,
-    label_files,
-    layouts,
-    result_sets,
-)
-from accelsurf.output import (
-    folder as output_folder,
-)
-from accelsurf.output import (
-    names as output_names,
-)
-from accelsurf.output import (
-    outputs as mesh_files,
-)
+from accelsurf.output import document, label_files, layouts, result_sets
+from accelsurf.output import folder as output_folder
+from accelsurf.output import names as output_names
+from accelsurf.output import outputs as mesh_files
 from accelsurf.output.document import describe_input, describe_staged
 from accelsurf.output.folder import inputs_of
 from accelsurf.output.outputs import MeshNotes
@@ -49,6 +39,10 @@ if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
     from accelsurf.io.file_set import FileSet
     from accelsurf.run.result import Result
+
+T = TypeVar("T")
+#: Bytes of the largest image whose checksum is in the report of a run that could not begin.
+MAX_HASHED = 1 << 31
 
 
 @dataclass(frozen=True)
@@ -101,6 +95,21 @@ class Place:
         """Path of the state of the run while it goes on."""
         return self.folder / f"{self.name}_checkpoint.npz"
 
+    def refuse_left(self, *states: Path) -> None:
+        """Refuse to lose the state of a run that was stopped, in one of ``states``.
+
+        Raises
+        ------
+        OutputError
+            When one of them is there, and the run neither goes on from it nor replaces it.
+        """
+        left = next((path for path in states if path.exists()), None)
+        if left is not None and not (self.resume or self.overwrite):
+            raise OutputError(
+                f"{left}: is the state of a run that was stopped",
+                "add --resume to go on from it, or --overwrite to begin anew",
+            )
+
     def beside_result(self, config: RunConfig | None) -> Place:
         """Return the place of a failed run's files: this one, or where a result stands, beside it under other names."""
         planned = self.paths(config or RunConfig()).values()
@@ -142,9 +151,6 @@ class Place:
         return paths | {"report": self.report_path}
 
 
-T = TypeVar("T")
-#: Bytes of the largest image whose checksum is in the report of a run that could not begin.
-MAX_HASHED = 1 << 31
 #: Computes the result of a case.
 Compute = Callable[["Place", RunConfig, "Watcher", "Log"], "Result"]
 
@@ -184,7 +190,7 @@ class Log:
             self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - began
 
     def note_grid(self, geometry: Geometry) -> None:
-        """Take note of the image's grid."""
+        """Keep the image's grid."""
         self.geometry = geometry
 
     def take_checksum(self, image: Path) -> None:
@@ -225,11 +231,16 @@ class Finished:
     code: int
     error: AccelsurfError | None = None
 
+    def summary_lines(self, name: str) -> list[str]:
+        """Return the lines printed at the end; ``name`` is that of the case."""
+        log = self.log
+        return summary_lines(name, self.result, log.outputs, log.seconds["total"], self.place.report_path)
+
 
 def run_case(
     place: Place, config: RunConfig, watcher: Watcher, strict: bool = False, compute: Compute | None = None
 ) -> Finished:
-    """Run a case and write its outputs, all at once; what is wrong with its result is printed.
+    """Run a case and write its outputs, all at once; print the shortcomings of its result.
 
     Parameters
     ----------
@@ -253,7 +264,7 @@ def run_case(
     with output_folder.opened_set(place.folder, place.name, inputs) as files:
         output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
         if place.has_checkpoint:
-            _refuse_checkpoint(place)
+            place.refuse_left(place.checkpoint_path)
         case = _Case(place, files, log)
         try:
             result = (compute or _compute)(place, config, watcher, log)
@@ -266,9 +277,7 @@ def run_case(
                 log.outputs.clear()
                 _write_failure(case, config, failure)
             raise
-    for warning in log.warnings:
-        if warning not in watcher.printed_warnings:
-            say(doubt_line(warning))
+    say_warnings(log.warnings, watcher)
     if finished.error is not None:
         say(f"error: {finished.error.message}\nhint: {finished.error.hint}")
     return finished
@@ -299,10 +308,10 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
         status: document.Status = "interrupted" if interrupted else "failed" if error is not None else "ok"
         _write_report(case, config, status, code, error, result)
         layouts.complete(config, target.source, target.folder)
-        _commit(case, error is not None, gone)
+        output_folder.commit(files, target.report_path.name, error is not None, target.overwrite, gone)
     if config.label_group is not None and error is None:
         log.timed("write", lambda: label_files.into_image(result, target.source, target.overwrite))
-    watcher.note(f"the {'result so far' if interrupted else 'result'} is written: {target.report_path.absolute()}")
+    note_result(watcher, target, complete=not interrupted)
     return Finished(target, config, result, log, code, error)
 
 
@@ -315,15 +324,25 @@ def _failed_place(place: Place, config: RunConfig, error: AccelsurfError) -> Pla
     return target
 
 
-def _commit(case: _Case, failed: bool, gone: Sequence[str] = ()) -> None:
-    """Put the files in place, and take away ``gone`` and what the earlier run wrote and this one does not."""
-    target, files, report = case.place, case.files, case.place.report_path
-    written = [path.name for path in files.staging.iterdir()]
-    if not (failed or target.overwrite):  # another program may have put a file there while the run went on
-        paths = {"report" if name == report.name else name: files.folder / name for name in written}
-        output_folder.refuse_existing(paths, False)
-    outdated = result_sets.outdated(files.folder, target.name, written, failed, target.overwrite)
-    files.commit(last=report.name, remove=[*outdated, *gone])
+def say_warnings(warnings: Iterable[str], watcher: Watcher) -> None:
+    """Print the warnings that the watcher has not printed yet."""
+    for warning in warnings:
+        if warning not in watcher.printed_warnings:
+            say(doubt_line(warning))
+
+
+def note_result(watcher: Watcher, place: Place, complete: bool) -> None:
+    """Note the report, for the last line after Ctrl-C."""
+    watcher.note(f"the {'result' if complete else 'result so far'} is written: {place.report_path.absolute()}")
+
+
+@contextmanager
+def warning_without_report() -> Iterator[None]:
+    """Print a warning where a report of a failure cannot be written: the failure itself matters more."""
+    try:
+        yield
+    except AccelsurfError as second:
+        say(f"warning: the report could not be written: {second.message}")
 
 
 def _compute(place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
@@ -349,15 +368,6 @@ def state_of(place: Place, config: RunConfig) -> Path | None:
     return state if config.checkpoint is not None or state.exists() else None
 
 
-def _refuse_checkpoint(place: Place) -> None:
-    """Refuse to lose the work of a killed run."""
-    if place.checkpoint_path.exists() and not (place.resume or place.overwrite):
-        raise OutputError(
-            f"{place.checkpoint_path}: is the state of a run that was stopped",
-            "add --resume to go on from it, or --overwrite to begin anew",
-        )
-
-
 def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
     """Read the channels of a case's image, and check that the formats of the outputs can hold a result on its grid.
 
@@ -377,7 +387,7 @@ def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
 
 
 def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> None:
-    """Note what is said about an image, and check that the formats of the outputs can hold a result on its grid.
+    """Keep warning and grid of an image, and check that the formats of the outputs can hold a result on its grid.
 
     Raises
     ------
@@ -439,20 +449,16 @@ def report_failure(place: Place, error: BaseException) -> None:
     place : Place
     error : BaseException
     """
-    try:
-        with output_folder.opened_set(place.folder, place.name, place.inputs(None)) as files:
-            _write_failure(_Case(place, files, Log()), None, error)
-    except AccelsurfError as second:
-        say(f"warning: the report could not be written: {second.message}")
+    with warning_without_report(), output_folder.opened_set(place.folder, place.name, place.inputs(None)) as files:
+        _write_failure(_Case(place, files, Log()), None, error)
 
 
 def _write_failure(case: _Case, config: RunConfig | None, error: BaseException) -> None:
     """Write the report of a run without a result, beside a result that stands; a warning when that fails too."""
     stopped, image = isinstance(error, KeyboardInterrupt), case.place.source
-    code = error.exit_code if isinstance(error, AccelsurfError) else 3 if isinstance(error, MemoryError) else 1
-    code = Interrupts.current().exit_code(INTERRUPTED if stopped else code)
+    code = Interrupts.current().exit_code(INTERRUPTED if stopped else exit_code_of(error))
     target = case.place.beside_result(config)
-    try:
+    with warning_without_report():
         if target is not case.place and result_sets.result_stands(target.folder, target.name, ()):
             raise OutputError(f"{target.report_path}: is the report of a result")  # of an image that is called so
         if not stopped and image.is_file() and image.stat().st_size <= MAX_HASHED:
@@ -460,9 +466,7 @@ def _write_failure(case: _Case, config: RunConfig | None, error: BaseException) 
         case = replace(case, place=target)
         with output_folder.naming_final(case.files):
             _write_report(case, config, "interrupted" if stopped else "failed", code, error, None)
-            _commit(case, failed=True)
-    except AccelsurfError as second:
-        say(f"warning: the report could not be written: {second.message}")
+            output_folder.commit(case.files, target.report_path.name, True, target.overwrite)
 
 
 def _write_report(
@@ -513,7 +517,7 @@ def exit_code_of_finished(place: Place, config: RunConfig, quiet: bool = False) 
     return int(document["exit_code"])
 
 
-def resumed_place(place: Place, config: RunConfig) -> Place:
-    """The place to go on at: the files of a run that was interrupted or failed may be replaced."""
-    is_free = result_sets.unfinished_alone(place.report_path, place.paths(config).values())
+def resumed_place(place: Place, planned: Iterable[Path]) -> Place:
+    """The place to go on at: the ``planned`` files of a run that was interrupted or failed may be replaced."""
+    is_free = result_sets.unfinished_alone(place.report_path, planned)
     return replace(place, resume=True, overwrite=place.overwrite or is_free)

@@ -40,6 +40,15 @@ if TYPE_CHECKING:
 
 #: It chooses the flow and the files itself.
 SharedSettings = settings_class("SharedSettings", leave_out=("flow",), groups=WITHOUT_FILES)
+#: Small ball inside the cube, off its centre: most of the object has to be found.
+DEMO_START = "ball:9,-7,6,10"
+#: Descent and momentum.
+DEMO_FLOWS = ("gradient", "constant-density")
+DEMO_STEPS = 250
+#: The largest speed sets the time step, for both flows: with the default percentile descent comes close to
+#: momentum within these steps. So it does on a coarser grid, where noise is averaged, and with the area that noise
+#: asks for.
+DEMO_SETTINGS: dict[str, Any] = {"percentile": 100.0, "levels": 1, "energy": "chan-vese:area=0"}
 
 
 def compare(
@@ -93,10 +102,10 @@ def compare(
             check_reference(truth, volume)
         watcher = Watcher(display)
         results = _evolve_each(volume, channels, configs, watcher)
-        facts: dict[str, Any] = {"input": describe_input(source, geometry=volume.geometry, checksum=io.sha256(source))}
-        facts["reference"] = describe_input(reference, checksum=io.sha256(reference)) if reference is not None else None
+        given: dict[str, Any] = {"input": describe_input(source, geometry=volume.geometry, checksum=io.sha256(source))}
+        given["reference"] = describe_input(reference, checksum=io.sha256(reference)) if reference is not None else None
         with watcher.writing():
-            code = conclude(results, files, paths, facts, truth, source.name, display.quiet)
+            code = conclude(results, files, paths, given, truth, source.name, display.quiet)
         watcher.note(f"the comparison so far is written: {paths['comparison'].absolute()}")
     return code
 
@@ -119,7 +128,7 @@ def conclude(
     results: Mapping[str, Result],
     files: FileSet,
     paths: Mapping[str, Path],
-    facts: Mapping[str, Any],
+    given: Mapping[str, Any],
     truth: Volume | None,
     title: str,
     quiet: bool,
@@ -133,7 +142,7 @@ def conclude(
         That the two files are put in place by.
     paths : mapping of str to Path
         ``comparison`` and ``picture``.
-    facts : mapping
+    given : mapping
         ``input`` and ``reference`` for the report.
     truth : Volume or None
     title : str
@@ -165,7 +174,7 @@ def conclude(
     picture, report = paths["picture"].name, paths["comparison"].name
     with naming_final(files):
         write_bytes(files.staging / picture, preview.comparison_png(contents, title))
-        comparison = {**_heading(code, next(iter(results.values())).config), **facts, "runs": runs}
+        comparison = {**_heading(code, next(iter(results.values())).config), **given, "runs": runs}
         comparison["agreement_dice"] = _agreement_of_runs(results)
         comparison["outputs"] = describe_staged(files, {picture: "picture"})
         write_bytes(files.staging / report, (document.to_json(comparison) + "\n").encode())
@@ -247,17 +256,6 @@ def _names(flows: str) -> list[str]:
     return names
 
 
-#: Small ball inside the cube, off its centre: most of the object has to be found.
-DEMO_START = "ball:9,-7,6,10"
-#: Descent and momentum.
-DEMO_FLOWS = ("gradient", "constant-density")
-DEMO_STEPS = 250
-#: The largest speed sets the time step, for both flows: with the default percentile descent comes close to
-#: momentum within these steps. So it does on a coarser grid, where noise is averaged, and with the area that noise
-#: asks for.
-DEMO_SETTINGS: dict[str, Any] = {"percentile": 100.0, "levels": 1, "energy": "chan-vese:area=0"}
-
-
 def demo(
     *, output: OutputFolder = Path("accelsurf-demo"), overwrite: Overwrite = False, display: Display | None = None
 ) -> int:
@@ -306,11 +304,11 @@ def demo(
         results[place.name], code = done.result, max(code, done.code)
         if watcher.interrupted:
             break
-    facts = {"input": describe_input(image, geometry=phantom.image.geometry, checksum=io.sha256(image))}
-    facts["reference"] = describe_input(labels, checksum=io.sha256(labels))
+    given = {"input": describe_input(image, geometry=phantom.image.geometry, checksum=io.sha256(image))}
+    given["reference"] = describe_input(labels, checksum=io.sha256(labels))
     title = "A cube in noise: gradient descent and accelerated flow"
     with opened_set(output, "demo") as files, watcher.writing():
-        conclude(results, files, paths, facts, phantom.truth, title, display.quiet)
+        conclude(results, files, paths, given, phantom.truth, title, display.quiet)
     if not display.quiet:
         print(f"\nAll files are in {output.absolute()} ({time.perf_counter() - began:.0f} s)")
     return code

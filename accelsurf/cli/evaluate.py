@@ -200,7 +200,7 @@ def _result(pair: Pair, requested: Request) -> CaseResult:
 
 
 def _read(side: LabelFile) -> Volume:
-    """A label map; what there is to say of its file is said."""
+    """A label map; notes about its file are printed."""
     from accelsurf import io
     from accelsurf.cli.interrupts import say
 

@@ -1,4 +1,4 @@
-"""``accelsurf info``: versions, names and settings of this installation, or what an image is."""
+"""``accelsurf info``: versions, names and settings of this installation, or the description of an image."""
 
 from __future__ import annotations
 
@@ -61,19 +61,19 @@ def info(
 
 
 def _show_image(path: Path, as_json: bool, requested: ReadOptions) -> None:
-    """Print what an image is."""
+    """Print the description of an image."""
     from accelsurf.output.document import to_json
 
     volumes = _listing(path)
     if volumes is not None and requested.series is None:
         _show_volumes(volumes, as_json)
         return
-    facts = _facts_of(path, requested)
+    description = _described(path, requested)
     if as_json:
-        print(to_json(facts))
+        print(to_json(description))
         return
-    levels = facts.pop("levels")
-    _print_table({key.replace("_", " "): str(value) for key, value in facts.items() if value is not None})
+    levels = description.pop("levels")
+    _print_table({key.replace("_", " "): str(value) for key, value in description.items() if value is not None})
     for number, level in enumerate(levels):
         print(f"  level {number}: size {level['size']}, spacing {level['spacing']}")
 
@@ -117,7 +117,7 @@ def _show_volumes(volumes: list[dict[str, Any]], as_json: bool) -> None:
         print("--series NUMBER chooses one" if len(volumes) > 1 else "it is the only one: no --series is needed")
 
 
-def _facts_of(path: Path, requested: ReadOptions) -> dict[str, Any]:
+def _described(path: Path, requested: ReadOptions) -> dict[str, Any]:
     """Describe an image; lengths in mm, all in the order (x, y, z)."""
     from accelsurf import io
     from accelsurf.errors import InputError

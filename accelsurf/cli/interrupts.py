@@ -24,6 +24,8 @@ from accelsurf.settings.wording import escaped, shown
 #: Signals that end a program on request; their exit code is 128 more than their number.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _AGAIN_SECONDS = 0.05
+#: Longest line of an error and of a hint, characters: most paths have room, a megabyte of garbage has not.
+MAX_ERROR, MAX_HINT = 390, 1000
 
 
 class Interrupts:
@@ -88,7 +90,7 @@ class Interrupts:
             self._hooks[-1](lost)
 
     def __call__(self, number: int, frame: FrameType | None = None) -> None:
-        """Take note of a signal; raise KeyboardInterrupt unless it only asks."""
+        """Count a signal; raise KeyboardInterrupt unless it only asks."""
         self.number = self.number if self.count else number
         self.count += 1
         if self._ending:
@@ -123,11 +125,11 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def note(self, text: str) -> None:
-        """Take note of the files on the disk, for the last line that is printed."""
+        """Keep a line about the files on the disk, for the last line that is printed."""
         self._outcome = text
 
     def report(self, kind: str = "") -> None:
-        """Print what is on the disk, once, if there was a signal.
+        """Print the line about the files on the disk, once, if there was a signal.
 
         Parameters
         ----------
@@ -174,12 +176,8 @@ def say(line: str) -> None:
         return
 
 
-#: Longest line of an error and of a hint, characters: most paths have room, a megabyte of garbage has not.
-MAX_ERROR, MAX_HINT = 390, 1000
-
-
 def without_garbage(message: str, arguments: Sequence[str]) -> str:
-    """Return a message of the command line's parser, with what was typed cut to a readable length.
+    """Return a message of the command line's parser, with the typed text cut to a readable length.
 
     Examples
     --------
@@ -267,7 +265,7 @@ class GuardedStream:
         return len(text)
 
     def flush(self) -> None:
-        """Write what is still in memory."""
+        """Write the text that is still in memory."""
         if self.error is None:
             try:
                 self._stream.flush()

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 #: Formats of label maps that are written box by box.
 STORES = ("ome.zarr", "nii")
+OBJECTS = Group("Many objects in a large image", sort_key=0)
 
 
 @Parameter(name="*")
@@ -190,9 +191,6 @@ def _in_windows(image: LargeImage) -> Compute:
     return compute
 
 
-OBJECTS = Group("Many objects in a large image", sort_key=0)
-
-
 @Parameter(name="*")
 @dataclass(frozen=True)
 class ObjectOptions:
@@ -212,7 +210,7 @@ class ObjectOptions:
         return self.jobs is not None or self.scheduler is not None
 
     def check(self, config: RunConfig) -> None:
-        """Refuse what does not fit together.
+        """Refuse options that exclude each other.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""The files of many objects of a large image, put together from what their groups have left."""
+"""The files of many objects of a large image, put together from the files of their groups."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ class ObjectsDone:
     records : list of GroupRecord
         In order of their first objects.
     failures : dict of int to str
-        Why there is nothing of an object, by its id.
+        Why an object has no result, by its id.
     ids : list of int
         Of all objects.
     folder : Path
-        Where the records are.
+        The folder of the records.
     notes : list of str
-        About all of them.
+        Notes about the whole image.
     """
 
     records: list[GroupRecord]
@@ -65,7 +65,7 @@ def write_outputs(
 ) -> int:
     """Write the label map, the table, the meshes and the report, all at once; returns the exit code.
 
-    What the groups have left is removed, unless some have failed: then ``--resume`` tries these again.
+    The files of the groups are removed, unless some have failed: then ``--resume`` tries these again.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def write_outputs(
 
 
 def rows_of(done: ObjectsDone) -> list[dict[str, Any]]:
-    """Return an entry for each object, in order of the ids: how it ended, or why there is nothing of it."""
+    """Return an entry for each object, in order of the ids: how it ended, or why it has no result."""
     rows = {row["id"]: {**row, "status": "ok", "failure": ""} for record in done.records for row in record.rows}
     keys = next(iter(rows.values()), dict.fromkeys(("id", "reason", "message", "centroid", "quality")))
     for label, why in done.failures.items():
@@ -129,7 +129,7 @@ def _link_meshes(done: ObjectsDone, files: FileSet, case: str) -> dict[str, str]
     return kinds
 
 
-def _write_labels(path: Any, image: LargeImage, done: ObjectsDone) -> None:
+def _write_labels(path: Path, image: LargeImage, done: ObjectsDone) -> None:
     """Write the label map box by box; no voxel is in two objects."""
     first, dtype = image.channels[0], io.label_type(done.ids[-1])
     with io.LabelStore(path, image.geometry, dtype, dict(first.metadata), first.source) as store:

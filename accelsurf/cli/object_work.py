@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from accelsurf.large.windowed import LargeImage
     from accelsurf.output.group_files import GroupRecord
 
-#: Settings that change nothing of what a group leaves.
+#: Settings without effect on the files of a group.
 _WITHOUT_EFFECT = ("threads", "checkpoint", "format")
 #: Modules that a group loads, so that a worker has it before its first one.
 _LOADED = ("accelsurf.large.many_objects", "accelsurf.output.document")
@@ -85,13 +85,13 @@ class GroupEnd(NamedTuple):
 
 
 def load() -> None:
-    """Load what every group needs."""
+    """Load the modules that every group needs."""
     for name in _LOADED:
         importlib.import_module(name)
 
 
 def run_task(task: GroupTask) -> GroupEnd:
-    """Run a group and write its files; return why that is not possible, or nothing.
+    """Run a group and write its files; return why it failed, if it did.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def run_objects(
             print(f"{place.name}: has ended already, see {place.report_path.absolute()}")
         return int(report["exit_code"])
     if report is not None and report["status"] != "ok" and report.get("objects"):
-        place = resumed_place(place, config)
+        place = resumed_place(place, place.paths(config).values())
     inputs = place.inputs(config)
     with output_folder.opened_set(place.folder, place.name, inputs) as files:
         output_folder.refuse_existing(place.paths(config), place.overwrite, inputs)
@@ -153,21 +153,17 @@ def run_objects(
 
 
 def _work_folder(place: Place, resume: bool) -> Path:
-    """The folder for what groups leave.
+    """Return the folder for the files of the groups.
 
     Raises
     ------
     OutputError
-        When an earlier run has left something there that may not be lost.
+        When an earlier run has left files there that may not be lost.
     """
     work = (place.folder / f".{place.name}_objects").absolute()
     refuse_links(work, "remove the link, or choose another folder with -o")
+    replace(place, resume=resume).refuse_left(work)
     if work.is_dir() and not resume:
-        if not place.overwrite:
-            raise OutputError(
-                f"{work}: has what a run that was stopped has left",
-                "add --resume to go on from it, or --overwrite to begin anew",
-            )
         others = [name for name in os.listdir(work) if not name.startswith(("group-", ".draft-"))]
         if others:
             raise OutputError(f"{work}: has {others[0]}, which no run has left there", "move it away")
@@ -179,7 +175,7 @@ def _work_folder(place: Place, resume: bool) -> Path:
 
 
 class _Work:
-    """The groups of objects of one image, from the first to the last."""
+    """Runs the groups of objects of one image, from the first to the last."""
 
     def __init__(
         self, place: Place, config: RunConfig, image: LargeImage, options: ObjectOptions, folder: Path
@@ -226,7 +222,7 @@ class _Work:
         return ObjectsDone(records, failures, ids.tolist(), self._folder, self._notes)
 
     def _round(self, pool: Pool, number: int, progress: BatchProgress) -> None:
-        """Run what waits, and take note of what becomes of it."""
+        """Run the groups that wait, and record how they ended."""
         groups = {f"{number}-{place}": group for place, group in enumerate(self._groups.waiting)}
         for key, group in groups.items():
             record = group_files.read_group(self._folder_of(group))
@@ -241,7 +237,7 @@ class _Work:
                 self._took(event, {"alone": group}, progress, True)
 
     def _took(self, event: Any, groups: dict[str, Places], progress: BatchProgress, alone: bool) -> bool:
-        """Take note of what became of a group; False where it was too large for its part of the memory."""
+        """Record how a group ended; False where it was too large for its part of the memory."""
         if not isinstance(event, Ended):
             return True
         group, failure = groups[event.key], event.value.failed if event.failure is None else event.failure.message

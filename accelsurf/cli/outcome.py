@@ -25,7 +25,7 @@ _REPORT = "use a smaller --cfl; and please report this image and its settings"
 
 
 def shortcoming(name: str, result: Result, strict: bool) -> tuple[AccelsurfError | None, list[str]]:
-    """Return what is wrong with a result: an error or None, and warnings.
+    """Return the shortcomings of a result: an error or None, and warnings.
 
     Of several objects, one that vanished is a warning; it is an error when none remains.
 
@@ -108,7 +108,7 @@ def _and_more(texts: Sequence[str]) -> str:
 
 
 def summary_lines(
-    name: str, result: Result, seconds: float, outputs: Sequence[Mapping[str, Any]], report: Path
+    name: str, result: Result, outputs: Sequence[Mapping[str, Any]], seconds: float, report: Path
 ) -> list[str]:
     """Return the lines printed at the end: how the run ended, the measures, the files.
 
@@ -117,10 +117,10 @@ def summary_lines(
     name : str
         Of the case.
     result : Result
-    seconds : float
-        Wall time of all.
     outputs : sequence of mapping
-        The files, as the report describes them.
+        The files, as the report lists them.
+    seconds : float
+        Wall time of the whole run.
     report : Path
     """
     lines = _ending(name, result, seconds)

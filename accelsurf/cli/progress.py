@@ -74,7 +74,7 @@ class Watcher:
                 self._bar.stop()
 
     def _on_compilation(self) -> None:
-        """Say once what is waited for, also off a terminal."""
+        """Print once the reason of a pause, also off a terminal."""
         from accelsurf.kernels.storage import STORAGE
 
         if self._is_quiet or self._has_noticed:
@@ -100,7 +100,7 @@ class Watcher:
         return self._interrupts.count > 0
 
     def note(self, text: str) -> None:
-        """Take note of the files on the disk, for the last line after Ctrl-C."""
+        """Keep a line about the files on the disk, for the last line after Ctrl-C."""
         self._interrupts.note(text)
 
     def exit_code(self, code: int) -> int:
@@ -197,7 +197,7 @@ def table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
 
 
 class BatchProgress:
-    """Shows what becomes of the cases. A context manager.
+    """Shows the progress of the cases. A context manager.
 
     Parameters
     ----------
@@ -281,12 +281,12 @@ class BatchProgress:
         if self._bar is not None:
             self._bar.show(completed=self._done, state=state_text(self._failed, seconds_left))
 
-    def _print(self, event: str, **facts: Any) -> None:
-        print_json({"event": event, **facts, "done": self._done, "failed": self._failed, self._what: self._count})
+    def _print(self, event: str, **fields: Any) -> None:
+        print_json({"event": event, **fields, "done": self._done, "failed": self._failed, self._what: self._count})
 
 
 def state_text(failed: int, seconds_left: float | None) -> str:
-    """Return what stands beside the bar.
+    """Return the text beside the bar.
 
     Examples
     --------

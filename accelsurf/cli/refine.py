@@ -102,7 +102,7 @@ def refine(
         Exit with 4 when the correction ends before it has converged, with 5 when the result is doubtful.
     """
     given = {"inside": inside, "outside": outside, "near": near, "object": object, **vars(objects or ObjectOptions())}
-    (refinement,) = corrections_of({key: value for key, value in given.items() if value is not None})
+    (correction,) = corrections_of({key: value for key, value in given.items() if value is not None})
     from accelsurf.cli.case import Place, run_case
     from accelsurf.cli.progress import Watcher
 
@@ -112,19 +112,19 @@ def refine(
     place = Place(source.image, folder, source.name, overwrite or in_place, has_checkpoint=False)
     if in_place and not overwrite:
         _refuse_changed(place, source)
-    compute = _Refinement(source, refinement, in_place)
+    compute = _CorrectedRun(source, correction, in_place)
     watcher = Watcher(display or Display())
-    done = run_case(place, config.replace(refine=(*config.refine, refinement)), watcher, strict, compute)
+    done = run_case(place, config.replace(refine=(*config.refine, correction)), watcher, strict, compute)
     if display is None or not display.quiet:
         _print_summary(done, compute)
     return done.code
 
 
-class _Refinement:
+class _CorrectedRun:
     """Computes a corrected result, in place of a run from the start."""
 
-    def __init__(self, source: _Source, refinement: Correction, in_place: bool) -> None:
-        self._source, self._refinement, self._in_place = source, refinement, in_place
+    def __init__(self, source: _Source, correction: Correction, in_place: bool) -> None:
+        self._source, self._correction, self._in_place = source, correction, in_place
         self._changes: tuple[Any, ...] = ()
 
     def __call__(self, place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
@@ -136,7 +136,7 @@ class _Refinement:
         _check_image(self._source, log.checksum)
         with watcher.watch(place.name, config.max_steps):
             refiner = Refiner(log.timed("load", lambda: restored(self._source.state, volume, more)))
-            self._changes = refiner.apply(self._refinement, on_step=watcher.on_step)
+            self._changes = refiner.apply(self._correction, on_step=watcher.on_step)
         result = refiner.result()
         if result.stop.reason == "interrupted" and self._in_place:
             raise KeyboardInterrupt  # the result that stands is a finished one
@@ -153,11 +153,8 @@ class _Refinement:
         ]
 
 
-def _print_summary(done: Finished, compute: _Refinement) -> None:
-    from accelsurf.cli.outcome import summary_lines
-
-    log, place = done.log, done.place
-    lines = summary_lines(place.name, done.result, log.seconds["total"], log.outputs, place.report_path)
+def _print_summary(done: Finished, compute: _CorrectedRun) -> None:
+    lines = done.summary_lines(done.place.name)
     print("\n".join([lines[0], *compute.lines(), *lines[1:]]))
 
 

@@ -104,13 +104,13 @@ def _run(
         from accelsurf.cli.case import exit_code_of_finished, resumed_place
         if (code := exit_code_of_finished(place, run, display.quiet)) is not None:
             return code
-        place = resumed_place(place, run)
+        place = resumed_place(place, place.paths(run).values())
     done = run_case(place, run, Watcher(display), strict, compute)
     return _summed_up(place.name, done, display.quiet, profile)
 
 
 def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
-    """Refuse what is not known of many objects that are run in groups.
+    """Refuse options that have no effect on many objects that are run in groups.
 
     Raises
     ------
@@ -127,13 +127,9 @@ def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
 
 def _summed_up(name: str, done: Finished, quiet: bool, profile: bool) -> int:
     """Print how the run ended, and where its seconds went; return the exit code."""
-    from accelsurf.cli.outcome import summary_lines
-
-    log, lines = done.log, list[str]()
-    if not quiet:
-        lines += summary_lines(name, done.result, log.seconds["total"], log.outputs, done.place.report_path)
+    lines = [] if quiet else done.summary_lines(name)
     if profile:
-        lines += profile_lines({**done.result.seconds, **log.seconds}, done.result.kernels)
+        lines += profile_lines({**done.result.seconds, **done.log.seconds}, done.result.kernels)
     if lines:
         print("\n".join(lines))
     return done.code

@@ -17,9 +17,15 @@ from accelsurf.io.sequences.writing import SequenceWriter
 from accelsurf.output.document import describe_staged, to_json, versions
 from accelsurf.output.folder import naming_final, opened_set, refuse_existing
 from accelsurf.output.tables import csv_text
-from accelsurf.phantoms import recipes
+from accelsurf.phantoms import motions, recipe_files, recipes
 from accelsurf.phantoms.motions import MotionRecipe, MovingPhantom
 from accelsurf.phantoms.recipes import Recipe
+
+#: Columns of the table of the bodies, as far as they go those of a table of tracks.
+COLUMNS = ("frame", "time", "time_unit", "id", "parent", "x_mm", "y_mm", "z_mm", "volume_ml", "seen")
+#: Ends of the names of files by their kind.
+VOLUME = {"image": ".nii.gz", "labels": "_truth.nii.gz", "facts": ".json"}
+SEQUENCE = {"image": ".nii.gz", "labels": "_truth.nii.gz", "tracks": "_truth.csv", "facts": ".json"}
 
 
 def synth(
@@ -46,9 +52,6 @@ def synth(
     overwrite
         Replace outputs that exist.
     """
-    from accelsurf.cli.synth import write_sequence, write_volume
-    from accelsurf.phantoms import motions, recipe_files, recipes
-
     folder = required(output, "-o DIR, the output folder,")
     path, values = recipe_files.read_recipe(recipe)
     if seed is not None:
@@ -60,13 +63,6 @@ def synth(
     for kind, written in paths.items():
         print(f"{kind:6} {written.absolute()}")
     return 0
-
-
-#: Columns of the table of the bodies, as far as they go those of a table of tracks.
-COLUMNS = ("frame", "time", "time_unit", "id", "parent", "x_mm", "y_mm", "z_mm", "volume_ml", "seen")
-#: Ends of the names of files by their kind.
-VOLUME = {"image": ".nii.gz", "labels": "_truth.nii.gz", "facts": ".json"}
-SEQUENCE = {"image": ".nii.gz", "labels": "_truth.nii.gz", "tracks": "_truth.csv", "facts": ".json"}
 
 
 def write_volume(recipe: Recipe, folder: Path, overwrite: bool) -> dict[str, Path]:

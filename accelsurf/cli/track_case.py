@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from accelsurf.cli.case import Place
+from accelsurf.cli.case import Place, note_result, resumed_place, say_warnings, warning_without_report
 from accelsurf.errors import AccelsurfError, OutputError
-from accelsurf.output import folder, result_sets
+from accelsurf.output import folder
 
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
     from accelsurf.settings.track_config import TrackConfig
+    from accelsurf.track.output.document import TrackRun
     from accelsurf.track.output.files import TrackFiles
     from accelsurf.track.output.outputs import TrackOutputs
     from accelsurf.track.records import Lineage
@@ -54,8 +55,8 @@ class TrackCase:
         """The files that are written."""
         from accelsurf.track.output.files import TrackFiles
 
-        said = self.config
-        return TrackFiles(said.format, said.per_frame, said.mesh, said.mesh_space, said.also)
+        config = self.config
+        return TrackFiles(config.format, config.per_frame, config.mesh, config.mesh_space, config.also)
 
 
 @dataclass(frozen=True)
@@ -83,21 +84,20 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
     """
     from accelsurf.track.output.outputs import TrackOutputs
 
-    _look_at_state(case)
+    _prepare_state(case)
     resumed = case.state.exists()
     try:
         tracking = _begun(case, watcher)
     except AccelsurfError as error:
         report_failure(case, error)
         raise
-    paths = case.files.paths(case.place.folder, case.place.name).values()
-    is_free = result_sets.unfinished_alone(case.place.report_path, paths)
+    place = case.place
+    if resumed:
+        place = resumed_place(place, case.files.paths(place.folder, place.name).values())
     try:
         outputs = TrackOutputs(
-            case.place.folder, case.place.name, tracking.sequence, case.files,
-            settings=tracking.config.model_dump(mode="json"), toml=tracking.config.to_toml(), argv=sys.argv,
-            overwrite=case.place.overwrite or (resumed and is_free), store=case.store,
-            inputs=case.place.inputs(case.config),
+            place.folder, place.name, tracking.sequence, case.files,
+            run=_run_of(tracking.config, place.inputs(case.config)), overwrite=place.overwrite, store=case.store,
         )
         try:
             _follow(case, tracking, outputs, watcher)
@@ -114,28 +114,27 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
 
 def report_failure(case: TrackCase, error: BaseException) -> None:
     """Write the report of a tracking that could not begin, or whose process is gone; a warning when that fails too."""
-    from accelsurf.cli.interrupts import say
     from accelsurf.track.output.outputs import write_failure
 
-    try:
-        write_failure(
-            case.place.folder, case.place.name, case.files, error, source=case.place.source,
-            settings=case.config.model_dump(mode="json"), argv=sys.argv,
-        )
-    except AccelsurfError as second:
-        say(f"warning: the report could not be written: {second.message}")
+    place = case.place
+    with warning_without_report():
+        run = _run_of(case.config, place.inputs(None))
+        write_failure(place.folder, place.name, case.files, error, place.source, run)
 
 
-def _look_at_state(case: TrackCase) -> None:
-    """Refuse to lose the work of a killed run, or take it away where that was asked for."""
+def _run_of(config: TrackConfig, inputs: list[Path]) -> TrackRun:
+    """Return command and settings of a tracking, for its files."""
+    from accelsurf.track.output.document import TrackRun
+
+    return TrackRun(config.model_dump(mode="json"), config.to_toml(), sys.argv, inputs)
+
+
+def _prepare_state(case: TrackCase) -> None:
+    """Refuse to lose the state of a run that was stopped; remove it unless the tracking goes on from it."""
     folder.refuse_folder(case.state)
-    there = [path for path in (case.state, case.store) if path.exists()]
-    if there and not (case.place.resume or case.place.overwrite):
-        raise OutputError(
-            f"{there[0]}: is the state of a run that was stopped",
-            "add --resume to go on from it, or --overwrite to begin anew",
-        )
-    if not case.place.resume or len(there) < 2:  # of one without the other there is nothing to go on from
+    case.place.refuse_left(case.state, case.store)
+    is_complete = case.state.exists() and case.store.exists()
+    if not (case.place.resume and is_complete):
         _remove_state(case)
 
 
@@ -171,7 +170,6 @@ def _follow(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
 def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher: Watcher) -> int:
     """Write the files; return the exit code."""
     from accelsurf.cli import INTERRUPTED
-    from accelsurf.cli.interrupts import say
 
     complete = tracking.done == len(tracking.visits) and not tracking.interrupted
     with watcher.writing():
@@ -180,13 +178,10 @@ def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
         outputs.finish(
             tracking.lineage, status="ok" if complete else "interrupted", exit_code=code, warnings=warnings
         )
-    for warning in warnings:
-        if warning not in watcher.printed_warnings:
-            say(f"warning: {warning}")
-    report = case.place.report_path.absolute()
-    watcher.note(f"the {'result' if complete else 'result so far'} is written: {report}")
+    say_warnings(warnings, watcher)
+    note_result(watcher, case.place, complete)
     if complete:
-        with suppress(OutputError):  # somebody has put a file among the frames: it stays
+        with suppress(OutputError):  # a file of somebody else among the frames: it stays
             _remove_state(case)
     return code
 

@@ -13,6 +13,11 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import FRAME_SETTINGS, TrackConfig, split_table
 from accelsurf.settings.track_fields import TrackFields
 
+#: Settings of the run on each frame.
+FrameSettings = settings_class(
+    "FrameSettings", leave_out=tuple(key for key in RunConfig.model_fields if key not in FRAME_SETTINGS)
+)
+
 
 def _track_settings(name: str, keys: Iterable[str]) -> type:
     """A dataclass with an option for each of these settings of tracking; ``None`` where it was not given."""
@@ -28,10 +33,6 @@ def _track_settings(name: str, keys: Iterable[str]) -> type:
 TrackSettings = _track_settings("TrackSettings", TrackFields.model_fields)
 #: For commands that only read a sequence.
 SequenceSettings = _track_settings("SequenceSettings", ("frame_time", "frames_from_slices"))
-#: Settings of the run on each frame.
-FrameSettings = settings_class(
-    "FrameSettings", leave_out=tuple(key for key in RunConfig.model_fields if key not in FRAME_SETTINGS)
-)
 
 
 def track_config(

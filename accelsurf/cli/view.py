@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from accelsurf.viewer.actions.opening import Opening
     from accelsurf.viewer.core.opening import OpenedImage, ShownImage
 
+Settings = settings_class("Settings")
+#: Settings that say how a sequence is read.
+_OF_READING = {field.name for field in fields(ReadOptions)} - {"time_index", "channels_from_time"}
+
 
 @dataclass(frozen=True)
 class FirstImage:
@@ -125,11 +129,6 @@ def loading() -> Iterator[None]:
             gc.enable()
 
 
-Settings = settings_class("Settings")
-#: Settings that say how a sequence is read.
-_OF_READING = {field.name for field in fields(ReadOptions)} - {"time_index", "channels_from_time"}
-
-
 @Parameter(name="*")
 @dataclass(frozen=True)
 class PageOptions:
@@ -222,7 +221,7 @@ def view(
 
 
 def show_tracks(source: Path, tracks: Path, config: TrackConfig, page: PageOptions) -> int:
-    """Open a sequence with what ``accelsurf track`` has found in it, until the user ends it.
+    """Open a sequence with the tracks of ``accelsurf track``, until the user ends it.
 
     Parameters
     ----------
@@ -268,7 +267,7 @@ def _show(
 
 
 def _check_given(image: Path | None, reference: Path | None, tracks: Path | None, times: TrackConfig) -> None:
-    """Refuse what lacks its image, or does not go together."""
+    """Refuse inputs that lack their image, or exclude each other."""
     if image is None and (times.frame_time is not None or times.frames_from_slices):
         key = "frames_from_slices" if times.frames_from_slices else "frame_time"
         raise UsageError(f"{key}: it was given without a sequence", "give the sequence, too")
@@ -301,7 +300,7 @@ def _is_local(page: PageOptions) -> bool:
 
 
 def _load() -> None:
-    """Load what window and page draw with; it takes seconds."""
+    """Load the libraries with which window and page draw; it takes seconds."""
     import accelsurf.viewer.actions.opening  # noqa: F401
 
 

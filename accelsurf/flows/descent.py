@@ -1,8 +1,5 @@
-"""Flows without inertia: their base, and plain L2 gradient descent, the baseline.
-
-Gradient descent with the plain momentum of the literature: the second baseline.
-
-Sobolev descent: the force smoothed along the surface by a solve at each step. The expensive baseline.
+"""Flows without inertia, the baselines: plain L2 gradient descent, descent with the momentum of the literature, and
+Sobolev descent, whose force is smoothed along the surface by a solve at each step.
 """
 
 from __future__ import annotations
@@ -30,6 +27,13 @@ from accelsurf.levelset import LevelSet, dot
 UNDONE = 0.5
 #: Steps of a smaller root mean square, voxels, say nothing of the stiffness: details finer than the grid never rest.
 STILL = 0.01
+#: Length of Sobolev descent, of the H1 gradient, unless one is given, in voxels of the smallest spacing.
+LENGTH = 5.0
+#: Half width of the tube in which its equation is solved, voxels along the normal.
+TUBE = 2.0
+#: The solve ends when the residual is this part of the right hand side.
+TOLERANCE = 1e-3
+MAX_ITERATIONS = 200
 
 
 class Descent(Flow):
@@ -198,15 +202,6 @@ class HeavyBall(Descent):
         move = descent_plan(now, speed, dt, limits, cfl_dt)
         self._last = move.speed * np.float32(dt)
         return move
-
-
-#: Length of the H1 gradient unless one is given, in voxels of the smallest spacing.
-LENGTH = 5.0
-#: Half width of the tube in which the equation is solved, voxels along the normal.
-TUBE = 2.0
-#: The solve ends when the residual is this part of the right hand side.
-TOLERANCE = 1e-3
-MAX_ITERATIONS = 200
 
 
 class Sobolev(Descent):

@@ -79,7 +79,7 @@ class FlowableMass(Accelerated):
     #: Mass that the last motion took to the nodes of the balance, see `Prediction`; a total below 0: not known. And
     #: whether that motion's fields have not come yet.
     _expected, _least, _most, _moved = -1.0, np.zeros(0), np.zeros(0), False
-    #: Area and density that `_inertia` was asked for last, and its answer.
+    #: Area and density that `_inertia` was asked for last, and its value.
     _inertia_of: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def __init__(self, gravity: float = 0.0, support: float | None = 0.0, **common: object) -> None:

@@ -1,7 +1,4 @@
-"""Boxes of voxels: around a mask, made larger, where two overlap; and large arrays worked on a slab at a time.
-
-Pieces of a mask, connected through faces of voxels.
-"""
+"""Boxes of voxels: around a mask, made larger, the overlap of two; slabs of an array; connected pieces of a mask."""
 
 from __future__ import annotations
 
@@ -15,6 +12,8 @@ from numpy.typing import NDArray
 Box = tuple[slice, slice, slice]
 #: First voxel of a box, (z, y, x).
 Corner = tuple[int, int, int]
+#: Voxels of a slab.
+SLAB_VOXELS = 1 << 20
 
 
 def bounding_box(mask: NDArray[np.bool_], margin: int = 0) -> Box | None:
@@ -106,7 +105,7 @@ def counted_from(box: Box, corner: Corner) -> Box:
 def with_halo(
     made: Callable[[Box], NDArray[Any]], box: Box, shape: Sequence[int], halo: Sequence[int]
 ) -> NDArray[Any]:
-    """Return what is made of a box, a view of what is made of one that is ``halo`` (z, y, x) voxels wider.
+    """Return the values that are made of a box, a view of those of a box that is ``halo`` (z, y, x) voxels wider.
 
     Parameters
     ----------
@@ -216,10 +215,6 @@ def on_box(values: NDArray[Any], source: Box, box: Box, beyond: float) -> NDArra
     return out
 
 
-#: Voxels of a slab.
-SLAB_VOXELS = 1 << 20
-
-
 def slabs(shape: Sequence[int], multiple: int = 1, at_least: int = 1) -> Iterator[slice]:
     """Yield runs of planes (along the first axis) of about `SLAB_VOXELS` voxels that cover a grid.
 
@@ -297,7 +292,7 @@ def connected_to(mask: NDArray[np.bool_], seeds: NDArray[np.bool_]) -> NDArray[n
 
 
 def holes_filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask (nz, ny, nx) with what it encloses: what is connected to no face of the grid.
+    """Return a mask (nz, ny, nx) with the voxels that it encloses: those connected to no face of the grid.
 
     In an image of one slice nothing is enclosed: all of it lies at a face.
 

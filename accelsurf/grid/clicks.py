@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, on_box, overlap, shared
 
 Side = Literal["inside", "outside"]
-#: The two sides, and the id of what is no object.
+#: The two sides, and the id of the background.
 SIDES: tuple[Side, Side] = ("inside", "outside")
 NO_OBJECT = 0
 
@@ -51,7 +51,7 @@ class Click(NamedTuple):
         return self.id == other.id
 
     def without(self, later: Iterable[Click]) -> Click | None:
-        """Return what is left of it by later clicks that contradict it; itself where that is all, None for nothing."""
+        """Return the voxels that later clicks leave it; itself where those are all, None where there are none."""
         mask = self.mask
         for click in later:
             if click.contradicts(self) and overlap(click.box, self.box):
@@ -131,7 +131,7 @@ class Clicks:
         return Clicks((*self.clicks, *more), self.shape)
 
     def with_later(self, later: Sequence[Click]) -> Clicks:
-        """Return these clicks and later ones, which take the voxels that they contradict from these.
+        """Return these clicks and later ones, which take the voxels that they put on the other side from these.
 
         A click of which nothing is left is left out; one from which nothing is taken stays the same object.
 

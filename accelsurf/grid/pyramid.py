@@ -5,7 +5,7 @@ voxel of a coarser level is a block of two voxels along each axis that is halved
 are centred on every other voxel and take half of its neighbours; the first and the last reach half a voxel beyond the
 border, where the array is continued linearly. Positions are (z, y, x) in voxels of level 0; its first voxel is at 0.
 
-On how many levels of a pyramid each part of an object is thick enough to be resolved.
+The number of levels is that on which each part of the first surface is thick enough to be resolved.
 """
 
 from __future__ import annotations
@@ -28,6 +28,9 @@ MIN_VOXELS = 8
 QUARTER_WEIGHTS = (-0.0703125, 0.8671875, 0.2265625, -0.0234375)
 #: The same half-way between the second and the third: of the outer two, of the inner two.
 HALF_WEIGHTS = (-0.0625, 0.5625)
+#: Where the number of levels is chosen automatically: the smallest number of voxels along an axis that is halved, and
+#: how deep each part of the start must be, voxels.
+AUTO_MIN_VOXELS, AUTO_MIN_DEPTH = 24, 2.0
 
 
 class Level(NamedTuple):
@@ -273,11 +276,6 @@ def _offset(fine: Level, coarse: Level, axis: int) -> float:
 
 def _along(array: NDArray[np.float32], axis: int, where: slice) -> NDArray[np.float32]:
     return array[(slice(None),) * axis + (where,)]
-
-
-#: Where the number of levels is chosen automatically: the smallest number of voxels along an axis that is halved, and
-#: how deep each part of the start must be, voxels.
-AUTO_MIN_VOXELS, AUTO_MIN_DEPTH = 24, 2.0
 
 
 def min_component_depth(psi: NDArray[np.float32]) -> float:

@@ -1,6 +1,6 @@
-"""Check of an image's voxels before a run: can something be segmented, found from its planes in one pass.
+"""Checks of voxels before a run: an image has something to segment, a label map has whole numbers.
 
-Values of a label map as whole numbers, exactly.
+An image is checked in one pass over its planes.
 """
 
 from __future__ import annotations
@@ -18,6 +18,11 @@ MIN_STEPS = 256
 MAX_VALUE, MIN_RANGE = 1e30, 1e-30
 """Values beyond the first mean "no value" in many files, and their squares are beyond 32-bit floats; so is the inverse
 of a range below the second."""
+
+#: A value may differ from a label by this share of it, as scaled by a header; of larger labels by no more than of this.
+ROUNDING, MAX_ROUNDED = 1e-4, 1e3
+#: Whole numbers up to this are exact as floats of 8 bytes.
+MAX_EXACT = 2.0**53
 
 
 class ImageCheck:
@@ -143,12 +148,6 @@ class Places:
         return (
             f"{self.count} {'voxel is' if self.count == 1 else 'voxels are'} (first at index x={x}, y={y}, z={z})"
         )
-
-
-#: A value may differ from a label by this share of it, as scaled by a header; of larger labels by no more than of this.
-ROUNDING, MAX_ROUNDED = 1e-4, 1e3
-#: Whole numbers up to this are exact as floats of 8 bytes.
-MAX_EXACT = 2.0**53
 
 
 def as_labels(array: NDArray[Any], corner: Corner = (0, 0, 0)) -> NDArray[Any]:

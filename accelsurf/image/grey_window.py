@@ -51,7 +51,7 @@ class GreyWindow(NamedTuple):
         return f"L {self.level:.4g} W {self.width:.4g}"
 
     def grey(self, values: NDArray[Any]) -> NDArray[np.uint8]:
-        """Grey values of an array; what is not finite is black."""
+        """Grey values of an array; values that are not finite are black."""
         share = (np.asarray(values, np.float32) - np.float32(self.low)) / np.float32(self.high - self.low)
         return (255.0 * np.clip(np.nan_to_num(share, nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)).astype(np.uint8)
 
@@ -87,7 +87,7 @@ def parse_window(text: str) -> GreyWindow | None:
 
 
 def checked_window(value: Any) -> Any:
-    """Check a window as a setting gives it; what is no text is left to the type of the setting."""
+    """Check a window as a setting gives it; a value that is no text is left to the type of the setting."""
     if isinstance(value, str):
         parse_window(value)
     return value

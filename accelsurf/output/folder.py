@@ -14,7 +14,14 @@ from pathlib import Path
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.io import headers, is_stored
 from accelsurf.io.file_set import FileSet, InputFiles, open_set, refuse_links
-from accelsurf.output.result_sets import has_guests, is_failure_report, is_output, outdated_inputs
+from accelsurf.output.result_sets import (
+    has_guests,
+    is_failure_report,
+    is_output,
+    outdated,
+    outdated_inputs,
+    report_name,
+)
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
@@ -107,6 +114,33 @@ def make_writable(folder: Path) -> None:
     except OSError as error:
         reason = "it is a file" if isinstance(error, FileExistsError) else error.strerror or str(error)
         raise OutputError(f"{folder}: cannot be written to ({reason})", "choose another folder with -o") from None
+
+
+def commit(files: FileSet, report: str, failed: bool, overwrite: bool, gone: Sequence[str] = ()) -> None:
+    """Put the staged files of a run in place, the report last; outdated files of an earlier run are removed.
+
+    Parameters
+    ----------
+    files : FileSet
+    report : str
+        Name of the report.
+    failed : bool
+        Whether the run failed.
+    overwrite : bool
+        Whether an earlier result may be replaced.
+    gone : sequence of str, optional
+        Further files that are removed.
+
+    Raises
+    ------
+    OutputError
+        When a file exists that may not be replaced: another program may have put it there while the run went on.
+    """
+    written = [path.name for path in files.staging.iterdir()]
+    if not (failed or overwrite):
+        refuse_existing({"report" if name == report else name: files.folder / name for name in written}, False)
+    name = report.removesuffix(report_name(""))
+    files.commit(last=report, remove=[*outdated(files.folder, name, written, failed, overwrite), *gone])
 
 
 @contextmanager

@@ -48,7 +48,7 @@ class Body(NamedTuple):
 
     @property
     def volume_mm3(self) -> float:
-        """Volume, also of what lies beyond the image."""
+        """Volume, with the part beyond the image."""
         return 4.0 / 3.0 * math.pi * float(np.linalg.det(self.matrix))
 
 

@@ -1,4 +1,4 @@
-"""Recipes of phantoms as files: where they lie, how one is found and read, and what is said of a wrong one."""
+"""Recipes of phantoms as files: their folders, how one is found and read, and the error of a wrong one."""
 
 from __future__ import annotations
 

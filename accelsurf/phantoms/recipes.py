@@ -41,6 +41,8 @@ Seed = Annotated[int, Field(strict=True, ge=0)]
 MAX_VOXELS = 2**30
 """Largest phantom: beyond it image, truth and temporary arrays need more than 10 GB."""
 
+_OBJECT_KEYS = {key for solid in SOLIDS.values() for key in inspect.signature(solid).parameters}
+
 
 class Recipe(BaseModel):
     """Recipe of a phantom. Lengths in mm; triples in the order x, y, z.
@@ -157,12 +159,9 @@ class Recipe(BaseModel):
         return recipe_from(self.model_dump(exclude_none=True) | changes, self.name)
 
 
-_OBJECT_KEYS = {key for solid in SOLIDS.values() for key in inspect.signature(solid).parameters}
-
-
 @dataclass(frozen=True, eq=False)
 class Phantom:
-    """A synthetic volume and what is known about it.
+    """A synthetic volume and its exact measures.
 
     Attributes
     ----------

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
+_TREE_SPREAD = (np.array([0.7, 0.85, -0.5]), np.array([1.3, 1.15, 0.5]))
 
 
 class Solid(ABC):
@@ -220,7 +221,6 @@ class Vessel(Solid):
         return float(high[0]), float(high[1]), float(high[2])
 
 
-_TREE_SPREAD = (np.array([0.7, 0.85, -0.5]), np.array([1.3, 1.15, 0.5]))
 """Smallest and largest of: turn (times the angle), stretch (times the length), roll of the next fork (radians)."""
 
 

@@ -94,7 +94,7 @@ def bone(shape: Shape = (40, 64, 64), *, noise: float = 18.0, seed: int = 0) -> 
 
 
 def tumour(shape: Shape = (40, 64, 64), *, noise: float = 8.0, seed: int = 0) -> tuple[Image, Labels]:
-    """A lobed mass with a bright rim and a dim middle in even tissue, as with contrast agent in MR."""
+    """A lobed mass with a bright rim and a dim middle in homogeneous tissue, as with contrast agent in MR."""
     random = np.random.default_rng(seed)
     z, y, x = _from_middle(shape)
     angle = np.arctan2(y, x)

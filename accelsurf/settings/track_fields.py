@@ -51,17 +51,20 @@ TRACK_FORMATS: Registry[TrackFormat] = Registry(
     "format of tracks",
     TrackFormat(
         "ctc", "folder of the Cell Tracking Challenge: res_track.txt and a TIFF for each frame", "RES",
-        "accelsurf.track.output.outputs:write", mark="res_track.txt",
+        "accelsurf.track.output.outputs:write_challenge", mark="res_track.txt",
     ),
     TrackFormat(
-        "geff", "folder of the Graph Exchange File Format", "tracks.geff", "accelsurf.track.output.geff_file:write",
-        "accelsurf.track.output.geff_file:check", mark=".zattrs",
+        "geff", "folder of the Graph Exchange File Format", "tracks.geff",
+        "accelsurf.track.output.geff_file:write_geff", "accelsurf.track.output.geff_file:check_geff", mark=".zattrs",
     ),
     TrackFormat(
         "surfaces", "folder of surfaces, prediction beside correction, for accelsurf view --tracks", "surfaces",
-        "accelsurf.track.output.surfaces:write", mark="surfaces.json",
+        "accelsurf.track.output.surfaces:write_surfaces", mark="surfaces.json",
     ),
-    TrackFormat("trackmate", "XML file of TrackMate", "trackmate.xml", "accelsurf.track.output.trackmate_file:write"),
+    TrackFormat(
+        "trackmate", "XML file of TrackMate", "trackmate.xml",
+        "accelsurf.track.output.trackmate_file:write_trackmate",
+    ),
     TrackFormat(
         "mp4", "movie of slices, prediction beside correction", "movie.mp4",
         "accelsurf.track.output.slices:write_movie", "accelsurf.track.output.slices:check_mp4",

@@ -22,6 +22,10 @@ Floats = NDArray[np.float64]
 MARGIN, GUARD = 4, 2
 #: Surface that was not there before has the mean of so many cells of the front nearest to it.
 NEIGHBOURS = 16
+#: A part is an object of its own from this part of the largest one's volume on; smaller ones are left out.
+OWN_PART = 0.2
+#: Two objects become one where they touch along at least this part of the surface of the smaller one.
+TOUCHING_PART = 0.1
 
 
 class BoxedSurface(NamedTuple):
@@ -188,12 +192,6 @@ def transferred(old: BoxedSurface, fields: Sequence[np.ndarray], new: BoxedSurfa
         column[same] = field[slot[same]]
         out.append(column)
     return out
-
-
-#: A part is an object of its own from this part of the largest one's volume on; smaller ones are left out.
-OWN_PART = 0.2
-#: Two objects become one where they touch along at least this part of the surface of the smaller one.
-TOUCHING_PART = 0.1
 
 
 def separate_parts(surface: SurfacePiece) -> list[SurfacePiece]:

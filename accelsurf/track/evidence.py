@@ -1,4 +1,4 @@
-"""Evidence that a frame shows an object: the image across its surface, its volume and its area, and what they were."""
+"""Evidence that a frame shows an object: the image across its surface, its volume and its area, beside earlier ones."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def profile(image: Volume, surface: SurfacePiece, others: Sequence[SurfacePiece]
 
 
 def _leave_out(layer: NDArray[np.int64], surface: SurfacePiece, other: SurfacePiece, near: float) -> None:
-    """Put what is near another object into no layer, in place."""
+    """Put voxels near another object into no layer, in place."""
     low = [max(a, b) for a, b in zip(surface.corner, other.corner, strict=True)]
     high = [
         min(a + n, b + m)

@@ -1,4 +1,4 @@
-"""An object that is followed: its momentum, what it looked like when it was seen last, its mesh."""
+"""An object that is followed: its momentum, its appearance when it was seen last, its mesh."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from accelsurf.track.records import CarriedMesh, SurfacePiece, TrackedObject
 #: A new mesh is made where the volume of a carried one differs from that of its surface by more than this part, or
 #: where more than this part of its triangles has turned over.
 MAX_DIFFERENCE = 0.05
+VANISHED, LEFT = "vanished", "left"
 
 
 class MeshCarrier:
@@ -62,13 +63,10 @@ class MeshCarrier:
 
 
 def _topology_of(piece: SurfacePiece) -> tuple[int, int]:
-    """Parts inside, and parts of what is outside: they change where an object divides, merges or encloses something."""
+    """Numbers of parts inside and outside: they change where an object divides, merges or encloses something."""
     inside = np.pad(piece.psi < 0, 1, mode="edge")
     outside = np.pad(piece.psi >= 0, 1, constant_values=True)
     return int(ndimage.label(inside)[1]), int(ndimage.label(outside)[1])
-
-
-VANISHED, LEFT = "vanished", "left"
 
 
 class Whole(NamedTuple):
@@ -153,7 +151,7 @@ class Followed:
         return x, y, z
 
     def note_seen(self, found: Measured, profile: Profile, time: float, geometry: Geometry) -> None:
-        """Note what the frame showed, after the momentum was corrected by it."""
+        """Keep the measures of the frame, after the momentum was corrected by it."""
         self.profile, self.volume_mm3, self.area_mm2 = profile, found.volume_mm3, found.area_mm2
         self.centroid, self.velocity = self.momentum.centroid(), self.momentum.mean_velocity()
         self.time, self.quality, self.missing = time, found.quality, 0

@@ -1,4 +1,4 @@
-"""From one frame to the next: prediction, what the frame shows, correction, identities."""
+"""From one frame to the next: prediction, measurement, correction, identities."""
 
 from __future__ import annotations
 
@@ -27,6 +27,11 @@ from accelsurf.track.frame_run import Measured, following_settings, measure
 from accelsurf.track.momentum import Gains, SurfaceMomentum, Triple
 from accelsurf.track.momentum_models import make_momentum
 from accelsurf.track.records import BAND, Identities, SurfacePiece, TrackedObject
+
+#: What is nearer to a tracked object than so many voxels is no object of its own.
+APART = 2
+#: Of an object that the border of the grid cuts at least so many voxels must be there.
+MIN_CUT = 8
 
 
 @dataclass(frozen=True)
@@ -193,7 +198,7 @@ class Follower:
     # -- identities ----------------------------------------------------------------------------------------
 
     def _begin_clicked(self, found: dict[int, Measured], arrival: Arrival) -> None:
-        """Begin what corrections of the frame have made, and end what they have taken away."""
+        """Begin the objects that corrections of the frame have made, and end those that they have removed."""
         if not arrival.refinements:
             return
         ids = {followed.id for followed in self.objects}
@@ -259,7 +264,7 @@ class Follower:
             self._take_in(found[place], Whole(like, usual), absent, arrival)
 
     def _take_in(self, found: Measured, whole: Whole, absent: list[Followed], arrival: Arrival) -> None:
-        """Link what has appeared to an object that was missing, or let it enter; ``whole`` is a usual object."""
+        """Link a part that has appeared to an object that was missing, or let it enter; ``whole`` is a usual object."""
         if not found.surface.psi.size:
             return
         found = self._largest(found)
@@ -326,12 +331,6 @@ class Follower:
 def measured_part(piece: SurfacePiece, momentum: SurfaceMomentum, quality: float) -> Measured:
     """Measure a part of a surface."""
     return Measured(piece, momentum.volume(), momentum.area(), quality)
-
-
-#: What is nearer to a tracked object than so many voxels is no object of its own.
-APART = 2
-#: Of an object that the border of the grid cuts at least so many voxels must be there.
-MIN_CUT = 8
 
 
 def appearing(

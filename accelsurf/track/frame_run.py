@@ -1,4 +1,4 @@
-"""The inner run on a frame: what the image shows of each object, from where it is expected."""
+"""The inner run on a frame: the surface of each object in the image, from the predicted one."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ NOTHING = Measured(SurfacePiece((0, 0, 0), np.ones((0, 0, 0), np.float32)), 0.0,
 
 
 def following_settings(config: RunConfig, energy: str) -> RunConfig:
-    """Settings of the runs on the frames after the first: what means places in the first one is left out.
+    """Settings of the runs on the frames after the first: without the settings that are places in the first one.
 
     Parameters
     ----------

@@ -24,6 +24,10 @@ CFL = 0.5
 MAX_STEPS = 200
 #: A remainder of the time below this part of it is rounding.
 END = 1e-9
+#: Density of new surface.
+RHO = 1.0
+#: Voxels that a place may move relative to the whole in one prediction.
+MAX_RELATIVE = 32.0
 
 
 def coast(
@@ -109,12 +113,6 @@ def _velocity_at(boxed: BoxedSurface, plan: StepPlan, points: Floats) -> NDArray
         velocity = plan.speed[:, None] * boxed.surface.normals()
     values, _ = sample_fields(boxed, [np.ascontiguousarray(velocity[:, c]) for c in range(3)], points)
     return np.asarray(values)
-
-
-#: Density of new surface.
-RHO = 1.0
-#: Voxels that a place may move relative to the whole in one prediction.
-MAX_RELATIVE = 32.0
 
 
 class FlowableMomentum(SurfaceMomentum):

@@ -4,8 +4,8 @@ A surface shows only how far it has moved along its normal (the aperture problem
 fitted first: such that the predicted surface, shifted by b, lies on the measured one. Only what is left, delta, goes
 along the normal.
 
-The surfaces of two frames differ by noise, too, which has no momentum. Noise is rough, motion is even: what is left
-becomes velocity as far as it is even over the surface and more than what the roughness lets expect of noise.
+The surfaces of two frames differ by noise, too, which has no momentum. Noise is rough, motion is smooth: what is left
+becomes velocity as far as it is smooth over the surface and more than what the roughness lets expect of noise.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ MAX_ROUNDS, FITTED = 30, 1e-3
 FIT_WIDTH = 12.0
 #: Points more than so many voxels off count by 1/distance: a place that is really different does not draw the whole.
 ROBUST = 1.0
-#: Over the surface a Gaussian of so many voxels tells what is even from what is rough.
-EVEN = 2.5
-#: Of noise, what is even has this part of the mean square of what is rough.
-EVEN_NOISE = 0.2
+#: Standard deviation, voxels, of the Gaussian over the surface that separates smooth from rough parts of a motion.
+SMOOTH = 2.5
+#: Mean square of the smooth part of noise, as a fraction of that of its rough part.
+SMOOTH_NOISE = 0.2
 
 
 class Displacement(NamedTuple):
@@ -143,7 +143,7 @@ def _resampled(boxed: BoxedSurface, shift: Floats, low: NDArray[np.int64], shape
 
 
 def missing_velocity(predicted: BoxedSurface, found: Displacement, duration: float) -> NDArray[np.float64]:
-    """Velocity (n, 3) that the predicted band lacked: (b + K_delta delta n)/duration, delta as far as it is even."""
+    """Velocity (n, 3) that the predicted band lacked: (b + K_delta delta n)/duration, delta as far as it is smooth."""
     far = 0.95 * FIT_WIDTH * predicted.surface.largest_spacing
     outward = certain_part(predicted, np.where(np.abs(found.remainder) < far, found.remainder, 0.0))
     return np.asarray((found.shift - outward[:, None] * predicted.surface.normals()) / duration)
@@ -162,7 +162,7 @@ def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArr
     -------
     ndarray (n,)
         K_delta E outward: E is the mean over the surface with a Gaussian weight, plus that of what it leaves; K_delta
-        = 1 - `EVEN_NOISE` <(1 - E)^2>/<E^2>, at least 0, <> the mean over the surface of outward's squared parts.
+        = 1 - `SMOOTH_NOISE` <(1 - E)^2>/<E^2>, at least 0, <> the mean over the surface of outward's squared parts.
     """
     surface, points = predicted.surface, predicted.closest_points()
     area = np.where(_in_frame(predicted, points), surface.fraction_and_area()[1], 0.0)  # beyond nothing is measured
@@ -175,13 +175,13 @@ def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArr
     def smoothed_at(values: NDArray[np.float64]) -> NDArray[np.float64]:
         dense = np.zeros(surface.shape, np.float32)
         dense.ravel()[surface.band.cells] = values
-        return gaussian_mm(dense, tuple(predicted.spacing), EVEN * surface.smallest_spacing)[at].astype(np.float64)
+        return gaussian_mm(dense, tuple(predicted.spacing), SMOOTH * surface.smallest_spacing)[at].astype(np.float64)
 
     weight = np.maximum(smoothed_at(area), 1e-6 * float(area.max()))
-    even = smoothed_at(area * outward) / weight
-    even += smoothed_at(area * (outward - even)) / weight
-    clear, rough = (float((area * values**2).sum()) / total for values in (even, outward - even))
-    return even * max(0.0, 1.0 - EVEN_NOISE * rough / clear) if clear > 0.0 else even
+    smooth = smoothed_at(area * outward) / weight
+    smooth += smoothed_at(area * (outward - smooth)) / weight
+    clear, rough = (float((area * values**2).sum()) / total for values in (smooth, outward - smooth))
+    return smooth * max(0.0, 1.0 - SMOOTH_NOISE * rough / clear) if clear > 0.0 else smooth
 
 
 def measured_surface(piece: SurfacePiece, predicted: BoxedSurface) -> BoxedSurface:

@@ -1,6 +1,6 @@
-"""Records of a tracking: the objects of one frame, and the links between parents and children.
+"""Records of a tracking: the objects of one frame, and their identities.
 
-Identities: who begins where, is seen in which frames, came from whom, and why it ends.
+An identity has its first and last frame, the frames that do not show it, its parents and children, and its end.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from accelsurf.io.images import label_type
 
 #: Voxels around what is inside that a surface has on its box.
 BAND = 5
+END = "end of sequence"
 
 
 class SurfacePiece(NamedTuple):
@@ -103,7 +104,7 @@ class TrackedObject:
 
 @dataclass(frozen=True, eq=False)
 class FrameResult:
-    """The objects of one frame; what `accelsurf.track.track` yields, one frame at a time.
+    """The objects of one frame, as `accelsurf.track.track` yields them, one frame at a time.
 
     Attributes
     ----------
@@ -189,9 +190,6 @@ class Lineage:
     def children(self, parent: int) -> tuple[int, ...]:
         """Identities that came from ``parent``."""
         return tuple(link.child for link in self.links if link.parent == parent)
-
-
-END = "end of sequence"
 
 
 @dataclass

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +13,9 @@ from numpy.typing import NDArray
 from accelsurf.errors import InputError
 from accelsurf.image.check import as_labels
 from accelsurf.image.sequence import ImageSequence
-from accelsurf.io.files import naming
 from accelsurf.io.headers import split_name
 from accelsurf.io.sequences.challenge import ChallengeFolder, is_challenge, open_challenge
-from accelsurf.settings import budgets
+from accelsurf.track.output.files import read_tracks_table
 from accelsurf.track.scores import Stretch, TrackedLabels, TrackingScores, score, stretches
 
 #: Ends of the names of label maps, and of the table that belongs to them.
@@ -147,18 +145,7 @@ def _frames_shown(sequence: ImageSequence) -> dict[int, list[int]]:
 
 def _read_table(path: Path) -> tuple[dict[int, list[int]], dict[int, tuple[int, ...]]]:
     """Read the frames in which each id is seen, and its parents, from the columns frame, id, parent and seen."""
-    with naming(path):
-        budgets.CASES.check(path.stat().st_size, "the table of tracks")
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            lines = csv.DictReader(file, strict=True)
-            try:
-                return _tracks_in(lines.fieldnames or (), lines)
-            except (csv.Error, ValueError, TypeError):  # TypeError: a line with fewer cells
-                raise InputError(
-                    f"line {lines.line_num}: not a line of a table of tracks, whole numbers of frame, id and parent "
-                    "expected",
-                    "correct it, or write the table again with accelsurf track",
-                ) from None
+    return read_tracks_table(path, _tracks_in)
 
 
 def _tracks_in(

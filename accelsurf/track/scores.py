@@ -197,7 +197,7 @@ def _counted(result: NDArray[Any], reference: NDArray[Any]) -> _Frame:
 def _operations(
     frames: Sequence[_Frame], matches: Sequence[dict[int, int]], result: TrackedLabels, reference: TrackedLabels
 ) -> Operations:
-    """Count what turns the result's graph into the reference's."""
+    """Count the operations that turn the result's graph into the reference's."""
     splits = missing = false = 0
     match: dict[Vertex, Vertex] = {}  # of the reference's vertices, where no other one matches the same
     for number, frame in enumerate(frames):
@@ -281,7 +281,7 @@ def _switches(matches: Sequence[dict[int, int]]) -> int:
 
 
 class Stretch(NamedTuple):
-    """Frames in which an object is seen without a break: what the Cell Tracking Challenge calls a track.
+    """Frames in which an object is seen without a break: a track of the Cell Tracking Challenge.
 
     ``label`` is its own number, ``id`` the object's; ``parents`` are labels of the stretches that it continues: the one
     before a gap, those that divided or merged into it.

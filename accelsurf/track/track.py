@@ -1,8 +1,7 @@
 """track(): objects through a sequence of images, frame by frame, from a first frame that is segmented as an image.
 
-Several sequences of one scene as the channels of one, as the settings of a tracking name them.
-
-The state of a tracking after a frame, as a file from which it goes on to the same bytes.
+Several sequences of one scene may be the channels of one. The state after each frame is a file, from which a tracking
+goes on to the same bytes.
 """
 
 from __future__ import annotations
@@ -41,6 +40,14 @@ from accelsurf.track.frame_run import Measured, measured
 from accelsurf.track.momentum import Triple
 from accelsurf.track.records import FrameResult, Identities, Lineage, SurfacePiece
 
+#: Called with each step and the id of its object; a true value ends the run.
+OnStep = Callable[[StepRecord, int], bool | None]
+#: Voxels along each axis of the frames that warm up kernels, and the radius of the ball in them.
+WARMUP_SIDE, WARMUP_RADIUS = 24, 6.0
+#: Version of the state file; raised when its content changes.
+VERSION = 1
+_BEGIN = "begin anew without --resume, with --overwrite"
+
 
 class JoinedSequence(ImageSequence):
     """The channels of several sequences, frame by frame; times and grid are those of the first.
@@ -78,7 +85,7 @@ class JoinedSequence(ImageSequence):
 
 
 def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:
-    """Open what is tracked, with the channels that the settings add; the headers are read.
+    """Open the sequence that is tracked, with the channels that the settings add; the headers are read.
 
     Parameters
     ----------
@@ -99,10 +106,6 @@ def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:
         for path in (source, *(Path(file) for file in config.run.channel))
     )
     return JoinedSequence(first, others) if others else first
-
-
-#: Called with each step and the id of its object; a true value ends the run.
-OnStep = Callable[[StepRecord, int], bool | None]
 
 
 class FirstObjects(NamedTuple):
@@ -376,7 +379,7 @@ class Tracking:
         """Write the state after a frame."""
         if self._path is None or self.interrupted:
             return
-        write(self._path, self._state(), self._header)
+        write_state(self._path, self._state(), self._header)
 
     @cached_property
     def _header(self) -> Header:
@@ -390,7 +393,7 @@ class Tracking:
         )
 
     def _restore(self, path: Path) -> None:
-        header, state = read(path)
+        header, state = read_state(path)
         if state.seed is not None and self.config.run.seed != state.seed:
             self.config = self.config.replace(run=self.config.run.replace(seed=state.seed))
         refuse_another(path, header, self._header)
@@ -455,10 +458,6 @@ def track(
     )
 
 
-#: Voxels along each axis, and the radius of the ball that moves.
-WARMUP_SIDE, WARMUP_RADIUS = 24, 6.0
-
-
 def small_runs() -> dict[str, Callable[[], Any]]:
     """Return runs by name of the kernels that only a tracking calls, for ``accelsurf warmup``."""
     return {
@@ -479,11 +478,6 @@ def _warm_up(model: str) -> None:
 def _warmup_frame(shift: float) -> Volume:
     z, y, x = np.indices([WARMUP_SIDE] * 3) - WARMUP_SIDE / 2
     return Volume.from_array((z**2 + y**2 + (x - shift) ** 2 < WARMUP_RADIUS**2).astype(np.float32), 1.0)
-
-
-#: Version of the file; raised when its content changes.
-VERSION = 1
-_BEGIN = "begin anew without --resume, with --overwrite"
 
 
 class Header(NamedTuple):
@@ -540,7 +534,7 @@ def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Hea
     return Header(VERSION, versions(), sha.hexdigest(), {**run, **tracking, "meshes": meshes})
 
 
-def write(path: Path, state: TrackState, header: Header) -> None:
+def write_state(path: Path, state: TrackState, header: Header) -> None:
     """Write a state, completely or not at all.
 
     Raises
@@ -551,7 +545,7 @@ def write(path: Path, state: TrackState, header: Header) -> None:
     write_bytes(path, to_bytes((header, state), TYPES))
 
 
-def read(path: Path) -> tuple[Header, TrackState]:
+def read_state(path: Path) -> tuple[Header, TrackState]:
     """Read a state of any tracking.
 
     Raises
@@ -572,7 +566,7 @@ def read(path: Path) -> tuple[Header, TrackState]:
 
 
 def refuse_another(path: Path, header: Header, expected: Header) -> None:
-    """Refuse the state of another tracking; what differs is named.
+    """Refuse the state of another tracking, and name the difference.
 
     Raises
     ------

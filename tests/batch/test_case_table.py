@@ -12,7 +12,7 @@ from accelsurf.settings import budgets
 def table(tmp_path):
     def written(text, name="cases.csv", encoding="utf-8"):
         (tmp_path / name).write_text(text, encoding=encoding)
-        return case_table.read(tmp_path / name)
+        return case_table.read_cases(tmp_path / name)
 
     return written
 
@@ -83,7 +83,7 @@ def test_a_table_has_a_budget(tmp_path, monkeypatch):
     with path.open("wb") as file:
         file.truncate(budgets.CASES.limit + 1)
     with pytest.raises(InputError, match="at most"):
-        case_table.read(path)
+        case_table.read_cases(path)
 
 
 def test_a_reference_that_is_missing_is_named_before_anything_runs(tmp_path):

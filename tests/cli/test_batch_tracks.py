@@ -214,12 +214,12 @@ def test_mixtures_are_refused_in_a_line(inline, words, code, message, films: Pat
 
 
 def test_files_of_a_table_are_looked_for_in_its_folder(tmp_path: Path) -> None:
-    from accelsurf.batch.case_table import read
+    from accelsurf.batch.case_table import read_cases
 
     (tmp_path / "t.csv").write_text(
         'image,correct,channel\nfilm,"frame=1 new=2 inside=label:a.nii@2 outside=point:1,2,3; frame=2 remove=1",b.nii\n'
     )
-    (case,) = read(tmp_path / "t.csv", tracking=True)
+    (case,) = read_cases(tmp_path / "t.csv", tracking=True)
     assert (case.id, case.settings["channel"]) == ("film", (str(tmp_path / "b.nii"),))
     assert case.settings["correct"] == (
         f"frame=1 new=2 inside=label:{tmp_path}/a.nii@2 outside=point:1,2,3", "frame=2 remove=1",

@@ -223,7 +223,7 @@ def cases(given: Input, folder: Path) -> None:
     from accelsurf.batch import case_table
     from accelsurf.batch.cases import checked_cases
 
-    checked_cases(case_table.read(folder / f"input{given.suffix}", tracking=given.kind == "sequences"))
+    checked_cases(case_table.read_cases(folder / f"input{given.suffix}", tracking=given.kind == "sequences"))
 
 
 def state(given: Input, folder: Path) -> None:
@@ -253,7 +253,7 @@ def track_state(given: Input, folder: Path) -> None:
     """The state of a tracking, and the tracking that goes on from it."""
     from accelsurf.track import track as states
 
-    states.read(folder / "input.npz")
+    states.read_state(folder / "input.npz")
 
 
 def store(given: Input, folder: Path) -> None:

@@ -31,7 +31,7 @@ def flat(tmp_path):
 
 
 def test_challenge_has_a_new_track_after_a_gap_and_the_parents_of_a_division(cells, tmp_path):
-    outputs.write(cells, tmp_path / "RES")
+    outputs.write_challenge(cells, tmp_path / "RES")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 1 0\n2 0 2 0\n3 3 4 2\n4 3 4 2\n5 3 4 1\n"
     for number, ids in enumerate(({1: 1, 2: 2}, {1: 1, 2: 2}, {2: 2}, {1: 5, 3: 3, 4: 4}, {1: 5, 3: 3, 4: 4})):
         found = io.read(tmp_path / "RES" / f"mask{number:03d}.tif").array
@@ -45,21 +45,21 @@ def test_challenge_has_a_new_track_after_a_gap_and_the_parents_of_a_division(cel
 
 
 def test_challenge_has_one_parent_of_several(flat, tmp_path):
-    outputs.write(flat, tmp_path / "RES")
+    outputs.write_challenge(flat, tmp_path / "RES")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 2 0\n2 0 2 0\n3 3 3 1\n"
 
 
 def test_challenge_refuses_labels_beyond_16_bits(tmp_path):
     made = tracking(flat_cells().sequence.geometry, [{70000: Ball((0.0, 12.0, 12.0), 2.0)}])
     with pytest.raises(OutputError, match="label 70000"):
-        outputs.write(set_of(made, tmp_path), tmp_path / "RES")
+        outputs.write_challenge(set_of(made, tmp_path), tmp_path / "RES")
     assert not (tmp_path / "RES").exists()
 
 
 def test_an_object_without_a_voxel_is_in_no_frame_of_the_challenge(tmp_path):
     made = tracking(flat_cells().sequence.geometry, [{1: Ball((0.0, 12.0, 12.0), 2.0)}] * 3)
     made.results[1].objects[0].surface.psi[...] = 1.0  # shrunk between the voxels, and still tracked
-    outputs.write(set_of(made, tmp_path), tmp_path / "RES")
+    outputs.write_challenge(set_of(made, tmp_path), tmp_path / "RES")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 0 0\n2 2 2 1\n"
 
 
@@ -81,7 +81,7 @@ def test_a_child_without_a_parent_that_was_seen_has_no_link(cells):
 
 
 def test_trackmate_has_spots_along_the_grid_and_an_edge_for_each_link(cells, tmp_path):
-    trackmate_file.write(cells, tmp_path / "cells.xml")
+    trackmate_file.write_trackmate(cells, tmp_path / "cells.xml")
     root = ElementTree.parse(tmp_path / "cells.xml").getroot()
     spots = {int(spot.get("ID")): spot for spot in root.iter("Spot")}
     assert root.find("Model").attrib == {"spatialunits": "mm", "timeunits": "s"}
@@ -104,7 +104,7 @@ def test_trackmate_has_spots_along_the_grid_and_an_edge_for_each_link(cells, tmp
 
 
 def test_trackmate_of_one_slice_has_radii_of_discs_and_mergers(flat, tmp_path):
-    trackmate_file.write(flat, tmp_path / "flat.xml")
+    trackmate_file.write_trackmate(flat, tmp_path / "flat.xml")
     root = ElementTree.parse(tmp_path / "flat.xml").getroot()
     assert [float(spot.get("RADIUS")) for spot in root.iter("Spot")] == pytest.approx([2.0] * 6 + [2.8])
     (track,) = root.findall("Model/AllTracks/Track")
@@ -114,7 +114,7 @@ def test_trackmate_of_one_slice_has_radii_of_discs_and_mergers(flat, tmp_path):
 def test_geff_has_nodes_edges_and_what_is_known_of_them(cells, tmp_path):
     import zarr
 
-    geff_file.write(cells, tmp_path / "cells.geff")
+    geff_file.write_geff(cells, tmp_path / "cells.geff")
     root = zarr.open_group(tmp_path / "cells.geff", mode="r")
     about = root.attrs["geff"]
     assert (about["directed"], [axis["name"] for axis in about["axes"]]) == (True, ["t", "z", "y", "x"])
@@ -134,7 +134,7 @@ def test_geff_has_nodes_edges_and_what_is_known_of_them(cells, tmp_path):
 @pytest.mark.parametrize("made", [dividing_cells, flat_cells])
 def test_geff_is_valid_by_its_own_library(made, tmp_path):
     geff = pytest.importorskip("geff")
-    geff_file.write(set_of(made(), tmp_path), tmp_path / "cells.geff")
+    geff_file.write_geff(set_of(made(), tmp_path), tmp_path / "cells.geff")
     geff.validate_structure(tmp_path / "cells.geff")
     graph, about = geff.read(tmp_path / "cells.geff")
     links = spots_of(set_of(made(), tmp_path)).links
@@ -146,9 +146,9 @@ def test_tracks_of_no_object_can_be_written(tmp_path):
     made = tracking(flat_cells().sequence.geometry, [{}, {}])
     empty = set_of(made, tmp_path)
     empty = TrackSet("none", empty.sequence, empty.rows, Lineage((), ()), empty.store)
-    outputs.write(empty, tmp_path / "RES")
-    trackmate_file.write(empty, tmp_path / "none.xml")
-    geff_file.write(empty, tmp_path / "none.geff")
+    outputs.write_challenge(empty, tmp_path / "RES")
+    trackmate_file.write_trackmate(empty, tmp_path / "none.xml")
+    geff_file.write_geff(empty, tmp_path / "none.geff")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == ""
     assert ElementTree.parse(tmp_path / "none.xml").getroot().find("Model/AllSpots").get("nspots") == "0"
 
@@ -156,5 +156,5 @@ def test_tracks_of_no_object_can_be_written(tmp_path):
 def test_a_track_that_is_never_seen_has_no_line(tmp_path):
     made = tracking(flat_cells().sequence.geometry, [{1: Ball((0.0, 12.0, 12.0), 2.0)}])
     more = Lineage((*made.lineage.tracks, Track(2, 0, 0, (), "vanished")), ())
-    outputs.write(set_of(made._replace(lineage=more), tmp_path), tmp_path / "RES")
+    outputs.write_challenge(set_of(made._replace(lineage=more), tmp_path), tmp_path / "RES")
     assert (tmp_path / "RES" / "res_track.txt").read_text() == "1 0 0 0\n"

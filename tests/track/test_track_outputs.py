@@ -12,6 +12,8 @@ import trimesh
 from accelsurf import io
 from accelsurf.errors import InputError, OutputError, UsageError
 from accelsurf.settings.track_fields import TRACK_FORMATS, TrackFormat
+from accelsurf.track.output import outputs as track_outputs
+from accelsurf.track.output.document import TrackRun
 from accelsurf.track.output.files import TrackFiles
 from accelsurf.track.output.outputs import TrackOutputs
 from accelsurf.track.records import CarriedMesh
@@ -41,13 +43,14 @@ def lines_of(path: Path) -> list[dict[str, str]]:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("tracks")
-    written(out, dividing_cells(), EVERY, toml="frame = 0\n", settings={"frame": 0}, argv=["accelsurf", "track"])
+    run = TrackRun({"frame": 0}, "frame = 0\n", ["accelsurf", "track"])
+    written(out, dividing_cells(), EVERY, run=run)
     return out
 
 
 @pytest.mark.slow
 def test_frames_in_any_order_give_the_same_bytes(folder, tmp_path):
-    written(tmp_path, dividing_cells(), EVERY, order=-1, toml="frame = 0\n")
+    written(tmp_path, dividing_cells(), EVERY, order=-1, run=TrackRun(toml="frame = 0\n"))
     assert contents(tmp_path) == contents(folder)
     assert len(contents(folder)) > 30
 
@@ -213,7 +216,7 @@ def test_a_report_that_cannot_be_written_does_not_hide_what_went_wrong(tmp_path,
     def fail(path, content):
         raise OutputError("the disk is full")
 
-    monkeypatch.setattr("accelsurf.track.output.outputs.write_bytes", fail)
+    monkeypatch.setattr(track_outputs, "write_bytes", fail)
     with pytest.raises(InputError, match="frame 3"), TrackOutputs(tmp_path, "cells", dividing_cells().sequence):
         raise InputError("frame 3 cannot be read")
     assert list(tmp_path.iterdir()) == []
@@ -225,7 +228,7 @@ def test_a_resumed_run_goes_on_from_the_frames_that_are_there(folder, tmp_path):
         for result in made.results[:3]:
             outputs.add(result)
     (store / "frame_000001.npz").write_bytes(b"the machine stopped")
-    more = {"store": store, "toml": "frame = 0\n"}
+    more = {"store": store, "run": TrackRun(toml="frame = 0\n")}
     with TrackOutputs(tmp_path / "out", "cells", made.sequence, EVERY, **more) as outputs:
         assert outputs.frames() == [0, 2]
         for result in made.results[1:]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.output import document
@@ -14,20 +14,36 @@ from accelsurf.track.output.frames import TrackSet
 from accelsurf.track.output.slices import beats_of
 
 __all__ = ["Status", "build", "to_json"]
+#: A line for each object in each frame. Velocities are mm per unit of time.
+TRACK_COLUMNS = (
+    "frame", "time", "time_unit", "id", "parent", "x_mm", "y_mm", "z_mm", "vx", "vy", "vz", "volume_ml",
+    "area_mm2", "quality", "seen",
+)
+ML = 1e-3  # mm3
+
+
+class TrackRun(NamedTuple):
+    """Command and settings of a tracking, for its files.
+
+    ``settings``, for the report; the same as ``toml``, with which the tracking can be repeated (without it there is no
+    ``NAME_run.toml``); the command line ``argv``; the ``inputs``, files that are read and so may not be replaced.
+    """
+
+    settings: Mapping[str, Any] | None = None
+    toml: str = ""
+    argv: Sequence[str] = ()
+    inputs: Sequence[Path] = ()
 
 
 def build(
     tracks: TrackSet | None,
     *,
-    sequence: ImageSequence | None = None,
-    source: Path | None = None,
+    images: ImageSequence | Path | None = None,
     status: Status,
     exit_code: int,
-    argv: Sequence[str] = (),
-    settings: Mapping[str, Any] | None = None,
+    run: TrackRun,
     error: BaseException | None = None,
     warnings: Sequence[str] = (),
-    seconds: Mapping[str, float] | None = None,
     outputs: Sequence[Mapping[str, str]] = (),
 ) -> dict[str, Any]:
     """Put the report of a tracking together. It always has every key; unknown values are null.
@@ -36,16 +52,12 @@ def build(
     ----------
     tracks : TrackSet or None
         None when the run failed.
-    sequence : ImageSequence, optional
-        What was tracked, where there is no ``tracks``.
-    source : Path, optional
-        Where that should have been, where there is no ``sequence`` either.
+    images : ImageSequence or Path, optional
+        The sequence of a run that failed; or its path, where it could not be opened.
     status, exit_code : {"ok", "failed", "interrupted"}, int
-    argv : sequence of str, optional
-    settings : mapping, optional
+    run : TrackRun
     error : BaseException, optional
     warnings : sequence of str, optional
-    seconds : mapping of str to float, optional
     outputs : sequence of mapping, optional
         From `accelsurf.output.document.describe_output`.
 
@@ -54,7 +66,7 @@ def build(
     dict
         Ready for `to_json`.
     """
-    images = sequence if tracks is None else tracks.sequence
+    images = images if tracks is None else tracks.sequence
     return {
         "schema_version": SCHEMA_VERSION,
         "kind": "tracking",
@@ -62,13 +74,13 @@ def build(
         "exit_code": exit_code,
         "error": None if error is None else document.describe_error(error),
         "versions": versions(),
-        "argv": list(argv),
-        "config": dict(settings) if settings else None,
-        "input": _describe_source(source) if images is None else describe_sequence(images),
+        "argv": list(run.argv),
+        "config": dict(run.settings) if run.settings else None,
+        "input": describe_sequence(images) if isinstance(images, ImageSequence) else _describe_source(images),
         "tracks": None if tracks is None else describe_tracks(tracks),
         "links": None if tracks is None else [link._asdict() for link in tracks.lineage.links],
         "frames": None if tracks is None else describe_frames(tracks),
-        "seconds": dict(seconds or {}),
+        "seconds": {},
         "peak_rss_mb": peak_rss_mb(),
         "warnings": list(warnings),
         "outputs": [dict(output) for output in outputs],
@@ -76,7 +88,7 @@ def build(
 
 
 def describe_sequence(sequence: ImageSequence) -> dict[str, Any]:
-    """Return the report's entry about what was tracked."""
+    """Return the report's entry about the sequence."""
     entry: dict[str, Any] = {"path": None, "sha256": None}
     if sequence.source:
         checksum = _checksum(Path(sequence.source))
@@ -85,7 +97,7 @@ def describe_sequence(sequence: ImageSequence) -> dict[str, Any]:
 
 
 def _describe_source(source: Path | None) -> dict[str, Any] | None:
-    """The entry about what could not be opened."""
+    """The entry about a sequence that could not be opened."""
     return None if source is None else describe_input(source) | {"times": None, "time_unit": None}
 
 
@@ -96,7 +108,7 @@ def _checksum(source: Path) -> str | None:
     try:
         return io.sha256(source)
     except InputError:
-        return None  # of what is no file: the frames have another source
+        return None  # no file: the frames have another source
 
 
 def describe_tracks(tracks: TrackSet) -> list[dict[str, Any]]:
@@ -134,14 +146,6 @@ def describe_frames(tracks: TrackSet) -> list[dict[str, Any]]:
         }
         for row in tracks.rows
     ]
-
-
-#: A line for each object in each frame. Velocities are mm per unit of time.
-TRACK_COLUMNS = (
-    "frame", "time", "time_unit", "id", "parent", "x_mm", "y_mm", "z_mm", "vx", "vy", "vz", "volume_ml",
-    "area_mm2", "quality", "seen",
-)
-ML = 1e-3  # mm3
 
 
 def tracks_csv(tracks: TrackSet) -> str:

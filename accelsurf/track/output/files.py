@@ -1,19 +1,25 @@
-"""Files that a tracking writes, and their names."""
+"""Files that a tracking writes: their choice and their names; its table of tracks is read here."""
 
 from __future__ import annotations
 
+import csv
 import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
-from accelsurf.errors import UsageError
+from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
+from accelsurf.io.files import naming
 from accelsurf.output.result_sets import report_name
+from accelsurf.settings import budgets
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS
 from accelsurf.settings.mesh_formats import Shape, mesh_formats
 from accelsurf.settings.registry import load
 from accelsurf.settings.track_fields import TRACK_FORMATS
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -42,7 +48,7 @@ class TrackFiles:
     also: tuple[str, ...] = ()
 
     def check(self, geometry: Geometry) -> None:
-        """Refuse what cannot be written of frames on a grid.
+        """Refuse files that cannot be written of frames on a grid.
 
         Raises
         ------
@@ -119,3 +125,31 @@ def is_of_frame(file: str, name: str) -> bool:
     """
     pattern = rf"{re.escape(name)}_(labels|(surface|contour)_[1-9][0-9]*)_t[0-9]{{3,}}\.[a-z0-9.]+"
     return re.fullmatch(pattern, file) is not None
+
+
+def read_tracks_table(path: Path, parse: Callable[[Sequence[str], Iterator[Mapping[str, str]]], T]) -> T:
+    """Read a table of tracks.
+
+    Parameters
+    ----------
+    path : Path
+    parse : callable
+        Of the names of the columns and the lines, returns what they say.
+
+    Raises
+    ------
+    InputError
+        With the file, the line and what is wrong in it.
+    """
+    with naming(path):
+        budgets.CASES.check(path.stat().st_size, "the table of tracks")
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            lines = csv.DictReader(file, strict=True)
+            try:
+                return parse(lines.fieldnames or (), lines)
+            except (csv.Error, ValueError, KeyError, TypeError):  # TypeError: a line with fewer cells
+                raise InputError(
+                    f"line {lines.line_num}: not a line of a table of tracks, whole numbers of frame, id and parent "
+                    "expected",
+                    "correct it, or write the table again with accelsurf track",
+                ) from None

@@ -1,4 +1,4 @@
-"""Tracks as GEFF, the Graph Exchange File Format: a folder of Zarr with nodes, edges and what is known of them.
+"""Tracks as GEFF, the Graph Exchange File Format: a folder of Zarr with nodes, edges and their properties.
 
 Written to version 1 of its specification (live-image-tracking-tools/geff, MIT). Zarr of version 2, as its own library
 writes by default, and uncompressed: the arrays are small, and any reader opens them.
@@ -42,7 +42,7 @@ _EDGES = {
 }
 
 
-def check(geometry: Geometry) -> None:
+def check_geff(geometry: Geometry) -> None:
     """Refuse to begin without the package that writes it.
 
     Raises
@@ -53,7 +53,7 @@ def check(geometry: Geometry) -> None:
     library()
 
 
-def write(tracks: TrackSet, folder: Path) -> None:
+def write_geff(tracks: TrackSet, folder: Path) -> None:
     """Write the folder; the same tracks give the same bytes.
 
     Raises

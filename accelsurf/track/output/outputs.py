@@ -1,26 +1,24 @@
 """The files of a tracking: frames are taken one at a time, in any order, and all files appear at once at the end.
 
-Tracks as the Cell Tracking Challenge has them: ``res_track.txt``, and a 16-bit TIFF of labels for each frame.
-
-Its "Naming and file content conventions" want a line "L B E P" for each track: label, first and last frame, parent or
-0; and a track has its label in every frame from B to E. So an object that is not seen for some frames becomes several
-tracks, each the parent of the next: its "Annotation procedure" says of an object that reappears "link its track to its
-predecessor using a parent link". A track has one parent at most: of several that merged, the one of the lowest id.
+The folder of the Cell Tracking Challenge follows its "Naming and file content conventions": ``res_track.txt`` has a
+line "L B E P" for each track (label, first and last frame, parent or 0), and a 16-bit TIFF of each frame has the label
+of each track from B to E. So an object that is not seen for some frames becomes several tracks, each the parent of the
+next, as its "Annotation procedure" says ("link its track to its predecessor using a parent link"). A track has one
+parent at most: of several that merged, the one of the lowest id.
 """
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 import numpy as np
 
 from accelsurf import io
-from accelsurf.errors import AccelsurfError, OutputError
+from accelsurf.errors import AccelsurfError, OutputError, exit_code_of
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
 from accelsurf.io.file_set import FileSet, refuse_links
@@ -30,12 +28,12 @@ from accelsurf.measure.surface_mesh import Surface
 from accelsurf.output import folder as output_folder
 from accelsurf.output import result_sets
 from accelsurf.output.document import describe_staged
-from accelsurf.output.folder import inputs_of
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.settings.registry import load
 from accelsurf.settings.track_fields import TRACK_FORMATS
 from accelsurf.track.output import document as track_document
 from accelsurf.track.output import slices
+from accelsurf.track.output.document import TrackRun
 from accelsurf.track.output.files import TrackFiles, is_of_frame, labels_name, mesh_name
 from accelsurf.track.output.frames import FrameStore, TrackSet, frame_digits, remove_store
 from accelsurf.track.records import FrameResult, Lineage, TrackedObject
@@ -43,44 +41,6 @@ from accelsurf.track.scores import Stretch, stretches
 
 #: The largest label of 16 bits.
 MAX_LABEL = 65535
-
-
-def write(tracks: TrackSet, folder: Path) -> None:
-    """Write the folder of a sequence: ``res_track.txt`` and ``maskTTT.tif``.
-
-    Raises
-    ------
-    OutputError
-        When a file cannot be written, or labels do not fit.
-    """
-    lineage = tracks.lineage
-    found = stretches(tracks.frames_shown(), {track.id: lineage.parents(track.id) for track in lineage.tracks})
-    largest = max((stretch.label for stretch in found), default=0)
-    if largest > MAX_LABEL:
-        raise OutputError(
-            f"{folder.name}: a track has the label {largest}, the Cell Tracking Challenge has 1 to {MAX_LABEL}",
-            "leave --also ctc out",
-        )
-    folder.mkdir()
-    digits = frame_digits(len(tracks.sequence))
-    for number in range(len(tracks.sequence)):
-        label_of = np.zeros(max((stretch.id for stretch in found), default=0) + 1, np.uint16)
-        for stretch in found:
-            if stretch.first <= number <= stretch.last:
-                label_of[stretch.id] = stretch.label
-        io.write(Volume(label_of[tracks.labels(number)], tracks.geometry), folder / f"mask{number:0{digits}d}.tif")
-    write_bytes(folder / "res_track.txt", track_lines(found).encode())
-
-
-def track_lines(found: Iterable[Stretch]) -> str:
-    """The text of ``res_track.txt``.
-
-    Examples
-    --------
-    >>> track_lines([Stretch(1, 1, 0, 4), Stretch(2, 2, 5, 9, (1, 7))]).splitlines()
-    ['1 0 4 0', '2 5 9 1']
-    """
-    return "".join(f"{track.label} {track.first} {track.last} {(*track.parents, 0)[0]}\n" for track in found)
 
 
 class TrackOutputs:
@@ -100,12 +60,8 @@ class TrackOutputs:
         What is tracked: grid and times of the frames, and at the end the images that pictures show.
     files : TrackFiles
         Which files.
-    settings : mapping, optional
-        The settings of the run, for the report.
-    toml : str, optional
-        The same as TOML, with which the run can be repeated; without it there is no ``NAME_run.toml``.
-    argv : sequence of str, optional
-        The command line, for the report.
+    run : TrackRun, optional
+        Command and settings, for the report.
     overwrite : bool
         Whether files of the same names are replaced.
     store : Path, optional
@@ -129,20 +85,17 @@ class TrackOutputs:
         sequence: ImageSequence,
         files: TrackFiles | None = None,
         *,
-        settings: Mapping[str, Any] | None = None,
-        toml: str = "",
-        argv: Sequence[str] = (),
+        run: TrackRun | None = None,
         overwrite: bool = False,
         store: Path | None = None,
         resume: bool = True,
-        inputs: Sequence[Path] = (),
     ) -> None:
         self.name, self.sequence, self.files = name, sequence, files or TrackFiles()
         self.files.check(sequence.geometry)
-        self._settings, self._toml, self._argv, self._overwrite = dict(settings or {}), toml, tuple(argv), overwrite
+        self._run, self._overwrite = run or TrackRun(), overwrite
         with ExitStack() as stack:
-            self._set = stack.enter_context(output_folder.opened_set(folder, name, inputs))
-            output_folder.refuse_existing(self.files.paths(folder, name), overwrite, inputs)
+            self._set = stack.enter_context(output_folder.opened_set(folder, name, self._run.inputs))
+            output_folder.refuse_existing(self.files.paths(folder, name), overwrite, self._run.inputs)
             self._own_store = store is not None
             self._store = FrameStore(self._set.staging.parent / "frames" if store is None else store, resume)
             self._stack = stack.pop_all()
@@ -178,7 +131,6 @@ class TrackOutputs:
         status: track_document.Status = "ok",
         exit_code: int = 0,
         warnings: Sequence[str] = (),
-        seconds: Mapping[str, float] | None = None,
     ) -> list[dict[str, str]]:
         """Write all files and put them in place, the report last.
 
@@ -190,8 +142,6 @@ class TrackOutputs:
         exit_code : int
             What the command returns.
         warnings : sequence of str
-        seconds : mapping of str to float, optional
-            Durations by part of the run.
 
         Returns
         -------
@@ -209,12 +159,11 @@ class TrackOutputs:
             kinds = self._write_all(tracks)
             entries = describe_staged(self._set, kinds)
             document = track_document.build(
-                tracks, status=status, exit_code=exit_code, argv=self._argv, settings=self._settings,
-                warnings=warnings, seconds=seconds or {}, outputs=entries,
+                tracks, status=status, exit_code=exit_code, run=self._run, warnings=warnings, outputs=entries
             )
             report = result_sets.report_name(self.name)
             write_bytes(self._set.staging / report, track_document.to_json(document).encode())
-            _commit(self._set, report, self._overwrite)
+            output_folder.commit(self._set, report, False, self._overwrite)
         if self._own_store and status == "ok":
             with suppress(OutputError):  # somebody has put a file there
                 remove_store(self._store.folder)
@@ -236,10 +185,7 @@ class TrackOutputs:
                 self._set.discard()
                 if isinstance(error, AccelsurfError):
                     with suppress(AccelsurfError, OSError):  # what went wrong first matters more
-                        _write_failure(
-                            self._set, self.name, self.files, error, sequence=self.sequence, argv=self._argv,
-                            settings=self._settings,
-                        )
+                        _write_failure(self._set, self.name, self.files, error, self.sequence, self._run)
         finally:
             self._stack.close()
 
@@ -293,7 +239,7 @@ class TrackOutputs:
             self._write_sequence(tracks, self._set.staging / names["labels"])
             kinds[names["labels"]] = "labels"
         texts = {"tracks": track_document.tracks_csv(tracks), "curves": track_document.curves_csv(tracks)}
-        for kind, text in (texts | ({"config": self._toml} if self._toml else {})).items():
+        for kind, text in (texts | ({"config": self._run.toml} if self._run.toml else {})).items():
             write_bytes(self._set.staging / names[kind], text.encode())
             kinds[names[kind]] = kind
         pictures = {"preview": slices.film_strip_png(tracks), "curves-picture": slices.curves_png(tracks)}
@@ -327,10 +273,8 @@ def write_failure(
     name: str,
     files: TrackFiles,
     error: BaseException,
-    *,
     source: Path,
-    settings: Mapping[str, Any] | None = None,
-    argv: Sequence[str] = (),
+    run: TrackRun,
 ) -> None:
     """Write the report of a tracking that could not begin, beside a result that stands there.
 
@@ -344,39 +288,68 @@ def write_failure(
     error : BaseException
         Why there is none.
     source : Path
-        What was to be tracked.
-    settings, argv : optional
-        As of `TrackOutputs`.
+        The sequence that was to be tracked.
+    run : TrackRun
 
     Raises
     ------
     OutputError
         When it cannot be written.
     """
-    inputs = inputs_of(source, None)
-    with output_folder.opened_set(folder, name, inputs) as staged, output_folder.naming_final(staged):
-        _write_failure(staged, name, files, error, source=source, settings=settings, argv=argv)
+    with output_folder.opened_set(folder, name, run.inputs) as staged, output_folder.naming_final(staged):
+        _write_failure(staged, name, files, error, source, run)
 
 
-def _write_failure(staged: FileSet, name: str, files: TrackFiles, error: BaseException, **facts: Any) -> None:
-    """Write a report without a result, under a name of its own where a result stands; ``facts`` as of the document."""
+def _write_failure(
+    staged: FileSet, name: str, files: TrackFiles, error: BaseException, images: ImageSequence | Path, run: TrackRun
+) -> None:
+    """Write a report without a result, under another name where a result stands."""
     folder = staged.folder
     if result_sets.result_stands(folder, name, files.paths(folder, name).values()):
         name += result_sets.FAILED
         if result_sets.result_stands(folder, name, ()):
-            return  # of a sequence that is called so
-    code = error.exit_code if isinstance(error, AccelsurfError) else 3 if isinstance(error, MemoryError) else 1
-    document = track_document.build(None, status="failed", exit_code=code, error=error, **facts)
+            return  # the result of a sequence that has this name
+    document = track_document.build(
+        None, images=images, status="failed", exit_code=exit_code_of(error), run=run, error=error
+    )
     report = result_sets.report_name(name)
     write_bytes(staged.staging / report, track_document.to_json(document).encode())
-    _commit(staged, report, False, failed=True)
+    output_folder.commit(staged, report, True, False)
 
 
-def _commit(staged: FileSet, report: str, overwrite: bool, failed: bool = False) -> None:
-    """Put the staging files in place, the report last; what an earlier run wrote and this one does not goes."""
-    written = [path.name for path in staged.staging.iterdir()]
-    if not (failed or overwrite):  # another program may have put a file there while the run went on
-        paths = {"report" if name == report else name: staged.folder / name for name in written}
-        output_folder.refuse_existing(paths, False)
-    name = report.removesuffix("_report.json")
-    staged.commit(last=report, remove=result_sets.outdated(staged.folder, name, written, failed, overwrite))
+def write_challenge(tracks: TrackSet, folder: Path) -> None:
+    """Write the folder of the Cell Tracking Challenge: ``res_track.txt`` and ``maskTTT.tif``.
+
+    Raises
+    ------
+    OutputError
+        When a file cannot be written, or labels do not fit.
+    """
+    lineage = tracks.lineage
+    found = stretches(tracks.frames_shown(), {track.id: lineage.parents(track.id) for track in lineage.tracks})
+    largest = max((stretch.label for stretch in found), default=0)
+    if largest > MAX_LABEL:
+        raise OutputError(
+            f"{folder.name}: a track has the label {largest}, the Cell Tracking Challenge has 1 to {MAX_LABEL}",
+            "leave --also ctc out",
+        )
+    folder.mkdir()
+    digits = frame_digits(len(tracks.sequence))
+    for number in range(len(tracks.sequence)):
+        label_of = np.zeros(max((stretch.id for stretch in found), default=0) + 1, np.uint16)
+        for stretch in found:
+            if stretch.first <= number <= stretch.last:
+                label_of[stretch.id] = stretch.label
+        io.write(Volume(label_of[tracks.labels(number)], tracks.geometry), folder / f"mask{number:0{digits}d}.tif")
+    write_bytes(folder / "res_track.txt", track_lines(found).encode())
+
+
+def track_lines(found: Iterable[Stretch]) -> str:
+    """The text of ``res_track.txt``.
+
+    Examples
+    --------
+    >>> track_lines([Stretch(1, 1, 0, 4), Stretch(2, 2, 5, 9, (1, 7))]).splitlines()
+    ['1 0 4 0', '2 5 9 1']
+    """
+    return "".join(f"{track.label} {track.first} {track.last} {(*track.parents, 0)[0]}\n" for track in found)

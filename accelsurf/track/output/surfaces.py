@@ -1,14 +1,15 @@
-"""The surfaces of a tracking as a folder, predictions beside corrections, and what a finished tracking left to look at.
+"""The surfaces of a tracking as a folder, predictions beside corrections; a finished tracking, to be looked at.
 
-The folder has ``surfaces.json``, which says on what grid and of how many frames, and a file for each frame that was
-reached, as `accelsurf.track.output.frames.FrameStore` has them, without durations: the same run leaves the same bytes.
+The folder has ``surfaces.json``, with the shape of the grid and the number of frames, and a file for each frame that
+was reached, as `accelsurf.track.output.frames.FrameStore` has them, without durations: the same run leaves the same
+bytes.
 """
 
 from __future__ import annotations
 
-import csv
 import json
 import zipfile
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +21,13 @@ from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.io.files import read_json, write_bytes
 from accelsurf.settings.file_formats import IMAGE_FORMATS
-from accelsurf.settings.reading import check_readable
+from accelsurf.track.output.files import read_tracks_table
 from accelsurf.track.output.frames import DrawnObject, FrameStore, TrackSet
 from accelsurf.track.records import SurfacePiece
 
-#: What is in the folder, and its version.
+#: World mm (x, y, z).
+Point = tuple[float, float, float]
+#: Name of the file that describes the folder, and its version.
 MARK, VERSION = "surfaces.json", 1
 #: Standard deviation, voxels, that smooths the stair steps of a label map, and voxels around it.
 _SOFT, _AROUND = 0.8, 4
@@ -33,7 +36,7 @@ _LEAST = 0.05
 _TRACK = "give the folder that accelsurf track has written of this sequence"
 
 
-def write(tracks: TrackSet, folder: Path) -> None:
+def write_surfaces(tracks: TrackSet, folder: Path) -> None:
     """Write the folder.
 
     Raises
@@ -116,20 +119,19 @@ class SavedTracks:
         return {object_id: np.array(places) for object_id, places in sorted(found.items())}
 
 
-def _read_centroids(path: Path) -> dict[int, dict[int, tuple[float, float, float]]]:
+def _read_centroids(path: Path) -> dict[int, dict[int, Point]]:
     """Read the centroids of each frame, by id, from the table of tracks."""
-    found: dict[int, dict[int, tuple[float, float, float]]] = {}
-    check_readable(path, f"{path}: ")
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            for line in csv.DictReader(file):
-                place = float(line["x_mm"]), float(line["y_mm"]), float(line["z_mm"])
-                found.setdefault(int(line["frame"]), {})[int(line["id"])] = place
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file", _TRACK) from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: is no table of tracks ({error})", _TRACK) from None
-    return found
+    if not path.exists():
+        raise InputError(f"{path}: there is no such file", _TRACK)
+
+    def centroids(_: Sequence[str], lines: Iterator[Mapping[str, str]]) -> dict[int, dict[int, Point]]:
+        found: dict[int, dict[int, Point]] = {}
+        for line in lines:
+            place = float(line["x_mm"]), float(line["y_mm"]), float(line["z_mm"])
+            found.setdefault(int(line["frame"]), {})[int(line["id"])] = place
+        return found
+
+    return read_tracks_table(path, centroids)
 
 
 def _label_maps(folder: Path, name: str) -> ImageSequence:

@@ -61,7 +61,7 @@ _TRACK = (
 )
 
 
-def write(tracks: TrackSet, path: Path) -> None:
+def write_trackmate(tracks: TrackSet, path: Path) -> None:
     """Write the XML file; the same tracks give the same bytes.
 
     Raises
