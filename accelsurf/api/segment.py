@@ -29,7 +29,7 @@ __all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment", "seg
 
 
 #: The function that segments an object of an image that is read in parts; it lies above this room.
-IN_PARTS = "accelsurf.large.windowed:segment_lazily"
+_IN_PARTS = "accelsurf.large.windowed:segment_lazily"
 
 
 def segment(
@@ -89,7 +89,7 @@ def segment(
     watch: OnObjectStep | None = None if on_step is None else lambda record, id: on_step(record)
     if isinstance(volume, LazyVolume):
         given = {"spacing": spacing, "channels": channels, "energy": energy, **options}
-        result: Result = load(IN_PARTS)(volume, config, watch, on_warning, checkpoint_to, given)
+        result: Result = load(_IN_PARTS)(volume, config, watch, on_warning, checkpoint_to, given)
         return result
     checkpoints = _file_of(checkpoint_to)
     run = _run_of(volume, spacing, channels, config, energy, options, None, checkpoints)
@@ -212,8 +212,8 @@ def _run_of(
     checkpoints: CheckpointFile | None = None,
 ) -> Run:
     """The run for the arguments of `segment`, `evolve` or `segment_objects`."""
-    first = as_volume(volume, spacing)
-    others = [as_channel(channel, first) for channel in channels]
+    first = _as_volume(volume, spacing)
+    others = [_as_channel(channel, first) for channel in channels]
     texts, given = split_given(options)
     clicks = [click for side in SIDES if side in given for click in given_clicks(side, given.pop(side), first)]
     arrays = {key: psi_of(key, value, first.geometry) for key, value in given.items()}
@@ -229,7 +229,7 @@ def _run_of(
     return Run(first, config, energy, others, objects, arrays, clicks)
 
 
-def as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
+def _as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
     if isinstance(volume, Volume):
         if spacing is not None:
             raise InputError("spacing given together with a Volume, which has its own", "leave spacing out")
@@ -237,7 +237,7 @@ def as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float
     return Volume.from_array(volume, 1.0 if spacing is None else spacing)
 
 
-def as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
+def _as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
     if isinstance(volume, Volume):
         return volume
     array = plain_array(volume, "channel")

@@ -29,6 +29,9 @@ from accelsurf.settings.run_config import RunConfig
 SIDE, RADIUS, START = 24, 8.0, 5.0
 #: Steps of each run: restarts, limits and rests are met within them.
 STEPS = 12
+_MIDDLE = ",".join([f"{SIDE / 2:g}"] * 3)
+#: Terms that want bounds, and those that want clicks.
+_AS_GIVEN, _CLICKED = {"threshold": "threshold:auto"}, ("seeded", "partition")
 
 
 def small_runs() -> dict[str, Callable[[], Any]]:
@@ -54,12 +57,6 @@ def small_runs() -> dict[str, Callable[[], Any]]:
         "counts of integers": _counted,
         "much noise": lambda: tally_changes(np.zeros((4, 4, 4), np.float32), -1),
     }
-
-
-_MIDDLE = ",".join([f"{SIDE / 2:g}"] * 3)
-
-#: Terms that want bounds, and those that want clicks.
-_AS_GIVEN, _CLICKED = {"threshold": "threshold:auto"}, ("seeded", "partition")
 
 
 def _ball() -> Volume:

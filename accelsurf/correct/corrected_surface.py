@@ -1,4 +1,4 @@
-"""A surface between two corrections, and what new clicks are about on it."""
+"""A surface between two corrections, and the voxels of clicks that are on the wrong side of it."""
 
 from __future__ import annotations
 

@@ -71,8 +71,8 @@ def result_of(run: Run) -> Result:
         seconds={"start": run.start_seconds, "evolve": time.perf_counter() - run.began},
         volume=run.volume,
         start=run.prepared.start,
-        resolved_settings=resolved_settings_of(run, len(summaries)),
-        kernels=seconds_by_kernel(run),
+        resolved_settings=_resolved_settings_of(run, len(summaries)),
+        kernels=_seconds_by_kernel(run),
         edits_done=run.edits_done,
         given=run.given,
         clicks=on_image(run.clicks, run.prepared.first, run.volume.geometry.shape),
@@ -86,7 +86,7 @@ def result_of(run: Run) -> Result:
     )
 
 
-def seconds_by_kernel(run: Run) -> dict[str, float]:
+def _seconds_by_kernel(run: Run) -> dict[str, float]:
     """Seconds in each kernel so far, over all objects and threads."""
     total = dict(run.workers.seconds)
     for evolving in run.objects if run.has_ids else ():
@@ -155,7 +155,7 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
     return tuple(objects)
 
 
-def resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
+def _resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
     """Return the values that a run on so many levels used for settings that depend on image and grid."""
     config, prepared = run.config, run.prepared
     diffusion = config.diffusion

@@ -1,4 +1,4 @@
-"""The evolution of a part of a surface on a box of the grid, while the rest is held."""
+"""Evolution of a part of a surface on a box of the grid; bounds keep the surface elsewhere."""
 
 from __future__ import annotations
 

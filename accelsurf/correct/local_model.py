@@ -1,4 +1,4 @@
-"""The clicks' model of an object that is corrected: which voxels another click wins. Each click costs its own box."""
+"""Model of an object's clicks while it is corrected: the voxels that a click relabels. Each click costs its own box."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ Spacing = tuple[float, float, float]
 #: The first box of a march has so many times the radius of a ball of as many voxels as the march may accept.
 REACH = 2.5
 #: A slice is as thick as two voxels where its spacing is so many of the smallest.
-THICK_SLICES = 2.0
+_THICK_SLICES = 2.0
 #: Between what a march accepts and the border of its box lie at least so many voxels, so that the box changes nothing.
-CLEAR = 2
+_CLEAR = 2
 
 
 class LocalState(NamedTuple):
@@ -205,7 +205,7 @@ class LocalModel:
         axes = [n for n in blocks.shape if n > 1]
         reach = REACH * (count * (3.0 / (4.0 * math.pi) if len(axes) == 3 else 1.0 / math.pi)) ** (1.0 / len(axes))
         mean = math.prod(blocks.spacing) ** (1.0 / 3.0)
-        margin = [math.ceil(reach * mean / h) + CLEAR for h in blocks.spacing]
+        margin = [math.ceil(reach * mean / h) + _CLEAR for h in blocks.spacing]
         while True:
             box = enclosing(widened(block_click.box, blocks.shape, margin), answer.box)
             found = _answer_on_box(answer, block_click, tissue, box)
@@ -257,7 +257,7 @@ def basin_of(click: Click, change: ModelChange, model: LocalModel, surface: Corr
 def _thicker_than_a_voxel(mask: Mask, spacing: Spacing) -> Mask:
     """The first voxels of the blocks in a mask of two voxels along each axis; of one along axes that are as coarse."""
     out = mask.copy()
-    fine = [h < THICK_SLICES * min(spacing) for h in spacing]
+    fine = [h < _THICK_SLICES * min(spacing) for h in spacing]
     for axis in (i for i, n in enumerate(mask.shape) if n > 1 and fine[i]):
         here: list[slice] = [slice(None)] * 3
         here[axis] = slice(None, -1)
@@ -306,8 +306,8 @@ def _is_near_border(times: Image, box: Box, shape: Sequence[int]) -> bool:
     """Return True if times on a box are known near a border of the box that is none of the grid's."""
     for axis, (side, n) in enumerate(zip(box, shape, strict=True)):
         ends = (slice(None),) * axis
-        if side.start > 0 and np.isfinite(times[(*ends, slice(None, CLEAR))]).any():
+        if side.start > 0 and np.isfinite(times[(*ends, slice(None, _CLEAR))]).any():
             return True
-        if side.stop < n and np.isfinite(times[(*ends, slice(-CLEAR, None))]).any():
+        if side.stop < n and np.isfinite(times[(*ends, slice(-_CLEAR, None))]).any():
             return True
     return False

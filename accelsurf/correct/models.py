@@ -26,7 +26,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import volume_mm3
 
 #: The energy of an object that begins at clicks after the run's end.
-NEW_ENERGY = "seeded"
+_NEW_ENERGY = "seeded"
 
 
 #: What corrections change of `ObjectModels`; models that clicks change are put back by the caller.
@@ -120,7 +120,7 @@ class ObjectModels:
         id, prepared = refinement.new, self.prepared
         assert id is not None
         self.settings[id] = self._frozen.replace(
-            objects=None, inside=(), outside=(), box=None, start=("clicks",), energy=NEW_ENERGY, size=refinement.size
+            objects=None, inside=(), outside=(), box=None, start=("clicks",), energy=_NEW_ENERGY, size=refinement.size
         )
         passes = None if prepared.mask_distance is None else np.asarray(prepared.mask_distance < 0)
         if taken is not None:

@@ -1,7 +1,7 @@
 """Objects of a finished run that begin, are merged, are split, are removed: exact, voxel by voxel.
 
-A new object begins where the model of its clicks proposes it and comes to rest by itself; the others do not move, but
-for those that hold voxels of its clicks: they lose what it gains. Merging and splitting move no surface at all.
+A new object begins with the size hypothesis of its clicks and evolves until it has converged. The others do not move;
+those that have voxels of its clicks lose what it gains. Merging and splitting move no surface at all.
 """
 
 from __future__ import annotations

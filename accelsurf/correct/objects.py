@@ -1,4 +1,4 @@
-"""The objects of a finished run as corrections change them: their surfaces, and how each change is taken back."""
+"""Objects of a finished run as corrections change them: their surfaces, and how each correction is undone."""
 
 from __future__ import annotations
 

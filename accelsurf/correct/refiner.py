@@ -1,4 +1,4 @@
-"""Refiner: goes on from a finished run, correction after correction, each at the cost of its neighbourhood."""
+"""Refiner: a finished run is corrected, each correction at the cost of its neighbourhood."""
 
 from __future__ import annotations
 

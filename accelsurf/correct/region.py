@@ -4,8 +4,8 @@ Beyond the region nothing changes. Within the rim, of width L, the surface may l
 b(d) = L/4 u^2/(1 - u^2), u = d/L, at the depth d in the region: it leaves it at a tangent, so that there is no crease,
 and its curvature along the seam differs by at most b''(0) = 1/(2 L).
 
-Clicks of one side move the surface to that side alone: who says that something is missing has not said that anything
-is too much.
+Clicks of one side move the surface to that side alone: a person who says that something is missing has not said that
+anything is too much.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from accelsurf.grid.geometry import axis_steps
 from accelsurf.kernels.distance import distances_within
 
 #: Width of the rim: at least so many voxels of the smallest spacing, and of the largest.
-RIM_SMALLEST, RIM_LARGEST = 6.0, 2.0
+_RIM_SMALLEST, _RIM_LARGEST = 6.0, 2.0
 #: How far a correction goes unless it is known: times the depth of the click in what is wrong, and so many voxels of
 #: the smallest spacing at most, so that an answer does not take long; more is for another click, or ``near``.
-AUTO_TIMES, MAX_NEAR = 1.5, 12.0
+_AUTO_TIMES, _MAX_NEAR = 1.5, 12.0
 #: The smallest automatic region, voxels of the largest spacing.
-MIN_NEAR = 4.0
+_MIN_NEAR = 4.0
 #: Distances are continued beyond the band by so many of the largest spacings: no surface that is held to its old place
 #: by a number comes so far from it.
-BEYOND_BAND = 6.0
+_BEYOND_BAND = 6.0
 #: First half width, voxels, of the box in which the surface is searched around a click.
-FIRST_SEARCH = 8
+_FIRST_SEARCH = 8
 
 Spacing = tuple[float, float, float]
 
@@ -51,7 +51,7 @@ class NearRegion(NamedTuple):
 def rim_width(shape: Sequence[int], spacing: Spacing) -> float:
     """Width of the rim, mm."""
     steps = axis_steps(shape, spacing)
-    return max(RIM_SMALLEST * min(steps), RIM_LARGEST * max(steps))
+    return max(_RIM_SMALLEST * min(steps), _RIM_LARGEST * max(steps))
 
 
 def around_clicks(
@@ -103,11 +103,11 @@ def automatic_near(psi: NDArray[np.float32], clicks: Iterable[Click], spacing: S
         mm.
     """
     steps = axis_steps(psi.shape, spacing)
-    deepest = max(distance_to_surface(psi, click, spacing) for click in clicks)
-    return max(MIN_NEAR * max(steps), min(AUTO_TIMES * deepest, MAX_NEAR * min(steps)))
+    deepest = max(_distance_to_surface(psi, click, spacing) for click in clicks)
+    return max(_MIN_NEAR * max(steps), min(_AUTO_TIMES * deepest, _MAX_NEAR * min(steps)))
 
 
-def distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacing) -> float:
+def _distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacing) -> float:
     """Distance, mm, from the voxels of a click that are on the wrong side to the nearest that are not; 0 for none.
 
     Where a whole search finds nothing of the other side, it is the extent of the grid.
@@ -116,7 +116,7 @@ def distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacing
     wrong = click.mask & ((psi[click.box] < 0) != inside)
     if not wrong.any():
         return 0.0
-    search = FIRST_SEARCH
+    search = _FIRST_SEARCH
     while True:
         box = widened(click.box, psi.shape, (search, search, search))
         side = (psi[box] < 0) == inside
@@ -133,11 +133,11 @@ def distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacing
 
 
 def signed_distance(psi: NDArray[np.float32], gamma: float, spacing: Spacing) -> NDArray[np.float32]:
-    """Psi with the distances beyond the band, where it is +-``gamma``, continued as far as `BEYOND_BAND`; mm."""
+    """Psi with the distances beyond the band, where it is +-``gamma``, continued as far as `_BEYOND_BAND`; mm."""
     far = np.abs(psi) >= np.float32(gamma * (1.0 - 1e-6))
     if far.all():
         return np.where(psi < 0, np.float32(-1e6), np.float32(1e6))
-    reach = BEYOND_BAND * max(axis_steps(psi.shape, spacing))
+    reach = _BEYOND_BAND * max(axis_steps(psi.shape, spacing))
     beyond = np.float32(gamma) + np.minimum(distances_within(~far, spacing, reach), np.float32(reach))
     return np.where(far, np.copysign(beyond, psi), psi)
 

@@ -1,4 +1,4 @@
-"""A result again from the file of its state and its image."""
+"""Result of a run from the file of its state and its image."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run of some objects of an image that is read in parts: groups that may meet, and how far each object came."""
+"""Runs of groups of objects of an image that is read in parts: which may meet, and how far each object came."""
 
 from __future__ import annotations
 
@@ -30,10 +30,12 @@ from accelsurf.starts.objects import ObjectStart
 
 #: Bytes of a voxel of an object's own box, as of a whole run: image, psi twice, an index of the band, and the band; and
 #: of a voxel of the window beside the file's own: the image as float32, the union of the starts, and a copy of either.
-BOX_BYTES, WINDOW_BYTES = PLAIN_BYTES, 12
+_BOX_BYTES, _WINDOW_BYTES = PLAIN_BYTES, 12
 #: Voxels by which a band may grow in a round, and by which stencils extend.
 REACH = 3
 _ALONE = "give --roi around them, or let the image be read into memory (more --max-memory)"
+#: Positions of objects that are run at once, ascending.
+Group = tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,12 +173,12 @@ def refuse_too_large(window: Window, starts: list[ObjectStart], image: LargeImag
 def _fixed_bytes(starts: list[ObjectStart]) -> int:
     """Return the memory of a run that does not depend on its window, bytes."""
     boxes = sum(math.prod(n + MIN_MARGIN for n in start.psi.shape) for start in starts)
-    return PROCESS_BYTES + BOX_BYTES * boxes
+    return PROCESS_BYTES + _BOX_BYTES * boxes
 
 
 def _voxel_bytes(image: LargeImage) -> int:
     """Return the memory of a run for each voxel of its window, bytes."""
-    return sum(WINDOW_BYTES + channel.dtype.itemsize for channel in image.channels)
+    return sum(_WINDOW_BYTES + channel.dtype.itemsize for channel in image.channels)
 
 
 def _in(
@@ -273,10 +275,6 @@ def _on_whole(segmented: SegmentedObject, window: Window) -> SegmentedObject:
     box = placed_at(segmented.box, window.corner)
     rests = tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in segmented.rests)
     return replace(segmented, box=box, geometry=cropped(window.geometry, box), rests=rests)
-
-
-#: Positions of objects that are run at once, ascending.
-Group = tuple[int, ...]
 
 
 def united(

@@ -45,7 +45,7 @@ class ObjectOutcome(NamedTuple):
     failure: str | None = None
 
 
-def first_groups(starts: ManyStarts, margin: int = MARGIN) -> list[Group]:
+def _first_groups(starts: ManyStarts, margin: int = MARGIN) -> list[Group]:
     """Return the groups that objects are run in first: those whose starts are near each other.
 
     Parameters
@@ -64,7 +64,7 @@ class Groups:
     ----------
     starts : ManyStarts
     margin : int, optional
-        As of `first_groups`.
+        As of `_first_groups`.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Groups:
     """
 
     def __init__(self, starts: ManyStarts, margin: int = MARGIN) -> None:
-        self._starts, self.waiting = starts, first_groups(starts, margin)
+        self._starts, self.waiting = starts, _first_groups(starts, margin)
         self._ended: list[Group] = []
         # As far as an object may well grow: several times the extent of its start.
         reach = margin + FAR * (starts.high - starts.low).max(axis=1, keepdims=True, initial=1)
@@ -156,7 +156,7 @@ def segment_many_objects(
         As for ``--objects``: a table of balls, or a label map that can be read in parts; or the map itself.
     config : RunConfig, optional
     margin : int, optional
-        As of `first_groups`.
+        As of `_first_groups`.
     on_group : callable, optional
         Called with the ids of each group that has ended, and what it left or why it failed.
     **options

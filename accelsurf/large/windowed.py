@@ -1,9 +1,8 @@
 """A run on an image that is not in memory: in a window that is made larger until the surface stays within it.
 
 The result has the bytes of a run on the whole image, whatever windows came before the last one: see
-`accelsurf.grid.window`.
-
-The finest level of an image stored as a pyramid that fits into the memory.
+`accelsurf.grid.window`. Of an image that is stored as a pyramid, `fitting_level` is the finest level whose run fits
+into the memory.
 """
 
 from __future__ import annotations
@@ -43,9 +42,9 @@ MAX_STREAMED = 1 << 31
 #: A window grows by so many times its extent where it was left, or by less where memory does not hold that.
 GROWTH = 1.0
 #: Levels for which a first window has room, where their number is chosen by the start.
-FIRST_LEVELS = 3
+_FIRST_LEVELS = 3
 #: What the voxels of a region of interest have around them: a result ends half a voxel beyond the region.
-AROUND_REGION = 2
+_AROUND_REGION = 2
 
 
 @dataclass(frozen=True)
@@ -215,14 +214,14 @@ def first_window(config: RunConfig, geometry: Geometry) -> Window:
         Of the whole grid.
     """
     if has_region(config):
-        return Window(geometry, widened(region_of_run(config, geometry), geometry.shape, [AROUND_REGION] * 3))
+        return Window(geometry, widened(region_of_run(config, geometry), geometry.shape, [_AROUND_REGION] * 3))
     window = Window(geometry, first_box(config, geometry))
-    return on_levels(window, FIRST_LEVELS if config.levels == "auto" else config.levels)
+    return on_levels(window, _FIRST_LEVELS if config.levels == "auto" else config.levels)
 
 
 def on_levels(window: Window, count: int) -> Window:
     """Return the smallest window around another whose blocks are those of the whole grid on so many levels."""
-    return Window(window.geometry, aligned(window.box, window.geometry, blocks_of(window.geometry, count)), count)
+    return Window(window.geometry, aligned(window.box, window.geometry, _blocks_of(window.geometry, count)), count)
 
 
 def _in(
@@ -281,7 +280,7 @@ def run_in(
     return Run(volumes[0], config, channels=volumes[1:], part=WindowInput(window, smoothed, whole, starts))
 
 
-def blocks_of(geometry: Geometry, count: int) -> tuple[int, int, int]:
+def _blocks_of(geometry: Geometry, count: int) -> tuple[int, int, int]:
     """Voxels of a block of the coarsest of so many levels, as far as there are so many, along each axis."""
     return pyramid.levels(geometry.shape, geometry.spacing, count)[-1].factors
 
@@ -313,7 +312,7 @@ def larger(window: Window, face: LeavesWindow, most: int) -> Window:
 
     Where that does not go far enough, the smallest that is larger is returned, which is refused then.
     """
-    factor, blocks = GROWTH, blocks_of(window.geometry, window.levels)
+    factor, blocks = GROWTH, _blocks_of(window.geometry, window.levels)
     while True:
         box = enlarged(window, face, blocks, factor)
         if math.prod(s.stop - s.start for s in box) <= most:

@@ -32,6 +32,12 @@ from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
 
+#: Settings that do not change what a run has done up to a step, or only what is written at the end.
+FREE = frozenset({
+    "threads", "max_steps", "mesh", "mesh_space", "save_sdf", "format", "reproducible", "keep_state", "checkpoint",
+})
+_BEGIN = "begin anew without --resume, with --overwrite"
+
 
 class RunCheckpoint(NamedTuple):
     """A run between two steps, before the edits of the coming one.
@@ -68,13 +74,6 @@ class RunCheckpoint(NamedTuple):
         return sum(segmented.nbytes for segmented in self.objects)
 
 
-#: Settings that do not change what a run has done up to a step, or only what is written at the end.
-FREE = frozenset({
-    "threads", "max_steps", "mesh", "mesh_space", "save_sdf", "format", "reproducible", "keep_state", "checkpoint",
-})
-_BEGIN = "begin anew without --resume, with --overwrite"
-
-
 class CheckpointHeader(NamedTuple):
     """Identity of the run of a checkpoint.
 
@@ -83,7 +82,7 @@ class CheckpointHeader(NamedTuple):
     versions : dict of str to str
         Of accelsurf and of what its numbers depend on; ``processor`` is the one that the code was compiled for.
     run : str
-        `run_digest`.
+        `_run_digest`.
     settings : dict
         Those that the run began with, with the seed that was drawn.
     window : tuple of int or None
@@ -136,7 +135,7 @@ def versions() -> dict[str, str]:
 def header_of(run: Source) -> CheckpointHeader:
     """The header of a run's checkpoints, the same at every step."""
     window = None if run.window is None else (*run.window.corner, *run.window.shape, run.window.levels)
-    return CheckpointHeader(versions(), run_digest(run), run.config.model_dump(mode="json"), window)
+    return CheckpointHeader(versions(), _run_digest(run), run.config.model_dump(mode="json"), window)
 
 
 def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: CheckpointHeader) -> None:
@@ -226,7 +225,7 @@ def refuse_another_run(path: str | Path, header: CheckpointHeader, here: Checkpo
     raise InputError(f"{path}: a checkpoint of {what}", "give those of the run that wrote it, or begin anew")
 
 
-def run_digest(run: Source) -> str:
+def _run_digest(run: Source) -> str:
     """SHA-256 of what determines the steps of a run: voxels, grid, starts and settings, but not the number of threads.
 
     Of an energy of one's own it is the name.

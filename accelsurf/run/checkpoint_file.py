@@ -1,4 +1,4 @@
-"""The file that a run writes its state to every so often, and goes on from after it was killed."""
+"""File to which a run writes its state at intervals, and from which it goes on after it was killed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import interval_of
 
 #: As often a run writes its state that is given a file for it and not told how often.
-DEFAULT_INTERVAL = "1min"
+_DEFAULT_INTERVAL = "1min"
 
 
 class CheckpointFile:
@@ -37,7 +37,7 @@ class CheckpointFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._interval = interval_of(DEFAULT_INTERVAL)
+        self._interval = interval_of(_DEFAULT_INTERVAL)
         self._header: CheckpointHeader | None = None
         self._written_at, self._seconds = 0, 0.0
 
@@ -86,7 +86,7 @@ class CheckpointFile:
         InputError
             When the file is damaged, or of another run.
         """
-        self._interval = interval_of(run.config.checkpoint or DEFAULT_INTERVAL)
+        self._interval = interval_of(run.config.checkpoint or _DEFAULT_INTERVAL)
         self._header, warnings = header_of(run), []
         if self.path.exists():
             header, state = read_checkpoint(self.path)

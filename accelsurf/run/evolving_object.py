@@ -1,6 +1,7 @@
-"""One object of a run: its surface on a box of the present level's grid, its energy and its flow.
+"""One object of a run: its surface on a box of the present level's grid, its energy, its flow, its state between steps.
 
-Values that belong to one object of a run: the energy made for it, and its state between two steps.
+Alone it has the whole grid of the region of interest. Among others its box grows with it, and its energy keeps it from
+entering them.
 """
 
 from __future__ import annotations
@@ -32,6 +33,10 @@ from accelsurf.run.clicks import BallEdit, LevelClicks, apply_balls
 from accelsurf.run.image_context import ImageContext
 from accelsurf.run.start_pyramid import LevelInputs, StartPyramid, finer_box, to_finest
 from accelsurf.starts.objects import ObjectStart
+
+#: Margin of an object's box around the object: at least `ROOM` voxels and the fraction `_ROOM_PART` of its extent; the
+#: box is made larger when the band comes within `GUARD` voxels of its edge.
+ROOM, _ROOM_PART, GUARD = 10, 0.5, 3
 
 
 def leaked_stop(stop: Stop, setup: SolverSetup) -> Stop:
@@ -216,7 +221,7 @@ class EvolvingObject:
     ) -> None:
         """Transfer the surface, known from voxel ``at`` on, to a box of the grid, and continue ``before`` there."""
         self.corner = corner_of(box)
-        psi = psi_on_box(known, at, box)
+        psi = _psi_on_box(known, at, box)
         self._bound(psi)
         surface = self._surface_of(psi)
         fields = None
@@ -289,7 +294,7 @@ class EvolvingObject:
         """Change to a larger box when the band, or the part from ``low`` to ``high``, comes near its edge."""
         if low is None or high is None:
             low, high = self.extent()
-        box = larger_box(low, high, box_at(self.corner, self.surface.shape), self._setup.reach, self.grid)
+        box = _larger_box(low, high, box_at(self.corner, self.surface.shape), self._setup.reach, self.grid)
         if box is not None:
             before, at = self.evolution, self.corner
             before.measure()
@@ -404,11 +409,6 @@ class EvolvingObject:
         return corner, psi
 
 
-#: Margin of an object's box around the object: at least `ROOM` voxels and the fraction `ROOM_PART` of its extent; the
-#: box is made larger when the band comes within `GUARD` voxels of its edge.
-ROOM, ROOM_PART, GUARD = 10, 0.5, 3
-
-
 def roomy_box(low: NDArray[np.int64], high: NDArray[np.int64], reach: float, grid: Level) -> Box:
     """Return the box for an object between two voxels: its energy sees there what it sees on the whole grid.
 
@@ -422,11 +422,11 @@ def roomy_box(low: NDArray[np.int64], high: NDArray[np.int64], reach: float, gri
     """
     a, b, c = (slice(int(i), int(j)) for i, j in zip(low, high, strict=True))
     needed = [max(ROOM, math.ceil(reach / h) + GUARD) for h in grid.spacing]
-    room = [max(m, math.ceil(ROOM_PART * (j - i))) for m, i, j in zip(needed, low, high, strict=True)]
+    room = [max(m, math.ceil(_ROOM_PART * (j - i))) for m, i, j in zip(needed, low, high, strict=True)]
     return widened((a, b, c), grid.shape, (room[0], room[1], room[2]))
 
 
-def larger_box(low: NDArray[np.int64], high: NDArray[np.int64], box: Box, reach: float, grid: Level) -> Box | None:
+def _larger_box(low: NDArray[np.int64], high: NDArray[np.int64], box: Box, reach: float, grid: Level) -> Box | None:
     """Return a larger box for an object between two voxels that come near the edge of its box; None where they do not.
 
     Parameters
@@ -443,7 +443,7 @@ def larger_box(low: NDArray[np.int64], high: NDArray[np.int64], box: Box, reach:
     return roomy_box(np.minimum(low, first + GUARD), np.maximum(high, end - GUARD), reach, grid)
 
 
-def psi_on_box(known: NDArray[np.float32], at: Corner, box: Box) -> NDArray[np.float32]:
+def _psi_on_box(known: NDArray[np.float32], at: Corner, box: Box) -> NDArray[np.float32]:
     """Return psi on a box, known from voxel ``at`` on; beyond the known values everything is outside."""
     psi = np.full(tuple(s.stop - s.start for s in box), farthest(known), np.float32)
     mine, theirs = shared(corner_of(box), psi.shape, at, known.shape)

@@ -1,4 +1,4 @@
-"""Growth of surfaces in the last part of a run: the first place to look at for a leak.
+"""Late leakage: where surfaces grew in the last part of a run, the first place to look at.
 
 An observer of the run: it reads the speeds of each step, and changes nothing.
 """
@@ -22,7 +22,7 @@ from accelsurf.kernels.statistics import sums_by_cube
 #: A place (z, y, x), in voxels.
 Place = tuple[float, float, float]
 #: The last part of the growth: so much of the volume that the object gained.
-LAST_SHARE = 0.25
+_LAST_SHARE = 0.25
 #: Growth is summed over cubes of so many voxels, larger than single bumps of noise.
 BLOCK = 6
 
@@ -135,7 +135,7 @@ class LateGrowth:
             volumes = np.array([growth_step.volume for growth_step in growth])
             gained = float(volumes[-1] - volumes[0])
             if gained > 0:
-                below = np.flatnonzero(volumes <= volumes[-1] - LAST_SHARE * gained)
+                below = np.flatnonzero(volumes <= volumes[-1] - _LAST_SHARE * gained)
                 late += growth[int(below[-1]) :]
         if not late:
             return None

@@ -33,7 +33,7 @@ from accelsurf.starts import starts
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)
 #: Values farther beyond those percentiles than so many times their range are no measurements; their squares overflow.
-MAX_RANGES = 1e15
+_MAX_RANGES = 1e15
 #: A volume, what starts look at in it, filtered, and what part of the whole grid it is.
 Seen = tuple[Volume, NDArray[np.float32], Window]
 
@@ -335,9 +335,9 @@ def scale_between(percentiles: NDArray[Any], extremes: NDArray[np.float32]) -> S
         raise InputError(f"the image is constant here: every voxel is {low:g}", "take a larger region of interest")
     width = float(high) - float(low)
     far = max(float(extremes[1]) - float(high), float(low) - float(extremes[0]))
-    if width < MIN_RANGE or far > MAX_RANGES * width:
+    if width < MIN_RANGE or far > _MAX_RANGES * width:
         raise InputError(
-            f"nearly all values lie from {low:g} to {high:g}, others {far:g} beyond, at most {MAX_RANGES:g} times "
+            f"nearly all values lie from {low:g} to {high:g}, others {far:g} beyond, at most {_MAX_RANGES:g} times "
             "their range expected",
             "values far beyond the others often mean that there is no value: replace them by that of the background",
         )

@@ -1,8 +1,7 @@
 """Result of a run: an object or several, each with its surface, measures and quality.
 
-Rests of an object's front before it broke through, on the image's grid, with a place in mm.
-
-State of a finished run besides its result, from which it can be refined.
+An object has the plateaus of its front's speed, where it slowed down before it broke through. The result of a run has
+the state from which corrections go on.
 """
 
 from __future__ import annotations
@@ -40,6 +39,13 @@ from accelsurf.run.preprocessing import PreprocessedInput
 from accelsurf.run.setup import EnergyLike
 from accelsurf.run.start_pyramid import to_finest
 from accelsurf.settings.run_config import RunConfig
+
+#: Columns of the history that are summed over objects, and those of which the largest counts.
+_SUMMED = (
+    "potential", "kinetic", "mass_potential", "friction_work", "smoothing_work", "noise_work", "mass", "volume_mm3",
+    "area_mm2", "band_cells", "cells_visited", "seconds",
+)
+_LARGEST = ("mass_correction", "clamped_fraction", "motion_voxels", "limited_fraction")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -293,19 +299,19 @@ class Result:
         """
         if not self.has_ids:
             return self._one.history
-        return combined_history([segmented.history for segmented in self.objects if segmented.history])
+        return _combined_history([segmented.history for segmented in self.objects if segmented.history])
 
     @cached_property
     def run_history(self) -> list[StepRecord]:
         """`history` without corrections, whose potentials are those of their boxes and compare with no others."""
         edits = {edit.step for edit in self.config.edit[: self.edits_done]}
-        histories = [before_corrections(segmented.history, edits) for segmented in self.objects if segmented.history]
-        return combined_history(histories) if self.has_ids else [*histories, []][0]
+        histories = [_before_corrections(segmented.history, edits) for segmented in self.objects if segmented.history]
+        return _combined_history(histories) if self.has_ids else [*histories, []][0]
 
     @cached_property
     def terms(self) -> list[dict[str, Any]]:
         """The terms of the energy with their settings; "by object" where they differ between objects."""
-        return common_terms([segmented.terms for segmented in self.objects]) if self.has_ids else self._one.terms
+        return _common_terms([segmented.terms for segmented in self.objects]) if self.has_ids else self._one.terms
 
     @property
     def learned(self) -> tuple[float, float] | None:
@@ -411,30 +417,23 @@ class Result:
 #: Public name of a result of several objects: it is a `Result`.
 ObjectsResult = Result
 
-#: Columns of the history that are summed over objects, and those of which the largest counts.
-SUMMED = (
-    "potential", "kinetic", "mass_potential", "friction_work", "smoothing_work", "noise_work", "mass", "volume_mm3",
-    "area_mm2", "band_cells", "cells_visited", "seconds",
-)
-LARGEST = ("mass_correction", "clamped_fraction", "motion_voxels", "limited_fraction")
 
-
-def combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
+def _combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
     """The history of several objects together, by step.
 
-    Energies, mass, volume and area are summed; the columns of `LARGEST` have the largest value of any object; the other
-    columns are those of the first. An object that has stopped counts with its last record.
+    Energies, mass, volume and area are summed; the columns of `_LARGEST` have the largest value of any object; the
+    other columns are those of the first. An object that has stopped counts with its last record.
     """
     records = []
     for step in range(max(map(len, histories))):
         now = [history[min(step, len(history) - 1)] for history in histories]
-        sums = {key: sum(getattr(record, key) for record in now) for key in SUMMED}
-        largest = {key: max((getattr(record, key) for record in now), key=abs) for key in LARGEST}
+        sums = {key: sum(getattr(record, key) for record in now) for key in _SUMMED}
+        largest = {key: max((getattr(record, key) for record in now), key=abs) for key in _LARGEST}
         records.append(now[0]._replace(step=step, restarted=False, **sums, **largest))
     return records
 
 
-def before_corrections(history: list[StepRecord], edits: set[int]) -> list[StepRecord]:
+def _before_corrections(history: list[StepRecord], edits: set[int]) -> list[StepRecord]:
     """The records of a run without those of corrections after it; ``edits`` are the steps of edits of the run itself.
 
     A correction counts as an edit before its first step, and replaces the record of the final state.
@@ -443,14 +442,14 @@ def before_corrections(history: list[StepRecord], edits: set[int]) -> list[StepR
     return history[: begun[0]] if begun else history
 
 
-def common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
+def _common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
     """The terms of all objects; "by object" where a setting differs. Objects that began later may have other terms.
 
     Examples
     --------
-    >>> common_terms([[{"term": "threshold", "LO": 3}], [{"term": "threshold", "LO": 4}]])
+    >>> _common_terms([[{"term": "threshold", "LO": 3}], [{"term": "threshold", "LO": 4}]])
     [{'term': 'threshold', 'LO': 'by object'}]
-    >>> common_terms([[{"term": "chan-vese"}], [{"term": "seeded"}]])
+    >>> _common_terms([[{"term": "chan-vese"}], [{"term": "seeded"}]])
     [{'term': 'chan-vese'}, {'term': 'seeded'}]
     """
     same: dict[tuple[Any, int], list[dict[str, Any]]] = {}

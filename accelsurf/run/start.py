@@ -30,7 +30,7 @@ from accelsurf.starts.objects import ObjectStart, core_of
 #: Voxels around an object's own grid that belong to its part of a result.
 AROUND = 2
 #: So many models are made at once: each marches on arrays of the whole grid, and has threads of its own for its parts.
-MODELS_AT_ONCE = 2
+_MODELS_AT_ONCE = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +171,7 @@ def _with_clicks(context: ImageContext, clicks: Clicks | None, id: int) -> Image
 def _make_models(contexts: Sequence[ImageContext]) -> None:
     """Make the models of several objects, some at a time; those of a partition share too much for that."""
     inputs = contexts[0].model_inputs
-    at_once = min(inputs.threads, MODELS_AT_ONCE)
+    at_once = min(inputs.threads, _MODELS_AT_ONCE)
     if inputs.partition is not None or at_once < 2:
         return
     contexts[0].images_to_learn()  # once: they would each begin with it

@@ -28,7 +28,7 @@ MAX_ID = 2**32 - 1
 #: Columns of a table: world mm (LPS), or voxel indices with the radius in voxels of the smallest spacing.
 WORLD_COLUMNS, VOXEL_COLUMNS = ("id", "x", "y", "z", "r"), ("id", "x_vox", "y_vox", "z_vox", "r_vox")
 #: What is deeper in a surface that is given than this part of its greatest depth is surely of the object.
-CORE_DEPTH = 0.5
+_CORE_DEPTH = 0.5
 _BYTES_PER_VOXEL = 16  # image, psi twice, and an index of the band
 _FORM = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS), or {','.join(VOXEL_COLUMNS)}"
 
@@ -260,7 +260,7 @@ def ball_start(
 
 
 def core_of(psi: NDArray[np.float32], spacing: Sequence[float]) -> NDArray[np.bool_]:
-    """The voxels inside that are deeper than `CORE_DEPTH` of the greatest depth; beyond the box an object goes on.
+    """The voxels inside that are deeper than `_CORE_DEPTH` of the greatest depth; beyond the box an object goes on.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ def core_of(psi: NDArray[np.float32], spacing: Sequence[float]) -> NDArray[np.bo
     around = [(1, 1) if n > 1 else (0, 0) for n in psi.shape]
     depth = ndimage.distance_transform_edt(np.pad(psi < 0, around, mode="edge"), sampling=spacing)
     depth = depth[tuple(slice(low, n + low) for (low, _), n in zip(around, psi.shape, strict=True))]
-    return np.asarray((psi < 0) & (depth > CORE_DEPTH * depth.max()))
+    return np.asarray((psi < 0) & (depth > _CORE_DEPTH * depth.max()))
 
 
 def apart(objects: Sequence[ObjectStart]) -> list[ObjectStart]:
