@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.correct.finished import OnObjectStep, finished, result_of
-from accelsurf.correct.refine import with_refinements
+from accelsurf.correct.refine import with_corrections
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord
 from accelsurf.grid.clicks import SIDES
@@ -93,7 +93,7 @@ def segment(
         return result
     checkpoints = _file_of(checkpoint_to)
     run = _run_of(volume, spacing, channels, config, energy, options, None, checkpoints)
-    return with_refinements(finished(run, watch, on_warning, checkpoints), watch)
+    return with_corrections(finished(run, watch, on_warning, checkpoints), watch)
 
 
 def evolve(
@@ -194,7 +194,7 @@ def segment_objects(
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
     checkpoints = _file_of(checkpoint_to)
     run = _run_of(volume, spacing, channels, config, energy, options, objects, checkpoints)
-    return with_refinements(finished(run, on_step, on_warning, checkpoints), on_step)
+    return with_corrections(finished(run, on_step, on_warning, checkpoints), on_step)
 
 
 def _file_of(path: str | Path | None) -> CheckpointFile | None:

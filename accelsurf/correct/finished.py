@@ -20,10 +20,10 @@ from accelsurf.grid.clicks import NO_OBJECT, Clicks
 from accelsurf.grid.window import Window
 from accelsurf.run.checkpoint_file import CheckpointFile
 from accelsurf.run.evolving_object import EvolvingObject
-from accelsurf.run.late_growth import LateGrowth, nearest_inside
+from accelsurf.run.late_growth import LateLeakage, nearest_inside
 from accelsurf.run.preprocessing import uses_model
 from accelsurf.run.region_of_interest import closed_on, cropped
-from accelsurf.run.result import Result, RunState, SegmentedObject, rest_points
+from accelsurf.run.result import Result, RunState, SegmentedObject, plateaus_of
 from accelsurf.run.run import AROUND, Run
 from accelsurf.run.setup import half_width, stop_rule
 
@@ -108,10 +108,10 @@ def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
     return out
 
 
-def _sureness(run: Run, evolving: EvolvingObject) -> Sureness | None:
+def _confidence(run: Run, evolving: EvolvingObject) -> Sureness | None:
     """Return the confidence of the model of an object's clicks; None where the energy has none."""
     named = run.energy_given is None or isinstance(run.energy_given, str)
-    return sureness_from(evolving.context.seeded_model()) if named and uses_model(run.config) else None
+    return confidence_from(evolving.context.seeded_model()) if named and uses_model(run.config) else None
 
 
 def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
@@ -121,10 +121,10 @@ def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
     box = tuple(slice(0, n) for n in psi.shape)
     learned = run.prepared.learned_by(evolving.context)
     whole: Box = (box[0], box[1], box[2])
-    rests = rest_points(evolving.evolution.state.rests.found, run.prepared, whole)
+    plateaus = plateaus_of(evolving.evolution.state.rests.found, run.prepared, whole)
     return SegmentedObject(
-        1, whole, psi, image, run.volume.geometry, history, stop, evolving.made.terms, learned, rests,
-        clicked_voxels(run.clicks, 1, run.prepared.first, whole), _sureness(run, evolving),
+        1, whole, psi, image, run.volume.geometry, history, stop, evolving.made.terms, learned, plateaus,
+        clicked_voxels(run.clicks, 1, run.prepared.first, whole), _confidence(run, evolving),
     )
 
 
@@ -147,9 +147,9 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
                 stop,
                 evolving.made.terms,
                 learned,
-                rest_points(evolving.evolution.state.rests.found, run.prepared, box),
+                plateaus_of(evolving.evolution.state.rests.found, run.prepared, box),
                 clicked_voxels(run.clicks, evolving.id, run.prepared.first, box),
-                _sureness(run, evolving),
+                _confidence(run, evolving),
             )
         )
     return tuple(objects)
@@ -181,7 +181,7 @@ def state_at_end(run: Run) -> RunState:
     return RunState(run.prepared, contexts, run.energy_given, run.clicks)
 
 
-def sureness_from(model: ClickModel) -> Sureness | None:
+def confidence_from(model: ClickModel) -> Sureness | None:
     """Return the confidence of a model in its object; None of a partition."""
     if not model.stages or model.proposal is None:
         return None
@@ -196,7 +196,7 @@ def finished(
 ) -> Result:
     """Return the result of a run that goes to the end, or until ``on_step`` returns true; no correction is made."""
     grid = run.volume.geometry
-    growth = LateGrowth(run.window or Window(grid, whole_box(grid.shape)))
+    growth = LateLeakage(run.window or Window(grid, whole_box(grid.shape)))
     with run:
         notes = [] if checkpoints is None else checkpoints.restore(run, growth)
         if on_warning is not None:
@@ -215,4 +215,4 @@ def finished(
                 run.request_stop()
         result = result_of(run)
     late = nearest_inside(growth.place(), result.labels > 0, grid.spacing)
-    return replace(result, late_growth=late, warnings=[*result.warnings, *notes])
+    return replace(result, late_leakage=late, warnings=[*result.warnings, *notes])

@@ -105,29 +105,29 @@ class ObjectModels:
         """Note new clicks."""
         self.clicks = self.clicks.with_later(clicks)
 
-    def begin_object(self, number: int, refinement: Correction, taken: BoxMask | None) -> None:
+    def begin_object(self, number: int, correction: Correction, taken: BoxMask | None) -> None:
         """Begin an object at clicks that have been noted.
 
         Parameters
         ----------
         number : int
             Of the correction.
-        refinement : Correction
+        correction : Correction
             With ``new``.
         taken : BoxMask or None
             Voxels that it may not have.
         """
-        id, prepared = refinement.new, self.prepared
+        id, prepared = correction.new, self.prepared
         assert id is not None
         self.settings[id] = self._frozen.replace(
-            objects=None, inside=(), outside=(), box=None, start=("clicks",), energy=_NEW_ENERGY, size=refinement.size
+            objects=None, inside=(), outside=(), box=None, start=("clicks",), energy=_NEW_ENERGY, size=correction.size
         )
         passes = None if prepared.mask_distance is None else np.asarray(prepared.mask_distance < 0)
         if taken is not None:
             self.masks[number] = taken
             passes = np.ones(prepared.geometry.shape, np.bool_) if passes is None else passes
             passes[taken.box] &= ~taken.mask
-        size = None if refinement.size is None else volume_mm3(refinement.size)
+        size = None if correction.size is None else volume_mm3(correction.size)
         inputs = ModelInputs(size, passes, thread_count(self._frozen))
         self.contexts[id] = prepared.context.with_model_inputs(inputs).with_clicks(self.clicks.of(id))
         self._forget(id)
@@ -244,12 +244,12 @@ def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple
 
 
 def clicks_on(new: Sequence[Click], id: int) -> tuple[Click, ...]:
-    """The new clicks that an object answers to, as it sees them: its own, and those on no object."""
+    """New clicks on an object, as it sees them, and those on no object."""
     mine = tuple(click for click in new if click.id in (id, NO_OBJECT))
     return Clicks(mine, (0, 0, 0)).of(id).clicks
 
 
-def check_object(refinement: Correction, ids: Sequence[int] | None) -> None:
+def check_object(correction: Correction, ids: Sequence[int] | None) -> None:
     """Refuse a correction of an object that there is not; ``ids`` is None where there is one without an id.
 
     Raises
@@ -257,13 +257,13 @@ def check_object(refinement: Correction, ids: Sequence[int] | None) -> None:
     UsageError
         With the ids that there are.
     """
-    id = refinement.object
+    id = correction.object
     if ids is None:
         if id not in (None, 1):
             raise UsageError(f"refine: object {id} was given, but there is a single one", "leave object out")
         return
     there = "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
-    if id is None and refinement.inside:
+    if id is None and correction.inside:
         raise UsageError("refine: inside was given without object, expected an object's id", there)
     if id is not None and id not in ids:
         raise UsageError(f"refine: object {id} was given, expected one that is in the result", there)

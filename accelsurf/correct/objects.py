@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.reading import clicked_voxels
 from accelsurf.correct.corrected_surface import CorrectedSurface, count_inside, part_of_image, stop_of_whole, surface_of
-from accelsurf.correct.finished import sureness_from
+from accelsurf.correct.finished import confidence_from
 from accelsurf.correct.local_evolution import measures_of
 from accelsurf.correct.local_model import LocalModel, ModelChange
 from accelsurf.correct.models import ObjectModels
@@ -36,7 +36,7 @@ class _SurfaceBefore(NamedTuple):
     totals: dict[str, NDArray[np.float64]]
 
 
-class _Correction(NamedTuple):
+class _CorrectionBefore(NamedTuple):
     """The state before a correction, and its changes in place, in order, to take it back."""
 
     has_ids: bool
@@ -47,7 +47,7 @@ class _Correction(NamedTuple):
     clicked: list[tuple[LocalModel, ModelChange]]
 
 
-class RefinedObjects:
+class CorrectedObjects:
     """The objects of a finished run, correction by correction.
 
     Parameters
@@ -78,7 +78,7 @@ class RefinedObjects:
         self.has_ids, self.models = result.has_ids, ObjectModels(state, settings)
         self._known = dict(result.by_id)
         self._regional = RegionTotals(self.images, self.surfaces[0].psi, state.totals)
-        self._undo: list[_Correction] = []
+        self._undo: list[_CorrectionBefore] = []
 
     @property
     def ids(self) -> list[int]:
@@ -103,7 +103,7 @@ class RefinedObjects:
     def begin_correction(self) -> None:
         """Begin a correction: all that follows is taken back at once."""
         self._undo.append(
-            _Correction(self.has_ids, tuple(self.surfaces), dict(self._known), self.models.snapshot(), [], [])
+            _CorrectionBefore(self.has_ids, tuple(self.surfaces), dict(self._known), self.models.snapshot(), [], [])
         )
 
     def undo(self) -> bool:
@@ -223,7 +223,7 @@ class RefinedObjects:
         box = segmented.box if is_same or not self.has_ids else part_of_image(segmented.box, (z, y, x), now, prepared)
         clicked = clicked_voxels(models.clicks, segmented.id, prepared.first, box) if len(models.clicks) else None
         if segmented.id in models.made:
-            segmented = dataclasses.replace(segmented, sureness=sureness_from(models.made[segmented.id]))
+            segmented = dataclasses.replace(segmented, confidence=confidence_from(models.made[segmented.id]))
         if is_same:
             unchanged = clicked is None or (
                 segmented.clicked is not None and np.array_equal(clicked, segmented.clicked)
@@ -236,5 +236,5 @@ class RefinedObjects:
         return dataclasses.replace(
             segmented, box=box, psi=closed_on(now.psi, (z, y, x), box), image=base.image[box],
             geometry=cropped(base.geometry, box), history=now.history, stop=now.stop, clicked=clicked,
-            rests=on_larger_box(segmented.rests, segmented.box, box),
+            plateaus=on_larger_box(segmented.plateaus, segmented.box, box),
         )

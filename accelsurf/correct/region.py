@@ -27,7 +27,7 @@ from accelsurf.kernels.distance import distances_within
 #: Width of the rim: at least so many voxels of the smallest spacing, and of the largest.
 _RIM_SMALLEST, _RIM_LARGEST = 6.0, 2.0
 #: How far a correction goes unless it is known: times the depth of the click in what is wrong, and so many voxels of
-#: the smallest spacing at most, so that an answer does not take long; more is for another click, or ``near``.
+#: the smallest spacing at most, so that a correction does not take long; more is for another click, or ``near``.
 _AUTO_TIMES, _MAX_NEAR = 1.5, 12.0
 #: The smallest automatic region, voxels of the largest spacing.
 _MIN_NEAR = 4.0

@@ -20,7 +20,7 @@ from accelsurf.large.first_window import MIN_MARGIN
 from accelsurf.large.whole_image import WholeImage
 from accelsurf.large.windowed import LargeImage, larger, run_in
 from accelsurf.run.region_of_interest import cropped
-from accelsurf.run.result import SegmentedObject
+from accelsurf.run.result import SegmentedObject, plateaus_on_whole
 from accelsurf.run.run import Run
 from accelsurf.run.setup import PLAIN_BYTES, PROCESS_BYTES, bytes_text, window_reach
 from accelsurf.settings import energy_expression
@@ -273,8 +273,8 @@ class VisitedBoxes:
 def _on_whole(segmented: SegmentedObject, window: Window) -> SegmentedObject:
     """An object of a run in a window, on the whole grid: its places are worked out there, to the last digit."""
     box = placed_at(segmented.box, window.corner)
-    rests = tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in segmented.rests)
-    return replace(segmented, box=box, geometry=cropped(window.geometry, box), rests=rests)
+    plateaus = plateaus_on_whole(segmented.plateaus, window)
+    return replace(segmented, box=box, geometry=cropped(window.geometry, box), plateaus=plateaus)
 
 
 def united(

@@ -29,7 +29,7 @@ from accelsurf.run.arguments import split_given, with_options
 from accelsurf.run.checkpoint_file import CheckpointFile
 from accelsurf.run.preprocessing import filters_of, uses_model
 from accelsurf.run.region_of_interest import cropped, region_of_run
-from accelsurf.run.result import Result
+from accelsurf.run.result import Result, plateaus_on_whole
 from accelsurf.run.run import Run
 from accelsurf.run.setup import allowed_bytes, bytes_text, run_bytes, seeded, values_within
 from accelsurf.run.window_input import WindowInput, has_region
@@ -237,10 +237,7 @@ def _in(
     run = run_in(window, whole, image, config)
     result = finished(run, on_step, on_warning, checkpoints)
     objects = tuple(
-        replace(
-            segmented, rests=tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in segmented.rests)
-        )
-        for segmented in result.objects
+        replace(segmented, plateaus=plateaus_on_whole(segmented.plateaus, window)) for segmented in result.objects
     )
     return replace(result, objects=objects, window=window, state=None, warnings=[*result.warnings, *notes_of(whole)])
 

@@ -16,7 +16,7 @@ from accelsurf.run.checkpoint import (
     save_checkpoint,
     versions,
 )
-from accelsurf.run.late_growth import LateGrowth
+from accelsurf.run.late_growth import LateLeakage
 from accelsurf.run.run import Run
 from accelsurf.run.setup import needs_seed
 from accelsurf.settings.run_config import RunConfig
@@ -73,7 +73,7 @@ class CheckpointFile:
         """Remove the file: the run begins anew."""
         self.path.unlink(missing_ok=True)
 
-    def restore(self, run: Run, growth: LateGrowth) -> list[str]:
+    def restore(self, run: Run, growth: LateLeakage) -> list[str]:
         """Go on from the file, where it exists, and begin to count steps and seconds.
 
         Returns
@@ -98,7 +98,7 @@ class CheckpointFile:
         self._written_at, self._seconds = run.step_number, time.monotonic()
         return warnings
 
-    def watch(self, run: Run, growth: LateGrowth, at_once: bool = False) -> None:
+    def watch(self, run: Run, growth: LateLeakage, at_once: bool = False) -> None:
         """Write the state if the interval is over, or ``at_once``; between two steps.
 
         Raises

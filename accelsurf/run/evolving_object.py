@@ -54,11 +54,7 @@ class EvolvingObject:
         On the whole grid for a single object.
     inputs : LevelInputs
         Images and mask by level.
-    context : ImageContext
-        Data of the image that its energy needs.
-    setup : SolverSetup
-    make_energy : callable
-        Makes a `MadeEnergy` of (image, spacing, context).
+    solver : ObjectSolver
     workers : Workers
     max_steps : int
         Of all levels together.
@@ -71,23 +67,30 @@ class EvolvingObject:
         self,
         start: ObjectStart,
         inputs: LevelInputs,
-        context: ImageContext,
-        setup: SolverSetup,
-        make_energy: EnergyMaker,
+        solver: ObjectSolver,
         workers: Workers,
         max_steps: int,
         among_others: bool,
     ) -> None:
-        self.id, self.workers, self.context = start.id, workers, context
+        self.id, self.workers = start.id, workers
         self.leaked, self.reactivations = False, 0
-        self._inputs, self._setup, self._make_energy = inputs, setup, make_energy
+        self._inputs, self._solver = inputs, solver
         self._among_others = among_others
         self._max_steps, self._stop_requested = max_steps, False
         self._starts = StartPyramid(start, inputs.grids)
-        self._clicks = LevelClicks(context, inputs.grids)
+        self._clicks = LevelClicks(solver.context, inputs.grids)
         self.corner: Corner = (0, 0, 0)
         self.made: MadeEnergy
         self.evolution: Evolution
+
+    @property
+    def context(self) -> ImageContext:
+        """Data of the image that its energy needs."""
+        return self._solver.context
+
+    @property
+    def _setup(self) -> SolverSetup:
+        return self._solver.setup
 
     # -- what it is ----------------------------------------------------------------------------------------
 
@@ -255,7 +258,7 @@ class EvolvingObject:
         images = inputs.images(self.level, box)
         level, clicks = self.level, self._clicks
         context = self.context.with_channels(images[1:], lambda: clicks.field(level, box))
-        self.made = self._make_energy(images[0], self.grid.spacing, context)
+        self.made = self._solver.make_energy(images[0], self.grid.spacing, context)
         energy = constrained(self.made.energy, inputs.mask_distance(level, box), clicks.bounds(level, box))
         return NonOverlap(energy, self.corner) if self._among_others else energy
 
@@ -321,38 +324,31 @@ class EvolvingObject:
         stop = self.evolution.stop
         return stop is None or (stop.reason in ("converged", "stalled") and self.surface.size > 0)
 
-    def set_up(self, setup: SolverSetup, make_energy: EnergyMaker, context: ImageContext) -> bool:
-        """Have another set-up, energy and context on the following levels; returns whether the context is another."""
-        self._setup, self._make_energy, self.reactivations = setup, make_energy, 0
-        if context is self.context:
+    def set_up(self, solver: ObjectSolver) -> bool:
+        """Have another solver on the following levels; returns True if its context is another one."""
+        before, self._solver, self.reactivations = self._solver, solver, 0
+        if solver.context is before.context:
             return False
-        self.context, self._clicks = context, LevelClicks(context, self._inputs.grids)
+        self._clicks = LevelClicks(solver.context, self._inputs.grids)
         return True
 
-    def edit(
-        self,
-        setup: SolverSetup,
-        make_energy: EnergyMaker,
-        new_energy: bool,
-        balls: tuple[BallEdit, ...],
-        context: ImageContext,
-    ) -> None:
+    def edit(self, solver: ObjectSolver, new_energy: bool, balls: tuple[BallEdit, ...]) -> None:
         """Continue with other settings, and with ``balls`` added to the object or removed from it, or more clicks.
 
-        ``setup`` and ``make_energy`` are of this level and the following ones; ``new_energy``: whether the energy
-        changes; ``context`` is another one than before where clicks were added.
+        ``solver`` is of this level and the following ones, its context another one where clicks were added;
+        ``new_energy`` is True if the energy changes.
         """
         if self._among_others:
             # On the grid as it is the old energy goes on, until the new one begins.
             extents = [ball.extent(self.grid) for ball in balls if ball.kind == "add"]
             none = np.array(self.grid.shape), np.zeros(3, np.int64)
-            extents.append(LevelClicks(context, self._inputs.grids).extended(*none, self.level))
+            extents.append(LevelClicks(solver.context, self._inputs.grids).extended(*none, self.level))
             for low, high in extents:
                 if (low < high).all():
                     self._make_room(low, high)
             if self.evolution.stop is not None and self.level == 0:
                 self.evolution.history.pop()
-        clicked = self.set_up(setup, make_energy, context)
+        clicked = self.set_up(solver)
         energy = self._energy_on(box_at(self.corner, self.surface.shape)) if new_energy or clicked else None
         change = (lambda surface: self._change_psi(surface, balls)) if balls or clicked else None
         self.evolution = self.evolution.edited(energy, self._setup_here, change)
@@ -377,12 +373,9 @@ class EvolvingObject:
         made = self.evolution.checkpoint()
         return ObjectCheckpoint(self.corner, self.surface.shape, self.leaked, made, self.reactivations)
 
-    def restore(
-        self, checkpoint: ObjectCheckpoint, setup: SolverSetup, make_energy: EnergyMaker, new_energy: bool,
-        context: ImageContext,
-    ) -> None:
+    def restore(self, checkpoint: ObjectCheckpoint, solver: ObjectSolver, new_energy: bool) -> None:
         """Go back to a state of this level, with the settings that were in force then."""
-        new_energy |= self.set_up(setup, make_energy, context)
+        new_energy |= self.set_up(solver)
         self.leaked, self.reactivations, self._stop_requested = checkpoint.leaked, checkpoint.reactivations, False
         energy = None
         if (self.corner, self.surface.shape) != (checkpoint.corner, checkpoint.shape):
@@ -468,6 +461,14 @@ class MadeEnergy(NamedTuple):
 
 #: Makes the energy of (image, spacing, context).
 EnergyMaker = Callable[[NDArray[np.float32], tuple[float, float, float], ImageContext], MadeEnergy]
+
+
+class ObjectSolver(NamedTuple):
+    """Solver of an object under some settings: its ``setup``, the maker of its energy, and the data that this needs."""
+
+    setup: SolverSetup
+    make_energy: EnergyMaker
+    context: ImageContext
 
 
 class ObjectCheckpoint(NamedTuple):

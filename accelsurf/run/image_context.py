@@ -134,7 +134,7 @@ class ImageContext:
     is_start : bool, optional
         Whether the foreground is the start and nothing else: of several objects, each then learns from its own.
     whole : sequence of WholeChannel, optional
-        Of each channel, where ``images`` are a window of larger ones: what is said of whole channels is then of these.
+        Of each channel, where ``images`` are a window of larger ones: statistics of whole channels are then of these.
 
     Notes
     -----
@@ -254,8 +254,8 @@ class ImageContext:
                 made = partition_model(*seen, mask=mask, basins=partition)
             else:
                 before = self._before
-                goes_on = before is not None and before.clicks is not None and before.clicks.ids()
-                previous = before.seeded_model() if before is not None and goes_on else None
+                is_incremental = before is not None and before.clicks is not None and before.clicks.ids()
+                previous = before.seeded_model() if before is not None and is_incremental else None
                 made = seeded_model(
                     *seen, size_mm3=size, box=box, mask=mask, threads=threads, previous=previous, window=window,
                     learned=self.images_to_learn,

@@ -48,7 +48,7 @@ class GrowthState(NamedTuple):
     sums: NDArray[np.float32]
 
 
-class LateGrowth:
+class LateLeakage:
     """Sums up growth, step by step.
 
     The cubes are counted from the first voxel of the whole image, so that they are the same in any window of it.

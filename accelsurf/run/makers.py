@@ -236,7 +236,7 @@ def seeded(inputs: TermInputs) -> Made:
 
     model = inputs.context.seeded_model()
     area = inputs.number("area", model.area_weight_mm)
-    # The area smooths the object; how large it is, the clicks have said.
+    # The area smooths the object; its size is that of the clicks.
     lower = offset(area, inputs.context.model_curvature())
     energy: Energy = RegionField(inputs.context.model_field() - np.float32(lower), inputs.alpha + area)
     used = {"area": area, "offset": lower, "volume_mm3": model.proposal.volume_mm3, "sureness": model.proposal.sureness}

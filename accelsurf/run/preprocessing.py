@@ -155,8 +155,8 @@ def preprocess(
     distance = distance_of_mask(config, given, window, box)
     seen = first, filtered, window
     read = clicks_of(config, first, filtered, has_ids=has_ids, window=window)
-    said = placed([*read, *clicks], first, box, distance, None)
-    start = given["start"] if "start" in given else _first_surface(config, seen, said, box)
+    all_clicks = placed([*read, *clicks], first, box, distance, None)
+    start = given["start"] if "start" in given else _first_surface(config, seen, all_clicks, box)
     training = {name: _crop(mask, box) for name, mask in _training_voxels(config, given, seen).items()}
     psi = _start_within(_crop(start, box), distance, config, _name_of_start(config, given))
     around = None if geometry.shape == whole.shape else filtered  # the result shows it
@@ -165,13 +165,13 @@ def preprocess(
     images, scales = _scaled_channels(values, volumes, filters, box, part)
     del values
     context, learns = _context(config, volumes, images, scales, psi, training, distance, part)
-    if said.clicks and not has_ids and config.start == (starts.CLICKS,) and uses_model(config):
-        context = context.with_clicks(said)
+    if all_clicks.clicks and not has_ids and config.start == (starts.CLICKS,) and uses_model(config):
+        context = context.with_clicks(all_clicks)
         psi = _start_within(context.model_start(), distance, config, "of the clicks' model")
     shown = psi.copy() if whole.slice_axis is not None else None
     prepared = PreprocessedInput(
-        tuple(volumes), box, geometry, tuple(images), context, distance, said if said.clicks else None, filters,
-        around, shown, learns,
+        tuple(volumes), box, geometry, tuple(images), context, distance, all_clicks if all_clicks.clicks else None,
+        filters, around, shown, learns,
     )
     return prepared, psi
 

@@ -71,12 +71,12 @@ class SegmentedObject:
         The terms of the energy with every setting as it was in the run; empty for an energy of the user's own.
     learned : (float, float) or None
         Lowest and highest value, on the scale of ``image``, that the learned model expects in the object.
-    rests : tuple of RestPoint
-        Where its front rested before it broke through to something else.
+    plateaus : tuple of Plateau
+        Where its front slowed down before it broke through to something else.
     clicked : ndarray (nz, ny, nx) of bool, or None
         Voxels of its part that a person clicked, on either side.
-    sureness : Sureness or None
-        How sure the model of the clicks is; None where the energy has none.
+    confidence : Sureness or None
+        Of the model of the clicks in the object; None where the energy has none.
     """
 
     id: int
@@ -88,9 +88,9 @@ class SegmentedObject:
     stop: Stop
     terms: list[dict[str, Any]] = field(default_factory=list)
     learned: tuple[float, float] | None = None
-    rests: tuple[RestPoint, ...] = ()
+    plateaus: tuple[Plateau, ...] = ()
     clicked: NDArray[np.bool_] | None = None
-    sureness: Sureness | None = None
+    confidence: Sureness | None = None
 
     def __repr__(self) -> str:
         return f"SegmentedObject(id={self.id}, {self.volume_mm3:.6g} mm3, {self.stop.reason})"
@@ -173,10 +173,10 @@ class SegmentedObject:
     @cached_property
     def quality(self) -> Quality:
         """Measures of quality that need no reference."""
-        rests = [RestNote(rest.step, rest.volume_mm3, rest.left_at, rest.place) for rest in self.rests]
+        plateaus = [RestNote(*plateau[:-1]) for plateau in self.plateaus]
         seen = self.labels, self.image, self.geometry, self.history, self.stop
         learned = None if self.learned is None else ValueRange(*self.learned)
-        return assess(*seen, learned, rests, self.clicked, self.sureness)
+        return assess(*seen, learned, plateaus, self.clicked, self.confidence)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -212,7 +212,7 @@ class Result:
         Number of edits of ``config`` that were applied.
     resolved_settings : dict
         Values used for settings that depend on image and grid: see `accelsurf.output.document`.
-    late_growth : (float, float, float) or None
+    late_leakage : (float, float, float) or None
         Index (z, y, x) of the voxel near which the surfaces grew most in the last quarter of their growth; None without
         any, or where no object is any more.
     clicks : Clicks or None
@@ -238,7 +238,7 @@ class Result:
     edits_done: int = 0
     given: tuple[str, ...] = ()
     resolved_settings: dict[str, Any] = field(default_factory=dict)
-    late_growth: tuple[float, float, float] | None = None
+    late_leakage: tuple[float, float, float] | None = None
     clicks: Clicks | None = None
     state: RunState | None = None
     window: Window | None = None
@@ -468,13 +468,13 @@ def _common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
     ]
 
 
-class RestPoint(NamedTuple):
-    """A rest of an object's front.
+class Plateau(NamedTuple):
+    """A plateau of the speed of an object's front.
 
     Attributes
     ----------
     step : int
-        When it rested.
+        When the front was slow.
     volume_mm3 : float
         Its volume then.
     left_at : int
@@ -492,18 +492,23 @@ class RestPoint(NamedTuple):
     labels: NDArray[np.uint8]
 
 
-def rest_points(rests: Sequence[FoundRest], prepared: PreprocessedInput, box: Box) -> tuple[RestPoint, ...]:
-    """The rests of an object whose part of the image's grid is ``box``."""
-    return tuple(_point(rest, prepared, box) for rest in rests)
+def plateaus_of(found: Sequence[FoundRest], prepared: PreprocessedInput, box: Box) -> tuple[Plateau, ...]:
+    """The plateaus of an object whose part of the image's grid is ``box``."""
+    return tuple(_plateau(rest, prepared, box) for rest in found)
 
 
-def on_larger_box(rests: Sequence[RestPoint], before: Box, box: Box) -> tuple[RestPoint, ...]:
-    """The rests of an object whose part of the image's grid was ``before``, and is now the larger ``box``."""
+def on_larger_box(plateaus: Sequence[Plateau], before: Box, box: Box) -> tuple[Plateau, ...]:
+    """The plateaus of an object whose part of the image's grid was ``before``, and is now the larger ``box``."""
     around = [(a.start - b.start, b.stop - a.stop) for a, b in zip(before, box, strict=True)]
-    return tuple(rest._replace(labels=np.pad(rest.labels, around)) for rest in rests)
+    return tuple(plateau._replace(labels=np.pad(plateau.labels, around)) for plateau in plateaus)
 
 
-def _point(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> RestPoint:
+def plateaus_on_whole(plateaus: Sequence[Plateau], window: Window) -> tuple[Plateau, ...]:
+    """The plateaus of an object in a window, with their places on the whole grid, to the last digit."""
+    return tuple(plateau._replace(place=window.place_on_whole(plateau.place)) for plateau in plateaus)
+
+
+def _plateau(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> Plateau:
     geometry, at = prepared.geometry, rest.at
     grids = pyramid.levels(geometry.shape, geometry.spacing, at.level + 1)
     far = float(np.abs(at.surface.psi).max(initial=0.0)) or 1.0
@@ -513,7 +518,7 @@ def _point(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> RestPoint:
     on_image = (corner[0] + first[0], corner[1] + first[1], corner[2] + first[2])
     mine, theirs = shared((box[0].start, box[1].start, box[2].start), labels.shape, on_image, psi.shape)
     labels[mine] = psi[theirs] < 0
-    return RestPoint(at.step, at.volume_mm3, rest.left_at, _place(rest, grids[at.level], geometry), labels)
+    return Plateau(at.step, at.volume_mm3, rest.left_at, _place(rest, grids[at.level], geometry), labels)
 
 
 def _place(rest: FoundRest, grid: pyramid.Level, geometry: Geometry) -> tuple[float, float, float]:
@@ -544,13 +549,13 @@ class RunState:
     clicks : Clicks or None
         All clicks so far, on the grid of the region of interest; None for none.
     models : mapping of int to LocalState
-        Of each object whose model refinements have needed, after all of them.
+        Of each object whose model corrections have needed, after all of them.
     totals : mapping of str to ndarray (2, m)
-        Of `accelsurf.run.region_totals.RegionTotals`; empty before the first refinement.
+        Of `accelsurf.run.region_totals.RegionTotals`; empty before the first correction.
     settings : mapping of int to RunConfig
-        Of objects whose settings are not those of the run: those that refinements have begun.
+        Of objects whose settings are not those of the run: those that corrections have begun.
     masks : mapping of int to BoxMask
-        By the number of a refinement, on the grid of the region of interest: voxels that its new object may not have,
+        By the number of a correction, on the grid of the region of interest: voxels that its new object may not have,
         or that were split off.
     """
 

@@ -46,7 +46,7 @@ class Bounds(NamedTuple):
 def start_checks(
     objects: Sequence[EvolvingObject], starts: Sequence[ObjectStart], prepared: PreprocessedInput, has_ids: bool
 ) -> list[str]:
-    """A line for each doubt about a start, with what to try; to be called before the first step.
+    """A line for each problem of a start, with what to try; to be called before the first step.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ def assert_same(one, want):
     pairs = zip(one.history, want.history, strict=True)
     assert all(own._replace(seconds=0.0) == other._replace(seconds=0.0) for own, other in pairs)
     assert one.quality == want.quality and one.area_mm2 == want.area_mm2
-    assert [rest.place for rest in one.rests] == [rest.place for rest in want.rests]
+    assert [rest.place for rest in one.plateaus] == [rest.place for rest in want.plateaus]
     if one.has_surface:
         assert one.surface.vertices.tobytes() == want.surface.vertices.tobytes()
 
