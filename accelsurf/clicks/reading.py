@@ -9,9 +9,10 @@ from __future__ import annotations
 import csv
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Protocol, TextIO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -427,6 +428,20 @@ def _stroke_of_points(file: str, side: Side, geometry: Geometry, id: int) -> lis
     return out + [click_of_numbers(way, numbers, vox, geometry, id) for _, way, numbers in rows if numbers[3] > 0]
 
 
+@contextmanager
+def open_table(file: str) -> Iterator[TextIO]:
+    """Open a table of text; errors within the block name the file.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read or is too large.
+    """
+    with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
+        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
+        yield stream
+
+
 def read_table(
     file: str,
     world: Sequence[str],
@@ -451,8 +466,7 @@ def read_table(
     InputError
         When it is no such table; the message names the file.
     """
-    with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
-        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
+    with open_table(file) as stream:
         try:
             table = csv.reader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
             columns = [name.strip() for name in next(table, [])]

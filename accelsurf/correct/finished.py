@@ -15,7 +15,7 @@ from accelsurf.energies.seeded import Proposal, Sureness
 from accelsurf.energies.seeded.stages import Stage
 from accelsurf.energies.seeded.sureness import sureness_of
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.grid.boxes import Box, box_at, whole_box, widened
+from accelsurf.grid.boxes import box_at, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT, Clicks
 from accelsurf.grid.window import Window
 from accelsurf.run.checkpoint_file import CheckpointFile
@@ -118,9 +118,7 @@ def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
     """The object of a run of one, on the whole grid."""
     (evolving,), ((history, stop),) = run.objects, _ending(run)
     psi = run.prepared.on_whole_grid(evolving.psi_on_finest()[1])
-    box = tuple(slice(0, n) for n in psi.shape)
-    learned = run.prepared.learned_by(evolving.context)
-    whole: Box = (box[0], box[1], box[2])
+    learned, whole = run.prepared.learned_by(evolving.context), whole_box(run.volume.geometry.shape)
     plateaus = plateaus_of(evolving.evolution.state.rests.found, run.prepared, whole)
     return SegmentedObject(
         1, whole, psi, image, run.volume.geometry, history, stop, evolving.made.terms, learned, plateaus,
@@ -131,10 +129,10 @@ def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
 def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedObject, ...]:
     """The objects of a run of several, each on a part of the grid a little larger than its own."""
     geometry, objects = run.volume.geometry, []
-    for evolving, (corner, psi), (history, stop) in zip(run.objects, run.separated(), _ending(run), strict=True):
-        z, y, x = (c + first for c, first in zip(corner, run.prepared.first, strict=True))
-        box = widened(box_at((z, y, x), psi.shape), geometry.shape, (AROUND, AROUND, AROUND))
-        around = closed_on(psi, (z, y, x), box)
+    for evolving, (first, psi), (history, stop) in zip(run.objects, run.separated(), _ending(run), strict=True):
+        corner = run.prepared.corner_on_image(first)
+        box = widened(box_at(corner, psi.shape), geometry.shape, (AROUND, AROUND, AROUND))
+        around = closed_on(psi, corner, box)
         learned = run.prepared.learned_by(evolving.context)
         objects.append(
             SegmentedObject(
@@ -204,7 +202,7 @@ def finished(
                 on_warning(warning)
         while made := run.step():
             asked = False
-            for step in (one for one in made if one.object_id != NO_OBJECT):
+            for step in (step for step in made if step.object_id != NO_OBJECT):
                 evolving = next(evolving for evolving in run.objects if evolving.id == step.object_id)
                 growth.watch(step, run.grid, evolving.corner, run.prepared.first)
                 if on_step is not None and on_step(step.record, step.object_id):

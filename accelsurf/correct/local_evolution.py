@@ -41,7 +41,7 @@ class Stepping(NamedTuple):
     on_step: OnObjectStep | None
 
     def watch_of(self, id: int) -> OnStep | None:
-        """What is called with each record of an object."""
+        """Return what is called with each record of an object."""
         on_step = self.on_step
         return None if on_step is None else lambda record: on_step(record, id)
 

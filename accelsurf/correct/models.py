@@ -216,8 +216,11 @@ def check_id(id: int, ids: Sequence[int], what: str) -> None:
         With the ids that there are.
     """
     if id not in ids:
-        there = "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
-        raise UsageError(f"refine: {what} {id} was given, expected one that is in the result", there)
+        raise UsageError(f"refine: {what} {id} was given, expected one that is in the result", _ids_text(ids))
+
+
+def _ids_text(ids: Sequence[int]) -> str:
+    return "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
 
 
 def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple[Click, ...]:
@@ -262,11 +265,10 @@ def check_object(correction: Correction, ids: Sequence[int] | None) -> None:
         if id not in (None, 1):
             raise UsageError(f"refine: object {id} was given, but there is a single one", "leave object out")
         return
-    there = "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
     if id is None and correction.inside:
-        raise UsageError("refine: inside was given without object, expected an object's id", there)
-    if id is not None and id not in ids:
-        raise UsageError(f"refine: object {id} was given, expected one that is in the result", there)
+        raise UsageError("refine: inside was given without object, expected an object's id", _ids_text(ids))
+    if id is not None:
+        check_id(id, ids, "object")
 
 
 def refuse_contradictions(

@@ -170,8 +170,7 @@ def _surface(id: int, corner: Corner, outcome: LocalOutcome, objects: CorrectedO
 
 def _known(surface: CorrectedSurface, objects: CorrectedObjects, base: Result) -> SegmentedObject:
     """Return the entry in results of an object that has just begun."""
-    first = objects.prepared.first
-    corner = (surface.corner[0] + first[0], surface.corner[1] + first[1], surface.corner[2] + first[2])
+    corner = objects.prepared.corner_on_image(surface.corner)
     box = part_of_image(box_at(corner, surface.psi.shape), corner, surface, objects.prepared)
     psi, history = closed_on(surface.psi, corner, box), list(surface.history)
     return SegmentedObject(

@@ -219,8 +219,8 @@ class CorrectedObjects:
         """An object as results have it; later corrections do not change it."""
         segmented, prepared, base, models = self._known[now.id], self.prepared, self._base, self.models
         is_same = now.history is segmented.history
-        z, y, x = (c + first for c, first in zip(now.corner, prepared.first, strict=True))
-        box = segmented.box if is_same or not self.has_ids else part_of_image(segmented.box, (z, y, x), now, prepared)
+        corner = prepared.corner_on_image(now.corner)
+        box = segmented.box if is_same or not self.has_ids else part_of_image(segmented.box, corner, now, prepared)
         clicked = clicked_voxels(models.clicks, segmented.id, prepared.first, box) if len(models.clicks) else None
         if segmented.id in models.made:
             segmented = dataclasses.replace(segmented, confidence=confidence_from(models.made[segmented.id]))
@@ -234,7 +234,7 @@ class CorrectedObjects:
             psi = psi.copy() if psi is now.psi else psi
             return dataclasses.replace(segmented, psi=psi, history=now.history, stop=now.stop, clicked=clicked)
         return dataclasses.replace(
-            segmented, box=box, psi=closed_on(now.psi, (z, y, x), box), image=base.image[box],
+            segmented, box=box, psi=closed_on(now.psi, corner, box), image=base.image[box],
             geometry=cropped(base.geometry, box), history=now.history, stop=now.stop, clicked=clicked,
             plateaus=on_larger_box(segmented.plateaus, segmented.box, box),
         )

@@ -106,11 +106,7 @@ def _extent_of(text: str, geometry: Geometry) -> Box:
     if found := _clicks_of(text, "inside", geometry):
         return functools.reduce(enclosing, (click.box for click in found))
     start = starts.parse(text)
-    if start.kind in starts.BY_VALUES:
-        raise UsageError(
-            f"start {shown(text)!r}: it looks at values everywhere, and the image is read in parts",
-            "give --inside ball:X,Y,Z,R, or a ball, a box, a mesh or a label map as the start",
-        )
+    starts.refuse_values(start, text)
     if start.kind == "label":
         return _of_label(start, geometry)
     if start.kind == "center":

@@ -17,8 +17,7 @@ from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, e
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import LeavesWindow, Window
 from accelsurf.large.first_window import MIN_MARGIN
-from accelsurf.large.whole_image import WholeImage
-from accelsurf.large.windowed import LargeImage, larger, run_in
+from accelsurf.large.windowed import LargeImage, LargeRun, larger
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.run.result import SegmentedObject, plateaus_on_whole
 from accelsurf.run.run import Run
@@ -109,18 +108,13 @@ def check_settings(config: RunConfig) -> None:
             )
 
 
-def run_group(
-    image: LargeImage, whole: tuple[WholeImage, ...], config: RunConfig, starts: list[ObjectStart], others: Boxes
-) -> GroupResult:
+def run_group(large: LargeRun, starts: list[ObjectStart], others: Boxes) -> GroupResult:
     """Run some objects in a window that is made larger until they stay within it.
 
     Parameters
     ----------
-    image : LargeImage
-    whole : tuple of WholeImage
-        Of each channel.
-    config : RunConfig
-        That `check_settings` lets pass.
+    large : LargeRun
+        Its settings are those that `check_settings` lets pass.
     starts : list of ObjectStart
         On the whole grid, in order of their ids.
     others : Boxes
@@ -133,11 +127,13 @@ def run_group(
     InputError
         As of `accelsurf.segment_objects`; TooLarge when the window that they need is larger than memory.
     """
-    window = Window(image.geometry, _first_box(starts, image.geometry, window_reach(config, image.geometry)))
+    image = large.image
+    reach = window_reach(large.config, image.geometry)
+    window = Window(image.geometry, _first_box(starts, image.geometry, reach))
     while True:
-        refuse_too_large(window, starts, image)
+        _refuse_too_large(window, starts, image)
         try:
-            return _in(window, image, whole, config, starts, others)
+            return _result_in(window, large, starts, others)
         except LeavesWindow as face:
             most = (image.max_bytes - _fixed_bytes(starts)) // _voxel_bytes(image)
             window = larger(window, face, most)
@@ -151,7 +147,7 @@ def _first_box(starts: list[ObjectStart], geometry: Geometry, reach: float) -> B
     return widened(functools.reduce(enclosing, boxes), geometry.shape, margin)
 
 
-def refuse_too_large(window: Window, starts: list[ObjectStart], image: LargeImage) -> None:
+def _refuse_too_large(window: Window, starts: list[ObjectStart], image: LargeImage) -> None:
     """Refuse a window whose run would take more memory than it may.
 
     Raises
@@ -181,19 +177,12 @@ def _voxel_bytes(image: LargeImage) -> int:
     return sum(_WINDOW_BYTES + channel.dtype.itemsize for channel in image.channels)
 
 
-def _in(
-    window: Window,
-    image: LargeImage,
-    whole: tuple[WholeImage, ...],
-    config: RunConfig,
-    starts: list[ObjectStart],
-    others: Boxes,
-) -> GroupResult:
-    """The run in a window, as far as it goes."""
+def _result_in(window: Window, large: LargeRun, starts: list[ObjectStart], others: Boxes) -> GroupResult:
+    """Return the result of the run in a window."""
     local = tuple(
         start._replace(corner=corner_of(window.local(box_at(start.corner, start.psi.shape)))) for start in starts
     )
-    with run_in(window, whole, image, config, local) as run:
+    with large.in_window(window, local) as run:
         visited = VisitedBoxes(run, window.corner)
         visited.refuse_near(others)
         while run.step():

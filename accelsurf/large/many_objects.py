@@ -21,7 +21,7 @@ from accelsurf.large import object_starts
 from accelsurf.large.group_run import Boxes, Group, GroupResult, MeetsOthers, check_settings, run_group, united
 from accelsurf.large.object_starts import LabelMap, ManyStarts
 from accelsurf.large.whole_image import Numbers, WholeImage
-from accelsurf.large.windowed import LargeImage
+from accelsurf.large.windowed import LargeImage, LargeRun
 from accelsurf.run.energy import make_term
 from accelsurf.run.image_context import ImageContext, TermInputs
 from accelsurf.run.result import SegmentedObject
@@ -178,13 +178,13 @@ def segment_many_objects(
     check_settings(config)
     image.check()
     starts = many_starts(objects, image)
-    whole = image.whole(config)
+    large = LargeRun(image, image.whole(config), config)
     groups, found = Groups(starts, margin), dict[Group, GroupResult | str]()
     while groups.waiting:
         for group in list(groups.waiting):
             others = groups.others(group)
             try:
-                result = run_group(image, whole, config, starts.made(group), groups.starts_of(others))
+                result = run_group(large, starts.made(group), groups.starts_of(others))
             except MeetsOthers as near:
                 groups.put_near(group, [others[place] for place in near.places])
             except (AccelsurfError, MemoryError) as error:

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.reading import clicks_of
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
-from accelsurf.grid.boxes import Box, bounding_box
+from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
 from accelsurf.image.check import MIN_RANGE
 from accelsurf.image.filters import ImageFilters
 from accelsurf.image.volume import Volume, check_image
+from accelsurf.io import LazyVolume
 from accelsurf.run.clicks import placed
 from accelsurf.run.image_context import ImageContext, Mask, ModelInputs, Scale
 from accelsurf.run.region_of_interest import cropped, distance_of_mask
@@ -83,8 +84,12 @@ class PreprocessedInput:
     @property
     def first(self) -> tuple[int, int, int]:
         """Index (z, y, x) in the image of the first voxel of the region of interest."""
-        z, y, x = self.box
-        return z.start, y.start, x.start
+        return corner_of(self.box)
+
+    def corner_on_image(self, corner: Corner) -> Corner:
+        """Index in the image of a voxel of the region of interest."""
+        (z, y, x), (k, j, i) = corner, self.first
+        return z + k, y + j, x + i
 
     def learned_by(self, context: ImageContext) -> tuple[float, float] | None:
         """Values of the first channel between which an object's should lie; None where no model is learned once."""
@@ -182,7 +187,7 @@ def _first_channel(
     """The first channel, filtered; of whole images after all channels were checked."""
     if part is not None:
         return part.filtered[0]
-    check_channels(volumes)
+    _check_channels(volumes)
     return filtered_volume(volumes[0], filters)
 
 
@@ -254,7 +259,7 @@ def _scaled_channels(
     return images, scales
 
 
-def check_channels(volumes: Sequence[Volume]) -> None:
+def _check_channels(volumes: Sequence[Volume]) -> None:
     """Refuse images that cannot be used, or that lie on different grids.
 
     Raises
@@ -264,10 +269,21 @@ def check_channels(volumes: Sequence[Volume]) -> None:
     """
     for channel in volumes:
         check_image(channel)
-        if not channel.geometry.matches(volumes[0].geometry):
+        check_grids([volumes[0], channel])
+
+
+def check_grids(channels: Sequence[Volume | LazyVolume]) -> None:
+    """Refuse channels that lie on different grids.
+
+    Raises
+    ------
+    GeometryError
+    """
+    for channel in channels[1:]:
+        if not channel.geometry.matches(channels[0].geometry):
             raise GeometryError(
                 f"channel {channel.source or ''}: on another grid than the image: "
-                f"{channel.geometry.difference(volumes[0].geometry)}",
+                f"{channel.geometry.difference(channels[0].geometry)}",
                 "resample it to the image's grid first",
             )
 

@@ -22,7 +22,7 @@ from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.evolution.rests import FoundRest
 from accelsurf.grid import pyramid
-from accelsurf.grid.boxes import Box, shared
+from accelsurf.grid.boxes import Box, corner_of, shared
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
@@ -514,9 +514,7 @@ def _plateau(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> Plateau:
     far = float(np.abs(at.surface.psi).max(initial=0.0)) or 1.0
     corner, psi = to_finest(at.corner, psi_of(at.surface, at.shape, far), at.level, grids)
     labels = np.zeros(tuple(s.stop - s.start for s in box), np.uint8)
-    first = prepared.first
-    on_image = (corner[0] + first[0], corner[1] + first[1], corner[2] + first[2])
-    mine, theirs = shared((box[0].start, box[1].start, box[2].start), labels.shape, on_image, psi.shape)
+    mine, theirs = shared(corner_of(box), labels.shape, prepared.corner_on_image(corner), psi.shape)
     labels[mine] = psi[theirs] < 0
     return Plateau(at.step, at.volume_mm3, rest.left_at, _place(rest, grids[at.level], geometry), labels)
 

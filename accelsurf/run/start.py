@@ -156,12 +156,7 @@ def _no_object(prepared: PreprocessedInput, config: RunConfig) -> list[ObjectSta
         tuple(click for click in prepared.clicks.clicks if click.id == NO_OBJECT), prepared.clicks.shape
     )
     found = tables.starts_of(whole, prepared.geometry, AROUND)
-    first = prepared.first
-    return [start._replace(corner=_plus(start.corner, first)) for start in found]
-
-
-def _plus(first: tuple[int, int, int], other: tuple[int, int, int]) -> tuple[int, int, int]:
-    return first[0] + other[0], first[1] + other[1], first[2] + other[2]
+    return [start._replace(corner=prepared.corner_on_image(start.corner)) for start in found]
 
 
 def _with_clicks(context: ImageContext, clicks: Clicks | None, id: int) -> ImageContext:

@@ -82,10 +82,9 @@ def _of_labels(
     places = np.where(labels > 0, np.searchsorted(found, labels) + 1, 0).astype(np.int32)
     boxes = [widened(box, geometry.shape, (margin, margin, margin)) for box in ndimage.find_objects(places)]
     _check_boxes(name, boxes, geometry)
-    half, out = np.float32(0.5 * min(geometry.steps)), []
+    out = []
     for place, (id, grown) in enumerate(zip(found, boxes, strict=True), start=1):
-        psi = np.where(places[grown] == place, -half, half)
-        out.append(ObjectStart(int(id), corner_of(grown), psi))
+        out.append(ObjectStart(int(id), corner_of(grown), starts.psi_of_mask(places[grown] == place, geometry)))
     return out
 
 
@@ -138,10 +137,7 @@ def whole_numbers(
     except InputError as error:
         raise InputError(f"objects {name}: {error.message}", error.hint) from None
     if ids:
-        wanted = np.zeros(labels.shape, np.bool_)
-        for first, last in ids:
-            wanted |= (labels >= first) & (labels <= last)
-        labels = np.where(wanted, labels, 0)
+        labels = np.where(starts.has_label(labels, ids), labels, 0)
     return labels
 
 

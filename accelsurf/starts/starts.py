@@ -66,12 +66,15 @@ class Start(NamedTuple):
 
     def mask_of(self, labels: NDArray[Any]) -> NDArray[np.bool_]:
         """Voxels of a label map that have one of the labels."""
-        if not self.ids:
-            return np.asarray(labels > 0)
-        mask = np.zeros(labels.shape, np.bool_)
-        for first, last in self.ids:
-            mask |= (labels >= first) & (labels <= last)
-        return mask
+        return has_label(labels, self.ids) if self.ids else np.asarray(labels > 0)
+
+
+def has_label(labels: NDArray[Any], ids: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Voxels of a label map with a label in one of the ranges (first, last)."""
+    mask = np.zeros(labels.shape, np.bool_)
+    for first, last in ids:
+        mask |= (labels >= first) & (labels <= last)
+    return mask
 
 
 def parse(text: str) -> Start:
@@ -260,11 +263,8 @@ def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDAr
     geometry, box = window.geometry, window.box
     if start.kind == CLICKS:
         raise UsageError(f"start {text!r}: there is no click inside", "give --inside point:X,Y,Z, or another start")
-    if start.kind in BY_VALUES and not window.is_whole:
-        raise UsageError(
-            f"start {shown(text)!r}: it looks at values everywhere, and the image is read in parts",
-            "give --inside ball:X,Y,Z,R, or a ball, a box, a mesh or a label map as the start",
-        )
+    if not window.is_whole:
+        refuse_values(start, text)
     if start.kind == "label":
         return psi_of_mask(_read_mask(start, window), geometry)
     if start.kind == "mesh":
@@ -282,6 +282,20 @@ def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDAr
         z, y, x = geometry.world_to_index(start.numbers[:3])
         return _ball(window, (x, y, z), start.numbers[3])
     return _box(window, start)
+
+
+def refuse_values(start: Start, text: str) -> None:
+    """Refuse a start that looks at values everywhere, in an image that is read in parts.
+
+    Raises
+    ------
+    UsageError
+    """
+    if start.kind in BY_VALUES:
+        raise UsageError(
+            f"start {shown(text)!r}: it looks at values everywhere, and the image is read in parts",
+            "give --inside ball:X,Y,Z,R, or a ball, a box, a mesh or a label map as the start",
+        )
 
 
 def _by_values(start: Start, geometry: Geometry, values: NDArray) -> NDArray[np.bool_]:
