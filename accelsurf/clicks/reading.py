@@ -6,13 +6,9 @@ clicked voxels on the image's grid.
 
 from __future__ import annotations
 
-import csv
 import math
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from pathlib import Path
-from typing import Protocol, TextIO, TypeVar
+from collections.abc import Iterable, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +30,6 @@ from accelsurf.grid.clicks import NO_OBJECT, SIDES, Click, Clicks, Side
 from accelsurf.grid.geometry import Geometry, ball_distance
 from accelsurf.grid.window import Window
 from accelsurf.image.volume import Volume
-from accelsurf.io.files import naming
 from accelsurf.settings import budgets
 from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
@@ -50,7 +45,6 @@ KINDS = {"point": "point:X,Y,Z", "path": _PATH_FORM, "stroke": "stroke:FILE"}
 #: Columns of a stroke: world mm (LPS), or voxel indices; a radius makes balls, a side overrides the option's.
 WORLD_COLUMNS, VOXEL_COLUMNS = ("x", "y", "z"), ("x_vox", "y_vox", "z_vox")
 _STROKE = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS) or {','.join(VOXEL_COLUMNS)}, with r and side if wanted"
-Row = TypeVar("Row")
 _LABELS: dict[int, Side] = {1: "inside", 2: "outside"}
 
 
@@ -414,7 +408,7 @@ def _stroke(text: str, file: str, side: Side, window: Window, id: int) -> list[C
 
 def _stroke_of_points(file: str, side: Side, geometry: Geometry, id: int) -> list[Click]:
     """The clicks of a table: one for the points of each side, and one for each ball."""
-    rows = read_table(
+    rows = starts.read_table(
         file, WORLD_COLUMNS, VOXEL_COLUMNS, _STROKE,
         lambda line, number, vox: (vox, *stroke_row(line, number, vox, side)),
     )
@@ -426,56 +420,6 @@ def _stroke_of_points(file: str, side: Side, geometry: Geometry, id: int) -> lis
         if points:
             out.append(click_of_voxels(way, point_voxels(points, file, way, geometry, vox), id))
     return out + [click_of_numbers(way, numbers, vox, geometry, id) for _, way, numbers in rows if numbers[3] > 0]
-
-
-@contextmanager
-def open_table(file: str) -> Iterator[TextIO]:
-    """Open a table of text; errors within the block name the file.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read or is too large.
-    """
-    with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
-        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
-        yield stream
-
-
-def read_table(
-    file: str,
-    world: Sequence[str],
-    voxels: Sequence[str],
-    form: str,
-    read_row: Callable[[dict[str, str], int, bool], Row],
-) -> list[Row]:
-    """Read a CSV table of places in world mm or in voxels; lines that begin with # are left out.
-
-    Parameters
-    ----------
-    file : str
-    world, voxels : sequence of str
-        Columns that a table of either kind has.
-    form : str
-        What is expected, for messages.
-    read_row : callable
-        Called with the values of a row by column, its line number, and True if places are in voxels.
-
-    Raises
-    ------
-    InputError
-        When it is no such table; the message names the file.
-    """
-    with open_table(file) as stream:
-        try:
-            table = csv.reader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
-            columns = [name.strip() for name in next(table, [])]
-            vox = set(voxels) <= set(columns)
-            if not vox and not set(world) <= set(columns):
-                raise InputError(f"{','.join(columns) or 'no line'} was given as the first line, expected {form}", "")
-            return [read_row(dict(zip(columns, row, strict=False)), table.line_num, vox) for row in table if row]
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise InputError(f"not a table of text ({error})", f"expected {form}") from None
 
 
 def stroke_row(line: dict[str, str], number: int, vox: bool, side: Side) -> tuple[Side, tuple[float, ...]]:

@@ -35,7 +35,7 @@ def read(objects: Any, geometry: Geometry) -> Clicks | None:
     if not has_sides(objects):
         return None
     world, voxels = ("id", *reading.WORLD_COLUMNS), ("id", *reading.VOXEL_COLUMNS)
-    rows = reading.read_table(
+    rows = starts.read_table(
         objects, world, voxels, _FORM, lambda line, number, vox: _click_of_row(line, number, vox, geometry)
     )
     found = Clicks(tuple(rows), geometry.shape)
@@ -56,7 +56,7 @@ def has_sides(file: str) -> bool:
     InputError
         When it cannot be read.
     """
-    with reading.open_table(file) as stream:
+    with starts.open_table(file) as stream:
         try:
             first = next((line for line in stream if not line.startswith("#")), "")
         except UnicodeDecodeError as error:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf import io
-from accelsurf.clicks.reading import read_table
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, Corner, box_at, corner_of, meeting, shared, widened
 from accelsurf.grid.geometry import Geometry, ball_distance
@@ -163,7 +162,7 @@ def read_balls(file: str, geometry: Geometry) -> dict[int, list[tuple[float, flo
         When it cannot be read, or has no row.
     """
     rows: dict[int, list[tuple[float, float, float, float]]] = {}
-    for id, *numbers in read_table(
+    for id, *numbers in starts.read_table(
         file, WORLD_COLUMNS, VOXEL_COLUMNS, _FORM, lambda line, number, vox: _read_line(line, number, vox, geometry)
     ):
         rows.setdefault(int(id), []).append((numbers[0], numbers[1], numbers[2], numbers[3]))

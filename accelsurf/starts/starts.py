@@ -2,14 +2,19 @@
 
 A start is text, ``kind:values``. Coordinates are world mm (x, y, z; LPS). With the suffix ``vox`` they are voxel
 indices (x, y, z; 0 is the centre of the first voxel), and a radius is in voxels of the smallest spacing.
-Each start becomes a function psi on the grid, negative inside; the minimum of several is their union.
+Each start becomes a function psi on the grid, negative inside; the minimum of several is their union. Tables of places
+in mm or in voxels, of balls and of clicks, are read here too.
 """
 
 from __future__ import annotations
 
+import csv
 import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple, TextIO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +27,12 @@ from accelsurf.grid.window import Window
 from accelsurf.image.check import as_labels
 from accelsurf.image.volume import Volume
 from accelsurf.io import meshes, split_name
+from accelsurf.io.files import naming
 from accelsurf.settings import budgets
 from accelsurf.settings.labels import parse_ids
 from accelsurf.settings.wording import did_you_mean, shown
+
+Row = TypeVar("Row")
 
 #: mm or voxels.
 MAX_LENGTH = 1e12
@@ -369,3 +377,53 @@ def _box(window: Window, start: Start) -> NDArray[np.float32]:
         outside = np.sqrt(sum(np.maximum(a, 0.0) ** 2 for a in q))
         psi[planes] = outside + np.minimum(np.maximum(np.maximum(q[0], q[1]), q[2]), 0.0)
     return psi
+
+
+@contextmanager
+def open_table(file: str) -> Iterator[TextIO]:
+    """Open a table of text; errors within the block name the file.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read or is too large.
+    """
+    with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
+        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
+        yield stream
+
+
+def read_table(
+    file: str,
+    world: Sequence[str],
+    voxels: Sequence[str],
+    form: str,
+    read_row: Callable[[dict[str, str], int, bool], Row],
+) -> list[Row]:
+    """Read a CSV table of places in world mm or in voxels; lines that begin with # are left out.
+
+    Parameters
+    ----------
+    file : str
+    world, voxels : sequence of str
+        Columns that a table of either kind has.
+    form : str
+        What is expected, for messages.
+    read_row : callable
+        Called with the values of a row by column, its line number, and True if places are in voxels.
+
+    Raises
+    ------
+    InputError
+        When it is no such table; the message names the file.
+    """
+    with open_table(file) as stream:
+        try:
+            table = csv.reader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
+            columns = [name.strip() for name in next(table, [])]
+            vox = set(voxels) <= set(columns)
+            if not vox and not set(world) <= set(columns):
+                raise InputError(f"{','.join(columns) or 'no line'} was given as the first line, expected {form}", "")
+            return [read_row(dict(zip(columns, row, strict=False)), table.line_num, vox) for row in table if row]
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise InputError(f"not a table of text ({error})", f"expected {form}") from None
