@@ -62,7 +62,7 @@ def segment(
     on_warning : callable, optional
         Called before the first step with each of `Result.warnings`.
     checkpoint_to : path-like, optional
-        File of the run's state, see the setting ``checkpoint``: where it exists the run goes on, to the same bytes.
+        File of the run's state, see the setting ``checkpoint``: where it exists the run continues, to the same bytes.
     **options
         Settings by name, over those of ``config``. A start, mask, foreground, background or click may also be an array,
         a Volume, a mesh with ``vertices`` and ``faces``, or balls (x, y, z, r); a click also (x, y, z). All in mm, LPS.

@@ -73,7 +73,7 @@ def _flat() -> Volume:
 
 
 def _measured(result: Result) -> Result:
-    """Compute what a command writes."""
+    """Compute the outputs of a command."""
     for segmented in result.objects:
         if segmented.has_surface:
             _ = segmented.quality, segmented.contours if result.geometry.slice_axis is not None else segmented.surface

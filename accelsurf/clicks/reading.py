@@ -179,12 +179,12 @@ def read_clicks(
     volume : Volume
         The image.
     image : ndarray (nz, ny, nx), optional
-        What seeds and thresholds look at, as for `accelsurf.starts.starts.build`.
+        Values for seeds and thresholds, as for `accelsurf.starts.starts.build`.
     id : int, optional
         Of the object.
     window : Window, optional
         The volume is this part of a larger one, to whose grid the texts belong; clicks are counted from its first
-        voxel, and what lies beyond it is left out.
+        voxel, and voxels beyond it are left out.
 
     Raises
     ------

@@ -41,7 +41,7 @@ class ClickModel(Protocol):
 
     @property
     def proposal(self) -> Proposal | None:
-        """The size that it proposes; None of a partition."""
+        """Its size hypothesis; None of a partition."""
         ...
 
     @property
@@ -154,7 +154,7 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
 
 
 def _resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
-    """Return the values that a run on so many levels used for settings that depend on image and grid."""
+    """Return the values that a run on a number of levels used for settings that depend on image and grid."""
     config, prepared = run.config, run.prepared
     diffusion = config.diffusion
     if diffusion == "auto":

@@ -27,27 +27,27 @@ from accelsurf.levelset import LevelSet, Workers
 from accelsurf.run.evolving_object import leaked_stop
 
 Spacing = tuple[float, float, float]
-#: What is called with each record; a true value ends the evolution.
+#: Callback for each record; a true value ends the evolution.
 OnStep = Callable[[StepRecord], bool | None]
-#: Distances around relabelled voxels are computed as far as so many of the largest spacings.
+#: Distances around relabelled voxels are computed as far as this number of the largest spacings.
 RELABEL_REACH = 6.0
 
 
 class Stepping(NamedTuple):
-    """Threads of the evolutions of a correction, largest number of their steps, and what is called with each record."""
+    """Threads of the evolutions of a correction, largest number of their steps, and the callback for each record."""
 
     workers: Workers
     max_steps: int
     on_step: OnObjectStep | None
 
     def watch_of(self, id: int) -> OnStep | None:
-        """Return what is called with each record of an object."""
+        """Return the callback for the records of an object."""
         on_step = self.on_step
         return None if on_step is None else lambda record: on_step(record, id)
 
 
 class LocalProblem(NamedTuple):
-    """The moving part of a surface, and the bounds that hold the rest; arrays on the box of the region.
+    """The moving part of a surface, and the bounds of all else; arrays on the box of the region.
 
     ``psi`` (nz, ny, nx) of the surface before, mm; ``spacing``; ``region`` in which it may move; ``clicks``, the bounds
     of all clicks there; ``relabelled``, voxels (nz, ny, nx) that new clicks relabel, each with its side; ``sides`` of

@@ -45,11 +45,11 @@ from accelsurf.settings.run_config import RunConfig
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Spacing = tuple[float, float, float]
-#: The first box of a march has so many times the radius of a ball of as many voxels as the march may accept.
+#: Size of the first box of a march, in radii of a ball of as many voxels as the march may accept.
 REACH = 2.5
-#: A slice is as thick as two voxels where its spacing is so many of the smallest.
+#: Spacing, in smallest spacings, from which a slice is as thick as two voxels.
 _THICK_SLICES = 2.0
-#: Between what a march accepts and the border of its box lie at least so many voxels, so that the box changes nothing.
+#: Least voxels between those that a march accepts and the border of its box, so that the box changes nothing.
 _CLEAR = 2
 
 
@@ -58,7 +58,7 @@ class LocalState(NamedTuple):
 
     ``clicks`` that it was made from, on the whole grid's indices; ``images``, the channels as the model sees them, on
     the whole grid; ``field`` F and ``start`` on the box; ``sized``, whether a size was stated; ``proposal`` of the
-    first click; ``stages`` from which it goes on, the last with all active clicks; none of a partition.
+    first click; ``stages`` from which it continues, the last with all active clicks; none of a partition.
     """
 
     clicks: Clicks
@@ -104,7 +104,7 @@ class LocalModel:
         Makes the whole model of clicks: needed for a partition, where a click takes voxels from an earlier one, and
         where one says that the first size hypothesis was far too large.
     threads : int, optional
-        What a click needs is computed in so many threads; the result is the same for any number.
+        The result is the same for any number.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class LocalModel:
         return mean_curvature(self.state.start, self.spacing) if self.state.stages else 0.0
 
     def add(self, click: Click) -> ModelChange:
-        """Go on to the model with one more click, at the cost of a box.
+        """Update the model by one more click, at the cost of a box.
 
         It is the model of all clicks; but where the click takes a small part of others, the blended score of before
         is used with the score maps of the rest of them, see `mostly_left`.
@@ -176,7 +176,7 @@ class LocalModel:
     ) -> Stage:
         """The stage of the clicks ``known``, the last of which is new; those before it in ``left`` have lost voxels.
 
-        It goes on from what was shown before the last one, and from the ``score_map`` of the clicks before all of them.
+        It continues from the blended score before the last one, and from the ``score_map`` before all of them.
         """
         before = self.state.stages[-1]
         scoring = pool.submit(lambda: [score_map, *self._score_maps(score_map, left)][-1])
@@ -221,11 +221,11 @@ class LocalModel:
 def basin_of(click: Click, change: ModelChange, model: LocalModel, surface: CorrectedSurface) -> Click:
     """Return the basin of a click, as a click: its voxels, and those that the model relabels to its side.
 
-    Of those, what the model has given because of the click: also what an outside click cuts off, whose field is as it
-    was, but which is connected to no inside click any more. Far from the click only pieces thicker than a voxel: any
-    click moves the model's boundary by parts of a voxel everywhere, and the surface need not be run again for that.
-    And what lies around the click, connected to it: the surface has left what the model gave it before, and the click
-    says that this was wrong.
+    Of those, the voxels that the model relabels because of the click: also a part that an outside click cuts off,
+    where F is as it was, but which is connected to no inside click any more. Far from the click only pieces thicker
+    than a voxel: any click moves the model's boundary by parts of a voxel everywhere, and the surface need not be run
+    again for that. And voxels around the click, connected to it, where the surface has left the model's boundary: the
+    click says that this was wrong.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ from accelsurf.settings.toml import volume_mm3
 _NEW_ENERGY = "seeded"
 
 
-#: What corrections change of `ObjectModels`; models that clicks change are put back by the caller.
+#: Attributes of `ObjectModels` that corrections change; models that clicks change are put back by the caller.
 _CHANGED = ("clicks", "contexts", "settings", "masks", "_models", "_states")
 
 
@@ -171,7 +171,7 @@ class ObjectModels:
             self._forget(owner)
 
     def remove(self, id: int) -> None:
-        """Forget an object and what was clicked of it."""
+        """Forget an object and its clicks."""
         self.clicks = Clicks(tuple(click for click in self.clicks.clicks if click.id != id), self.clicks.shape)
         self._forget_object(id)
 
@@ -186,15 +186,15 @@ class ObjectModels:
         self._states.pop(id, None)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return what is known now, for `restore`."""
+        """Return the present values, for `restore`."""
         return {name: copy.copy(getattr(self, name)) for name in _CHANGED}
 
     def restore(self, before: dict[str, Any]) -> None:
-        """Go back to what was known."""
+        """Go back to the values of a `snapshot`."""
         vars(self).update({name: copy.copy(value) for name, value in before.items()})
 
     def state(self, totals: Mapping[str, NDArray[np.float64]]) -> RunState:
-        """Return what a later correction goes on from; ``totals`` as of `RunState`."""
+        """Return the state from which a later correction continues; ``totals`` as of `RunState`."""
         return replace(
             self._state, totals=dict(totals), clicks=self.clicks, models=self.made, contexts=dict(self.contexts),
             settings=dict(self.settings), masks=dict(self.masks),

@@ -49,7 +49,7 @@ from accelsurf.run.setup import half_width, setup_of
 from accelsurf.run.start import AROUND
 from accelsurf.settings.corrections import MAX_ID, Correction
 
-#: Voxels of the largest spacing between what the model says of a new object and the border of its box.
+#: Voxels of the largest spacing between the model's boundary of a new object and the border of its box.
 MARGIN = 8.0
 
 
@@ -246,7 +246,7 @@ def completed(objects: CorrectedObjects, correction: Correction, base: Result) -
 def split(
     objects: CorrectedObjects, number: int, correction: Correction, base: Result, workers: Workers
 ) -> tuple[CorrectedSurface, CorrectedSurface]:
-    """Make what is connected to a point an object of its own; voxels are connected by their faces.
+    """Make the part that is connected to a point a separate object; voxels are connected by their faces.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ def split(
 
 
 def _on_tight_box(surface: CorrectedSurface) -> CorrectedSurface:
-    """A surface on the array that it needs; on its own where it has no voxel."""
+    """A surface on the array that it needs; as it is where it has no voxel."""
     box = bounding_box(surface.psi < 0, AROUND) or whole_box(surface.psi.shape)
     return surface._replace(
         corner=corner_of(placed_at(box, surface.corner)), psi=np.ascontiguousarray(surface.psi[box])

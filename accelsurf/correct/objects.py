@@ -87,11 +87,11 @@ class CorrectedObjects:
 
     @property
     def state(self) -> RunState:
-        """The state from which a later correction goes on."""
+        """The state from which a later correction continues."""
         return self.models.state(self._regional.totals)
 
     def set_ids(self, has_ids: bool) -> None:
-        """Say whether the objects have ids from now on."""
+        """Set whether the objects have ids from now on."""
         self.has_ids = has_ids
 
     def place_of(self, id: int) -> int:
@@ -135,7 +135,7 @@ class CorrectedObjects:
         self.surfaces[place] = after
 
     def replace(self, surfaces: Sequence[CorrectedSurface], known: dict[int, SegmentedObject]) -> None:
-        """Have other objects from now on; ``known`` is what results say of those that are new."""
+        """Have other objects from now on; ``known`` has the entries in results of those that are new."""
         self.surfaces = sorted(surfaces, key=lambda surface: surface.id)
         self._known = {id: known.get(id) or self._known[id] for id in self.ids}
 
@@ -143,7 +143,7 @@ class CorrectedObjects:
         """Return the entry in results of an object, before its corrections."""
         return self._known[id]
 
-    # -- what objects are to each other --------------------------------------------------------------------
+    # -- other objects -----------------------------------------------------------------------------------
 
     def totals_of(self, surface: CorrectedSurface) -> RegionTotals:
         """Sums over an object: of several, on its own part of the grid."""
@@ -180,7 +180,7 @@ class CorrectedObjects:
         return distance
 
     def take_from(self, place: int, region: NearRegion, winner: NDArray[np.float32], workers: Workers) -> None:
-        """Take from an object what another has gained in a region."""
+        """Take from an object the voxels that another has gained in a region."""
         surface = self.surfaces[place]
         mine, theirs = shared(corner_of(region.box), winner.shape, surface.corner, surface.psi.shape)
         psi = surface.psi[theirs].copy()

@@ -1,4 +1,4 @@
-"""refine(): a finished run goes on from its result, corrected by clicks."""
+"""refine(): a result is corrected by clicks, or has other objects."""
 
 from __future__ import annotations
 

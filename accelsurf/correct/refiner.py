@@ -43,7 +43,7 @@ from accelsurf.run.setup import correction_rule, is_maker, setup_of, window_reac
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 
-#: The surface and its stencils see so many voxels of the largest spacing beyond the region, where they are held.
+#: Voxels of the largest spacing beyond the region that the surface and its stencils see; there they do not move.
 MARGIN = 5.0
 
 
@@ -122,8 +122,7 @@ class Refiner:
     def apply(
         self, correction: Correction, on_step: OnObjectStep | None = None
     ) -> tuple[Change, ...]:
-        """Correct the objects that new clicks are about, each in a region around them; or change which objects there
-        are.
+        """Correct the objects of new clicks, each in a region around them; or begin, merge, split or remove objects.
 
         Parameters
         ----------

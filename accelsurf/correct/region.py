@@ -24,14 +24,14 @@ from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.kernels.distance import distances_within
 
-#: Width of the rim: at least so many voxels of the smallest spacing, and of the largest.
+#: Width of the rim: least numbers of voxels of the smallest spacing, and of the largest.
 _RIM_SMALLEST, _RIM_LARGEST = 6.0, 2.0
-#: How far a correction goes unless it is known: times the depth of the click in what is wrong, and so many voxels of
-#: the smallest spacing at most, so that a correction does not take long; more is for another click, or ``near``.
+#: How far a correction goes unless it is known, in depths of the click in the wrong voxels, and at most, in voxels of
+#: the smallest spacing, so that a correction does not take long; more is for another click, or ``near``.
 _AUTO_TIMES, _MAX_NEAR = 1.5, 12.0
 #: The smallest automatic region, voxels of the largest spacing.
 _MIN_NEAR = 4.0
-#: Distances are continued beyond the band by so many of the largest spacings: no surface that is held to its old place
+#: Distances are continued beyond the band by this number of the largest spacings: no surface that is bounded
 #: by a number comes so far from it.
 _BEYOND_BAND = 6.0
 #: First half width, voxels, of the box in which the surface is searched around a click.
@@ -92,7 +92,7 @@ def _voxels(clicks: Sequence[Click], box: Box) -> NDArray[np.bool_]:
 
 
 def automatic_near(psi: NDArray[np.float32], clicks: Iterable[Click], spacing: Spacing) -> float:
-    """Return the reach of a correction from its clicks, mm, without the rim: each lies amid what is wrong.
+    """Return the reach of a correction from its clicks, mm, without the rim: each lies amid the wrong voxels.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def signed_distance(psi: NDArray[np.float32], gamma: float, spacing: Spacing) ->
 def near_bounds(
     before: NDArray[np.float32], region: NearRegion, spacing: Spacing, sides: Collection[Side] = SIDES
 ) -> ClickBounds:
-    """Bounds of psi that hold the surface beyond the region and let it go within it.
+    """Bounds of psi that keep the surface beyond the region and let it move within it.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def near_bounds(
         room = (0.25 * region.rim * u2 / (1.0 - u2)).astype(np.float32)
     values, shape = before[bounded], before.shape
     low, high = (values - room if "inside" in sides else values), (values + room if "outside" in sides else values)
-    # Away from the surface before only its side is held: a distance to what has arisen nearby must not be.
+    # Away from the surface before only the side is bounded, not the distance: new surface may arise nearby.
     half, away, inside = np.float32(0.5 * min(axis_steps(shape, spacing))), ~beside[bounded], values < 0
     low[away] = np.where(inside, -np.inf, np.minimum(low, half))[away]
     high[away] = np.where(inside, np.maximum(high, -half), np.inf)[away]
@@ -186,7 +186,7 @@ def _beside(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def united(near: ClickBounds, clicks: ClickBounds) -> ClickBounds:
-    """Both bounds; where they contradict each other, the clicks' hold."""
+    """Both bounds; where they contradict each other, those of the clicks."""
     known = np.zeros(math.prod(near.shape), np.bool_)
     known[near.cells] = known[clicks.cells] = True
     cells = np.flatnonzero(known)
@@ -196,7 +196,7 @@ def united(near: ClickBounds, clicks: ClickBounds) -> ClickBounds:
     low[at], high[at] = near.low, near.high
     at = place[clicks.cells]
     before_low, before_high = low[at], high[at]
-    # A click in what is held moves its bounds along.
+    # A click where the surface is bounded moves the bounds along.
     low[at] = np.minimum(np.maximum(before_low, clicks.low), np.maximum(clicks.high, clicks.low))
     high[at] = np.maximum(np.minimum(before_high, clicks.high), np.minimum(clicks.low, clicks.high))
     return ClickBounds(near.shape, cells, low, high)

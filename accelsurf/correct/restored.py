@@ -146,7 +146,7 @@ def _with_clicks(
 
 
 def _object(stored: ObjectFile, known: SegmentedObject, base: Result, has_ids: bool) -> SegmentedObject:
-    """An object as the state has it; what it shows of the image is that of the run."""
+    """An object as the state has it, with the image of the run."""
     try:
         psi, plateaus = surface_of(stored), plateaus_of(stored)
     except (ValueError, TypeError) as error:

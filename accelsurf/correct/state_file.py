@@ -1,7 +1,7 @@
-"""The state of a finished run as a file, from which ``accelsurf refine`` goes on.
+"""The state of a finished run as a file, from which ``accelsurf refine`` continues.
 
-It has the surfaces, exact to the last bit, what the settings do not say, and no image: that is read again from its own
-file and checked. Of psi there are the values in the band, and one bit for each other voxel.
+It has the surfaces, exact to the last bit, and all that the settings do not say. The image is read again from its file
+and checked. Of psi there are the values in the band, and one bit for each other voxel.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from accelsurf.settings.toml import volume_mm3
 from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
 
-#: Voxels around what was named: as many as its extent, and at least so many.
+#: Least voxels around the start and clicks; otherwise as many as their extent.
 MIN_MARGIN = 4 * GUARD
 
 

@@ -224,7 +224,7 @@ class VisitedBoxes:
                 self._add(place, low - REACH, high + REACH)
 
     def look_at_ends(self) -> None:
-        """Add what is not far outside of the last surfaces."""
+        """Add the voxels that are not far outside of the last surfaces."""
         for place, evolving in enumerate(self._run.objects):
             box = bounding_box(evolving.surface.psi < evolving.surface.gamma)
             if box is not None:
@@ -239,7 +239,7 @@ class VisitedBoxes:
             self._larger.add(place)
 
     def refuse_near(self, others: Boxes) -> None:
-        """Refuse to go on where others begin.
+        """Refuse to continue where others begin.
 
         Raises
         ------

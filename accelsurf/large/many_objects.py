@@ -1,6 +1,6 @@
 """Many objects in an image that is read in parts: in groups, each as if all were run at once in memory.
 
-Objects matter to each other only where they come near each other. So they are run in groups, and where an object of one
+Objects matter to each other only where they are neighbours. So they are run in groups, and where an object of one
 group could have met one of another at any time, both groups are run again as one. What is left has the bytes of a run
 of all objects on the whole image: see record 0031.
 """
@@ -29,11 +29,11 @@ from accelsurf.run.start import AROUND
 from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
-#: Objects whose starts are nearer to each other than twice so many voxels are run at once from the beginning.
+#: Objects whose starts are nearer to each other than twice this many voxels are run at once from the beginning.
 MARGIN = 6
-#: A run that comes to where others begin ends at once, as it would not count; so many others are looked at.
+#: A run that comes to where others begin ends at once, as it would not count; so only this many others are checked.
 MAX_OTHERS = 200
-#: Others that begin farther away than twice so many extents of the starts are not looked at.
+#: Others that begin farther away than twice this number of extents of the starts are not checked.
 FAR = 8
 
 
@@ -158,7 +158,7 @@ def segment_many_objects(
     margin : int, optional
         As of `_first_groups`.
     on_group : callable, optional
-        Called with the ids of each group that has ended, and what it left or why it failed.
+        Called with the ids of each group that has ended, and its result or why it failed.
     **options
         Settings by name, over those of ``config``.
 
@@ -201,7 +201,7 @@ def segment_many_objects(
 
 
 def numbers_needed(whole: Sequence[WholeImage], config: RunConfig) -> tuple[Numbers, ...]:
-    """Return what the energy of any object asks of the whole image, read through once: the same for all objects.
+    """Return the statistics of the whole image that the energy of any object needs, read through once.
 
     Parameters
     ----------

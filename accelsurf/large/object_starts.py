@@ -52,7 +52,7 @@ class ManyStarts(Protocol):
         ...
 
     def only(self, places: Sequence[int]) -> ManyStarts:
-        """The starts at some positions alone, for another process: what is in a file is read there."""
+        """The starts at some positions alone, for another process, which reads the files itself."""
         ...
 
 

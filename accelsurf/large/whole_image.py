@@ -46,14 +46,14 @@ class LevelSlab(NamedTuple):
 
 
 class ImageSlabs:
-    """An image that is read in parts and filtered with what lies around them: the bytes of the whole, filtered.
+    """An image that is read in parts and filtered with their surroundings: the bytes of the whole, filtered.
 
     Parameters
     ----------
     source : LazyVolume
     filters : ImageFilters
     slab_bytes : int
-        Bytes of a slab as float32; at least a plane is read. About two and a half times as many are held at once,
+        Bytes of a slab as float32; at least a plane is read. About two and a half times as many are in memory at once,
         also of the halo, which is four standard deviations and two radii of a closing on
         either side.
 
@@ -228,7 +228,7 @@ class WholeImage:
         Raises
         ------
         ValueError
-            When ``make`` is another one: it would have to hold the image.
+            When ``make`` is another one: it would need all of the image.
         """
         # Methods of classes are made anew each time that they are named: they are compared by what they are equal to.
         ways: list[tuple[Callable[..., Any], Callable[..., Any]]] = [
@@ -309,7 +309,7 @@ class WholeImage:
     def _parzen(self) -> Parzen:
         return Parzen.between(self._order.percentiles(END_PERCENTILES, self._scaled), self._extremes)
 
-    # -- what takes a pass of its own ------------------------------------------------------------------------
+    # -- statistics with a separate pass ----------------------------------------------------------------------
 
     def _noise(self) -> float:
         places = sample_places(self._slabs.geometry.shape)

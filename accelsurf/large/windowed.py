@@ -38,9 +38,9 @@ from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.objects import ObjectStart
 
-#: Statistics of an image of more voxels are those of a coarser level, where one of at most so many is stored.
+#: Statistics of an image of more voxels are those of a coarser level, where one of at most this number is stored.
 MAX_STREAMED = 1 << 31
-#: A window grows by so many times its extent where it was left, or by less where memory does not hold that.
+#: Growth of a window where it was left, in extents of it; less where the memory is too small for that.
 GROWTH = 1.0
 #: Levels for which a first window has room, where their number is chosen by the start.
 _FIRST_LEVELS = 3
@@ -241,7 +241,7 @@ def first_window(config: RunConfig, geometry: Geometry) -> Window:
 
 
 def _on_levels(window: Window, count: int) -> Window:
-    """Return the smallest window around another whose blocks are those of the whole grid on so many levels."""
+    """Return the smallest window around another whose blocks are those of the whole grid on a number of levels."""
     return Window(window.geometry, aligned(window.box, window.geometry, _blocks_of(window.geometry, count)), count)
 
 
@@ -264,7 +264,7 @@ def notes_of(whole: Sequence[WholeImage]) -> list[str]:
 
 
 def _blocks_of(geometry: Geometry, count: int) -> tuple[int, int, int]:
-    """Voxels of a block of the coarsest of so many levels, as far as there are so many, along each axis."""
+    """Voxels of a block of the coarsest of ``count`` levels, or of all if there are fewer, along each axis."""
     return pyramid.levels(geometry.shape, geometry.spacing, count)[-1].factors
 
 
@@ -291,7 +291,7 @@ def _refuse_too_large(window: Window, image: LargeImage, config: RunConfig) -> N
 
 
 def larger(window: Window, face: LeavesWindow, most: int) -> Window:
-    """Return the next window: larger where it was left, with at most so many voxels.
+    """Return the next window: larger where it was left, with at most ``most`` voxels.
 
     Where that does not go far enough, the smallest that is larger is returned, which is refused then.
     """
@@ -307,7 +307,7 @@ def larger(window: Window, face: LeavesWindow, most: int) -> Window:
 
 
 def _check_settings(config: RunConfig) -> None:
-    """Refuse what a run in a window cannot do.
+    """Refuse settings that a run in a window cannot have.
 
     Raises
     ------

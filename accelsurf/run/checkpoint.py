@@ -32,7 +32,7 @@ from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
 
-#: Settings that do not change what a run has done up to a step, or only what is written at the end.
+#: Settings that do not change the steps of a run so far, or change the outputs only.
 FREE = frozenset({
     "threads", "max_steps", "mesh", "mesh_space", "save_sdf", "format", "reproducible", "keep_state", "checkpoint",
 })
@@ -56,7 +56,7 @@ class RunCheckpoint(NamedTuple):
         Of the levels before.
     warnings : tuple of str
     growth : GrowthState or None
-        Of what watches the run (`accelsurf.run.late_growth`), where it is to go on.
+        Of the observer of late leakage (`accelsurf.run.late_growth`), where there is one.
     """
 
     step: int

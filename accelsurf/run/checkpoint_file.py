@@ -22,7 +22,7 @@ from accelsurf.run.setup import needs_seed
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import interval_of
 
-#: As often a run writes its state that is given a file for it and not told how often.
+#: Interval at which a run writes its state to its file, unless one is given.
 _DEFAULT_INTERVAL = "1min"
 
 
@@ -32,7 +32,7 @@ class CheckpointFile:
     Parameters
     ----------
     path : Path
-        Where it exists, the run goes on from it.
+        Where it exists, the run continues from it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -42,7 +42,7 @@ class CheckpointFile:
         self._written_at, self._seconds = 0, 0.0
 
     def begun(self, config: RunConfig) -> RunConfig:
-        """The settings with the seed that the run drew when it began, where it is to go on and none is given.
+        """The settings with the seed that the run drew when it began, where it continues and none is given.
 
         Raises
         ------
@@ -55,7 +55,7 @@ class CheckpointFile:
         return config if seed is None else config.replace(seed=seed)
 
     def window(self, geometry: Geometry) -> Window | None:
-        """The part of a large image, on the grid ``geometry``, on which the run is to go on; None where it begins anew.
+        """The part of a large image, on the grid ``geometry``, on which the run continues; None where it begins anew.
 
         Raises
         ------
@@ -74,12 +74,12 @@ class CheckpointFile:
         self.path.unlink(missing_ok=True)
 
     def restore(self, run: Run, growth: LateLeakage) -> list[str]:
-        """Go on from the file, where it exists, and begin to count steps and seconds.
+        """Continue from the file, where it exists, and begin to count steps and seconds.
 
         Returns
         -------
         list of str
-            What may make the result differ in its last bits from that of a run that was never stopped.
+            Reasons for which the last bits of the result may differ from those of a run that was never stopped.
 
         Raises
         ------

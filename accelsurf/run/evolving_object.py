@@ -92,7 +92,7 @@ class EvolvingObject:
     def _setup(self) -> SolverSetup:
         return self._solver.setup
 
-    # -- what it is ----------------------------------------------------------------------------------------
+    # -- state --------------------------------------------------------------------------------------------
 
     @property
     def surface(self) -> LevelSet:
@@ -339,7 +339,7 @@ class EvolvingObject:
         ``new_energy`` is True if the energy changes.
         """
         if self._among_others:
-            # On the grid as it is the old energy goes on, until the new one begins.
+            # The old energy acts on the present grid until the new one begins.
             extents = [ball.extent(self.grid) for ball in balls if ball.kind == "add"]
             none = np.array(self.grid.shape), np.zeros(3, np.int64)
             extents.append(LevelClicks(solver.context, self._inputs.grids).extended(*none, self.level))
@@ -354,7 +354,7 @@ class EvolvingObject:
         self.evolution = self.evolution.edited(energy, self._setup_here, change)
 
     def _make_room(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
-        """Make the box large enough for what lies between two voxels."""
+        """Make the box large enough for the voxels between two."""
         own_low, own_high = self.extent()
         if self.surface.size:
             low, high = np.minimum(low, own_low), np.maximum(high, own_high)

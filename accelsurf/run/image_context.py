@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from accelsurf.energies.seeded.model import SeededModel
     from accelsurf.energies.seeded.partition import BasinsOnce
 
-#: A learned bound lies so many standard deviations from the mean of the start's values: 98.8 % of a Gaussian lie
+#: Standard deviations of a learned bound from the mean of the start's values: 98.8 % of a Gaussian lie
 #: between two of them, and ConfidenceConnected of ITK takes as many.
 _LEARNED_DEVIATIONS = 2.5
 #: No voxel is nearer to the first surface of the clicks' model than this part of half a voxel.
@@ -204,7 +204,7 @@ class ImageContext:
         return self._with(_totals=totals, _box=box)
 
     def moments_elsewhere(self, channel: int) -> Elsewhere | None:
-        """Sums of a channel over what is not on the grid at hand; None where that is the whole image's."""
+        """Sums of a channel over the voxels beyond the grid at hand; None where that is the whole image's."""
         if self._totals is None:
             return None
         inside, whole = self._totals.beyond(self._box, channel, "moments", moments_of)
@@ -219,7 +219,7 @@ class ImageContext:
     # -- clicks --------------------------------------------------------------------------------------------
 
     def with_model_inputs(self, inputs: ModelInputs) -> ImageContext:
-        """The same context with what the model of clicks needs."""
+        """The same context with the inputs of the model of clicks."""
         return self._with(_model_inputs=inputs)
 
     @property

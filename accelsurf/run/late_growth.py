@@ -21,9 +21,9 @@ from accelsurf.kernels.statistics import sums_by_cube
 
 #: A place (z, y, x), in voxels.
 Place = tuple[float, float, float]
-#: The last part of the growth: so much of the volume that the object gained.
+#: The last part of the growth, as a share of the volume that the object gained.
 _LAST_SHARE = 0.25
-#: Growth is summed over cubes of so many voxels, larger than single bumps of noise.
+#: Side of the cubes over which growth is summed, voxels; they are larger than single bumps of noise.
 BLOCK = 6
 
 
@@ -61,7 +61,7 @@ class LateLeakage:
 
     def __init__(self, window: Window) -> None:
         self._shape, self._corner = window.geometry.shape, window.corner
-        # Cubes before the window's first are not counted; its first begins so many voxels before the window.
+        # Cubes before the window's first are not counted; its first begins these numbers of voxels before the window.
         self._before = tuple(c % BLOCK for c in window.corner)
         self._cubes = tuple(-(-(n + b) // BLOCK) for n, b in zip(window.shape, self._before, strict=True))
         self._growth: defaultdict[int, list[_Growth]] = defaultdict(list)
@@ -117,7 +117,7 @@ class LateLeakage:
         )
 
     def restore(self, state: GrowthState) -> None:
-        """Go back to what was read until then."""
+        """Go back to the growth of a state."""
         self._growth.clear()
         ends = np.cumsum(state.counts)
         for id, volume, begin, end in zip(

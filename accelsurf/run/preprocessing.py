@@ -33,9 +33,9 @@ from accelsurf.starts import starts
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)
-#: Values farther beyond those percentiles than so many times their range are no measurements; their squares overflow.
+#: Values farther beyond those percentiles than this multiple of their range are no measurements: squares overflow.
 _MAX_RANGES = 1e15
-#: A volume, what starts look at in it, filtered, and what part of the whole grid it is.
+#: A volume, its first channel filtered, and the part of the whole grid that it is.
 Seen = tuple[Volume, NDArray[np.float32], Window]
 
 
@@ -58,9 +58,9 @@ class PreprocessedInput:
     mask_distance : ndarray (nz, ny, nx), float32, or None
         Signed distance of the mask, mm, negative within; None without a mask.
     clicks : Clicks or None
-        What a person has clicked before the run, on the region of interest; None without clicks.
+        Clicks before the run, on the region of interest; None without clicks.
     filters : ImageFilters
-        What the image was filtered by.
+        Filters of the image.
     filtered : ndarray or None
         The first channel, filtered, on the whole grid; only where that is larger than the region of interest.
     start : ndarray or None

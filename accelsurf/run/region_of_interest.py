@@ -16,7 +16,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
 
-#: Least margin, voxels, of the region of a run around the box of --box: what is learned of the surroundings lies there.
+#: Least margin, voxels, of the region of a run around the box of --box: models learn the surroundings there.
 _AROUND_BOX = 10
 
 

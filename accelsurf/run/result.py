@@ -216,11 +216,11 @@ class Result:
         Index (z, y, x) of the voxel near which the surfaces grew most in the last quarter of their growth; None without
         any, or where no object is any more.
     clicks : Clicks or None
-        What a person has clicked, on the image's grid.
+        All clicks, on the image's grid.
     state : RunState or None
-        What `accelsurf.refine` goes on from; None where it is not to be kept.
+        The state from which `accelsurf.refine` continues; None with ``keep_state=no``.
     window : Window or None
-        What part of a larger grid ``geometry`` is; None where it is the whole.
+        The part of a larger grid that ``geometry`` is; None where it is the whole.
     """
 
     objects: tuple[SegmentedObject, ...]

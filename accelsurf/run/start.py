@@ -29,7 +29,7 @@ from accelsurf.starts.objects import ObjectStart, core_of
 
 #: Voxels around an object's own grid that belong to its part of a result.
 AROUND = 2
-#: So many models are made at once: each marches on arrays of the whole grid, and has threads of its own for its parts.
+#: Number of models that are made at once: each marches on arrays of the whole grid, and has threads for its parts.
 _MODELS_AT_ONCE = 2
 
 
@@ -49,8 +49,7 @@ class RunStart:
         Their SHA-256.
     prepared : PreprocessedInput
     starts : list of ObjectStart
-        On the grid of the region of interest, in order of their ids; 0 first, where something competes that is no
-        object.
+        On the grid of the region of interest, in order of their ids; 0 first, where the background competes.
     contexts : list of ImageContext
         Of the same objects.
     """
@@ -73,7 +72,7 @@ def start_of_run(
     clicks: Sequence[Click],
     part: WindowInput | None = None,
 ) -> RunStart:
-    """Read and prepare what a run begins with; the parameters are those of `accelsurf.run.run.Run`.
+    """Read and prepare the start of a run; the parameters are those of `accelsurf.run.run.Run`.
 
     Raises
     ------
@@ -143,13 +142,13 @@ def _several(
         return []
     if table is None:
         return object_starts.read(labels, geometry, AROUND)
-    # With a model the competition is in the force: what is no object needs no surface.
+    # With a model the competition is in the force: the background needs no surface.
     starts = tables.starts_of(table, geometry, AROUND)
     return [start for start in starts if start.id != NO_OBJECT or not uses_model(config)]
 
 
 def _no_object(prepared: PreprocessedInput, config: RunConfig) -> list[ObjectStart]:
-    """The surface that competes for what is no object, where --outside was given with objects."""
+    """The surface that competes for the background, where --outside was given with objects."""
     if prepared.clicks is None or uses_model(config):
         return []
     whole = Clicks(

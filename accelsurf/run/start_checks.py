@@ -288,8 +288,8 @@ def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
     surface = evolution.surface
     if not alpha > 0 or surface.size == 0:
         return []
-    # On a copy: what a surface has measured of itself is counted with its first step. Where the surface touches a
-    # click nothing acts into it; what would act there tells whether all but the clicks vanishes.
+    # On a copy: measures of the surface itself are counted with its first step. Where the surface touches a click no
+    # force acts into it; the force without clicks tells whether all but the clicks vanishes.
     energy, front_surface = without_clicks(evolution.energy), surface
     spacing = (front_surface.grid.hz, front_surface.grid.hy, front_surface.grid.hx)
     surface = LevelSet(

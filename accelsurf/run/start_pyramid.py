@@ -20,7 +20,7 @@ class StartPyramid:
     ----------
     start : ObjectStart
     grids : sequence of Level
-        Finest first. On each the start lies on the box of all blocks that it touches; beyond what is known of it, it
+        Finest first. On each the start lies on the box of all blocks that it touches; beyond its array it
         is far outside.
     """
 
@@ -62,7 +62,7 @@ class StartPyramid:
 def _widened(
     corner: Corner, psi: NDArray[np.float32], box: Box, value: float
 ) -> tuple[Corner, NDArray[np.float32]]:
-    """The same on a larger box, with ``value`` beyond what is known."""
+    """The same on a larger box, with ``value`` beyond the array."""
     pad = [(c - s.start, s.stop - c - n) for c, n, s in zip(corner, psi.shape, box, strict=True)]
     return corner_of(box), psi if not np.any(pad) else np.pad(psi, pad, constant_values=value)
 
