@@ -293,10 +293,7 @@ class Result:
 
     @cached_property
     def history(self) -> list[StepRecord]:
-        """The record of each step; of several objects, sums and largest values over them.
-
-        See `accelsurf.run.result.combined_history`.
-        """
+        """The record of each step; of several objects, sums and largest values over them."""
         if not self.has_ids:
             return self._one.history
         return _combined_history([segmented.history for segmented in self.objects if segmented.history])
