@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.correct.finished import OnObjectStep, finished, result_of
-from accelsurf.correct.refine import with_refinements
+from accelsurf.correct.refine import with_corrections
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord
 from accelsurf.grid.clicks import SIDES
@@ -29,7 +29,7 @@ __all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment", "seg
 
 
 #: The function that segments an object of an image that is read in parts; it lies above this room.
-IN_PARTS = "accelsurf.large.windowed:segment_lazily"
+_IN_PARTS = "accelsurf.large.windowed:segment_lazily"
 
 
 def segment(
@@ -62,7 +62,7 @@ def segment(
     on_warning : callable, optional
         Called before the first step with each of `Result.warnings`.
     checkpoint_to : path-like, optional
-        File of the run's state, see the setting ``checkpoint``: where it exists the run goes on, to the same bytes.
+        File of the run's state, see the setting ``checkpoint``: where it exists the run continues, to the same bytes.
     **options
         Settings by name, over those of ``config``. A start, mask, foreground, background or click may also be an array,
         a Volume, a mesh with ``vertices`` and ``faces``, or balls (x, y, z, r); a click also (x, y, z). All in mm, LPS.
@@ -89,11 +89,11 @@ def segment(
     watch: OnObjectStep | None = None if on_step is None else lambda record, id: on_step(record)
     if isinstance(volume, LazyVolume):
         given = {"spacing": spacing, "channels": channels, "energy": energy, **options}
-        result: Result = load(IN_PARTS)(volume, config, watch, on_warning, checkpoint_to, given)
+        result: Result = load(_IN_PARTS)(volume, config, watch, on_warning, checkpoint_to, given)
         return result
     checkpoints = _file_of(checkpoint_to)
     run = _run_of(volume, spacing, channels, config, energy, options, None, checkpoints)
-    return with_refinements(finished(run, watch, on_warning, checkpoints), watch)
+    return with_corrections(finished(run, watch, on_warning, checkpoints), watch)
 
 
 def evolve(
@@ -194,7 +194,7 @@ def segment_objects(
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
     checkpoints = _file_of(checkpoint_to)
     run = _run_of(volume, spacing, channels, config, energy, options, objects, checkpoints)
-    return with_refinements(finished(run, on_step, on_warning, checkpoints), on_step)
+    return with_corrections(finished(run, on_step, on_warning, checkpoints), on_step)
 
 
 def _file_of(path: str | Path | None) -> CheckpointFile | None:
@@ -212,8 +212,8 @@ def _run_of(
     checkpoints: CheckpointFile | None = None,
 ) -> Run:
     """The run for the arguments of `segment`, `evolve` or `segment_objects`."""
-    first = as_volume(volume, spacing)
-    others = [as_channel(channel, first) for channel in channels]
+    first = _as_volume(volume, spacing)
+    others = [_as_channel(channel, first) for channel in channels]
     texts, given = split_given(options)
     clicks = [click for side in SIDES if side in given for click in given_clicks(side, given.pop(side), first)]
     arrays = {key: psi_of(key, value, first.geometry) for key, value in given.items()}
@@ -229,7 +229,7 @@ def _run_of(
     return Run(first, config, energy, others, objects, arrays, clicks)
 
 
-def as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
+def _as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
     if isinstance(volume, Volume):
         if spacing is not None:
             raise InputError("spacing given together with a Volume, which has its own", "leave spacing out")
@@ -237,7 +237,7 @@ def as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float
     return Volume.from_array(volume, 1.0 if spacing is None else spacing)
 
 
-def as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
+def _as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
     if isinstance(volume, Volume):
         return volume
     array = plain_array(volume, "channel")

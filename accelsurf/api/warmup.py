@@ -26,6 +26,9 @@ from accelsurf.settings.run_config import RunConfig
 SIDE, RADIUS, START = 24, 8.0, 5.0
 #: Steps of each run: restarts, limits and rests are met within them.
 STEPS = 12
+MIDDLE = ",".join([f"{SIDE / 2:g}"] * 3)
+#: Terms that want bounds, and those that want clicks.
+_AS_GIVEN, _CLICKED = {"threshold": "threshold:auto"}, ("seeded", "partition")
 
 
 def small_runs() -> dict[str, Callable[[], Any]]:
@@ -52,12 +55,6 @@ def small_runs() -> dict[str, Callable[[], Any]]:
     }
 
 
-MIDDLE = ",".join([f"{SIDE / 2:g}"] * 3)
-
-#: Terms that want bounds, and those that want clicks.
-_AS_GIVEN, _CLICKED = {"threshold": "threshold:auto"}, ("seeded", "partition")
-
-
 def ball() -> Volume:
     """A ball in noise."""
     z, y, x = np.indices((SIDE, SIDE, SIDE)) - SIDE / 2
@@ -71,7 +68,7 @@ def _flat() -> Volume:
 
 
 def _measured(result: Result) -> Result:
-    """Compute what a command writes."""
+    """Compute the outputs of a command."""
     for segmented in result.objects:
         if segmented.has_surface:
             _ = segmented.quality, segmented.contours if result.geometry.slice_axis is not None else segmented.surface

@@ -99,11 +99,12 @@ def run_task(task: GroupTask) -> GroupEnd:
     """
     from accelsurf.large.group_run import MeetsOthers, TooLarge, run_group
     from accelsurf.large.many_objects import failure_text
+    from accelsurf.large.windowed import LargeRun
 
-    whole = task.image.whole(task.config, task.numbers)
+    large = LargeRun(task.image, task.image.whole(task.config, task.numbers), task.config)
     try:
         starts = task.starts.made(range(len(task.starts.ids)))
-        result = run_group(task.image, whole, task.config, starts, task.others)
+        result = run_group(large, starts, task.others)
         group_files.write_group(task.folder, result, task.names, task.config.mesh_space)
     except MeetsOthers as near:
         group_files.write_near(task.folder, [task.other_ids[place] for place in near.places])

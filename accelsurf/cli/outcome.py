@@ -92,7 +92,7 @@ def _try_of(result: Result, segmented: SegmentedObject) -> str:
             if line.startswith(f"{prefix}{check}: ") and "; try " in line:
                 return line.rpartition("; try ")[2]
     if segmented.stop.reason == "filled":
-        if segmented.rests:
+        if segmented.plateaus:
             return "--stop-at-rest"
         corner = place_text(result.geometry.index_to_world((0, 0, 0)), result.geometry.steps)
         return f"--outside point:{corner}, where it is not the object"

@@ -1,8 +1,7 @@
-"""Clicks as they are written: points, strokes, and every kind of start, inside or outside of an object.
+"""Clicks from texts and files into voxels: points, balls, paths, strokes, and every kind of start.
 
-A painted stroke as one click: all voxels within a radius of a line, written ``path:X,Y,Z,R;X,Y,Z,R;...``.
-
-Clicked voxels of the region of interest, on the image's grid: all clicks, and those of an object.
+The only reader of clicks, inside and outside of an object. It also refuses clicks that contradict each other, and marks
+clicked voxels on the image's grid.
 """
 
 from __future__ import annotations
@@ -37,14 +36,20 @@ from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
 
 #: How it is written; with the suffix ``vox`` in voxels, as a ball.
-FORM = "path:X,Y,Z,R;X,Y,Z,R;..."
+_PATH_FORM = "path:X,Y,Z,R;X,Y,Z,R;..."
 #: Places along the line, of the smallest step from voxel to voxel, whose voxels always belong to it.
 _FINE = 0.4
 
 Floats = NDArray[np.float64]
+#: Kinds of clicks besides those of starts -> the form in which they are written.
+KINDS = {"point": "point:X,Y,Z", "path": _PATH_FORM, "stroke": "stroke:FILE"}
+#: Columns of a stroke: world mm (LPS), or voxel indices; a radius makes balls, a side overrides the option's.
+WORLD_COLUMNS, VOXEL_COLUMNS = ("x", "y", "z"), ("x_vox", "y_vox", "z_vox")
+_STROKE = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS) or {','.join(VOXEL_COLUMNS)}, with r and side if wanted"
+_LABELS: dict[int, Side] = {1: "inside", 2: "outside"}
 
 
-def parse_path(text: str) -> tuple[Floats, bool]:
+def _parse_path(text: str) -> tuple[Floats, bool]:
     """Read the numbers of a path: rows x, y, z, r, and whether they are voxels.
 
     Raises
@@ -54,7 +59,7 @@ def parse_path(text: str) -> tuple[Floats, bool]:
 
     Examples
     --------
-    >>> parse_path("path:1,2,3,4;5,6,7,4")[0].tolist()
+    >>> _parse_path("path:1,2,3,4;5,6,7,4")[0].tolist()
     [[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 4.0]]
     """
     budgets.PATH.check(len(text), "a path", kind=UsageError)
@@ -65,11 +70,11 @@ def parse_path(text: str) -> tuple[Floats, bool]:
     except ValueError:
         rows = [[]]
     if any(len(row) != 4 or not 0 <= row[3] or not all(abs(v) <= starts.MAX_LENGTH for v in row) for row in rows):
-        raise UsageError(f"click {shown(text)!r}: x, y, z and a radius for each place expected", f"as in {FORM}")
+        raise UsageError(f"click {shown(text)!r}: x, y, z and a radius for each place expected", f"as in {_PATH_FORM}")
     return np.array(rows), is_vox
 
 
-def click_of_path(text: str, side: Side, geometry: Geometry, id: int = 1) -> Click:
+def _click_of_path(text: str, side: Side, geometry: Geometry, id: int = 1) -> Click:
     """Return the click of a path.
 
     Parameters
@@ -94,7 +99,7 @@ def click_of_path(text: str, side: Side, geometry: Geometry, id: int = 1) -> Cli
     InputError
         When no voxel is in it.
     """
-    rows, is_vox = parse_path(text)
+    rows, is_vox = _parse_path(text)
     finest = min(geometry.steps)
     places = rows[:, 2::-1] if is_vox else geometry.world_to_index(rows[:, :3])
     radii = rows[:, 3] * finest if is_vox else rows[:, 3]
@@ -157,14 +162,6 @@ def _extent(places: Floats, radii: Sequence[float] | Floats, geometry: Geometry)
     return low.astype(int), np.clip(np.ceil(places.max(axis=0) + width) + 1, 0, shape).astype(int)
 
 
-#: Kinds of clicks besides those of starts -> the form in which they are written.
-KINDS = {"point": "point:X,Y,Z", "path": FORM, "stroke": "stroke:FILE"}
-#: Columns of a stroke: world mm (LPS), or voxel indices; a radius makes balls, a side overrides the option's.
-WORLD_COLUMNS, VOXEL_COLUMNS = ("x", "y", "z"), ("x_vox", "y_vox", "z_vox")
-_FORM = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS) or {','.join(VOXEL_COLUMNS)}, with r and side if wanted"
-_LABELS: dict[int, Side] = {1: "inside", 2: "outside"}
-
-
 def read_clicks(
     texts: Iterable[str],
     side: Side,
@@ -183,12 +180,12 @@ def read_clicks(
     volume : Volume
         The image.
     image : ndarray (nz, ny, nx), optional
-        What seeds and thresholds look at, as for `accelsurf.starts.starts.build`.
+        Values for seeds and thresholds, as for `accelsurf.starts.starts.build`.
     id : int, optional
         Of the object.
     window : Window, optional
         The volume is this part of a larger one, to whose grid the texts belong; clicks are counted from its first
-        voxel, and what lies beyond it is left out.
+        voxel, and voxels beyond it are left out.
 
     Raises
     ------
@@ -205,7 +202,7 @@ def read_clicks(
             voxels = point_voxels([_point(text, rest)], text, side, window.geometry, rest.endswith("vox"))
             out += window.clicks([click_of_voxels(side, voxels, id)])
         elif kind == "path":
-            out += window.clicks([click_of_path(text, side, window.geometry, id)])
+            out += window.clicks([_click_of_path(text, side, window.geometry, id)])
         elif kind == "stroke":
             out += _stroke(text, rest, side, window, id)
         else:
@@ -330,7 +327,7 @@ def click_of_mask(side: Side, mask: NDArray[np.bool_], id: int = 1) -> Click:
     return Click(side, box, np.ascontiguousarray(mask[box]), id)
 
 
-def click_of_ball(side: Side, centre: Sequence[float], radius: float, geometry: Geometry, id: int = 1) -> Click:
+def _click_of_ball(side: Side, centre: Sequence[float], radius: float, geometry: Geometry, id: int = 1) -> Click:
     """Return a click of the voxels in a ball: its ``centre`` as index (z, y, x), its ``radius`` in mm."""
     nearest = np.clip(np.rint(centre), 0, np.array(geometry.shape) - 1).astype(int)
     a, b, c = (slice(int(i), int(i) + 1) for i in nearest)
@@ -362,7 +359,7 @@ def click_of_numbers(side: Side, ball: Sequence[float], vox: bool, geometry: Geo
     """
     text = f"ball:{','.join(repr(float(v)) for v in ball)}{'vox' if vox else ''}"
     try:
-        return click_of_ball(side, *starts.ball_of(text, geometry), geometry, id)
+        return _click_of_ball(side, *starts.ball_of(text, geometry), geometry, id)
     except AccelsurfError as error:
         raise type(error)(error.message.replace("start ", f"{side} ", 1), error.hint) from None
 
@@ -385,7 +382,7 @@ def _of_start(
     try:
         start = starts.parse(text)
         if start.kind == "ball":
-            return window.clicks([click_of_ball(side, *starts.ball_of(text, window.geometry), window.geometry, id)])
+            return window.clicks([_click_of_ball(side, *starts.ball_of(text, window.geometry), window.geometry, id)])
         return [click_of_mask(side, starts.build([text], volume, image, window) < 0, id)]
     except AccelsurfError as error:
         message = error.message.replace("start ", f"{side} ", 1)
@@ -413,10 +410,11 @@ def _stroke(text: str, file: str, side: Side, window: Window, id: int) -> list[C
 def _stroke_of_points(file: str, side: Side, geometry: Geometry, id: int) -> list[Click]:
     """The clicks of a table: one for the points of each side, and one for each ball."""
     rows = read_table(
-        file, WORLD_COLUMNS, VOXEL_COLUMNS, _FORM, lambda line, number, vox: (vox, *stroke_row(line, number, vox, side))
+        file, WORLD_COLUMNS, VOXEL_COLUMNS, _STROKE,
+        lambda line, number, vox: (vox, *stroke_row(line, number, vox, side)),
     )
     if not rows:
-        raise InputError(f"{file}: it has no row", f"expected {_FORM}")
+        raise InputError(f"{file}: it has no row", f"expected {_STROKE}")
     vox, out = rows[0][0], list[Click]()
     for way in SIDES:
         points = [numbers[:3] for _, row_side, numbers in rows if row_side == way and numbers[3] == 0]
@@ -440,7 +438,7 @@ def stroke_row(line: dict[str, str], number: int, vox: bool, side: Side) -> tupl
     except (TypeError, ValueError):
         numbers = ()
     if not numbers or not all(abs(v) <= starts.MAX_LENGTH for v in numbers) or numbers[3] < 0:
-        raise InputError(f"line {number}: {given} was given, expected three numbers, and no radius below 0", _FORM)
+        raise InputError(f"line {number}: {given} was given, expected three numbers, and no radius below 0", _STROKE)
     return side_of(line, number, side), numbers
 
 
@@ -457,7 +455,7 @@ def side_of(line: dict[str, str], number: int, otherwise: Side) -> Side:
         if word == side:
             return side
     if word:
-        raise InputError(f"line {number}: side {shown(word)} was given, expected inside or outside", _FORM)
+        raise InputError(f"line {number}: side {shown(word)} was given, expected inside or outside", _STROKE)
     return otherwise
 
 

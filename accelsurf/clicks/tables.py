@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from accelsurf.clicks import reading as one_object
+from accelsurf.clicks import reading
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.files import naming, read_table
-from accelsurf.settings import budgets
+from accelsurf.io.files import open_table, read_table
+from accelsurf.starts import starts
 from accelsurf.starts.objects import MAX_ID, ObjectStart
 
 _FORM = "columns id,x,y,z,side in world mm (LPS), or id,x_vox,y_vox,z_vox,side, with r (or r_vox) if wanted"
@@ -39,7 +35,7 @@ def read(objects: Any, geometry: Geometry) -> Clicks | None:
         return None
     if not has_sides(objects):
         return None
-    world, voxels = ("id", *one_object.WORLD_COLUMNS), ("id", *one_object.VOXEL_COLUMNS)
+    world, voxels = ("id", *reading.WORLD_COLUMNS), ("id", *reading.VOXEL_COLUMNS)
     rows = read_table(
         objects, world, voxels, _FORM, lambda line, number, vox: _click_of_row(line, number, vox, geometry)
     )
@@ -49,20 +45,19 @@ def read(objects: Any, geometry: Geometry) -> Clicks | None:
     lost = {click.id for click in rows} - set(found.ids())
     if lost:
         raise InputError(f"{objects}: id {min(lost)} has no row inside", "give it one, or take its other rows away")
-    one_object.check_contradictions(found, geometry)
+    reading.check_contradictions(found, geometry)
     return found
 
 
 def has_sides(file: str) -> bool:
-    """Return whether a table has a column ``side``: it is one of clicks, and not of balls.
+    """Return True if a table has a column ``side``: it is one of clicks, and not of balls.
 
     Raises
     ------
     InputError
         When it cannot be read.
     """
-    with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
-        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
+    with open_table(file) as stream:
         try:
             first = next((line for line in stream if not line.startswith("#")), "")
         except UnicodeDecodeError as error:
@@ -78,13 +73,13 @@ def _click_of_row(line: dict[str, str], number: int, vox: bool, geometry: Geomet
         number_given = -1.0
     if not 0 <= number_given <= MAX_ID or number_given != int(number_given):
         raise InputError(f"line {number}: id {line.get('id')} was given, expected a whole number from 0 on", _FORM)
-    side, numbers = one_object.stroke_row(line, number, vox, "inside")
+    side, numbers = reading.stroke_row(line, number, vox, "inside")
     name, id = f"line {number}", int(number_given)
     if id == NO_OBJECT and side == "outside":
         raise InputError(f"{name}: id 0 is no object, so nothing is outside of it", "write inside, or an object's id")
     if numbers[3] == 0:
-        return one_object.click_of_voxels(side, one_object.point_voxels([numbers], name, side, geometry, vox), id)
-    return one_object.click_of_numbers(side, numbers, vox, geometry, id)
+        return reading.click_of_voxels(side, reading.point_voxels([numbers], name, side, geometry, vox), id)
+    return reading.click_of_numbers(side, numbers, vox, geometry, id)
 
 
 def starts_of(clicks: Clicks, geometry: Geometry, margin: int) -> list[ObjectStart]:
@@ -98,11 +93,11 @@ def starts_of(clicks: Clicks, geometry: Geometry, margin: int) -> list[ObjectSta
     margin : int
         Voxels around each object's clicks, where the grid has them.
     """
-    half, out = np.float32(0.5 * min(geometry.steps)), []
+    out = []
     for id in clicks.ids():
         inside = clicks.mask("inside", id)
         tight = bounding_box(inside)
         assert tight is not None
         box = widened(tight, geometry.shape, (margin, margin, margin))
-        out.append(ObjectStart(id, corner_of(box), np.where(inside[box], -half, half)))
+        out.append(ObjectStart(id, corner_of(box), starts.psi_of_mask(inside[box], geometry)))
     return out

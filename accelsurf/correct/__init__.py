@@ -1,1 +1,1 @@
-"""A finished run goes on: corrections, objects added, merged, split; its state on the disk."""
+"""Corrections of a finished run: clicks, objects added, merged, split; its state on the disk."""

@@ -1,4 +1,4 @@
-"""A surface between two corrections, and what new clicks are about on it."""
+"""A surface between two corrections, and the voxels of clicks that are on the wrong side of it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def surface_of(segmented: SegmentedObject, region: Box) -> CorrectedSurface:
 
 
 def frozen_settings(result: Result) -> RunConfig:
-    """The settings at the end of a run; what was measured on the whole image is a number in them."""
+    """The settings at the end of a run, with numbers in place of settings that were measured on the whole image."""
     done = result.config.edit[: result.edits_done]
     settings = result.config.replace(edit=done).at(max((edit.step for edit in done), default=0))
     contrasts = [term["contrast"] for term in result.objects[0].terms if isinstance(term.get("contrast"), float)]

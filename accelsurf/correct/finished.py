@@ -15,15 +15,15 @@ from accelsurf.energies.seeded import Proposal, Sureness
 from accelsurf.energies.seeded.stages import Stage
 from accelsurf.energies.seeded.sureness import sureness_of
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.grid.boxes import Box, box_at, whole_box, widened
+from accelsurf.grid.boxes import box_at, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT, Clicks
 from accelsurf.grid.window import Window
 from accelsurf.run.checkpoint_file import CheckpointFile
 from accelsurf.run.evolving_object import EvolvingObject
-from accelsurf.run.late_growth import LateGrowth, nearest_inside
+from accelsurf.run.late_growth import LateLeakage, nearest_inside
 from accelsurf.run.preprocessing import uses_model
 from accelsurf.run.region_of_interest import closed_on, cropped
-from accelsurf.run.result import Result, RunState, SegmentedObject, rest_points
+from accelsurf.run.result import Result, RunState, SegmentedObject, plateaus_of
 from accelsurf.run.run import AROUND, Run
 from accelsurf.run.setup import half_width, stop_rule
 
@@ -41,7 +41,7 @@ class ClickModel(Protocol):
 
     @property
     def proposal(self) -> Proposal | None:
-        """The size that it proposes; None of a partition."""
+        """Its size hypothesis; None of a partition."""
         ...
 
     @property
@@ -71,8 +71,8 @@ def result_of(run: Run) -> Result:
         seconds={"start": run.start_seconds, "evolve": time.perf_counter() - run.began},
         volume=run.volume,
         start=run.prepared.start,
-        resolved_settings=resolved_settings_of(run, len(summaries)),
-        kernels=seconds_by_kernel(run),
+        resolved_settings=_resolved_settings_of(run, len(summaries)),
+        kernels=_seconds_by_kernel(run),
         edits_done=run.edits_done,
         given=run.given,
         clicks=on_image(run.clicks, run.prepared.first, run.volume.geometry.shape),
@@ -86,7 +86,7 @@ def result_of(run: Run) -> Result:
     )
 
 
-def seconds_by_kernel(run: Run) -> dict[str, float]:
+def _seconds_by_kernel(run: Run) -> dict[str, float]:
     """Seconds in each kernel so far, over all objects and threads."""
     total = dict(run.workers.seconds)
     for evolving in run.objects if run.has_ids else ():
@@ -108,33 +108,31 @@ def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
     return out
 
 
-def _sureness(run: Run, evolving: EvolvingObject) -> Sureness | None:
+def _confidence(run: Run, evolving: EvolvingObject) -> Sureness | None:
     """Return the confidence of the model of an object's clicks; None where the energy has none."""
     named = run.energy_given is None or isinstance(run.energy_given, str)
-    return sureness_from(evolving.context.seeded_model()) if named and uses_model(run.config) else None
+    return confidence_from(evolving.context.seeded_model()) if named and uses_model(run.config) else None
 
 
 def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
     """The object of a run of one, on the whole grid."""
     (evolving,), ((history, stop),) = run.objects, _ending(run)
     psi = run.prepared.on_whole_grid(evolving.psi_on_finest()[1])
-    box = tuple(slice(0, n) for n in psi.shape)
-    learned = run.prepared.learned_by(evolving.context)
-    whole: Box = (box[0], box[1], box[2])
-    rests = rest_points(evolving.evolution.state.rests.found, run.prepared, whole)
+    learned, whole = run.prepared.learned_by(evolving.context), whole_box(run.volume.geometry.shape)
+    plateaus = plateaus_of(evolving.evolution.state.rests.found, run.prepared, whole)
     return SegmentedObject(
-        1, whole, psi, image, run.volume.geometry, history, stop, evolving.made.terms, learned, rests,
-        clicked_voxels(run.clicks, 1, run.prepared.first, whole), _sureness(run, evolving),
+        1, whole, psi, image, run.volume.geometry, history, stop, evolving.made.terms, learned, plateaus,
+        clicked_voxels(run.clicks, 1, run.prepared.first, whole), _confidence(run, evolving),
     )
 
 
 def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedObject, ...]:
     """The objects of a run of several, each on a part of the grid a little larger than its own."""
     geometry, objects = run.volume.geometry, []
-    for evolving, (corner, psi), (history, stop) in zip(run.objects, run.separated(), _ending(run), strict=True):
-        z, y, x = (c + first for c, first in zip(corner, run.prepared.first, strict=True))
-        box = widened(box_at((z, y, x), psi.shape), geometry.shape, (AROUND, AROUND, AROUND))
-        around = closed_on(psi, (z, y, x), box)
+    for evolving, (first, psi), (history, stop) in zip(run.objects, run.separated(), _ending(run), strict=True):
+        corner = run.prepared.corner_on_image(first)
+        box = widened(box_at(corner, psi.shape), geometry.shape, (AROUND, AROUND, AROUND))
+        around = closed_on(psi, corner, box)
         learned = run.prepared.learned_by(evolving.context)
         objects.append(
             SegmentedObject(
@@ -147,16 +145,16 @@ def _separate_objects(run: Run, image: NDArray[np.float32]) -> tuple[SegmentedOb
                 stop,
                 evolving.made.terms,
                 learned,
-                rest_points(evolving.evolution.state.rests.found, run.prepared, box),
+                plateaus_of(evolving.evolution.state.rests.found, run.prepared, box),
                 clicked_voxels(run.clicks, evolving.id, run.prepared.first, box),
-                _sureness(run, evolving),
+                _confidence(run, evolving),
             )
         )
     return tuple(objects)
 
 
-def resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
-    """Return the values that a run on so many levels used for settings that depend on image and grid."""
+def _resolved_settings_of(run: Run, levels: int) -> dict[str, Any]:
+    """Return the values that a run on a number of levels used for settings that depend on image and grid."""
     config, prepared = run.config, run.prepared
     diffusion = config.diffusion
     if diffusion == "auto":
@@ -181,7 +179,7 @@ def state_at_end(run: Run) -> RunState:
     return RunState(run.prepared, contexts, run.energy_given, run.clicks)
 
 
-def sureness_from(model: ClickModel) -> Sureness | None:
+def confidence_from(model: ClickModel) -> Sureness | None:
     """Return the confidence of a model in its object; None of a partition."""
     if not model.stages or model.proposal is None:
         return None
@@ -196,7 +194,7 @@ def finished(
 ) -> Result:
     """Return the result of a run that goes to the end, or until ``on_step`` returns true; no correction is made."""
     grid = run.volume.geometry
-    growth = LateGrowth(run.window or Window(grid, whole_box(grid.shape)))
+    growth = LateLeakage(run.window or Window(grid, whole_box(grid.shape)))
     with run:
         notes = [] if checkpoints is None else checkpoints.restore(run, growth)
         if on_warning is not None:
@@ -204,7 +202,7 @@ def finished(
                 on_warning(warning)
         while made := run.step():
             asked = False
-            for step in (one for one in made if one.object_id != NO_OBJECT):
+            for step in (step for step in made if step.object_id != NO_OBJECT):
                 evolving = next(evolving for evolving in run.objects if evolving.id == step.object_id)
                 growth.watch(step, run.grid, evolving.corner, run.prepared.first)
                 if on_step is not None and on_step(step.record, step.object_id):
@@ -215,4 +213,4 @@ def finished(
                 run.request_stop()
         result = result_of(run)
     late = nearest_inside(growth.place(), result.labels > 0, grid.spacing)
-    return replace(result, late_growth=late, warnings=[*result.warnings, *notes])
+    return replace(result, late_leakage=late, warnings=[*result.warnings, *notes])

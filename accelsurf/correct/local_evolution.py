@@ -1,4 +1,4 @@
-"""The evolution of a part of a surface on a box of the grid, while the rest is held."""
+"""Evolution of a part of a surface on a box of the grid; bounds keep the surface elsewhere."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.correct.finished import OnObjectStep
 from accelsurf.correct.region import NearRegion, near_bounds, signed_distance, united
 from accelsurf.energies import Energy
 from accelsurf.energies.constraints.clicks import ClickConstraint
@@ -26,29 +27,41 @@ from accelsurf.levelset import LevelSet, Workers
 from accelsurf.run.evolving_object import leaked_stop
 
 Spacing = tuple[float, float, float]
-#: What is called with each record; a true value ends the evolution.
+#: Callback for each record; a true value ends the evolution.
 OnStep = Callable[[StepRecord], bool | None]
-#: Distances around what a click wins are computed as far as so many of the largest spacings.
-WIN_REACH = 6.0
+#: Distances around relabelled voxels are computed as far as this number of the largest spacings.
+RELABEL_REACH = 6.0
+
+
+class Stepping(NamedTuple):
+    """Threads of the evolutions of a correction, largest number of their steps, and the callback for each record."""
+
+    workers: Workers
+    max_steps: int
+    on_step: OnObjectStep | None
+
+    def watch_of(self, id: int) -> OnStep | None:
+        """Return the callback for the records of an object."""
+        on_step = self.on_step
+        return None if on_step is None else lambda record: on_step(record, id)
 
 
 class LocalProblem(NamedTuple):
-    """The moving part of a surface, and the bounds that hold the rest; arrays on the box of the region.
+    """The moving part of a surface, and the bounds of all else; arrays on the box of the region.
 
     ``psi`` (nz, ny, nx) of the surface before, mm; ``spacing``; ``region`` in which it may move; ``clicks``, the bounds
-    of all clicks there; ``won``, voxels (nz, ny, nx) that new clicks win, each with its side; ``sides`` of the new
-    clicks; ``energy`` of the box; ``setup`` of the solver; ``max_steps`` of this evolution; the ``history`` so far.
+    of all clicks there; ``relabelled``, voxels (nz, ny, nx) that new clicks relabel, each with its side; ``sides`` of
+    the new clicks; ``energy`` of the box; ``setup`` of the solver; the ``history`` so far.
     """
 
     psi: NDArray[np.float32]
     spacing: Spacing
     region: NearRegion
     clicks: ClickBounds
-    won: list[tuple[Side, NDArray[np.bool_]]]
+    relabelled: list[tuple[Side, NDArray[np.bool_]]]
     sides: frozenset[Side]
     energy: Energy
     setup: SolverSetup
-    max_steps: int
     history: list[StepRecord]
 
 
@@ -60,14 +73,15 @@ class LocalOutcome(NamedTuple):
     stop: Stop
 
 
-def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None = None) -> LocalOutcome:
-    """Evolve the surface in the region to rest, from its old place with the new clicks on their sides.
+def evolve_near(problem: LocalProblem, id: int, stepping: Stepping) -> LocalOutcome:
+    """Evolve the surface in the region until it has converged, from its old place with the new clicks on their sides.
 
     Parameters
     ----------
     problem : LocalProblem
-    workers : Workers
-    on_step : callable, optional
+    id : int
+        Of the object.
+    stepping : Stepping
 
     Returns
     -------
@@ -75,6 +89,7 @@ def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None 
         Its history has the volume and area of the whole object; the potential is that of the box.
     """
     psi, spacing, setup = problem.psi, problem.spacing, problem.setup
+    workers = stepping.workers
     nothing = np.ones(psi.shape, np.float32)
     surface = LevelSet(nothing, spacing, setup.half_width, workers, overwrite=True, extension=setup.extension)
     _restore(surface, psi)
@@ -83,8 +98,8 @@ def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None 
     bounds = united(near_bounds(before, problem.region, spacing, problem.sides), problem.clicks)
     dense = surface.dense.psi.reshape(surface.shape)
     dense[...] = before
-    for side, basin in problem.won:
-        _win(dense, basin & problem.region.mask, side, spacing)
+    for side, basin in problem.relabelled:
+        _relabel(dense, basin & problem.region.mask, side, spacing)
     bounds.apply(dense)
     surface.reinitialize(setup.half_width)
     past = problem.history
@@ -94,13 +109,13 @@ def evolve_near(problem: LocalProblem, workers: Workers, on_step: OnStep | None 
     state = LoopState(past[:-1], past[-1].t, edits=1, first=now, judged_at=now, returned_at=now)
     setup = setup._replace(stop_at_rest=False, end="lowest")
     energy = ClickConstraint(problem.energy, bounds)
-    evolution = Evolution.of(surface, energy, setup, now + problem.max_steps, 0, state)
-    stop = to_rest(evolution, setup, on_step, volume_offset, area_offset)
+    evolution = Evolution.of(surface, energy, setup, now + stepping.max_steps, 0, state)
+    stop = evolve_to_end(evolution, setup, stepping.watch_of(id), volume_offset, area_offset)
     psi_after = np.where(problem.region.mask, surface.psi, psi)
     return LocalOutcome(psi_after, list(evolution.history), stop)
 
 
-def to_rest(
+def evolve_to_end(
     evolution: Evolution, setup: SolverSetup, on_step: OnStep | None, volume: float = 0.0, area: float = 0.0
 ) -> Stop:
     """Run an evolution to its end; ``volume`` and ``area``, mm3 and mm2, of the object beyond its box are added."""
@@ -132,9 +147,9 @@ def _restore(surface: LevelSet, psi: NDArray[np.float32]) -> None:
     surface.restore(band, inside.reshape(-1), beyond, surface.requested_half_width)
 
 
-def _win(psi: NDArray[np.float32], basin: NDArray[np.bool_], side: Side, spacing: Spacing) -> None:
+def _relabel(psi: NDArray[np.float32], basin: NDArray[np.bool_], side: Side, spacing: Spacing) -> None:
     """Bring voxels of a basin to their side, in place, with distances around them as far as a band may go."""
-    margin = [math.ceil(WIN_REACH * max(axis_steps(psi.shape, spacing)) / h) for h in spacing]
+    margin = [math.ceil(RELABEL_REACH * max(axis_steps(psi.shape, spacing)) / h) for h in spacing]
     box = bounding_box(basin)
     if box is None:
         return
@@ -144,9 +159,9 @@ def _win(psi: NDArray[np.float32], basin: NDArray[np.bool_], side: Side, spacing
 
 
 def _distance_to(mask: NDArray[np.bool_], spacing: Spacing) -> NDArray[np.float32]:
-    """Signed distance, mm, to some voxels, negative in them; no number is larger than that of `WIN_REACH`."""
+    """Signed distance, mm, to some voxels, negative in them; no number is larger than that of `RELABEL_REACH`."""
     steps = axis_steps(mask.shape, spacing)
-    reach, half = np.float32(WIN_REACH * max(steps)), np.float32(0.5 * min(steps))
+    reach, half = np.float32(RELABEL_REACH * max(steps)), np.float32(0.5 * min(steps))
     to_mask, to_others = (distances_within(side, spacing, float(reach)) for side in (np.array(mask), ~mask))
     return np.where(mask, half - np.minimum(to_others, reach), np.minimum(to_mask, reach) - half)
 

@@ -1,4 +1,4 @@
-"""The clicks' model of an object that is corrected: which voxels another click wins. Each click costs its own box."""
+"""Model of an object's clicks while it is corrected: the voxels that a click relabels. Each click costs its own box."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ from accelsurf.settings.run_config import RunConfig
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Spacing = tuple[float, float, float]
-#: The first box of a march has so many times the radius of a ball of as many voxels as the march may accept.
+#: Size of the first box of a march, in radii of a ball of as many voxels as the march may accept.
 REACH = 2.5
-#: A slice is as thick as two voxels where its spacing is so many of the smallest.
-THICK_SLICES = 2.0
-#: Between what a march accepts and the border of its box lie at least so many voxels, so that the box changes nothing.
-CLEAR = 2
+#: Spacing, in smallest spacings, from which a slice is as thick as two voxels.
+_THICK_SLICES = 2.0
+#: Least voxels between those that a march accepts and the border of its box, so that the box changes nothing.
+_CLEAR = 2
 
 
 class LocalState(NamedTuple):
@@ -58,7 +58,7 @@ class LocalState(NamedTuple):
 
     ``clicks`` that it was made from, on the whole grid's indices; ``images``, the channels as the model sees them, on
     the whole grid; ``field`` F and ``start`` on the box; ``sized``, whether a size was stated; ``proposal`` of the
-    first click; ``stages`` from which it goes on, the last with all clicks that are heard; none of a partition.
+    first click; ``stages`` from which it continues, the last with all active clicks; none of a partition.
     """
 
     clicks: Clicks
@@ -102,9 +102,9 @@ class LocalModel:
         The mask of the run.
     whole : callable
         Makes the whole model of clicks: needed for a partition, where a click takes voxels from an earlier one, and
-        where one says that the first proposal was far too large.
+        where one says that the first size hypothesis was far too large.
     threads : int, optional
-        What a click needs is computed in so many threads; the result is the same for any number.
+        The result is the same for any number.
     """
 
     def __init__(
@@ -129,10 +129,10 @@ class LocalModel:
         return mean_curvature(self.state.start, self.spacing) if self.state.stages else 0.0
 
     def add(self, click: Click) -> ModelChange:
-        """Go on to the model with one more click, at the cost of a box.
+        """Update the model by one more click, at the cost of a box.
 
-        It is the model of all clicks; but where the click takes a small part of others, what was shown before stands
-        beside the answers to what is left of them, see `mostly_left`.
+        It is the model of all clicks; but where the click takes a small part of others, the blended score of before
+        is used with the score maps of the rest of them, see `mostly_left`.
 
         Parameters
         ----------
@@ -140,12 +140,12 @@ class LocalModel:
             On the grid of the model, as its object sees it.
         """
         before, clicks = self.state, self.state.clicks.with_later([click])
-        self.state = self._going_on(clicks) or LocalState.of(self._whole(clicks))
+        self.state = self._updated(clicks) or LocalState.of(self._whole(clicks))
         box = enclosing(self.state.box, before.box)
         now = on_box(self.state.start, self.state.box, box, False)
         return ModelChange(box, now != on_box(before.start, before.box, box, False), before)
 
-    def _going_on(self, clicks: Clicks) -> LocalState | None:
+    def _updated(self, clicks: Clicks) -> LocalState | None:
         """The state after some clicks, from the last stage that none of them changes; None where none is known."""
         known, stages, left = going_on(self.state.stages, clicks, self.spacing)
         if not stages:
@@ -163,52 +163,52 @@ class LocalModel:
         return self.state._replace(clicks=clicks, box=box, field=field, start=start, stages=stages)
 
     def _stages_after(self, stage: Stage, left: Sequence[Click], pool: ThreadPoolExecutor) -> Iterator[Stage]:
-        """The stages after some more clicks: contests ask for no answers, which are made beside them."""
-        answering = pool.submit(lambda: list(self._answers(stage.answer, left)))
+        """The stages after some more clicks: labellings need no score maps, which are made beside them."""
+        scoring = pool.submit(lambda: list(self._score_maps(stage.answer, left)))
         known = [stage.clicks.with_more(left[: i + 1]) for i in range(len(left))]
-        fought = [contest(self._images, self.spacing, it, self._passes, stage.answer.count, pool) for it in known]
-        for clicks, answer, parts in zip(known, answering.result(), fought, strict=True):
-            stage = self._stage_of(stage, clicks, answer, parts)
+        labelled = [contest(self._images, self.spacing, it, self._passes, stage.answer.count, pool) for it in known]
+        for clicks, score_map, parts in zip(known, scoring.result(), labelled, strict=True):
+            stage = self._stage_of(stage, clicks, score_map, parts)
             yield stage
 
     def _stage_beside(
-        self, known: Clicks, answer: Answer, left: Sequence[Click], pool: ThreadPoolExecutor
+        self, known: Clicks, score_map: Answer, left: Sequence[Click], pool: ThreadPoolExecutor
     ) -> Stage:
         """The stage of the clicks ``known``, the last of which is new; those before it in ``left`` have lost voxels.
 
-        It goes on from what was shown before the last one, and from the ``answer`` to the clicks before all of them.
+        It continues from the blended score before the last one, and from the ``score_map`` before all of them.
         """
         before = self.state.stages[-1]
-        answering = pool.submit(lambda: [answer, *self._answers(answer, left)][-1])
+        scoring = pool.submit(lambda: [score_map, *self._score_maps(score_map, left)][-1])
         clicks = in_order(known)
-        parts = contest(self._images, self.spacing, clicks, self._passes, answer.count, pool)
-        return self._stage_of(before, clicks, answering.result(), parts)
+        parts = contest(self._images, self.spacing, clicks, self._passes, score_map.count, pool)
+        return self._stage_of(before, clicks, scoring.result(), parts)
 
-    def _stage_of(self, before: Stage, clicks: Clicks, answer: Answer, parts: Sequence[Balance]) -> Stage:
-        """The stage of some clicks, of which the last one is new, by their answer and contests, after another."""
-        given = answer, parts, self.state.sized, self._images, self.spacing, self._passes
+    def _stage_of(self, before: Stage, clicks: Clicks, score_map: Answer, parts: Sequence[Balance]) -> Stage:
+        """The stage of some clicks, of which the last one is new, by their score map and labellings, after another."""
+        given = score_map, parts, self.state.sized, self._images, self.spacing, self._passes
         return stage_after(before, clicks, *given)
 
-    def _answers(self, answer: Answer, left: Sequence[Click]) -> Iterator[Answer]:
-        """The answer after each of some more clicks."""
+    def _score_maps(self, score_map: Answer, left: Sequence[Click]) -> Iterator[Answer]:
+        """The score map after each of some more clicks."""
         for click in left:
-            answer = self._answered(answer, click)
-            yield answer
+            score_map = self._score_map_after(score_map, click)
+            yield score_map
 
-    def _answered(self, answer: Answer, click: Click) -> Answer:
-        """The answer to one more click, computed on a box that its march does not come near the border of."""
-        blocks, block_click = answer.blocks, answer.blocks.click(click, answer.clicks)
+    def _score_map_after(self, score_map: Answer, click: Click) -> Answer:
+        """The score map after one more click, on a box whose border its march does not come near."""
+        blocks, block_click = score_map.blocks, score_map.blocks.click(click, score_map.clicks)
         if block_click is None:
-            return answer
-        tissue = learn(self.state.images, self.spacing, click)
-        count = FARTHER * BEYOND * blocks.count(answer.count)
+            return score_map
+        appearance = learn(self.state.images, self.spacing, click)
+        count = FARTHER * BEYOND * blocks.count(score_map.count)
         axes = [n for n in blocks.shape if n > 1]
         reach = REACH * (count * (3.0 / (4.0 * math.pi) if len(axes) == 3 else 1.0 / math.pi)) ** (1.0 / len(axes))
         mean = math.prod(blocks.spacing) ** (1.0 / 3.0)
-        margin = [math.ceil(reach * mean / h) + CLEAR for h in blocks.spacing]
+        margin = [math.ceil(reach * mean / h) + _CLEAR for h in blocks.spacing]
         while True:
-            box = enclosing(widened(block_click.box, blocks.shape, margin), answer.box)
-            found = _answer_on_box(answer, block_click, tissue, box)
+            box = enclosing(widened(block_click.box, blocks.shape, margin), score_map.box)
+            found = _score_map_on_box(score_map, block_click, appearance, box)
             if found is not None:
                 return found
             margin = [2 * m for m in margin]
@@ -221,11 +221,11 @@ class LocalModel:
 def basin_of(click: Click, change: ModelChange, model: LocalModel, surface: CorrectedSurface) -> Click:
     """Return the basin of a click, as a click: its voxels, and those that the model relabels to its side.
 
-    Of those, what the model has given because of the click: also what an outside click cuts off, whose field is as it
-    was, but which is connected to no inside click any more. Far from the click only pieces thicker than a voxel: any
-    click moves the model's boundary by parts of a voxel everywhere, and the surface need not be run again for that.
-    And what lies around the click, connected to it: the surface has left what the model gave it before, and the click
-    says that this was wrong.
+    Of those, the voxels that the model relabels because of the click: also a part that an outside click cuts off,
+    where F is as it was, but which is connected to no inside click any more. Far from the click only pieces thicker
+    than a voxel: any click moves the model's boundary by parts of a voxel everywhere, and the surface need not be run
+    again for that. And voxels around the click, connected to it, where the surface has left the model's boundary: the
+    click says that this was wrong.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def basin_of(click: Click, change: ModelChange, model: LocalModel, surface: Corr
 def _thicker_than_a_voxel(mask: Mask, spacing: Spacing) -> Mask:
     """The first voxels of the blocks in a mask of two voxels along each axis; of one along axes that are as coarse."""
     out = mask.copy()
-    fine = [h < THICK_SLICES * min(spacing) for h in spacing]
+    fine = [h < _THICK_SLICES * min(spacing) for h in spacing]
     for axis in (i for i, n in enumerate(mask.shape) if n > 1 and fine[i]):
         here: list[slice] = [slice(None)] * 3
         here[axis] = slice(None, -1)
@@ -282,20 +282,20 @@ def _maker(context: ImageContext) -> Callable[[Clicks], SeededModel]:
     return lambda clicks: context.with_clicks(clicks).seeded_model()
 
 
-def _answer_on_box(answer: Answer, click: Click, tissue: Tissue, box: Box) -> Answer | None:
-    """The answer to one more click, in blocks, on a box of theirs; None where its march comes near the box's border."""
-    blocks = answer.blocks
+def _score_map_on_box(score_map: Answer, click: Click, appearance: Tissue, box: Box) -> Answer | None:
+    """The score map after one more click, in blocks, on a box; None where its march comes near the box's border."""
+    blocks = score_map.blocks
     images = [np.ascontiguousarray(image[box]) for image in blocks.images]
     passes = None if blocks.passes is None else blocks.passes[box]
     field, corner = field_of(images, blocks.spacing, passes), corner_of(box)
-    clicks = tuple(_click_counted_from(earlier, corner) for earlier in answer.clicks)
-    here = dataclasses.replace(answer, box=counted_from(answer.box, corner), clicks=clicks)
+    clicks = tuple(_click_counted_from(earlier, corner) for earlier in score_map.clicks)
+    here = dataclasses.replace(score_map, box=counted_from(score_map.box, corner), clicks=clicks)
     here_click = _click_counted_from(click, corner)
-    times = later_times(field, tissue, here_click, here)
+    times = later_times(field, appearance, here_click, here)
     if _is_near_border(times.reshape(field.shape), box, blocks.shape):
         return None
     after = with_click(here, field, here_click, times)
-    return dataclasses.replace(after, box=placed_at(after.box, corner), clicks=(*answer.clicks, click))
+    return dataclasses.replace(after, box=placed_at(after.box, corner), clicks=(*score_map.clicks, click))
 
 
 def _click_counted_from(click: Click, corner: tuple[int, int, int]) -> Click:
@@ -306,8 +306,8 @@ def _is_near_border(times: Image, box: Box, shape: Sequence[int]) -> bool:
     """Return True if times on a box are known near a border of the box that is none of the grid's."""
     for axis, (side, n) in enumerate(zip(box, shape, strict=True)):
         ends = (slice(None),) * axis
-        if side.start > 0 and np.isfinite(times[(*ends, slice(None, CLEAR))]).any():
+        if side.start > 0 and np.isfinite(times[(*ends, slice(None, _CLEAR))]).any():
             return True
-        if side.stop < n and np.isfinite(times[(*ends, slice(-CLEAR, None))]).any():
+        if side.stop < n and np.isfinite(times[(*ends, slice(-_CLEAR, None))]).any():
             return True
     return False

@@ -26,10 +26,10 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import volume_mm3
 
 #: The energy of an object that begins at clicks after the run's end.
-NEW_ENERGY = "seeded"
+_NEW_ENERGY = "seeded"
 
 
-#: What corrections change of `ObjectModels`; models that clicks change are put back by the caller.
+#: Attributes of `ObjectModels` that corrections change; models that clicks change are put back by the caller.
 _CHANGED = ("clicks", "contexts", "settings", "masks", "_models", "_states")
 
 
@@ -105,29 +105,29 @@ class ObjectModels:
         """Note new clicks."""
         self.clicks = self.clicks.with_later(clicks)
 
-    def begin_object(self, number: int, refinement: Correction, taken: BoxMask | None) -> None:
+    def begin_object(self, number: int, correction: Correction, taken: BoxMask | None) -> None:
         """Begin an object at clicks that have been noted.
 
         Parameters
         ----------
         number : int
             Of the correction.
-        refinement : Correction
+        correction : Correction
             With ``new``.
         taken : BoxMask or None
             Voxels that it may not have.
         """
-        id, prepared = refinement.new, self.prepared
+        id, prepared = correction.new, self.prepared
         assert id is not None
         self.settings[id] = self._frozen.replace(
-            objects=None, inside=(), outside=(), box=None, start=("clicks",), energy=NEW_ENERGY, size=refinement.size
+            objects=None, inside=(), outside=(), box=None, start=("clicks",), energy=_NEW_ENERGY, size=correction.size
         )
         passes = None if prepared.mask_distance is None else np.asarray(prepared.mask_distance < 0)
         if taken is not None:
             self.masks[number] = taken
             passes = np.ones(prepared.geometry.shape, np.bool_) if passes is None else passes
             passes[taken.box] &= ~taken.mask
-        size = None if refinement.size is None else volume_mm3(refinement.size)
+        size = None if correction.size is None else volume_mm3(correction.size)
         inputs = ModelInputs(size, passes, thread_count(self._frozen))
         self.contexts[id] = prepared.context.with_model_inputs(inputs).with_clicks(self.clicks.of(id))
         self._forget(id)
@@ -171,7 +171,7 @@ class ObjectModels:
             self._forget(owner)
 
     def remove(self, id: int) -> None:
-        """Forget an object and what was clicked of it."""
+        """Forget an object and its clicks."""
         self.clicks = Clicks(tuple(click for click in self.clicks.clicks if click.id != id), self.clicks.shape)
         self._forget_object(id)
 
@@ -186,15 +186,15 @@ class ObjectModels:
         self._states.pop(id, None)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return what is known now, for `restore`."""
+        """Return the present values, for `restore`."""
         return {name: copy.copy(getattr(self, name)) for name in _CHANGED}
 
     def restore(self, before: dict[str, Any]) -> None:
-        """Go back to what was known."""
+        """Go back to the values of a `snapshot`."""
         vars(self).update({name: copy.copy(value) for name, value in before.items()})
 
     def state(self, totals: Mapping[str, NDArray[np.float64]]) -> RunState:
-        """Return what a later correction goes on from; ``totals`` as of `RunState`."""
+        """Return the state from which a later correction continues; ``totals`` as of `RunState`."""
         return replace(
             self._state, totals=dict(totals), clicks=self.clicks, models=self.made, contexts=dict(self.contexts),
             settings=dict(self.settings), masks=dict(self.masks),
@@ -216,8 +216,11 @@ def check_id(id: int, ids: Sequence[int], what: str) -> None:
         With the ids that there are.
     """
     if id not in ids:
-        there = "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
-        raise UsageError(f"refine: {what} {id} was given, expected one that is in the result", there)
+        raise UsageError(f"refine: {what} {id} was given, expected one that is in the result", _ids_text(ids))
+
+
+def _ids_text(ids: Sequence[int]) -> str:
+    return "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
 
 
 def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple[Click, ...]:
@@ -244,12 +247,12 @@ def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple
 
 
 def clicks_on(new: Sequence[Click], id: int) -> tuple[Click, ...]:
-    """The new clicks that an object answers to, as it sees them: its own, and those on no object."""
+    """New clicks on an object, as it sees them, and those on no object."""
     mine = tuple(click for click in new if click.id in (id, NO_OBJECT))
     return Clicks(mine, (0, 0, 0)).of(id).clicks
 
 
-def check_object(refinement: Correction, ids: Sequence[int] | None) -> None:
+def check_object(correction: Correction, ids: Sequence[int] | None) -> None:
     """Refuse a correction of an object that there is not; ``ids`` is None where there is one without an id.
 
     Raises
@@ -257,16 +260,15 @@ def check_object(refinement: Correction, ids: Sequence[int] | None) -> None:
     UsageError
         With the ids that there are.
     """
-    id = refinement.object
+    id = correction.object
     if ids is None:
         if id not in (None, 1):
             raise UsageError(f"refine: object {id} was given, but there is a single one", "leave object out")
         return
-    there = "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
-    if id is None and refinement.inside:
-        raise UsageError("refine: inside was given without object, expected an object's id", there)
-    if id is not None and id not in ids:
-        raise UsageError(f"refine: object {id} was given, expected one that is in the result", there)
+    if id is None and correction.inside:
+        raise UsageError("refine: inside was given without object, expected an object's id", _ids_text(ids))
+    if id is not None:
+        check_id(id, ids, "object")
 
 
 def refuse_contradictions(

@@ -1,7 +1,7 @@
 """Objects of a finished run that begin, are merged, are split, are removed: exact, voxel by voxel.
 
-A new object begins where the model of its clicks proposes it and comes to rest by itself; the others do not move, but
-for those that hold voxels of its clicks: they lose what it gains. Merging and splitting move no surface at all.
+A new object begins with the size hypothesis of its clicks and evolves until it has converged. The others do not move;
+those that have voxels of its clicks lose what it gains. Merging and splitting move no surface at all.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from scipy import ndimage
 
 from accelsurf.clicks.reading import point_voxels
 from accelsurf.correct.corrected_surface import CorrectedSurface, box_around, count_inside, part_of_image, stop_of_whole
-from accelsurf.correct.local_evolution import LocalOutcome, OnStep, measures_of, to_rest
+from accelsurf.correct.local_evolution import LocalOutcome, Stepping, evolve_to_end, measures_of
 from accelsurf.correct.models import check_id, point_click
-from accelsurf.correct.objects import RefinedObjects
+from accelsurf.correct.objects import CorrectedObjects
 from accelsurf.correct.region import NearRegion
 from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.energies.constraints.mask import MaskConstraint
@@ -28,6 +28,7 @@ from accelsurf.evolution.loop import Evolution
 from accelsurf.evolution.setup import SolverSetup
 from accelsurf.grid.boxes import (
     Box,
+    Corner,
     bounding_box,
     box_at,
     corner_of,
@@ -48,30 +49,28 @@ from accelsurf.run.setup import half_width, setup_of
 from accelsurf.run.start import AROUND
 from accelsurf.settings.corrections import MAX_ID, Correction
 
-#: Voxels of the largest spacing between what the model says of a new object and the border of its box.
+#: Voxels of the largest spacing between the model's boundary of a new object and the border of its box.
 MARGIN = 8.0
 
 
 def begin_object(
-    objects: RefinedObjects, number: int, refinement: Correction, new: Sequence[Click], base: Result,
-    workers: Workers, max_steps: int, on_step: OnStep | None,
+    objects: CorrectedObjects, number: int, correction: Correction, new: Sequence[Click], base: Result,
+    stepping: Stepping,
 ) -> tuple[CorrectedSurface, Box, int]:
-    """Begin an object beside the others, and let it come to rest.
+    """Begin an object beside the others, and let it evolve until it has converged.
 
     Parameters
     ----------
-    objects : RefinedObjects
+    objects : CorrectedObjects
     number : int
         Of the correction.
-    refinement : Correction
+    correction : Correction
         With ``new``: an object that has this id begins anew.
     new : sequence of Click
         Its clicks, on the grid of the region of interest.
     base : Result
         Of the run.
-    workers : Workers
-    max_steps : int
-    on_step : callable, optional
+    stepping : Stepping
 
     Returns
     -------
@@ -83,22 +82,22 @@ def begin_object(
     InputError
         When nothing of it is left beside the others.
     """
-    id = refinement.new
+    id = correction.new
     assert id is not None
     if id in objects.ids:
         objects.models.remove(id)
         objects.replace([here for here in objects.surfaces if here.id != id], {})
     objects.models.add(new)
     takes = frozenset(objects.holders(new))
-    objects.models.begin_object(number, refinement, taken_voxels(objects, takes))
+    objects.models.begin_object(number, correction, taken_voxels(objects, takes))
     start, box, energy, terms = _start(objects, id, new, takes)
     settings = objects.models.settings_of(id)
     settings = settings.replace(seed=None if base.config.seed is None else base.config.seed + id)
     setup = setup_of(settings, 0, 1, objects.prepared.geometry)
-    outcome = _to_rest(start, objects.spacing, energy, setup, max_steps, workers, on_step)
+    outcome = _evolved(id, start, objects.spacing, energy, setup, stepping)
     region = NearRegion(box, np.ones(outcome.psi.shape, np.bool_), 0.0)
     for other in sorted(takes):
-        objects.take_from(other, region, outcome.psi, workers)
+        objects.take_from(other, region, outcome.psi, stepping.workers)
     surface = _surface(id, corner_of(box), outcome, objects)
     learned = objects.prepared.learned_by(objects.models.contexts[id])
     known = {id: replace(_known(surface, objects, base), terms=terms, learned=learned)}
@@ -107,7 +106,7 @@ def begin_object(
 
 
 def _start(
-    objects: RefinedObjects, id: int, new: Sequence[Click], takes: frozenset[int]
+    objects: CorrectedObjects, id: int, new: Sequence[Click], takes: frozenset[int]
 ) -> tuple[NDArray[np.float32], Box, ClickConstraint, list[dict[str, Any]]]:
     """First psi of a new object, the box that it is on, its energy there, and the terms of that.
 
@@ -133,7 +132,7 @@ def _start(
     return psi, box, ClickConstraint(energy, bounds), made.terms
 
 
-def taken_voxels(objects: RefinedObjects, takes: frozenset[int]) -> BoxMask | None:
+def taken_voxels(objects: CorrectedObjects, takes: frozenset[int]) -> BoxMask | None:
     """Voxels of the objects that a new one takes nothing from."""
     boxes, taken = [], None
     others = [surface for place, surface in enumerate(objects.surfaces) if place not in takes]
@@ -151,28 +150,27 @@ def taken_voxels(objects: RefinedObjects, takes: frozenset[int]) -> BoxMask | No
     return BoxMask(taken, mask)
 
 
-def _to_rest(
-    psi: NDArray[np.float32], spacing: tuple[float, float, float], energy: ClickConstraint,
-    setup: SolverSetup, max_steps: int, workers: Workers, on_step: OnStep | None,
+def _evolved(
+    id: int, psi: NDArray[np.float32], spacing: tuple[float, float, float], energy: ClickConstraint,
+    setup: SolverSetup, stepping: Stepping,
 ) -> LocalOutcome:
     """Evolve a first surface on its box."""
-    surface = LevelSet(psi, spacing, setup.half_width, workers, overwrite=True, extension=setup.extension)
-    evolution = Evolution.of(surface, energy, setup, max_steps)
-    stop = to_rest(evolution, setup, on_step)
+    surface = LevelSet(psi, spacing, setup.half_width, stepping.workers, overwrite=True, extension=setup.extension)
+    evolution = Evolution.of(surface, energy, setup, stepping.max_steps)
+    stop = evolve_to_end(evolution, setup, stepping.watch_of(id))
     return LocalOutcome(np.array(surface.psi), list(evolution.history), stop)
 
 
-def _surface(id: int, corner: tuple[int, int, int], outcome: LocalOutcome, objects: RefinedObjects) -> CorrectedSurface:
+def _surface(id: int, corner: Corner, outcome: LocalOutcome, objects: CorrectedObjects) -> CorrectedSurface:
     """A new surface on the box that it needs."""
     inside = count_inside(outcome.psi)
     stop = stop_of_whole(outcome.stop, inside, math.prod(objects.shape))
     return _on_tight_box(CorrectedSurface(id, corner, outcome.psi, inside, outcome.history, stop))
 
 
-def _known(surface: CorrectedSurface, objects: RefinedObjects, base: Result) -> SegmentedObject:
+def _known(surface: CorrectedSurface, objects: CorrectedObjects, base: Result) -> SegmentedObject:
     """Return the entry in results of an object that has just begun."""
-    first = objects.prepared.first
-    corner = (surface.corner[0] + first[0], surface.corner[1] + first[1], surface.corner[2] + first[2])
+    corner = objects.prepared.corner_on_image(surface.corner)
     box = part_of_image(box_at(corner, surface.psi.shape), corner, surface, objects.prepared)
     psi, history = closed_on(surface.psi, corner, box), list(surface.history)
     return SegmentedObject(
@@ -180,7 +178,7 @@ def _known(surface: CorrectedSurface, objects: RefinedObjects, base: Result) -> 
     )
 
 
-def merge(objects: RefinedObjects, ids: Sequence[int], workers: Workers) -> CorrectedSurface:
+def merge(objects: CorrectedObjects, ids: Sequence[int], workers: Workers) -> CorrectedSurface:
     """Make several objects the first of them: the union of their voxels.
 
     Raises
@@ -223,8 +221,8 @@ def voxel_of(point: str, base: Result) -> NDArray[np.int64]:
     return point_voxels([numbers], point, "split", base.geometry, words.endswith("vox"))[0]
 
 
-def completed(objects: RefinedObjects, refinement: Correction, base: Result) -> Correction:
-    """A refinement that splits, with the object that is split and the id of its part.
+def completed(objects: CorrectedObjects, correction: Correction, base: Result) -> Correction:
+    """A correction that splits, with the object that is split and the id of its part.
 
     Raises
     ------
@@ -233,29 +231,29 @@ def completed(objects: RefinedObjects, refinement: Correction, base: Result) -> 
     InputError
         When the point lies in no object, or not in the one that was given.
     """
-    assert refinement.split is not None
-    voxel = voxel_of(refinement.split, base) - np.array(objects.prepared.first)
+    assert correction.split is not None
+    voxel = voxel_of(correction.split, base) - np.array(objects.prepared.first)
     here = next((surface.id for surface in objects.surfaces if _contains(surface, voxel)), None)
-    if here is None or here != (refinement.object or here):
+    if here is None or here != (correction.object or here):
         where = "no object" if here is None else f"object {here}"
-        raise InputError(f"refine: {refinement.split} lies in {where}", "click in the part that is to be split off")
-    new = refinement.new or max(objects.ids) + 1
+        raise InputError(f"refine: {correction.split} lies in {where}", "click in the part that is to be split off")
+    new = correction.new or max(objects.ids) + 1
     if new in objects.ids or new > MAX_ID:
         raise UsageError(f"refine: new {new} was given with split, expected an id that no object has")
-    return refinement.model_copy(update={"object": here, "new": new})
+    return correction.model_copy(update={"object": here, "new": new})
 
 
 def split(
-    objects: RefinedObjects, number: int, refinement: Correction, base: Result, workers: Workers
+    objects: CorrectedObjects, number: int, correction: Correction, base: Result, workers: Workers
 ) -> tuple[CorrectedSurface, CorrectedSurface]:
-    """Make what is connected to a point an object of its own; voxels are connected by their faces.
+    """Make the part that is connected to a point a separate object; voxels are connected by their faces.
 
     Parameters
     ----------
-    objects : RefinedObjects
+    objects : CorrectedObjects
     number : int
         Of the correction.
-    refinement : Correction
+    correction : Correction
         `completed`.
     base : Result
     workers : Workers
@@ -269,9 +267,9 @@ def split(
     InputError
         When the object is in one piece.
     """
-    assert refinement.split is not None and refinement.object is not None and refinement.new is not None
-    voxel = voxel_of(refinement.split, base) - np.array(objects.prepared.first)
-    new, here = refinement.new, objects.surfaces[objects.place_of(refinement.object)]
+    assert correction.split is not None and correction.object is not None and correction.new is not None
+    voxel = voxel_of(correction.split, base) - np.array(objects.prepared.first)
+    new, here = correction.new, objects.surfaces[objects.place_of(correction.object)]
     labels, count = ndimage.label(here.psi < 0)
     if count < 2:
         raise InputError(f"refine: object {here.id} is in one piece", "cut it first: outside clicks between the parts")
@@ -294,14 +292,14 @@ def split(
 
 
 def _on_tight_box(surface: CorrectedSurface) -> CorrectedSurface:
-    """A surface on the array that it needs; on its own where it has no voxel."""
+    """A surface on the array that it needs; as it is where it has no voxel."""
     box = bounding_box(surface.psi < 0, AROUND) or whole_box(surface.psi.shape)
     return surface._replace(
         corner=corner_of(placed_at(box, surface.corner)), psi=np.ascontiguousarray(surface.psi[box])
     )
 
 
-def remove(objects: RefinedObjects, id: int) -> int:
+def remove(objects: CorrectedObjects, id: int) -> int:
     """Take an object away; return how many voxels it had.
 
     Raises
@@ -323,7 +321,7 @@ def _contains(surface: CorrectedSurface, voxel: NDArray[np.int64]) -> bool:
     return bool((at >= 0).all() and (at < np.array(surface.psi.shape)).all() and surface.psi[tuple(at)] < 0)
 
 
-def _measured(surface: CorrectedSurface, objects: RefinedObjects, workers: Workers) -> CorrectedSurface:
+def _measured(surface: CorrectedSurface, objects: CorrectedObjects, workers: Workers) -> CorrectedSurface:
     """A surface whose voxels have changed without a step: its last record has volume and area of now."""
     inside, settings = count_inside(surface.psi), objects.models.settings_of(surface.id)
     volume, area = measures_of(np.array(surface.psi), objects.spacing, half_width(settings), workers)

@@ -1,4 +1,4 @@
-"""The objects of a finished run as corrections change them: their surfaces, and how each change is taken back."""
+"""Objects of a finished run as corrections change them: their surfaces, and how each correction is undone."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.reading import clicked_voxels
 from accelsurf.correct.corrected_surface import CorrectedSurface, count_inside, part_of_image, stop_of_whole, surface_of
-from accelsurf.correct.finished import sureness_from
+from accelsurf.correct.finished import confidence_from
 from accelsurf.correct.local_evolution import measures_of
 from accelsurf.correct.local_model import LocalModel, ModelChange
 from accelsurf.correct.models import ObjectModels
@@ -36,7 +36,7 @@ class _SurfaceBefore(NamedTuple):
     totals: dict[str, NDArray[np.float64]]
 
 
-class _Correction(NamedTuple):
+class _CorrectionBefore(NamedTuple):
     """The state before a correction, and its changes in place, in order, to take it back."""
 
     has_ids: bool
@@ -47,7 +47,7 @@ class _Correction(NamedTuple):
     clicked: list[tuple[LocalModel, ModelChange]]
 
 
-class RefinedObjects:
+class CorrectedObjects:
     """The objects of a finished run, correction by correction.
 
     Parameters
@@ -78,7 +78,7 @@ class RefinedObjects:
         self.has_ids, self.models = result.has_ids, ObjectModels(state, settings)
         self._known = dict(result.by_id)
         self._regional = RegionTotals(self.images, self.surfaces[0].psi, state.totals)
-        self._undo: list[_Correction] = []
+        self._undo: list[_CorrectionBefore] = []
 
     @property
     def ids(self) -> list[int]:
@@ -87,11 +87,11 @@ class RefinedObjects:
 
     @property
     def state(self) -> RunState:
-        """The state from which a later correction goes on."""
+        """The state from which a later correction continues."""
         return self.models.state(self._regional.totals)
 
     def set_ids(self, has_ids: bool) -> None:
-        """Say whether the objects have ids from now on."""
+        """Set whether the objects have ids from now on."""
         self.has_ids = has_ids
 
     def place_of(self, id: int) -> int:
@@ -103,7 +103,7 @@ class RefinedObjects:
     def begin_correction(self) -> None:
         """Begin a correction: all that follows is taken back at once."""
         self._undo.append(
-            _Correction(self.has_ids, tuple(self.surfaces), dict(self._known), self.models.snapshot(), [], [])
+            _CorrectionBefore(self.has_ids, tuple(self.surfaces), dict(self._known), self.models.snapshot(), [], [])
         )
 
     def undo(self) -> bool:
@@ -135,7 +135,7 @@ class RefinedObjects:
         self.surfaces[place] = after
 
     def replace(self, surfaces: Sequence[CorrectedSurface], known: dict[int, SegmentedObject]) -> None:
-        """Have other objects from now on; ``known`` is what results say of those that are new."""
+        """Have other objects from now on; ``known`` has the entries in results of those that are new."""
         self.surfaces = sorted(surfaces, key=lambda surface: surface.id)
         self._known = {id: known.get(id) or self._known[id] for id in self.ids}
 
@@ -143,7 +143,7 @@ class RefinedObjects:
         """Return the entry in results of an object, before its corrections."""
         return self._known[id]
 
-    # -- what objects are to each other --------------------------------------------------------------------
+    # -- other objects -----------------------------------------------------------------------------------
 
     def totals_of(self, surface: CorrectedSurface) -> RegionTotals:
         """Sums over an object: of several, on its own part of the grid."""
@@ -180,7 +180,7 @@ class RefinedObjects:
         return distance
 
     def take_from(self, place: int, region: NearRegion, winner: NDArray[np.float32], workers: Workers) -> None:
-        """Take from an object what another has gained in a region."""
+        """Take from an object the voxels that another has gained in a region."""
         surface = self.surfaces[place]
         mine, theirs = shared(corner_of(region.box), winner.shape, surface.corner, surface.psi.shape)
         psi = surface.psi[theirs].copy()
@@ -219,11 +219,11 @@ class RefinedObjects:
         """An object as results have it; later corrections do not change it."""
         segmented, prepared, base, models = self._known[now.id], self.prepared, self._base, self.models
         is_same = now.history is segmented.history
-        z, y, x = (c + first for c, first in zip(now.corner, prepared.first, strict=True))
-        box = segmented.box if is_same or not self.has_ids else part_of_image(segmented.box, (z, y, x), now, prepared)
+        corner = prepared.corner_on_image(now.corner)
+        box = segmented.box if is_same or not self.has_ids else part_of_image(segmented.box, corner, now, prepared)
         clicked = clicked_voxels(models.clicks, segmented.id, prepared.first, box) if len(models.clicks) else None
         if segmented.id in models.made:
-            segmented = dataclasses.replace(segmented, sureness=sureness_from(models.made[segmented.id]))
+            segmented = dataclasses.replace(segmented, confidence=confidence_from(models.made[segmented.id]))
         if is_same:
             unchanged = clicked is None or (
                 segmented.clicked is not None and np.array_equal(clicked, segmented.clicked)
@@ -234,7 +234,7 @@ class RefinedObjects:
             psi = psi.copy() if psi is now.psi else psi
             return dataclasses.replace(segmented, psi=psi, history=now.history, stop=now.stop, clicked=clicked)
         return dataclasses.replace(
-            segmented, box=box, psi=closed_on(now.psi, (z, y, x), box), image=base.image[box],
+            segmented, box=box, psi=closed_on(now.psi, corner, box), image=base.image[box],
             geometry=cropped(base.geometry, box), history=now.history, stop=now.stop, clicked=clicked,
-            rests=on_larger_box(segmented.rests, segmented.box, box),
+            plateaus=on_larger_box(segmented.plateaus, segmented.box, box),
         )

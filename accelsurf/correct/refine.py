@@ -1,4 +1,4 @@
-"""refine(): a finished run goes on from its result, corrected by clicks."""
+"""refine(): a result is corrected by clicks, or has other objects."""
 
 from __future__ import annotations
 
@@ -69,12 +69,12 @@ def refine(
     """
     table: dict[str, Any] = {"inside": inside, "outside": outside, "near": near, "object": object}
     table |= {"new": new, "size": size, "merge": tuple(merge), "split": split, "remove": remove}
-    (refinement,), refiner = corrections_of({k: v for k, v in table.items() if v is not None}), Refiner(result)
-    refiner.apply(refinement, on_step=on_step)
+    (correction,), refiner = corrections_of({k: v for k, v in table.items() if v is not None}), Refiner(result)
+    refiner.apply(correction, on_step=on_step)
     return refiner.result()
 
 
-def with_refinements(result: Result, on_step: OnObjectStep | None = None) -> Result:
+def with_corrections(result: Result, on_step: OnObjectStep | None = None) -> Result:
     """Make the corrections of a run's settings after it has ended; of one that was interrupted none is made."""
     wanted = result.config.refine
     if not wanted:
@@ -84,6 +84,6 @@ def with_refinements(result: Result, on_step: OnObjectStep | None = None) -> Res
         skipped = f"{len(wanted)} refinements were not made: the run was interrupted"
         return dataclasses.replace(result, config=config, warnings=[*result.warnings, skipped])
     refiner = Refiner(dataclasses.replace(result, config=config))
-    for refinement in wanted:
-        refiner.apply(refinement, on_step=on_step)
+    for correction in wanted:
+        refiner.apply(correction, on_step=on_step)
     return refiner.result()

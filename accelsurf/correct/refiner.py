@@ -1,4 +1,4 @@
-"""Refiner: goes on from a finished run, correction after correction, each at the cost of its neighbourhood."""
+"""Refiner: a finished run is corrected, each correction at the cost of its neighbourhood."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from accelsurf.correct.corrected_surface import (
     wrong_part,
 )
 from accelsurf.correct.finished import OnObjectStep
-from accelsurf.correct.local_evolution import LocalProblem, evolve_near
+from accelsurf.correct.local_evolution import LocalProblem, Stepping, evolve_near
 from accelsurf.correct.local_model import basin_of
 from accelsurf.correct.models import check_object, clicks_on, placed_clicks, point_click, refuse_contradictions
-from accelsurf.correct.objects import RefinedObjects
+from accelsurf.correct.objects import CorrectedObjects
 from accelsurf.correct.region import NearRegion, around_clicks, automatic_near, rim_width
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
@@ -43,7 +43,7 @@ from accelsurf.run.setup import correction_rule, is_maker, setup_of, window_reac
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 
-#: The surface and its stencils see so many voxels of the largest spacing beyond the region, where they are held.
+#: Voxels of the largest spacing beyond the region that the surface and its stencils see; there they do not move.
 MARGIN = 5.0
 
 
@@ -63,7 +63,7 @@ class Refiner:
     Parameters
     ----------
     result : Result
-        Of `accelsurf.segment` or of a refinement; it is not changed.
+        Of `accelsurf.segment` or of a correction; it is not changed.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Refiner:
             )
         self._result, self._state, self.config = result, state, result.config
         self._settings = frozen_settings(result)
-        self._objects = RefinedObjects(result, state, self._settings)
+        self._objects = CorrectedObjects(result, state, self._settings)
         self._images, self._shape, self._spacing = self._objects.images, self._objects.shape, self._objects.spacing
         self._reach = window_reach(self._settings, state.prepared.geometry)
         self._undo: list[RunConfig] = []
@@ -120,16 +120,13 @@ class Refiner:
     # -- corrections ---------------------------------------------------------------------------------------
 
     def apply(
-        self, refinement: Correction, on_step: OnObjectStep | None = None
+        self, correction: Correction, on_step: OnObjectStep | None = None
     ) -> tuple[Change, ...]:
-        """Correct the objects that new clicks are about, each in a region around them; or change which objects there
-        are.
+        """Correct the objects of new clicks, each in a region around them; or begin, merge, split or remove objects.
 
         Parameters
         ----------
-        refinement : Correction
-        clicks : sequence of Click, optional
-            Those of the refinement, on the image's grid; by default they are read from its texts.
+        correction : Correction
         on_step : callable, optional
             Called with each record and the id of its object; a true value ends the correction.
 
@@ -152,33 +149,34 @@ class Refiner:
         All or nothing: of a correction that raises, whatever it raises, nothing stays, and it is none for `undo`.
         """
         objects, number = self._objects, len(self.config.refine)
-        if refinement.split is not None:
-            refinement = object_changes.completed(objects, refinement, self._result)
+        if correction.split is not None:
+            correction = object_changes.completed(objects, correction, self._result)
         self._undo.append(self.config)
         objects.begin_correction()
         try:
-            self.config = self.config.replace(refine=(*self.config.refine, refinement))
-            if refinement.kind in ("clicks", "new"):
-                new = self._new_clicks(refinement)
+            self.config = self.config.replace(refine=(*self.config.refine, correction))
+            if correction.kind in ("clicks", "new"):
+                new = self._new_clicks(correction)
             objects.set_ids(self._result.has_ids or self.config.has_ids)
             began = time.perf_counter()
             threads = self.config.threads
             with Workers(available_cores() if threads == "auto" else threads) as workers:
-                if refinement.kind == "clicks":
+                stepping = Stepping(workers, self.config.max_steps, on_step)
+                if correction.kind == "clicks":
                     objects.models.add(new)
-                    changes = self._correct_all(new, refinement.near, workers, on_step)
-                elif refinement.kind == "new":
-                    changes = self._begin_object(number, refinement, new, workers, on_step)
+                    changes = self._correct_all(new, correction.near, stepping)
+                elif correction.kind == "new":
+                    changes = self._begin_object(number, correction, new, stepping)
                 else:
-                    changes = self._rearrange(number, refinement, workers)
+                    changes = self._rearrange(number, correction, workers)
             self._seconds += time.perf_counter() - began
             return changes
         except BaseException:  # Ctrl-C too
             self.undo()
             raise
 
-    def _new_clicks(self, refinement: Correction) -> tuple[Click, ...]:
-        """The clicks of a refinement on the grid of the region of interest.
+    def _new_clicks(self, correction: Correction) -> tuple[Click, ...]:
+        """The clicks of a correction on the grid of the region of interest.
 
         Raises
         ------
@@ -187,54 +185,53 @@ class Refiner:
         """
         objects, prepared = self._objects, self._state.prepared
         ids = objects.ids
-        if refinement.kind == "clicks":
-            check_object(refinement, ids if objects.has_ids else None)
+        if correction.kind == "clicks":
+            check_object(correction, ids if objects.has_ids else None)
         base = self._result
-        read = clicks_of(refinement, base.volume, base.image, refinement.target, objects.has_ids)
+        read = clicks_of(correction, base.volume, base.image, correction.target, objects.has_ids)
         new = placed_clicks(read, prepared)
         before = objects.models.clicks
-        if refinement.new in ids:  # it begins anew
-            before = Clicks(tuple(click for click in before.clicks if click.id != refinement.new), before.shape)
-        known = sorted({*ids, refinement.new or ids[0]})
+        if correction.new in ids:  # it begins anew
+            before = Clicks(tuple(click for click in before.clicks if click.id != correction.new), before.shape)
+        known = sorted({*ids, correction.new or ids[0]})
         refuse_contradictions(new, self._shape, known, prepared.geometry, prepared.first)
         check_left(before, before.with_later(new))
         return new
 
     def _correct_all(
-        self, new: Sequence[Click], near: float | str, workers: Workers, on_step: OnObjectStep | None
+        self, new: Sequence[Click], near: float | str, stepping: Stepping
     ) -> tuple[Change, ...]:
         """Correct each object that ``new`` clicks, on the grid of the region of interest, are about."""
         changes = []
         for place, id in enumerate(self._objects.ids):
             if mine := clicks_on(new, id):
-                changes.append(self._correct(place, mine, near, workers, on_step))
+                changes.append(self._correct(place, mine, near, stepping))
         return tuple(changes)
 
     def _begin_object(
-        self, number: int, refinement: Correction, new: Sequence[Click], workers: Workers, on_step: OnObjectStep | None
+        self, number: int, correction: Correction, new: Sequence[Click], stepping: Stepping
     ) -> tuple[Change, ...]:
         """Begin an object beside the others."""
-        began, id = time.perf_counter(), refinement.new or 0
-        report = None if on_step is None else lambda record: on_step(record, id)
+        began, id = time.perf_counter(), correction.new or 0
         evolving, box, voxels = object_changes.begin_object(
-            self._objects, number, refinement, new, self._result, workers, self.config.max_steps, report
+            self._objects, number, correction, new, self._result, stepping
         )
         return (Change(id, box, voxels, time.perf_counter() - began, evolving.stop),)
 
-    def _rearrange(self, number: int, refinement: Correction, workers: Workers) -> tuple[Change, ...]:
+    def _rearrange(self, number: int, correction: Correction, workers: Workers) -> tuple[Change, ...]:
         """Merge objects, split one, or remove one: no surface moves."""
         began, objects, voxels = time.perf_counter(), self._objects, 0
-        if refinement.removed_id is not None:
-            voxels = object_changes.remove(objects, refinement.removed_id)
+        if correction.removed_id is not None:
+            voxels = object_changes.remove(objects, correction.removed_id)
             surface = objects.surfaces[0]
-        elif refinement.merge:
+        elif correction.merge:
             sizes = {before.id: before.inside for before in objects.surfaces}
-            surface = object_changes.merge(objects, refinement.merge, workers)
+            surface = object_changes.merge(objects, correction.merge, workers)
             voxels = surface.inside - sizes[surface.id]
         else:
-            surface = object_changes.split(objects, number, refinement, self._result, workers)[1]
+            surface = object_changes.split(objects, number, correction, self._result, workers)[1]
             voxels = surface.inside
-        id = surface.id if refinement.removed_id is None else refinement.removed_id
+        id = surface.id if correction.removed_id is None else correction.removed_id
         return (
             Change(id, box_at(surface.corner, surface.psi.shape), voxels, time.perf_counter() - began, surface.stop),
         )
@@ -245,49 +242,50 @@ class Refiner:
             self.config = self._undo.pop()
 
     def _correct(
-        self, place: int, new: Sequence[Click], near: float | str, workers: Workers, on_step: OnObjectStep | None
+        self, place: int, new: Sequence[Click], near: float | str, stepping: Stepping
     ) -> Change:
         """Correct one object, of which ``new`` are clicks on the grid of the region of interest."""
         began = time.perf_counter()
         surface = self._objects.grown(place, box_around(new))
-        won = self._won(surface, new)
-        if not won:
+        relabelled = self._relabelled(surface, new)
+        if not relabelled:
             return Change(surface.id, box_at((0, 0, 0), (0, 0, 0)), 0, time.perf_counter() - began, surface.stop)
         takes = frozenset(self._objects.holders(new)) - {place}
-        region = self._region(surface, new, won, near)
+        region = self._region(surface, new, relabelled, near)
         surface = self._objects.grown(place, region.box)
         box = counted_from(region.box, surface.corner)
         psi = surface.psi[box].copy()
         totals = self._objects.totals_of(surface)
         problem = self._problem(surface, region, psi, totals, takes)._replace(
-            won=[(click.side, click.mask_on(region.box)) for click in won], sides=frozenset(click.side for click in new)
+            relabelled=[(click.side, click.mask_on(region.box)) for click in relabelled],
+            sides=frozenset(click.side for click in new),
         )
-        outcome = evolve_near(problem, workers, None if on_step is None else lambda record: on_step(record, surface.id))
+        outcome = evolve_near(problem, surface.id, stepping)
         inside = surface.inside + count_inside(outcome.psi) - count_inside(psi)
         stop = stop_of_whole(outcome.stop, inside, math.prod(self._shape))
         self._objects.put(place, box, outcome.psi, surface._replace(inside=inside, history=outcome.history, stop=stop))
         for other in sorted(takes):
-            self._objects.take_from(other, region, outcome.psi, workers)
+            self._objects.take_from(other, region, outcome.psi, stepping.workers)
         changed = int(np.count_nonzero((outcome.psi < 0) != (psi < 0)))
         return Change(surface.id, region.box, changed, time.perf_counter() - began, stop)
 
-    def _won(self, surface: CorrectedSurface, new: Sequence[Click]) -> list[Click]:
+    def _relabelled(self, surface: CorrectedSurface, new: Sequence[Click]) -> list[Click]:
         """Return the voxels that new clicks relabel: their own and those of their basins, where a side is wrong.
 
         Nothing where all are on their sides already, and the model gives them nothing else.
         """
-        won, model = list(new), self._objects.models.model(surface.id)
+        relabelled, model = list(new), self._objects.models.model(surface.id)
         if model is not None:
-            won = []
+            relabelled = []
             for click in new:
                 change = model.add(click)
                 self._objects.note_click(model, change)
-                won.append(basin_of(click, change, model, surface))
-        wrong = [wrong_part(click, surface) for click in won]
+                relabelled.append(basin_of(click, change, model, surface))
+        wrong = [wrong_part(click, surface) for click in relabelled]
         return [click for click in wrong if click is not None]
 
     def _region(
-        self, surface: CorrectedSurface, new: Sequence[Click], won: Sequence[Click], near: float | str
+        self, surface: CorrectedSurface, new: Sequence[Click], relabelled: Sequence[Click], near: float | str
     ) -> NearRegion:
         """Return the region of motion for new clicks: within ``near``, or where they relabel, or by their depth."""
         rim = rim_width(self._shape, self._spacing)
@@ -295,7 +293,7 @@ class Refiner:
         if not isinstance(near, str):
             return around_clicks(new, near, min(rim, 0.5 * near), self._shape, self._spacing, margin)
         if self._objects.models.model(surface.id) is not None:
-            return around_clicks([*new, *won], rim, rim, self._shape, self._spacing, margin)
+            return around_clicks([*new, *relabelled], rim, rim, self._shape, self._spacing, margin)
         placed = Clicks(tuple(new), self._shape).on_box(box_at(surface.corner, surface.psi.shape)).clicks
         near = automatic_near(surface.psi, placed, self._spacing) + rim
         return around_clicks(new, near, rim, self._shape, self._spacing, margin)
@@ -321,7 +319,7 @@ class Refiner:
         bounds = click_bounds(clicks, Level(0, (1, 1, 1), psi.shape, self._spacing))
         setup = setup_of(settings, 0, 1, self._state.prepared.geometry)._replace(rule=correction_rule(settings))
         return LocalProblem(
-            psi, self._spacing, region, bounds, [], frozenset(), energy, setup, self.config.max_steps, surface.history
+            psi, self._spacing, region, bounds, [], frozenset(), energy, setup, surface.history
         )
 
     # -- result --------------------------------------------------------------------------------------------
@@ -334,7 +332,7 @@ class Refiner:
         clicks = on_image(models.clicks, self._state.prepared.first, base.geometry.shape)
         return dataclasses.replace(
             base, objects=objects, has_ids=self.has_ids, config=self.config, state=self._objects.state, seconds=seconds,
-            clicks=clicks, late_growth=_still_inside(base.late_growth, objects),
+            clicks=clicks, late_leakage=_still_inside(base.late_leakage, objects),
         )
 
 

@@ -4,8 +4,8 @@ Beyond the region nothing changes. Within the rim, of width L, the surface may l
 b(d) = L/4 u^2/(1 - u^2), u = d/L, at the depth d in the region: it leaves it at a tangent, so that there is no crease,
 and its curvature along the seam differs by at most b''(0) = 1/(2 L).
 
-Clicks of one side move the surface to that side alone: who says that something is missing has not said that anything
-is too much.
+Clicks of one side move the surface to that side alone: a person who says that something is missing has not said that
+anything is too much.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.kernels.distance import distances_within
 
-#: Width of the rim: at least so many voxels of the smallest spacing, and of the largest.
-RIM_SMALLEST, RIM_LARGEST = 6.0, 2.0
-#: How far a correction goes unless it is known: times the depth of the click in what is wrong, and so many voxels of
-#: the smallest spacing at most, so that an answer does not take long; more is for another click, or ``near``.
-AUTO_TIMES, MAX_NEAR = 1.5, 12.0
+#: Width of the rim: least numbers of voxels of the smallest spacing, and of the largest.
+_RIM_SMALLEST, _RIM_LARGEST = 6.0, 2.0
+#: How far a correction goes unless it is known, in depths of the click in the wrong voxels, and at most, in voxels of
+#: the smallest spacing, so that a correction does not take long; more is for another click, or ``near``.
+_AUTO_TIMES, _MAX_NEAR = 1.5, 12.0
 #: The smallest automatic region, voxels of the largest spacing.
-MIN_NEAR = 4.0
-#: Distances are continued beyond the band by so many of the largest spacings: no surface that is held to its old place
+_MIN_NEAR = 4.0
+#: Distances are continued beyond the band by this number of the largest spacings: no surface that is bounded
 #: by a number comes so far from it.
-BEYOND_BAND = 6.0
+_BEYOND_BAND = 6.0
 #: First half width, voxels, of the box in which the surface is searched around a click.
-FIRST_SEARCH = 8
+_FIRST_SEARCH = 8
 
 Spacing = tuple[float, float, float]
 
@@ -51,7 +51,7 @@ class NearRegion(NamedTuple):
 def rim_width(shape: Sequence[int], spacing: Spacing) -> float:
     """Width of the rim, mm."""
     steps = axis_steps(shape, spacing)
-    return max(RIM_SMALLEST * min(steps), RIM_LARGEST * max(steps))
+    return max(_RIM_SMALLEST * min(steps), _RIM_LARGEST * max(steps))
 
 
 def around_clicks(
@@ -92,7 +92,7 @@ def _voxels(clicks: Sequence[Click], box: Box) -> NDArray[np.bool_]:
 
 
 def automatic_near(psi: NDArray[np.float32], clicks: Iterable[Click], spacing: Spacing) -> float:
-    """Return the reach of a correction from its clicks, mm, without the rim: each lies amid what is wrong.
+    """Return the reach of a correction from its clicks, mm, without the rim: each lies amid the wrong voxels.
 
     Parameters
     ----------
@@ -103,11 +103,11 @@ def automatic_near(psi: NDArray[np.float32], clicks: Iterable[Click], spacing: S
         mm.
     """
     steps = axis_steps(psi.shape, spacing)
-    deepest = max(distance_to_surface(psi, click, spacing) for click in clicks)
-    return max(MIN_NEAR * max(steps), min(AUTO_TIMES * deepest, MAX_NEAR * min(steps)))
+    deepest = max(_distance_to_surface(psi, click, spacing) for click in clicks)
+    return max(_MIN_NEAR * max(steps), min(_AUTO_TIMES * deepest, _MAX_NEAR * min(steps)))
 
 
-def distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacing) -> float:
+def _distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacing) -> float:
     """Distance, mm, from the voxels of a click that are on the wrong side to the nearest that are not; 0 for none.
 
     Where a whole search finds nothing of the other side, it is the extent of the grid.
@@ -116,7 +116,7 @@ def distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacing
     wrong = click.mask & ((psi[click.box] < 0) != inside)
     if not wrong.any():
         return 0.0
-    search = FIRST_SEARCH
+    search = _FIRST_SEARCH
     while True:
         box = widened(click.box, psi.shape, (search, search, search))
         side = (psi[box] < 0) == inside
@@ -133,11 +133,11 @@ def distance_to_surface(psi: NDArray[np.float32], click: Click, spacing: Spacing
 
 
 def signed_distance(psi: NDArray[np.float32], gamma: float, spacing: Spacing) -> NDArray[np.float32]:
-    """Psi with the distances beyond the band, where it is +-``gamma``, continued as far as `BEYOND_BAND`; mm."""
+    """Psi with the distances beyond the band, where it is +-``gamma``, continued as far as `_BEYOND_BAND`; mm."""
     far = np.abs(psi) >= np.float32(gamma * (1.0 - 1e-6))
     if far.all():
         return np.where(psi < 0, np.float32(-1e6), np.float32(1e6))
-    reach = BEYOND_BAND * max(axis_steps(psi.shape, spacing))
+    reach = _BEYOND_BAND * max(axis_steps(psi.shape, spacing))
     beyond = np.float32(gamma) + np.minimum(distances_within(~far, spacing, reach), np.float32(reach))
     return np.where(far, np.copysign(beyond, psi), psi)
 
@@ -145,7 +145,7 @@ def signed_distance(psi: NDArray[np.float32], gamma: float, spacing: Spacing) ->
 def near_bounds(
     before: NDArray[np.float32], region: NearRegion, spacing: Spacing, sides: Collection[Side] = SIDES
 ) -> ClickBounds:
-    """Bounds of psi that hold the surface beyond the region and let it go within it.
+    """Bounds of psi that keep the surface beyond the region and let it move within it.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def near_bounds(
         room = (0.25 * region.rim * u2 / (1.0 - u2)).astype(np.float32)
     values, shape = before[bounded], before.shape
     low, high = (values - room if "inside" in sides else values), (values + room if "outside" in sides else values)
-    # Away from the surface before only its side is held: a distance to what has arisen nearby must not be.
+    # Away from the surface before only the side is bounded, not the distance: new surface may arise nearby.
     half, away, inside = np.float32(0.5 * min(axis_steps(shape, spacing))), ~beside[bounded], values < 0
     low[away] = np.where(inside, -np.inf, np.minimum(low, half))[away]
     high[away] = np.where(inside, np.maximum(high, -half), np.inf)[away]
@@ -186,7 +186,7 @@ def _beside(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def united(near: ClickBounds, clicks: ClickBounds) -> ClickBounds:
-    """Both bounds; where they contradict each other, the clicks' hold."""
+    """Both bounds; where they contradict each other, those of the clicks."""
     known = np.zeros(math.prod(near.shape), np.bool_)
     known[near.cells] = known[clicks.cells] = True
     cells = np.flatnonzero(known)
@@ -196,7 +196,7 @@ def united(near: ClickBounds, clicks: ClickBounds) -> ClickBounds:
     low[at], high[at] = near.low, near.high
     at = place[clicks.cells]
     before_low, before_high = low[at], high[at]
-    # A click in what is held moves its bounds along.
+    # A click where the surface is bounded moves the bounds along.
     low[at] = np.minimum(np.maximum(before_low, clicks.low), np.maximum(clicks.high, clicks.low))
     high[at] = np.maximum(np.minimum(before_high, clicks.high), np.minimum(clicks.low, clicks.high))
     return ClickBounds(near.shape, cells, low, high)

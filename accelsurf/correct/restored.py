@@ -1,4 +1,4 @@
-"""A result again from the file of its state and its image."""
+"""Result of a run from the file of its state and its image."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 from accelsurf.clicks.reading import clicked_voxels, clicks_of, on_image
 from accelsurf.correct.corrected_surface import frozen_settings
-from accelsurf.correct.finished import result_of, sureness_from
+from accelsurf.correct.finished import confidence_from, result_of
 from accelsurf.correct.local_model import LocalState
 from accelsurf.correct.models import ObjectModels, clicks_on, placed_clicks, point_click
 from accelsurf.correct.object_changes import voxel_of
-from accelsurf.correct.state_file import ObjectFile, StateFile, box_of, masks_of, rests_of, surface_of
+from accelsurf.correct.state_file import ObjectFile, StateFile, box_of, masks_of, plateaus_of, surface_of
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Corner
 from accelsurf.grid.clicks import Clicks
@@ -53,18 +53,18 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
         raise InputError("the state has other objects than its settings name", "run accelsurf segment again")
     objects = tuple(_object(segmented, known[segmented.id], base, has_ids) for segmented in state.objects)
     made, clicks = models.made, models.clicks
-    said = clicks if clicks.clicks else None
-    objects = tuple(_with_clicks(segmented, said, made.get(segmented.id), prepared.first) for segmented in objects)
+    placed = clicks if clicks.clicks else None
+    objects = tuple(_with_clicks(segmented, placed, made.get(segmented.id), prepared.first) for segmented in objects)
     return dataclasses.replace(
         base,
         objects=objects,
         has_ids=has_ids,
-        clicks=on_image(said, prepared.first, base.geometry.shape),
+        clicks=on_image(placed, prepared.first, base.geometry.shape),
         config=state.config,
         levels=list(state.levels),
         edits_done=state.edits_done,
         warnings=list(state.warnings),
-        late_growth=state.late_growth,
+        late_leakage=state.late_growth,
         state=models.state(state.totals),
     )
 
@@ -121,7 +121,7 @@ def _replay(
             raise InputError(f"the state says nothing of correction {number + 1}", "run accelsurf segment again")
         voxel = voxel_of(correction.split, base) - np.array(models.prepared.first)
         models.split(number, correction.object, correction.new, mask, point_click(voxel, correction.new))
-        known[correction.new] = dataclasses.replace(known[correction.object], id=correction.new, rests=())
+        known[correction.new] = dataclasses.replace(known[correction.object], id=correction.new, plateaus=())
 
 
 def _begun(id: int, base: Result, models: ObjectModels) -> SegmentedObject:
@@ -131,30 +131,30 @@ def _begun(id: int, base: Result, models: ObjectModels) -> SegmentedObject:
     made = models.energy_on(id, model.state.box, context, models.prepared.images)
     learned = models.prepared.learned_by(context)
     return dataclasses.replace(
-        base.objects[0], id=id, terms=made.terms, learned=learned, rests=(), clicked=None, sureness=None
+        base.objects[0], id=id, terms=made.terms, learned=learned, plateaus=(), clicked=None, confidence=None
     )
 
 
 def _with_clicks(
-    segmented: SegmentedObject, said: Clicks | None, model: LocalState | None, first: Corner
+    segmented: SegmentedObject, clicks: Clicks | None, model: LocalState | None, first: Corner
 ) -> SegmentedObject:
     """An object with all that was clicked on the region of interest, whose first voxel is ``first``."""
-    sureness = segmented.sureness if model is None else sureness_from(model)
+    confidence = segmented.confidence if model is None else confidence_from(model)
     return dataclasses.replace(
-        segmented, clicked=clicked_voxels(said, segmented.id, first, segmented.box), sureness=sureness
+        segmented, clicked=clicked_voxels(clicks, segmented.id, first, segmented.box), confidence=confidence
     )
 
 
 def _object(stored: ObjectFile, known: SegmentedObject, base: Result, has_ids: bool) -> SegmentedObject:
-    """An object as the state has it; what it shows of the image is that of the run."""
+    """An object as the state has it, with the image of the run."""
     try:
-        psi, rests = surface_of(stored), rests_of(stored)
+        psi, plateaus = surface_of(stored), plateaus_of(stored)
     except (ValueError, TypeError) as error:
         raise InputError(f"the state is damaged ({error})", "run accelsurf segment again") from None
     box = box_of(stored)
     if not has_ids:
-        return dataclasses.replace(known, psi=psi, history=list(stored.history), stop=stored.stop, rests=rests)
+        return dataclasses.replace(known, psi=psi, history=list(stored.history), stop=stored.stop, plateaus=plateaus)
     return dataclasses.replace(
         known, box=box, psi=psi, image=base.image[box], geometry=cropped(base.geometry, box),
-        history=list(stored.history), stop=stored.stop, rests=rests,
+        history=list(stored.history), stop=stored.stop, plateaus=plateaus,
     )

@@ -1,7 +1,7 @@
-"""The state of a finished run as a file, from which ``accelsurf refine`` goes on.
+"""The state of a finished run as a file, from which ``accelsurf refine`` continues.
 
-It has the surfaces, exact to the last bit, what the settings do not say, and no image: that is read again from its own
-file and checked. Of psi there are the values in the band, and one bit for each other voxel.
+It has the surfaces, exact to the last bit, and all that the settings do not say. The image is read again from its file
+and checked. Of psi there are the values in the band, and one bit for each other voxel.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.grid.boxes import Corner, box_at, corner_of
 from accelsurf.grid.pyramid import Level
 from accelsurf.io.files import bytes_within
-from accelsurf.run.result import BoxMask, RestPoint, Result
+from accelsurf.run.result import BoxMask, Plateau, Result
 from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.version import __version__
@@ -52,7 +52,7 @@ class SurfaceFile(NamedTuple):
 
 
 class RestFile(NamedTuple):
-    """A `RestPoint`, with its voxels packed."""
+    """A `Plateau`, with its voxels packed."""
 
     step: int
     volume_mm3: float
@@ -136,7 +136,7 @@ def state_bytes(result: Result, image: str) -> bytes:
             _packed_surface(segmented.psi, corner_of(segmented.box)),
             tuple(without_costs(segmented.history)),
             segmented.stop,
-            tuple(RestFile(*rest[:-1], _packed(rest.labels > 0)) for rest in segmented.rests),
+            tuple(RestFile(*plateau[:-1], _packed(plateau.labels > 0)) for plateau in segmented.plateaus),
         )
         for segmented in result.objects
     )
@@ -146,7 +146,7 @@ def state_bytes(result: Result, image: str) -> bytes:
     config = result.config.model_dump(mode="json")
     state = StateFile(
         config, image, result.geometry.shape, objects, masks, dict(result.state.totals), tuple(result.levels),
-        result.edits_done, tuple(result.warnings), result.late_growth,
+        result.edits_done, tuple(result.warnings), result.late_leakage,
     )
     header = {"accelsurf": __version__, "state": VERSION}
     return to_bytes((header, state), TYPES)
@@ -242,8 +242,8 @@ def masks_of(state: StateFile) -> dict[int, BoxMask]:
     return out
 
 
-def rests_of(stored: ObjectFile) -> tuple[RestPoint, ...]:
-    """The rests of an object, on its box.
+def plateaus_of(stored: ObjectFile) -> tuple[Plateau, ...]:
+    """The plateaus of an object, on its box.
 
     Raises
     ------
@@ -251,11 +251,11 @@ def rests_of(stored: ObjectFile) -> tuple[RestPoint, ...]:
         When the file is damaged.
     """
     out = []
-    for rest in stored.rests:
-        inside = _unpacked(rest.inside)
+    for packed in stored.rests:
+        inside = _unpacked(packed.inside)
         if inside.dtype != np.bool_ or inside.shape != stored.surface.in_band.shape:
-            raise ValueError(f"a rest of object {stored.id} does not fit its box")
-        out.append(RestPoint(*rest[:-1], inside.view(np.uint8)))
+            raise ValueError(f"a plateau of object {stored.id} does not fit its box")
+        out.append(Plateau(*packed[:-1], inside.view(np.uint8)))
     return tuple(out)
 
 

@@ -1,7 +1,4 @@
-"""Chan-Vese: the image is one constant inside, another outside.
-
-Localised Chan-Vese: the image has one mean inside and one outside, each within a window around each voxel.
-"""
+"""Chan-Vese: the image is one constant inside and another outside; localised, within a window around each voxel."""
 
 from __future__ import annotations
 
@@ -18,6 +15,13 @@ from accelsurf.energies.region_sums import Elsewhere, Interface, RegionMoments
 from accelsurf.grid.boxes import Box, runs
 from accelsurf.kernels import windows
 from accelsurf.levelset import BandChange, LevelSet
+
+#: Half width of the tent along each axis that has the variance of a ball of radius 1.
+TENT = math.sqrt(6.0 / 5.0)
+#: Nodes per half width of the tent, where they are not closer than two voxels.
+_MAX_HALF_WIDTH, _MIN_HALF_WIDTH = 4, 2
+#: A window with no more than this part on one side of the surface does not count.
+MIN_SHARE = 1e-6
 
 
 class TwoMeans(NamedTuple):
@@ -81,14 +85,6 @@ class ChanVese(RegionEnergy):
         """Factors of the force, between the means of the last `value`."""
         (c1, c2), (l1, l2) = self.means, self._weights
         return l1 - l2, 2.0 * (l2 * c2 - l1 * c1), l1 * c1 * c1 - l2 * c2 * c2
-
-
-#: Half width of the tent along each axis that has the variance of a ball of radius 1.
-TENT = math.sqrt(6.0 / 5.0)
-#: Nodes per half width of the tent, where they are not closer than two voxels.
-MAX_HALF_WIDTH, MIN_HALF_WIDTH = 4, 2
-#: A window with no more than this part on one side of the surface does not count.
-MIN_SHARE = 1e-6
 
 
 class LocalRegion(Energy):
@@ -269,7 +265,7 @@ def _layout(n: int, radius: float) -> tuple[int, float, float, int]:
     if n == 1:
         return 1, 1.0, 0.0, 1
     half = TENT * radius
-    half_width = 1 if half < 2.0 else min(MAX_HALF_WIDTH, max(MIN_HALF_WIDTH, int(half / 2.0)))
+    half_width = 1 if half < 2.0 else min(_MAX_HALF_WIDTH, max(_MIN_HALF_WIDTH, int(half / 2.0)))
     distance = max(half / half_width, 1.0)
     number = math.ceil((n - 1) / distance) + 1 + 2 * (half_width - 1)
     return number, distance, 0.5 * (number - 1 - (n - 1) / distance), half_width

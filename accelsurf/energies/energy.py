@@ -1,4 +1,4 @@
-"""The protocol that every energy follows."""
+"""Protocol that every energy follows."""
 
 from __future__ import annotations
 

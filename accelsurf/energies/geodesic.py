@@ -17,7 +17,7 @@ from accelsurf.levelset import LevelSet, dot
 
 #: Automatic contrast: the gradient that counts as a strong edge (percentile of all voxels), the part of it that
 #: counts as half an edge, and how far above the middle of all gradients, noise or texture, half an edge must be.
-STRONG_PERCENTILE, STRONG_SHARE, ABOVE_NOISE = 99.9, 0.25, 2.0
+_STRONG_PERCENTILE, _STRONG_SHARE, _ABOVE_NOISE = 99.9, 0.25, 2.0
 
 
 class Geodesic(ImageEnergy):
@@ -157,8 +157,8 @@ def edge_contrast(gradient: np.ndarray) -> float:
     >>> edge_contrast(np.array([0.1] * 90 + [1.0] * 10)), edge_contrast(np.array([0.3] * 90 + [1.0] * 10))
     (0.25, 0.6)
     """
-    strong = float(np.percentile(gradient, STRONG_PERCENTILE)) or float(np.max(gradient))
-    contrast = max(STRONG_SHARE * strong, ABOVE_NOISE * float(np.median(gradient)))
+    strong = float(np.percentile(gradient, _STRONG_PERCENTILE)) or float(np.max(gradient))
+    contrast = max(_STRONG_SHARE * strong, _ABOVE_NOISE * float(np.median(gradient)))
     if not contrast > 0:
         raise InputError("the image has no edge at this scale: its gradient is 0", "take a smaller edge scale")
     return contrast

@@ -31,7 +31,7 @@ NORMAL_MAD = 1.4826
 BINS, END_PERCENTILES, MARGIN = 64, (0.5, 99.5), 0.05
 #: Width (sigma) of Parzen's window, bins; and the probability that every value has at least in each region, so that no
 #: value decides alone.
-PARZEN_SIGMA, UNIFORM_SHARE = 2.0, 0.01
+_PARZEN_SIGMA, _UNIFORM_SHARE = 2.0, 0.01
 
 
 class Gaussian(NamedTuple):
@@ -113,7 +113,7 @@ class GaussianLikelihood(RegionEnergy):
         return 0.5 / v1 - 0.5 / v2, m2 / v2 - m1 / v1, constant
 
 
-def no_sample() -> InputError:
+def _no_sample() -> InputError:
     """Return the error of a region to learn from that has no voxel."""
     return InputError("likelihood: a region to learn from has no voxel", "give --foreground and --background voxels")
 
@@ -132,7 +132,7 @@ def gaussian_of(values: np.ndarray, min_variance: float) -> Gaussian:
         When there are no values.
     """
     if values.size == 0:
-        raise no_sample()
+        raise _no_sample()
     sample = np.asarray(values, np.float64)
     return Gaussian(float(sample.mean()), max(float(sample.var()), min_variance))
 
@@ -146,7 +146,7 @@ def gaussian_of_sums(sums: RegionMoments, min_variance: float) -> Gaussian:
         When there are no values.
     """
     if not sums.voxels > 0:
-        raise no_sample()
+        raise _no_sample()
     return _gaussian(sums, min_variance)
 
 
@@ -164,7 +164,7 @@ def robust_gaussian_of(values: np.ndarray, min_variance: float) -> Gaussian:
     Gaussian(mean=3.0, variance=2.19810276)
     """
     if values.size == 0:
-        raise no_sample()
+        raise _no_sample()
     sample = np.asarray(values, np.float64)
     middle = float(np.median(sample))
     return Gaussian(middle, max((NORMAL_MAD * float(np.median(np.abs(sample - middle)))) ** 2, min_variance))
@@ -191,7 +191,7 @@ class Parzen:
         #: (value of the first bin, bins per value)
         self.scale = (low - margin, (BINS - 1) / (high - low + 2.0 * margin))
         away = np.arange(BINS)[:, None] - np.arange(BINS)[None, :]
-        window = np.exp(-0.5 * (away / PARZEN_SIGMA) ** 2)
+        window = np.exp(-0.5 * (away / _PARZEN_SIGMA) ** 2)
         # Columns sum to 1: the part of a window beyond the ends goes to the bins near them.
         self._window = window / window.sum(axis=0)
 
@@ -218,7 +218,7 @@ class Parzen:
         """Density p (BINS,), sum 1, of the values of a histogram."""
         total = counts.sum()
         smooth = (self._window * counts).sum(axis=1) / total if total > 0 else np.full(BINS, 1.0 / BINS)
-        return np.asarray((1.0 - UNIFORM_SHARE) * smooth + UNIFORM_SHARE / BINS)
+        return np.asarray((1.0 - _UNIFORM_SHARE) * smooth + _UNIFORM_SHARE / BINS)
 
     def value_and_slope(self, counts: np.ndarray) -> tuple[float, np.ndarray]:
         """E = -sum_b h_b log p_b for the histogram h = ``counts``, and dE/dh (BINS,): p depends on h, too."""
@@ -226,7 +226,7 @@ class Parzen:
         if not total > 0:
             return 0.0, np.zeros(BINS)
         p = self.density(counts)
-        ratio = counts / p * (1.0 - UNIFORM_SHARE) / total
+        ratio = counts / p * (1.0 - _UNIFORM_SHARE) / total
         smooth = (self._window * counts).sum(axis=1) / total
         slope = -np.log(p) - (self._window.T * ratio).sum(axis=1) + dot(ratio, smooth)
         return -dot(counts, np.log(p)), slope
@@ -285,7 +285,7 @@ class HistogramLikelihood(Energy):
         if learned is not None:
             # Shares of bins leave rounding errors in differences of histograms.
             if not all(counts.sum() > 0.5 for counts in learned):
-                raise no_sample()
+                raise _no_sample()
             p1, p2 = (self._parzen.density(counts) for counts in learned)
             self._fixed = np.stack([-np.log(p1), -np.log(p2)])
         self._table = np.zeros(BINS)

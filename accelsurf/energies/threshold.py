@@ -12,7 +12,7 @@ from accelsurf.grid.boxes import runs
 
 #: Width of the soft edge unless given: this part of the image's range, but at most this part of the window, so that
 #: g = -1 in its middle.
-SOFT_RANGE, SOFT_WINDOW = 0.1, 0.25
+_SOFT_RANGE, _SOFT_WINDOW = 0.1, 0.25
 
 
 class Threshold(RegionField):
@@ -59,8 +59,8 @@ class Threshold(RegionField):
 
 def soft_edge(values: float, low: float | None, high: float | None) -> float:
     """Width of the edges of a window, in the image's unit, where none is given; ``values``: range of the image's."""
-    fraction = SOFT_RANGE * float(values)
-    return fraction if low is None or high is None else min(fraction, SOFT_WINDOW * (high - low))
+    fraction = _SOFT_RANGE * float(values)
+    return fraction if low is None or high is None else min(fraction, _SOFT_WINDOW * (high - low))
 
 
 def threshold_field(image: np.ndarray, low: float, high: float, soft: float) -> np.ndarray:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TextIO, TypeVar
 
 from accelsurf.errors import AccelsurfError, InputError, OutputError
 from accelsurf.io.file_set import FileSet, open_set
@@ -278,6 +278,20 @@ def _files_sha256(folder: Path, names: Sequence[str]) -> str:
     return total.hexdigest()
 
 
+@contextmanager
+def open_table(file: str) -> Iterator[TextIO]:
+    """Open a table of text; errors within the block name the file.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read or is too large.
+    """
+    with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
+        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
+        yield stream
+
+
 def read_table(
     file: str,
     world: Sequence[str],
@@ -302,8 +316,7 @@ def read_table(
     InputError
         When it is no such table; the message names the file.
     """
-    with naming(Path(file)), open(file, encoding="utf-8-sig", newline="") as stream:
-        budgets.TABLE.check(os.fstat(stream.fileno()).st_size)
+    with open_table(file) as stream:
         try:
             table = csv.reader((line for line in stream if not line.startswith("#")), skipinitialspace=True)
             columns = [name.strip() for name in next(table, [])]

@@ -1,4 +1,4 @@
-"""The first window of a run: what the person has named, and some voxels around it."""
+"""First window of a run: the voxels that its start and clicks name, and a margin around them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from accelsurf.settings.toml import volume_mm3
 from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
 
-#: Voxels around what was named: as many as its extent, and at least so many.
+#: Least voxels around the start and clicks; otherwise as many as their extent.
 MIN_MARGIN = 4 * GUARD
 
 
@@ -45,12 +45,12 @@ def first_box(config: RunConfig, geometry: Geometry) -> Box:
         When a start looks at values everywhere; InputError when one lies outside.
     """
     texts = [*config.start, *(config.foreground or ()), *(config.background or ())]
-    boxes = [extent_of(text, geometry) for text in texts if text != starts.CLICKS]
+    boxes = [_extent_of(text, geometry) for text in texts if text != starts.CLICKS]
     clicks = []
     for side in SIDES:
         for text in getattr(config, side):
             found = _clicks_of(text, side, geometry)
-            boxes += [click.box for click in found] or [extent_of(text, geometry)]
+            boxes += [click.box for click in found] or [_extent_of(text, geometry)]
             clicks += found
     if not boxes:
         raise UsageError("start: there is no click inside", "give --inside point:X,Y,Z, or another start")
@@ -84,7 +84,7 @@ def _clicks_of(text: str, side: Side, geometry: Geometry) -> list[Click]:
     return read_clicks([text], side, grid, window=Window(geometry, whole_box(geometry.shape)))
 
 
-def extent_of(text: str, geometry: Geometry) -> Box:
+def _extent_of(text: str, geometry: Geometry) -> Box:
     """Return the box of a start or click on a grid.
 
     Parameters
@@ -100,17 +100,13 @@ def extent_of(text: str, geometry: Geometry) -> Box:
 
     Examples
     --------
-    >>> extent_of("ball:4,4,4,2", Geometry((20, 20, 9), (1.0, 1.0, 1.0)))
+    >>> _extent_of("ball:4,4,4,2", Geometry((20, 20, 9), (1.0, 1.0, 1.0)))
     (slice(3, 6, None), slice(3, 6, None), slice(3, 6, None))
     """
     if found := _clicks_of(text, "inside", geometry):
         return functools.reduce(enclosing, (click.box for click in found))
     start = starts.parse(text)
-    if start.kind in starts.BY_VALUES:
-        raise UsageError(
-            f"start {shown(text)!r}: it looks at values everywhere, and the image is read in parts",
-            "give --inside ball:X,Y,Z,R, or a ball, a box, a mesh or a label map as the start",
-        )
+    starts.refuse_values(start, text)
     if start.kind == "label":
         return _of_label(start, geometry)
     if start.kind == "center":

@@ -1,4 +1,4 @@
-"""A run of some objects of an image that is read in parts: groups that may meet, and how far each object came."""
+"""Runs of groups of objects of an image that is read in parts: which may meet, and how far each object came."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ from accelsurf.grid.boxes import Box, Corner, bounding_box, box_at, corner_of, e
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import LeavesWindow, Window
 from accelsurf.large.first_window import MIN_MARGIN
-from accelsurf.large.whole_image import WholeImage
-from accelsurf.large.windowed import LargeImage, larger, run_in
+from accelsurf.large.windowed import LargeImage, LargeRun, larger
 from accelsurf.run.region_of_interest import cropped
-from accelsurf.run.result import SegmentedObject
+from accelsurf.run.result import SegmentedObject, plateaus_on_whole
 from accelsurf.run.run import Run
 from accelsurf.run.setup import PLAIN_BYTES, PROCESS_BYTES, bytes_text, window_reach
 from accelsurf.settings import energy_expression
@@ -30,10 +29,12 @@ from accelsurf.starts.objects import ObjectStart
 
 #: Bytes of a voxel of an object's own box, as of a whole run: image, psi twice, an index of the band, and the band; and
 #: of a voxel of the window beside the file's own: the image as float32, the union of the starts, and a copy of either.
-BOX_BYTES, WINDOW_BYTES = PLAIN_BYTES, 12
+_BOX_BYTES, _WINDOW_BYTES = PLAIN_BYTES, 12
 #: Voxels by which a band may grow in a round, and by which stencils extend.
 REACH = 3
 _ALONE = "give --roi around them, or let the image be read into memory (more --max-memory)"
+#: Positions of objects that are run at once, ascending.
+Group = tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,18 +108,13 @@ def check_settings(config: RunConfig) -> None:
             )
 
 
-def run_group(
-    image: LargeImage, whole: tuple[WholeImage, ...], config: RunConfig, starts: list[ObjectStart], others: Boxes
-) -> GroupResult:
+def run_group(large: LargeRun, starts: list[ObjectStart], others: Boxes) -> GroupResult:
     """Run some objects in a window that is made larger until they stay within it.
 
     Parameters
     ----------
-    image : LargeImage
-    whole : tuple of WholeImage
-        Of each channel.
-    config : RunConfig
-        That `check_settings` lets pass.
+    large : LargeRun
+        Its settings are those that `check_settings` lets pass.
     starts : list of ObjectStart
         On the whole grid, in order of their ids.
     others : Boxes
@@ -131,11 +127,13 @@ def run_group(
     InputError
         As of `accelsurf.segment_objects`; TooLarge when the window that they need is larger than memory.
     """
-    window = Window(image.geometry, _first_box(starts, image.geometry, window_reach(config, image.geometry)))
+    image = large.image
+    reach = window_reach(large.config, image.geometry)
+    window = Window(image.geometry, _first_box(starts, image.geometry, reach))
     while True:
-        refuse_too_large(window, starts, image)
+        _refuse_too_large(window, starts, image)
         try:
-            return _in(window, image, whole, config, starts, others)
+            return _result_in(window, large, starts, others)
         except LeavesWindow as face:
             most = (image.max_bytes - _fixed_bytes(starts)) // _voxel_bytes(image)
             window = larger(window, face, most)
@@ -149,7 +147,7 @@ def _first_box(starts: list[ObjectStart], geometry: Geometry, reach: float) -> B
     return widened(functools.reduce(enclosing, boxes), geometry.shape, margin)
 
 
-def refuse_too_large(window: Window, starts: list[ObjectStart], image: LargeImage) -> None:
+def _refuse_too_large(window: Window, starts: list[ObjectStart], image: LargeImage) -> None:
     """Refuse a window whose run would take more memory than it may.
 
     Raises
@@ -171,27 +169,20 @@ def refuse_too_large(window: Window, starts: list[ObjectStart], image: LargeImag
 def _fixed_bytes(starts: list[ObjectStart]) -> int:
     """Return the memory of a run that does not depend on its window, bytes."""
     boxes = sum(math.prod(n + MIN_MARGIN for n in start.psi.shape) for start in starts)
-    return PROCESS_BYTES + BOX_BYTES * boxes
+    return PROCESS_BYTES + _BOX_BYTES * boxes
 
 
 def _voxel_bytes(image: LargeImage) -> int:
     """Return the memory of a run for each voxel of its window, bytes."""
-    return sum(WINDOW_BYTES + channel.dtype.itemsize for channel in image.channels)
+    return sum(_WINDOW_BYTES + channel.dtype.itemsize for channel in image.channels)
 
 
-def _in(
-    window: Window,
-    image: LargeImage,
-    whole: tuple[WholeImage, ...],
-    config: RunConfig,
-    starts: list[ObjectStart],
-    others: Boxes,
-) -> GroupResult:
-    """The run in a window, as far as it goes."""
+def _result_in(window: Window, large: LargeRun, starts: list[ObjectStart], others: Boxes) -> GroupResult:
+    """Return the result of the run in a window."""
     local = tuple(
         start._replace(corner=corner_of(window.local(box_at(start.corner, start.psi.shape)))) for start in starts
     )
-    with run_in(window, whole, image, config, local) as run:
+    with large.in_window(window, local) as run:
         visited = VisitedBoxes(run, window.corner)
         visited.refuse_near(others)
         while run.step():
@@ -233,7 +224,7 @@ class VisitedBoxes:
                 self._add(place, low - REACH, high + REACH)
 
     def look_at_ends(self) -> None:
-        """Add what is not far outside of the last surfaces."""
+        """Add the voxels that are not far outside of the last surfaces."""
         for place, evolving in enumerate(self._run.objects):
             box = bounding_box(evolving.surface.psi < evolving.surface.gamma)
             if box is not None:
@@ -248,7 +239,7 @@ class VisitedBoxes:
             self._larger.add(place)
 
     def refuse_near(self, others: Boxes) -> None:
-        """Refuse to go on where others begin.
+        """Refuse to continue where others begin.
 
         Raises
         ------
@@ -271,12 +262,8 @@ class VisitedBoxes:
 def _on_whole(segmented: SegmentedObject, window: Window) -> SegmentedObject:
     """An object of a run in a window, on the whole grid: its places are worked out there, to the last digit."""
     box = placed_at(segmented.box, window.corner)
-    rests = tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in segmented.rests)
-    return replace(segmented, box=box, geometry=cropped(window.geometry, box), rests=rests)
-
-
-#: Positions of objects that are run at once, ascending.
-Group = tuple[int, ...]
+    plateaus = plateaus_on_whole(segmented.plateaus, window)
+    return replace(segmented, box=box, geometry=cropped(window.geometry, box), plateaus=plateaus)
 
 
 def united(

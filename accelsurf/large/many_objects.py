@@ -1,6 +1,6 @@
 """Many objects in an image that is read in parts: in groups, each as if all were run at once in memory.
 
-Objects matter to each other only where they come near each other. So they are run in groups, and where an object of one
+Objects matter to each other only where they are neighbours. So they are run in groups, and where an object of one
 group could have met one of another at any time, both groups are run again as one. What is left has the bytes of a run
 of all objects on the whole image: see record 0031.
 """
@@ -21,7 +21,7 @@ from accelsurf.large import object_starts
 from accelsurf.large.group_run import Boxes, Group, GroupResult, MeetsOthers, check_settings, run_group, united
 from accelsurf.large.object_starts import LabelMap, ManyStarts
 from accelsurf.large.whole_image import Numbers, WholeImage
-from accelsurf.large.windowed import LargeImage
+from accelsurf.large.windowed import LargeImage, LargeRun
 from accelsurf.run.energy import make_term
 from accelsurf.run.image_context import ImageContext, TermInputs
 from accelsurf.run.result import SegmentedObject
@@ -29,11 +29,11 @@ from accelsurf.run.start import AROUND
 from accelsurf.settings import energy_expression
 from accelsurf.settings.run_config import RunConfig
 
-#: Objects whose starts are nearer to each other than twice so many voxels are run at once from the beginning.
+#: Objects whose starts are nearer to each other than twice this many voxels are run at once from the beginning.
 MARGIN = 6
-#: A run that comes to where others begin ends at once, as it would not count; so many others are looked at.
+#: A run that comes to where others begin ends at once, as it would not count; so only this many others are checked.
 MAX_OTHERS = 200
-#: Others that begin farther away than twice so many extents of the starts are not looked at.
+#: Others that begin farther away than twice this number of extents of the starts are not checked.
 FAR = 8
 
 
@@ -45,7 +45,7 @@ class ObjectOutcome(NamedTuple):
     failure: str | None = None
 
 
-def first_groups(starts: ManyStarts, margin: int = MARGIN) -> list[Group]:
+def _first_groups(starts: ManyStarts, margin: int = MARGIN) -> list[Group]:
     """Return the groups that objects are run in first: those whose starts are near each other.
 
     Parameters
@@ -64,7 +64,7 @@ class Groups:
     ----------
     starts : ManyStarts
     margin : int, optional
-        As of `first_groups`.
+        As of `_first_groups`.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Groups:
     """
 
     def __init__(self, starts: ManyStarts, margin: int = MARGIN) -> None:
-        self._starts, self.waiting = starts, first_groups(starts, margin)
+        self._starts, self.waiting = starts, _first_groups(starts, margin)
         self._ended: list[Group] = []
         # As far as an object may well grow: several times the extent of its start.
         reach = margin + FAR * (starts.high - starts.low).max(axis=1, keepdims=True, initial=1)
@@ -156,9 +156,9 @@ def segment_many_objects(
         As for ``--objects``: a table of balls, or a label map that can be read in parts; or the map itself.
     config : RunConfig, optional
     margin : int, optional
-        As of `first_groups`.
+        As of `_first_groups`.
     on_group : callable, optional
-        Called with the ids of each group that has ended, and what it left or why it failed.
+        Called with the ids of each group that has ended, and its result or why it failed.
     **options
         Settings by name, over those of ``config``.
 
@@ -178,13 +178,13 @@ def segment_many_objects(
     check_settings(config)
     image.check()
     starts = many_starts(objects, image)
-    whole = image.whole(config)
+    large = LargeRun(image, image.whole(config), config)
     groups, found = Groups(starts, margin), dict[Group, GroupResult | str]()
     while groups.waiting:
         for group in list(groups.waiting):
             others = groups.others(group)
             try:
-                result = run_group(image, whole, config, starts.made(group), groups.starts_of(others))
+                result = run_group(large, starts.made(group), groups.starts_of(others))
             except MeetsOthers as near:
                 groups.put_near(group, [others[place] for place in near.places])
             except (AccelsurfError, MemoryError) as error:
@@ -201,7 +201,7 @@ def segment_many_objects(
 
 
 def numbers_needed(whole: Sequence[WholeImage], config: RunConfig) -> tuple[Numbers, ...]:
-    """Return what the energy of any object asks of the whole image, read through once: the same for all objects.
+    """Return the statistics of the whole image that the energy of any object needs, read through once.
 
     Parameters
     ----------

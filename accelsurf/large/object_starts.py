@@ -52,7 +52,7 @@ class ManyStarts(Protocol):
         ...
 
     def only(self, places: Sequence[int]) -> ManyStarts:
-        """The starts at some positions alone, for another process: what is in a file is read there."""
+        """The starts at some positions alone, for another process, which reads the files itself."""
         ...
 
 
@@ -159,10 +159,10 @@ class LabelMap:
 
     def made(self, places: Sequence[int]) -> list[ObjectStart]:
         """See `ManyStarts`."""
-        half, out = np.float32(0.5 * min(self._geometry.steps)), []
+        out = []
         for place in places:
             box = _box(self.low[place], self.high[place])
-            psi = np.where(self._read(box) == self.ids[place], -half, half)
+            psi = starts.psi_of_mask(self._read(box) == self.ids[place], self._geometry)
             out.append(ObjectStart(int(self.ids[place]), corner_of(box), psi))
         return out
 

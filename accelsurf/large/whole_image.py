@@ -1,4 +1,4 @@
-"""Numbers of a whole large image for a run in a window, and the image itself by boxes or slabs, never held whole."""
+"""Statistics of a whole large image for a run in a window, and the image itself by boxes or slabs, never in memory."""
 
 from __future__ import annotations
 
@@ -27,9 +27,14 @@ from accelsurf.run.preprocessing import SCALE_PERCENTILES, apply, check_filters,
 from accelsurf.starts.region_growing import between_means, otsu_level, sums_beside
 
 #: Bytes of the float32 voxels of a slab.
-SLAB_BYTES = 1 << 27
+_SLAB_BYTES = 1 << 27
 
 Planes = NDArray[np.float32]
+#: Bins of the histogram of Otsu's threshold, as scikit-image has them.
+_OTSU_BINS = 256
+#: Numbers of an image: by the function that finds them and its arguments, and its scale by name.
+Numbers = Mapping[tuple[Any, ...], Any]
+_SCALE = ("scale",)
 
 
 class LevelSlab(NamedTuple):
@@ -41,14 +46,14 @@ class LevelSlab(NamedTuple):
 
 
 class ImageSlabs:
-    """An image that is read in parts and filtered with what lies around them: the bytes of the whole, filtered.
+    """An image that is read in parts and filtered with their surroundings: the bytes of the whole, filtered.
 
     Parameters
     ----------
     source : LazyVolume
     filters : ImageFilters
     slab_bytes : int
-        Bytes of a slab as float32; at least a plane is read. About two and a half times as many are held at once,
+        Bytes of a slab as float32; at least a plane is read. About two and a half times as many are in memory at once,
         also of the halo, which is four standard deviations and two radii of a closing on
         either side.
 
@@ -58,7 +63,7 @@ class ImageSlabs:
         When a filter is so wide that it takes too long.
     """
 
-    def __init__(self, source: LazyVolume, filters: ImageFilters, slab_bytes: int = SLAB_BYTES) -> None:
+    def __init__(self, source: LazyVolume, filters: ImageFilters, slab_bytes: int = _SLAB_BYTES) -> None:
         check_filters(filters, source.geometry)
         self.source, self.filters, self.geometry = source, filters, source.geometry
         self.planes = max(1, slab_bytes // (4 * math.prod(self.geometry.shape[1:])))
@@ -131,13 +136,6 @@ class ImageSlabs:
             yield slice(start, min(start + planes, count))
 
 
-#: Bins of the histogram of Otsu's threshold, as scikit-image has them.
-OTSU_BINS = 256
-#: Numbers of an image: by the function that finds them and its arguments, and its scale by name.
-Numbers = Mapping[tuple[Any, ...], Any]
-_SCALE = ("scale",)
-
-
 class WholeImage:
     """Numbers of a whole image, read slab by slab in a fixed order: the bytes that they have of the image in memory.
 
@@ -168,7 +166,7 @@ class WholeImage:
         source: LazyVolume,
         filters: ImageFilters = NO_FILTERS,
         statistics_from: LazyVolume | None = None,
-        slab_bytes: int = SLAB_BYTES,
+        slab_bytes: int = _SLAB_BYTES,
         numbers: Numbers | None = None,
     ) -> None:
         self.geometry = source.geometry
@@ -230,7 +228,7 @@ class WholeImage:
         Raises
         ------
         ValueError
-            When ``make`` is another one: it would have to hold the image.
+            When ``make`` is another one: it would need all of the image.
         """
         # Methods of classes are made anew each time that they are named: they are compared by what they are equal to.
         ways: list[tuple[Callable[..., Any], Callable[..., Any]]] = [
@@ -311,7 +309,7 @@ class WholeImage:
     def _parzen(self) -> Parzen:
         return Parzen.between(self._order.percentiles(END_PERCENTILES, self._scaled), self._extremes)
 
-    # -- what takes a pass of its own ------------------------------------------------------------------------
+    # -- statistics with a separate pass ----------------------------------------------------------------------
 
     def _noise(self) -> float:
         places = sample_places(self._slabs.geometry.shape)
@@ -341,14 +339,14 @@ class WholeImage:
 
     def _otsu_counts(self) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Histogram of the scaled image between its extremes, and the edges of the bins."""
-        edges = np.histogram(self._extremes, OTSU_BINS)[1]
+        edges = np.histogram(self._extremes, _OTSU_BINS)[1]
         if isinstance(self._order, IntegerCounts):
             # Values that occur, ascending: how many fall into each bin tells the bin of each.
             occurs = self._order.counts > 0
-            share = np.histogram(self._scaled(self._order.values[occurs]), OTSU_BINS)[0]
-            counts = np.zeros(OTSU_BINS, np.int64)
-            np.add.at(counts, np.repeat(np.arange(OTSU_BINS), share), self._order.counts[occurs])
+            share = np.histogram(self._scaled(self._order.values[occurs]), _OTSU_BINS)[0]
+            counts = np.zeros(_OTSU_BINS, np.int64)
+            np.add.at(counts, np.repeat(np.arange(_OTSU_BINS), share), self._order.counts[occurs])
             return counts, edges
         ends: Any = tuple(self._extremes)  # float32, as numpy takes them from an array
-        parts = (np.histogram(self._scaled(values), OTSU_BINS, ends)[0] for _, values in self._slabs.filtered())
+        parts = (np.histogram(self._scaled(values), _OTSU_BINS, ends)[0] for _, values in self._slabs.filtered())
         return np.sum(list(parts), axis=0, dtype=np.int64), edges

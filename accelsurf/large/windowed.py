@@ -1,9 +1,8 @@
 """A run on an image that is not in memory: in a window that is made larger until the surface stays within it.
 
 The result has the bytes of a run on the whole image, whatever windows came before the last one: see
-`accelsurf.grid.window`.
-
-The finest level of an image stored as a pyramid that fits into the memory.
+`accelsurf.grid.window`. Of an image that is stored as a pyramid, `fitting_level` is the finest level whose run fits
+into the memory.
 """
 
 from __future__ import annotations
@@ -12,10 +11,10 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from accelsurf.correct.finished import OnObjectStep, finished
-from accelsurf.errors import GeometryError, InputError, UsageError
+from accelsurf.errors import InputError, UsageError
 from accelsurf.grid import pyramid
 from accelsurf.grid.boxes import widened
 from accelsurf.grid.geometry import Geometry
@@ -28,24 +27,25 @@ from accelsurf.large.first_window import first_box
 from accelsurf.large.whole_image import Numbers, WholeImage
 from accelsurf.run.arguments import split_given, with_options
 from accelsurf.run.checkpoint_file import CheckpointFile
-from accelsurf.run.preprocessing import filters_of, uses_model
+from accelsurf.run.preprocessing import check_grids, filters_of, uses_model
 from accelsurf.run.region_of_interest import cropped, region_of_run
-from accelsurf.run.result import Result
+from accelsurf.run.result import Result, plateaus_on_whole
 from accelsurf.run.run import Run
 from accelsurf.run.setup import allowed_bytes, bytes_text, run_bytes, seeded, values_within
 from accelsurf.run.window_input import WindowInput, has_region
 from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.starts.objects import ObjectStart
 
-#: Statistics of an image of more voxels are those of a coarser level, where one of at most so many is stored.
+#: Statistics of an image of more voxels are those of a coarser level, where one of at most this number is stored.
 MAX_STREAMED = 1 << 31
-#: A window grows by so many times its extent where it was left, or by less where memory does not hold that.
+#: Growth of a window where it was left, in extents of it; less where the memory is too small for that.
 GROWTH = 1.0
 #: Levels for which a first window has room, where their number is chosen by the start.
-FIRST_LEVELS = 3
+_FIRST_LEVELS = 3
 #: What the voxels of a region of interest have around them: a result ends half a voxel beyond the region.
-AROUND_REGION = 2
+_AROUND_REGION = 2
 
 
 @dataclass(frozen=True)
@@ -89,13 +89,7 @@ class LargeImage:
         ------
         GeometryError
         """
-        for channel in self.channels[1:]:
-            if not channel.geometry.matches(self.geometry):
-                raise GeometryError(
-                    f"channel {channel.source or ''}: on another grid than the image: "
-                    f"{channel.geometry.difference(self.geometry)}",
-                    "resample it to the image's grid first",
-                )
+        check_grids(self.channels)
 
     def whole(self, config: RunConfig, numbers: Sequence[Numbers] = ()) -> tuple[WholeImage, ...]:
         """Return the numbers of each whole channel, which is read through when it is first asked for.
@@ -108,6 +102,31 @@ class LargeImage:
             WholeImage(channel, filters, coarse, numbers=numbers_of)
             for channel, coarse, numbers_of in zip(self.channels, levels, known, strict=True)
         )
+
+
+class LargeRun(NamedTuple):
+    """A large image, numbers of each whole channel (none with a region of interest), and the settings of a run."""
+
+    image: LargeImage
+    whole: tuple[WholeImage, ...]
+    config: RunConfig
+
+    def in_window(self, window: Window, starts: tuple[ObjectStart, ...] | None = None) -> Run:
+        """Return the run in a window; ``starts`` as of `WindowInput`.
+
+        Raises
+        ------
+        LeavesWindow
+            When the window is too small for the model of clicks.
+        """
+        image, geometry = self.image, cropped(window.geometry, window.box)
+        volumes = [
+            Volume(channel.read(window.box), geometry, dict(channel.metadata), channel.source)
+            for channel in image.channels
+        ]
+        filtered = tuple(channel.window(window.box) for channel in self.whole or image.whole(self.config))
+        part = WindowInput(window, filtered, self.whole, starts)
+        return Run(volumes[0], self.config, channels=volumes[1:], part=part)
 
 
 def _for_statistics(image: LazyVolume) -> LazyVolume | None:
@@ -185,24 +204,25 @@ def segment_in_windows(
     """
     checkpoints = None if checkpoint_to is None else CheckpointFile(Path(checkpoint_to))
     config = seeded(config if checkpoints is None else checkpoints.begun(config))
-    check_settings(config)
+    _check_settings(config)
     image.check()
     saved = None if checkpoints is None else checkpoints.window(image.geometry)
     window = saved or first_window(config, image.geometry)
-    whole = () if has_region(config) else image.whole(config)
+    large = LargeRun(image, () if has_region(config) else image.whole(config), config)
     while True:
-        refuse_too_large(window, image, config)
+        _refuse_too_large(window, image, config)
         if on_window is not None:
             on_window(window)
         try:
-            return _in(window, whole, image, config, on_step, on_warning, checkpoints)
+            result = finished(large.in_window(window), on_step, on_warning, checkpoints)
+            return _in_window(result, window, large.whole)
         except LeavesWindow as face:
             if checkpoints is not None:
                 checkpoints.clear()
             most = values_within(image.max_bytes, uses_model(config), config.flow) // len(image.channels)
             window = larger(window, face, most)
         except NeedsLevels as more:
-            window = on_levels(window, more.count)
+            window = _on_levels(window, more.count)
 
 
 def first_window(config: RunConfig, geometry: Geometry) -> Window:
@@ -215,78 +235,40 @@ def first_window(config: RunConfig, geometry: Geometry) -> Window:
         Of the whole grid.
     """
     if has_region(config):
-        return Window(geometry, widened(region_of_run(config, geometry), geometry.shape, [AROUND_REGION] * 3))
+        return Window(geometry, widened(region_of_run(config, geometry), geometry.shape, [_AROUND_REGION] * 3))
     window = Window(geometry, first_box(config, geometry))
-    return on_levels(window, FIRST_LEVELS if config.levels == "auto" else config.levels)
+    return _on_levels(window, _FIRST_LEVELS if config.levels == "auto" else config.levels)
 
 
-def on_levels(window: Window, count: int) -> Window:
-    """Return the smallest window around another whose blocks are those of the whole grid on so many levels."""
-    return Window(window.geometry, aligned(window.box, window.geometry, blocks_of(window.geometry, count)), count)
+def _on_levels(window: Window, count: int) -> Window:
+    """Return the smallest window around another whose blocks are those of the whole grid on a number of levels."""
+    return Window(window.geometry, aligned(window.box, window.geometry, _blocks_of(window.geometry, count)), count)
 
 
-def _in(
-    window: Window,
-    whole: tuple[WholeImage, ...],
-    image: LargeImage,
-    config: RunConfig,
-    on_step: OnObjectStep | None,
-    on_warning: Callable[[str], None] | None,
-    checkpoints: CheckpointFile | None,
-) -> Result:
-    """The result of a run in a window."""
-    run = run_in(window, whole, image, config)
-    result = finished(run, on_step, on_warning, checkpoints)
+def _in_window(result: Result, window: Window, whole: Sequence[WholeImage]) -> Result:
+    """Return the result of a run in a window, with places on the whole grid and notes on the statistics."""
     objects = tuple(
-        replace(
-            segmented, rests=tuple(rest._replace(place=window.place_on_whole(rest.place)) for rest in segmented.rests)
-        )
-        for segmented in result.objects
+        replace(segmented, plateaus=plateaus_on_whole(segmented.plateaus, window)) for segmented in result.objects
     )
-    return replace(result, objects=objects, window=window, state=None, warnings=[*result.warnings, *notes_of(whole)])
+    warnings = [*result.warnings, *notes_of(whole)]
+    return replace(result, objects=objects, window=window, state=None, warnings=warnings)
 
 
 def notes_of(whole: Sequence[WholeImage]) -> list[str]:
-    """Return what numbers of the whole image are taken from, where not from all of it."""
+    """Return a note for each coarser image that statistics are taken from.
+
+    Where all are of the whole image there is none.
+    """
     found = {channel.statistics for channel in whole} - {"exact"}
     return [f"values of the whole image are those of {where}" for where in sorted(found)]
 
 
-def run_in(
-    window: Window, whole: tuple[WholeImage, ...], image: LargeImage, config: RunConfig, starts: Any = None
-) -> Run:
-    """Return the run in a window.
-
-    Parameters
-    ----------
-    window : Window
-    whole : tuple of WholeImage
-        Of each channel; empty with a region of interest.
-    image : LargeImage
-    config : RunConfig
-    starts : tuple of ObjectStart, optional
-        As of `WindowInput`.
-
-    Raises
-    ------
-    LeavesWindow
-        When the window is too small for the model of clicks.
-    """
-    geometry = cropped(window.geometry, window.box)
-    volumes = [
-        Volume(channel.read(window.box), geometry, dict(channel.metadata), channel.source) for channel in image.channels
-    ]
-    channels = whole or image.whole(config)
-    smoothed = tuple(channel.window(window.box) for channel in channels)
-    return Run(volumes[0], config, channels=volumes[1:], part=WindowInput(window, smoothed, whole, starts))
-
-
-def blocks_of(geometry: Geometry, count: int) -> tuple[int, int, int]:
-    """Voxels of a block of the coarsest of so many levels, as far as there are so many, along each axis."""
+def _blocks_of(geometry: Geometry, count: int) -> tuple[int, int, int]:
+    """Voxels of a block of the coarsest of ``count`` levels, or of all if there are fewer, along each axis."""
     return pyramid.levels(geometry.shape, geometry.spacing, count)[-1].factors
 
 
-def refuse_too_large(window: Window, image: LargeImage, config: RunConfig) -> None:
+def _refuse_too_large(window: Window, image: LargeImage, config: RunConfig) -> None:
     """Refuse a window whose run would take more memory than it may.
 
     Raises
@@ -309,11 +291,11 @@ def refuse_too_large(window: Window, image: LargeImage, config: RunConfig) -> No
 
 
 def larger(window: Window, face: LeavesWindow, most: int) -> Window:
-    """Return the next window: larger where it was left, with at most so many voxels.
+    """Return the next window: larger where it was left, with at most ``most`` voxels.
 
     Where that does not go far enough, the smallest that is larger is returned, which is refused then.
     """
-    factor, blocks = GROWTH, blocks_of(window.geometry, window.levels)
+    factor, blocks = GROWTH, _blocks_of(window.geometry, window.levels)
     while True:
         box = enlarged(window, face, blocks, factor)
         if math.prod(s.stop - s.start for s in box) <= most:
@@ -324,8 +306,8 @@ def larger(window: Window, face: LeavesWindow, most: int) -> Window:
     return Window(window.geometry, box, window.levels)
 
 
-def check_settings(config: RunConfig) -> None:
-    """Refuse what a run in a window cannot do.
+def _check_settings(config: RunConfig) -> None:
+    """Refuse settings that a run in a window cannot have.
 
     Raises
     ------

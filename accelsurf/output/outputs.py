@@ -143,7 +143,7 @@ def _label_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]
 
 def _plateau_writers(result: Result, names: Mapping[str, str]) -> Iterator[Writer]:
     """The writers of the label maps of plateaus: each object at its plateau of that number, else at its end."""
-    count = max((len(segmented.rests) for segmented in result.objects), default=0)
+    count = max((len(segmented.plateaus) for segmented in result.objects), default=0)
     for number in range(1, count + 1):
         if (kind := f"rest{number}") in names:
             yield kind, names[kind], functools.partial(_write_plateau, result, number)
@@ -152,7 +152,7 @@ def _plateau_writers(result: Result, names: Mapping[str, str]) -> Iterator[Write
 def _write_plateau(result: Result, number: int, path: Path) -> None:
     labels = np.zeros_like(result.labels)
     for segmented in result.objects:
-        inside = segmented.labels if len(segmented.rests) < number else segmented.rests[number - 1].labels
+        inside = segmented.labels if len(segmented.plateaus) < number else segmented.plateaus[number - 1].labels
         part = labels[segmented.box]
         part[(inside > 0) & (part == 0)] = segmented.id
     _write_labels(result, labels, path)
@@ -243,7 +243,7 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
         anatomical=is_anatomical(result.volume.metadata),
         reference=reference,
         objects=_object_shapes(result) if result.has_ids else (),
-        late_growth=result.late_growth,
+        late_growth=result.late_leakage,
         next_clicks=_next_clicks(result),
         window=parse_window(result.config.window),
         unit=result.volume.metadata.get(UNIT_KEY, "mm"),

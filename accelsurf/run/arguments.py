@@ -22,13 +22,13 @@ from accelsurf.starts import starts
 from accelsurf.starts.objects import ObjectStart
 
 #: Settings that may be given as arrays, volumes, meshes or lists of balls.
-GIVEN = ("start", "mask", "foreground", "background", "inside", "outside")
-EXPECTED = "a text, a mask (array or Volume), a mesh with vertices and faces, or a list of (x, y, z, r) in mm"
+_GIVEN = ("start", "mask", "foreground", "background", "inside", "outside")
+_EXPECTED = "a text, a mask (array or Volume), a mesh with vertices and faces, or a list of (x, y, z, r) in mm"
 
 
 def split_given(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Separate the options of `RunConfig` from those given as arrays, volumes, meshes or balls."""
-    given = {key: value for key, value in options.items() if key in GIVEN and not _is_text(value)}
+    given = {key: value for key, value in options.items() if key in _GIVEN and not _is_text(value)}
     return {key: value for key, value in options.items() if key not in given}, given
 
 
@@ -101,7 +101,7 @@ def _balls(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
         table = np.empty(0)
     table = table[np.newaxis] if table.ndim == 1 else table
     if table.ndim != 2 or table.shape[1] != 4 or not np.isfinite(table).all():
-        raise UsageError(f"{name}: a {type(value).__name__} was given, expected {EXPECTED}", "see accelsurf.segment")
+        raise UsageError(f"{name}: a {type(value).__name__} was given, expected {_EXPECTED}", "see accelsurf.segment")
     texts = [f"ball:{x!r},{y!r},{z!r},{r!r}" for x, y, z, r in table.tolist()]
     return starts.build(texts, Volume(np.zeros(geometry.shape, np.uint8), geometry))
 

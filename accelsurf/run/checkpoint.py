@@ -38,6 +38,12 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
 from accelsurf.version import __version__
 
+#: Settings that do not change the steps of a run so far, or change the outputs only.
+FREE = frozenset({
+    "threads", "max_steps", "mesh", "mesh_space", "save_sdf", "format", "reproducible", "keep_state", "checkpoint",
+})
+_BEGIN = "begin anew without --resume, with --overwrite"
+
 
 class RunCheckpoint(NamedTuple):
     """A run between two steps, before the edits of the coming one.
@@ -56,7 +62,7 @@ class RunCheckpoint(NamedTuple):
         Of the levels before.
     warnings : tuple of str
     growth : GrowthState or None
-        Of what watches the run (`accelsurf.run.late_growth`), where it is to go on.
+        Of the observer of late leakage (`accelsurf.run.late_growth`), where there is one.
     """
 
     step: int
@@ -74,13 +80,6 @@ class RunCheckpoint(NamedTuple):
         return sum(segmented.nbytes for segmented in self.objects)
 
 
-#: Settings that do not change what a run has done up to a step, or only what is written at the end.
-FREE = frozenset({
-    "threads", "max_steps", "mesh", "mesh_space", "save_sdf", "format", "reproducible", "keep_state", "checkpoint",
-})
-_BEGIN = "begin anew without --resume, with --overwrite"
-
-
 class CheckpointHeader(NamedTuple):
     """Identity of the run of a checkpoint.
 
@@ -89,7 +88,7 @@ class CheckpointHeader(NamedTuple):
     versions : dict of str to str
         Of accelsurf and of what its numbers depend on; ``processor`` is the one that the code was compiled for.
     run : str
-        `run_digest`.
+        `_run_digest`.
     settings : dict
         Those that the run began with, with the seed that was drawn.
     window : tuple of int or None
@@ -142,7 +141,7 @@ def versions() -> dict[str, str]:
 def checkpoint_header(run: Source) -> CheckpointHeader:
     """The header of a run's checkpoints, the same at every step."""
     window = None if run.window is None else (*run.window.corner, *run.window.shape, run.window.levels)
-    return CheckpointHeader(versions(), run_digest(run), run.config.model_dump(mode="json"), window)
+    return CheckpointHeader(versions(), _run_digest(run), run.config.model_dump(mode="json"), window)
 
 
 def save_checkpoint(path: str | Path, checkpoint: RunCheckpoint, header: CheckpointHeader) -> None:
@@ -232,7 +231,7 @@ def refuse_another_run(path: str | Path, header: CheckpointHeader, here: Checkpo
     raise InputError(f"{path}: a checkpoint of {what}", "give those of the run that wrote it, or begin anew")
 
 
-def run_digest(run: Source) -> str:
+def _run_digest(run: Source) -> str:
     """SHA-256 of what determines the steps of a run: voxels, grid, starts and settings, but not the number of threads.
 
     Of an energy of one's own it is the name.

@@ -1,4 +1,4 @@
-"""The file that a run writes its state to every so often, and goes on from after it was killed."""
+"""File to which a run writes its state at intervals, and from which it goes on after it was killed."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from accelsurf.run.checkpoint import (
     save_checkpoint,
     versions,
 )
-from accelsurf.run.late_growth import LateGrowth
+from accelsurf.run.late_growth import LateLeakage
 from accelsurf.run.run import Run
 from accelsurf.run.setup import needs_seed
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import interval_of
 
-#: As often a run writes its state that is given a file for it and not told how often.
-DEFAULT_INTERVAL = "1min"
+#: Interval at which a run writes its state to its file, unless one is given.
+_DEFAULT_INTERVAL = "1min"
 
 
 class CheckpointFile:
@@ -32,17 +32,17 @@ class CheckpointFile:
     Parameters
     ----------
     path : Path
-        Where it exists, the run goes on from it.
+        Where it exists, the run continues from it.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._interval = interval_of(DEFAULT_INTERVAL)
+        self._interval = interval_of(_DEFAULT_INTERVAL)
         self._header: CheckpointHeader | None = None
         self._written_at, self._seconds = 0, 0.0
 
     def begun(self, config: RunConfig) -> RunConfig:
-        """The settings with the seed that the run drew when it began, where it is to go on and none is given.
+        """The settings with the seed that the run drew when it began, where it continues and none is given.
 
         Raises
         ------
@@ -55,7 +55,7 @@ class CheckpointFile:
         return config if seed is None else config.replace(seed=seed)
 
     def window(self, geometry: Geometry) -> Window | None:
-        """The part of a large image, on the grid ``geometry``, on which the run is to go on; None where it begins anew.
+        """The part of a large image, on the grid ``geometry``, on which the run continues; None where it begins anew.
 
         Raises
         ------
@@ -73,20 +73,20 @@ class CheckpointFile:
         """Remove the file: the run begins anew."""
         self.path.unlink(missing_ok=True)
 
-    def restore(self, run: Run, growth: LateGrowth) -> list[str]:
-        """Go on from the file, where it exists, and begin to count steps and seconds.
+    def restore(self, run: Run, growth: LateLeakage) -> list[str]:
+        """Continue from the file, where it exists, and begin to count steps and seconds.
 
         Returns
         -------
         list of str
-            What may make the result differ in its last bits from that of a run that was never stopped.
+            Reasons for which the last bits of the result may differ from those of a run that was never stopped.
 
         Raises
         ------
         InputError
             When the file is damaged, or of another run.
         """
-        self._interval = interval_of(run.config.checkpoint or DEFAULT_INTERVAL)
+        self._interval = interval_of(run.config.checkpoint or _DEFAULT_INTERVAL)
         self._header, warnings = checkpoint_header(run), []
         if self.path.exists():
             header, state = read_checkpoint(self.path)
@@ -98,7 +98,7 @@ class CheckpointFile:
         self._written_at, self._seconds = run.step_number, time.monotonic()
         return warnings
 
-    def watch(self, run: Run, growth: LateGrowth, at_once: bool = False) -> None:
+    def watch(self, run: Run, growth: LateLeakage, at_once: bool = False) -> None:
         """Write the state if the interval is over, or ``at_once``; between two steps.
 
         Raises

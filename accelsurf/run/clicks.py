@@ -1,4 +1,4 @@
-"""Clicks and balls of a run after each of its edits, checks of these, and the contexts that energies see then."""
+"""Clicks and balls of a run after each of its corrections, checks of these, and the contexts that energies see then."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Objects that move beside each other and never overlap.
 
-They are moved in rounds, one step each. Those that are near each other take turns, in the order of their ids, and
-each uses the present surfaces of the others; the rest moves at the same time in threads. So the result does not depend
-on the number of threads.
+They move in rounds, one step each. Those that are near each other take turns, in the order of their ids, and each uses
+the present surfaces of the others; all others move at the same time in threads. So the result does not depend on the
+number of threads.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ NEAR = 2
 #: going for ever.
 REACTIVATION_DEPTH = 0.5
 #: Reasons that hold for the whole run if they hold for any object, the worst first.
-WORST: tuple[StopReason, ...] = ("interrupted", "diverged", "leaked", "stalled", "max-steps", "filled")
+_WORST: tuple[StopReason, ...] = ("interrupted", "diverged", "leaked", "stalled", "max-steps", "filled")
 T = TypeVar("T")
 
 
@@ -227,7 +227,7 @@ def within(start: ObjectStart, prepared: PreprocessedInput) -> ObjectStart:
 def overall_stop(stops: Sequence[Stop]) -> Stop:
     """Why several ended: ``converged`` if all that remain did, ``vanished`` if none remains, else the worst."""
     counts: Counter[StopReason] = Counter(stop.reason for stop in stops)
-    worst = next((reason for reason in WORST if counts[reason]), None)
+    worst = next((reason for reason in _WORST if counts[reason]), None)
     left: StopReason = "converged" if counts["converged"] else "vanished"
     message = ", ".join(f"{count} {reason}" for reason, count in sorted(counts.items()))
     steps, longest = max(stop.steps for stop in stops), max(stop.time for stop in stops)

@@ -1,6 +1,7 @@
-"""One object of a run: its surface on a box of the present level's grid, its energy and its flow.
+"""One object of a run: its surface on a box of the present level's grid, its energy, its flow, its state between steps.
 
-Values that belong to one object of a run: the energy made for it, and its state between two steps.
+Alone it has the whole grid of the region of interest. Among others its box grows with it, and its energy keeps it from
+entering them.
 """
 
 from __future__ import annotations
@@ -33,6 +34,10 @@ from accelsurf.run.image_context import ImageContext
 from accelsurf.run.start_pyramid import LevelInputs, StartPyramid, finer_box, to_finest
 from accelsurf.starts.objects import ObjectStart
 
+#: Margin of an object's box around the object: at least `ROOM` voxels and the fraction `_ROOM_PART` of its extent; the
+#: box is made larger when the band comes within `GUARD` voxels of its edge.
+ROOM, _ROOM_PART, GUARD = 10, 0.5, 3
+
 
 def leaked_stop(stop: Stop, setup: SolverSetup) -> Stop:
     """Return a stop with the reason that the object is larger than allowed."""
@@ -49,11 +54,7 @@ class EvolvingObject:
         On the whole grid for a single object.
     inputs : LevelInputs
         Images and mask by level.
-    context : ImageContext
-        Data of the image that its energy needs.
-    setup : SolverSetup
-    make_energy : callable
-        Makes a `MadeEnergy` of (image, spacing, context).
+    solver : ObjectSolver
     workers : Workers
     max_steps : int
         Of all levels together.
@@ -66,25 +67,32 @@ class EvolvingObject:
         self,
         start: ObjectStart,
         inputs: LevelInputs,
-        context: ImageContext,
-        setup: SolverSetup,
-        make_energy: EnergyMaker,
+        solver: ObjectSolver,
         workers: Workers,
         max_steps: int,
         among_others: bool,
     ) -> None:
-        self.id, self.workers, self.context = start.id, workers, context
+        self.id, self.workers = start.id, workers
         self.leaked, self.reactivations = False, 0
-        self._inputs, self._setup, self._make_energy = inputs, setup, make_energy
+        self._inputs, self._solver = inputs, solver
         self._among_others = among_others
         self._max_steps, self._stop_requested = max_steps, False
         self._starts = StartPyramid(start, inputs.grids)
-        self._clicks = LevelClicks(context, inputs.grids)
+        self._clicks = LevelClicks(solver.context, inputs.grids)
         self.corner: Corner = (0, 0, 0)
         self.made: MadeEnergy
         self.evolution: Evolution
 
-    # -- what it is ----------------------------------------------------------------------------------------
+    @property
+    def context(self) -> ImageContext:
+        """Data of the image that its energy needs."""
+        return self._solver.context
+
+    @property
+    def _setup(self) -> SolverSetup:
+        return self._solver.setup
+
+    # -- state --------------------------------------------------------------------------------------------
 
     @property
     def surface(self) -> LevelSet:
@@ -216,7 +224,7 @@ class EvolvingObject:
     ) -> None:
         """Transfer the surface, known from voxel ``at`` on, to a box of the grid, and continue ``before`` there."""
         self.corner = corner_of(box)
-        psi = psi_on_box(known, at, box)
+        psi = _psi_on_box(known, at, box)
         self._bound(psi)
         surface = self._surface_of(psi)
         fields = None
@@ -250,7 +258,7 @@ class EvolvingObject:
         images = inputs.images(self.level, box)
         level, clicks = self.level, self._clicks
         context = self.context.with_channels(images[1:], lambda: clicks.field(level, box))
-        self.made = self._make_energy(images[0], self.grid.spacing, context)
+        self.made = self._solver.make_energy(images[0], self.grid.spacing, context)
         energy = constrained(self.made.energy, inputs.mask_distance(level, box), clicks.bounds(level, box))
         return NonOverlap(energy, self.corner) if self._among_others else energy
 
@@ -289,7 +297,7 @@ class EvolvingObject:
         """Change to a larger box when the band, or the part from ``low`` to ``high``, comes near its edge."""
         if low is None or high is None:
             low, high = self.extent()
-        box = larger_box(low, high, box_at(self.corner, self.surface.shape), self._setup.reach, self.grid)
+        box = _larger_box(low, high, box_at(self.corner, self.surface.shape), self._setup.reach, self.grid)
         if box is not None:
             before, at = self.evolution, self.corner
             before.measure()
@@ -316,44 +324,37 @@ class EvolvingObject:
         stop = self.evolution.stop
         return stop is None or (stop.reason in ("converged", "stalled") and self.surface.size > 0)
 
-    def set_up(self, setup: SolverSetup, make_energy: EnergyMaker, context: ImageContext) -> bool:
-        """Have another set-up, energy and context on the following levels; returns whether the context is another."""
-        self._setup, self._make_energy, self.reactivations = setup, make_energy, 0
-        if context is self.context:
+    def set_up(self, solver: ObjectSolver) -> bool:
+        """Have another solver on the following levels; returns True if its context is another one."""
+        before, self._solver, self.reactivations = self._solver, solver, 0
+        if solver.context is before.context:
             return False
-        self.context, self._clicks = context, LevelClicks(context, self._inputs.grids)
+        self._clicks = LevelClicks(solver.context, self._inputs.grids)
         return True
 
-    def edit(
-        self,
-        setup: SolverSetup,
-        make_energy: EnergyMaker,
-        new_energy: bool,
-        balls: tuple[BallEdit, ...],
-        context: ImageContext,
-    ) -> None:
+    def edit(self, solver: ObjectSolver, new_energy: bool, balls: tuple[BallEdit, ...]) -> None:
         """Continue with other settings, and with ``balls`` added to the object or removed from it, or more clicks.
 
-        ``setup`` and ``make_energy`` are of this level and the following ones; ``new_energy``: whether the energy
-        changes; ``context`` is another one than before where clicks were added.
+        ``solver`` is of this level and the following ones, its context another one where clicks were added;
+        ``new_energy`` is True if the energy changes.
         """
         if self._among_others:
-            # On the grid as it is the old energy goes on, until the new one begins.
+            # The old energy acts on the present grid until the new one begins.
             extents = [ball.extent(self.grid) for ball in balls if ball.kind == "add"]
             none = np.array(self.grid.shape), np.zeros(3, np.int64)
-            extents.append(LevelClicks(context, self._inputs.grids).extended(*none, self.level))
+            extents.append(LevelClicks(solver.context, self._inputs.grids).extended(*none, self.level))
             for low, high in extents:
                 if (low < high).all():
                     self._make_room(low, high)
             if self.evolution.stop is not None and self.level == 0:
                 self.evolution.history.pop()
-        clicked = self.set_up(setup, make_energy, context)
+        clicked = self.set_up(solver)
         energy = self._energy_on(box_at(self.corner, self.surface.shape)) if new_energy or clicked else None
         change = (lambda surface: self._change_psi(surface, balls)) if balls or clicked else None
         self.evolution = self.evolution.edited(energy, self._setup_here, change)
 
     def _make_room(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
-        """Make the box large enough for what lies between two voxels."""
+        """Make the box large enough for the voxels between two."""
         own_low, own_high = self.extent()
         if self.surface.size:
             low, high = np.minimum(low, own_low), np.maximum(high, own_high)
@@ -372,12 +373,9 @@ class EvolvingObject:
         made = self.evolution.checkpoint()
         return ObjectCheckpoint(self.corner, self.surface.shape, self.leaked, made, self.reactivations)
 
-    def restore(
-        self, checkpoint: ObjectCheckpoint, setup: SolverSetup, make_energy: EnergyMaker, new_energy: bool,
-        context: ImageContext,
-    ) -> None:
+    def restore(self, checkpoint: ObjectCheckpoint, solver: ObjectSolver, new_energy: bool) -> None:
         """Go back to a state of this level, with the settings that were in force then."""
-        new_energy |= self.set_up(setup, make_energy, context)
+        new_energy |= self.set_up(solver)
         self.leaked, self.reactivations, self._stop_requested = checkpoint.leaked, checkpoint.reactivations, False
         energy = None
         if (self.corner, self.surface.shape) != (checkpoint.corner, checkpoint.shape):
@@ -404,11 +402,6 @@ class EvolvingObject:
         return corner, psi
 
 
-#: Margin of an object's box around the object: at least `ROOM` voxels and the fraction `ROOM_PART` of its extent; the
-#: box is made larger when the band comes within `GUARD` voxels of its edge.
-ROOM, ROOM_PART, GUARD = 10, 0.5, 3
-
-
 def roomy_box(low: NDArray[np.int64], high: NDArray[np.int64], reach: float, grid: Level) -> Box:
     """Return the box for an object between two voxels: its energy sees there what it sees on the whole grid.
 
@@ -422,11 +415,11 @@ def roomy_box(low: NDArray[np.int64], high: NDArray[np.int64], reach: float, gri
     """
     a, b, c = (slice(int(i), int(j)) for i, j in zip(low, high, strict=True))
     needed = [max(ROOM, math.ceil(reach / h) + GUARD) for h in grid.spacing]
-    room = [max(m, math.ceil(ROOM_PART * (j - i))) for m, i, j in zip(needed, low, high, strict=True)]
+    room = [max(m, math.ceil(_ROOM_PART * (j - i))) for m, i, j in zip(needed, low, high, strict=True)]
     return widened((a, b, c), grid.shape, (room[0], room[1], room[2]))
 
 
-def larger_box(low: NDArray[np.int64], high: NDArray[np.int64], box: Box, reach: float, grid: Level) -> Box | None:
+def _larger_box(low: NDArray[np.int64], high: NDArray[np.int64], box: Box, reach: float, grid: Level) -> Box | None:
     """Return a larger box for an object between two voxels that come near the edge of its box; None where they do not.
 
     Parameters
@@ -443,7 +436,7 @@ def larger_box(low: NDArray[np.int64], high: NDArray[np.int64], box: Box, reach:
     return roomy_box(np.minimum(low, first + GUARD), np.maximum(high, end - GUARD), reach, grid)
 
 
-def psi_on_box(known: NDArray[np.float32], at: Corner, box: Box) -> NDArray[np.float32]:
+def _psi_on_box(known: NDArray[np.float32], at: Corner, box: Box) -> NDArray[np.float32]:
     """Return psi on a box, known from voxel ``at`` on; beyond the known values everything is outside."""
     psi = np.full(tuple(s.stop - s.start for s in box), farthest(known), np.float32)
     mine, theirs = shared(corner_of(box), psi.shape, at, known.shape)
@@ -468,6 +461,14 @@ class MadeEnergy(NamedTuple):
 
 #: Makes the energy of (image, spacing, context).
 EnergyMaker = Callable[[NDArray[np.float32], tuple[float, float, float], ImageContext], MadeEnergy]
+
+
+class ObjectSolver(NamedTuple):
+    """Solver of an object under some settings: its ``setup``, the maker of its energy, and the data that this needs."""
+
+    setup: SolverSetup
+    make_energy: EnergyMaker
+    context: ImageContext
 
 
 class ObjectCheckpoint(NamedTuple):

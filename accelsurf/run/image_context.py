@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     from accelsurf.energies.seeded.model import SeededModel
     from accelsurf.energies.seeded.partition import BasinsOnce
 
-#: A learned bound lies so many standard deviations from the mean of the start's values: 98.8 % of a Gaussian lie
+#: Standard deviations of a learned bound from the mean of the start's values: 98.8 % of a Gaussian lie
 #: between two of them, and ConfidenceConnected of ITK takes as many.
-LEARNED_DEVIATIONS = 2.5
+_LEARNED_DEVIATIONS = 2.5
 #: No voxel is nearer to the first surface of the clicks' model than this part of half a voxel.
-MIN_DEPTH = 0.02
+_MIN_DEPTH = 0.02
 #: The problem and the hint where likelihood has no sample.
-NO_SAMPLE = "likelihood with update=no was given nothing to learn from", "give --foreground, or use update=yes"
+_NO_SAMPLE = "likelihood with update=no was given nothing to learn from", "give --foreground, or use update=yes"
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -134,7 +134,7 @@ class ImageContext:
     is_start : bool, optional
         Whether the foreground is the start and nothing else: of several objects, each then learns from its own.
     whole : sequence of WholeChannel, optional
-        Of each channel, where ``images`` are a window of larger ones: what is said of whole channels is then of these.
+        Of each channel, where ``images`` are a window of larger ones: statistics of whole channels are then of these.
 
     Notes
     -----
@@ -204,7 +204,7 @@ class ImageContext:
         return self._with(_totals=totals, _box=box)
 
     def moments_elsewhere(self, channel: int) -> Elsewhere | None:
-        """Sums of a channel over what is not on the grid at hand; None where that is the whole image's."""
+        """Sums of a channel over the voxels beyond the grid at hand; None where that is the whole image's."""
         if self._totals is None:
             return None
         inside, whole = self._totals.beyond(self._box, channel, "moments", moments_of)
@@ -219,7 +219,7 @@ class ImageContext:
     # -- clicks --------------------------------------------------------------------------------------------
 
     def with_model_inputs(self, inputs: ModelInputs) -> ImageContext:
-        """The same context with what the model of clicks needs."""
+        """The same context with the inputs of the model of clicks."""
         return self._with(_model_inputs=inputs)
 
     @property
@@ -254,8 +254,8 @@ class ImageContext:
                 made = partition_model(*seen, mask=mask, basins=partition)
             else:
                 before = self._before
-                goes_on = before is not None and before.clicks is not None and before.clicks.ids()
-                previous = before.seeded_model() if before is not None and goes_on else None
+                is_incremental = before is not None and before.clicks is not None and before.clicks.ids()
+                previous = before.seeded_model() if before is not None and is_incremental else None
                 made = seeded_model(
                     *seen, size_mm3=size, box=box, mask=mask, threads=threads, previous=previous, window=window,
                     learned=self.images_to_learn,
@@ -279,7 +279,7 @@ class ImageContext:
         if model.answer is None:  # a partition: its F is flat, and says no place between voxels
             return np.where(model.start, -half, half)
         # F crosses 0 between voxels: the surface begins there, and not at the faces of voxels.
-        depth = half * np.clip(np.abs(model.field), np.float32(MIN_DEPTH), np.float32(1.0))
+        depth = half * np.clip(np.abs(model.field), np.float32(_MIN_DEPTH), np.float32(1.0))
         return np.asarray(np.where(model.start, -depth, depth), np.float32)
 
     def model_field(self) -> Image:
@@ -313,7 +313,7 @@ class ImageContext:
 
     def sample(self, channel: int) -> NDArray[np.float32]:
         """Values of a channel inside, from which likelihood learns."""
-        training = self._trained_on(*NO_SAMPLE)
+        training = self._trained_on(*_NO_SAMPLE)
         return self.images[channel][training.box][training.inside]
 
     def sums_of_background(self, channel: int, kind: str, summing: Summing) -> NDArray[np.float64]:
@@ -322,7 +322,7 @@ class ImageContext:
         Unless voxels of the background are given, they are those of everything less those of the foreground: the
         same, wherever the image ends beyond the foreground.
         """
-        training, image = self._trained_on(*NO_SAMPLE), self.images[channel]
+        training, image = self._trained_on(*_NO_SAMPLE), self.images[channel]
         if (channel, kind) not in self._background:
             if training.background is not None:
                 sums = sums_by_plane(image, summing, training.background)
@@ -339,7 +339,7 @@ class ImageContext:
         return self._training
 
     def learned(self, channel: int) -> tuple[float, float]:
-        """Values of a channel between which the foreground's lie: its median and `LEARNED_DEVIATIONS` to either side.
+        """Values of a channel between which the foreground's lie: its median and `_LEARNED_DEVIATIONS` to either side.
 
         Of the image as it is evolved, with the deviation by the median absolute deviation: a stone or an organelle in
         the start changes neither.
@@ -348,7 +348,7 @@ class ImageContext:
         values = self.images[channel][training.box][training.inside]
         # A part of the range between percentiles: that between the extremes is of metal or a stone.
         middle, variance = robust_gaussian_of(values, MIN_DEVIATION**2)
-        width = LEARNED_DEVIATIONS * variance**0.5
+        width = _LEARNED_DEVIATIONS * variance**0.5
         return middle - width, middle + width
 
     def bound(self, channel: int, value: float | str, upper: bool) -> float | None:

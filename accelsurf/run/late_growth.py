@@ -1,4 +1,4 @@
-"""Growth of surfaces in the last part of a run: the first place to look at for a leak.
+"""Late leakage: where surfaces grew in the last part of a run, the first place to look at.
 
 An observer of the run: it reads the speeds of each step, and changes nothing.
 """
@@ -21,9 +21,9 @@ from accelsurf.kernels.statistics import sums_by_cube
 
 #: A place (z, y, x), in voxels.
 Place = tuple[float, float, float]
-#: The last part of the growth: so much of the volume that the object gained.
-LAST_SHARE = 0.25
-#: Growth is summed over cubes of so many voxels, larger than single bumps of noise.
+#: The last part of the growth, as a share of the volume that the object gained.
+_LAST_SHARE = 0.25
+#: Side of the cubes over which growth is summed, voxels; they are larger than single bumps of noise.
 BLOCK = 6
 
 
@@ -48,7 +48,7 @@ class GrowthState(NamedTuple):
     sums: NDArray[np.float32]
 
 
-class LateGrowth:
+class LateLeakage:
     """Sums up growth, step by step.
 
     The cubes are counted from the first voxel of the whole image, so that they are the same in any window of it.
@@ -61,7 +61,7 @@ class LateGrowth:
 
     def __init__(self, window: Window) -> None:
         self._shape, self._corner = window.geometry.shape, window.corner
-        # Cubes before the window's first are not counted; its first begins so many voxels before the window.
+        # Cubes before the window's first are not counted; its first begins these numbers of voxels before the window.
         self._before = tuple(c % BLOCK for c in window.corner)
         self._cubes = tuple(-(-(n + b) // BLOCK) for n, b in zip(window.shape, self._before, strict=True))
         self._growth: defaultdict[int, list[_Growth]] = defaultdict(list)
@@ -117,7 +117,7 @@ class LateGrowth:
         )
 
     def restore(self, state: GrowthState) -> None:
-        """Go back to what was read until then."""
+        """Go back to the growth of a state."""
         self._growth.clear()
         ends = np.cumsum(state.counts)
         for id, volume, begin, end in zip(
@@ -135,7 +135,7 @@ class LateGrowth:
             volumes = np.array([growth_step.volume for growth_step in growth])
             gained = float(volumes[-1] - volumes[0])
             if gained > 0:
-                below = np.flatnonzero(volumes <= volumes[-1] - LAST_SHARE * gained)
+                below = np.flatnonzero(volumes <= volumes[-1] - _LAST_SHARE * gained)
                 late += growth[int(below[-1]) :]
         if not late:
             return None

@@ -1,9 +1,8 @@
-"""Makers of each term of an energy; `accelsurf.settings.energy_terms` names these functions.
+"""Makers of flows from a configuration, and of energies from the terms of an expression.
 
-Each returns the energy and the settings that it has in the run, also those that were taken from the image; image values
-in the file's unit.
-
-Makers of each flow from a configuration; `accelsurf.settings.flow_specs` names these functions.
+`accelsurf.settings.flow_specs` and `accelsurf.settings.energy_terms` name these functions. A maker of a term returns
+the energy and the settings that it has in the run, also those that were taken from the image; image values in the
+file's unit.
 """
 
 from __future__ import annotations
@@ -56,6 +55,10 @@ from accelsurf.run.image_context import TermInputs
 from accelsurf.settings import budgets, energy_expression
 from accelsurf.settings.energy_terms import Values
 from accelsurf.settings.run_config import RunConfig
+
+#: R of local-region unless given, voxels of the largest spacing.
+_WINDOW_VOXELS = 8.0
+Made = tuple[Energy, dict[str, Any]]
 
 
 def constant_density(config: RunConfig) -> Flow:
@@ -121,12 +124,6 @@ def _number(value: float | str) -> float | None:
     return None if isinstance(value, str) else value
 
 
-#: R of local-region unless given, voxels of the largest spacing.
-WINDOW_VOXELS = 8.0
-
-Made = tuple[Energy, dict[str, Any]]
-
-
 def chan_vese(inputs: TermInputs) -> Made:
     """Two regions, each with its own mean."""
     balance = inputs.number("balance", inputs.config.balance)
@@ -151,7 +148,7 @@ def local_region(inputs: TermInputs) -> Made:
     """Two regions, each with its mean in a window."""
     context = inputs.context
     # Of the image's own grid, on every level.
-    radius = inputs.number("R", WINDOW_VOXELS * max(axis_steps(context.images[0].shape, context.spacing)))
+    radius = inputs.number("R", _WINDOW_VOXELS * max(axis_steps(context.images[0].shape, context.spacing)))
     epsilon = inputs.number("epsilon", inputs.config.epsilon)
     return LocalRegion(inputs.image, radius, inputs.alpha, epsilon), {"R": radius, "epsilon": epsilon}
 
@@ -161,7 +158,7 @@ def local_region_reach(settings: Values, largest_spacing: float) -> float:
 
     An object cuts windows whose middle is half a width away, and these reach half a width further.
     """
-    return 2.0 * TENT * float(settings.get("R", WINDOW_VOXELS * largest_spacing))
+    return 2.0 * TENT * float(settings.get("R", _WINDOW_VOXELS * largest_spacing))
 
 
 def likelihood(inputs: TermInputs) -> Made:
@@ -239,7 +236,7 @@ def seeded(inputs: TermInputs) -> Made:
 
     model = inputs.context.seeded_model()
     area = inputs.number("area", model.area_weight_mm)
-    # The area smooths the object; how large it is, the clicks have said.
+    # The area smooths the object; its size is that of the clicks.
     lower = offset(area, inputs.context.model_curvature())
     energy: Energy = RegionField(inputs.context.model_field() - np.float32(lower), inputs.alpha + area)
     used = {"area": area, "offset": lower, "volume_mm3": model.proposal.volume_mm3, "sureness": model.proposal.sureness}

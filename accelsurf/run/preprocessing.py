@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.reading import clicks_of
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
-from accelsurf.grid.boxes import Box, bounding_box
+from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
 from accelsurf.image.check import MIN_RANGE
 from accelsurf.image.filters import ImageFilters
 from accelsurf.image.volume import Volume, check_image
+from accelsurf.io import LazyVolume
 from accelsurf.run.clicks import placed
 from accelsurf.run.image_context import ImageContext, Mask, ModelInputs, Scale
 from accelsurf.run.region_of_interest import cropped, distance_of_mask
@@ -32,9 +33,9 @@ from accelsurf.starts import starts
 
 #: Percentiles of the image that become 0 and 1, so that settings do not depend on its units or outliers.
 SCALE_PERCENTILES = (0.5, 99.5)
-#: Values farther beyond those percentiles than so many times their range are no measurements; their squares overflow.
-MAX_RANGES = 1e15
-#: A volume, what starts look at in it, filtered, and what part of the whole grid it is.
+#: Values farther beyond those percentiles than this multiple of their range are no measurements: squares overflow.
+_MAX_RANGES = 1e15
+#: A volume, its first channel filtered, and the part of the whole grid that it is.
 Seen = tuple[Volume, NDArray[np.float32], Window]
 
 
@@ -57,9 +58,9 @@ class PreprocessedInput:
     mask_distance : ndarray (nz, ny, nx), float32, or None
         Signed distance of the mask, mm, negative within; None without a mask.
     clicks : Clicks or None
-        What a person has clicked before the run, on the region of interest; None without clicks.
+        Clicks before the run, on the region of interest; None without clicks.
     filters : ImageFilters
-        What the image was filtered by.
+        Filters of the image.
     filtered : ndarray or None
         The first channel, filtered, on the whole grid; only where that is larger than the region of interest.
     start : ndarray or None
@@ -83,8 +84,12 @@ class PreprocessedInput:
     @property
     def first(self) -> tuple[int, int, int]:
         """Index (z, y, x) in the image of the first voxel of the region of interest."""
-        z, y, x = self.box
-        return z.start, y.start, x.start
+        return corner_of(self.box)
+
+    def corner_on_image(self, corner: Corner) -> Corner:
+        """Index in the image of a voxel of the region of interest."""
+        (z, y, x), (k, j, i) = corner, self.first
+        return z + k, y + j, x + i
 
     def learned_by(self, context: ImageContext) -> tuple[float, float] | None:
         """Values of the first channel between which an object's should lie; None where no model is learned once."""
@@ -155,8 +160,8 @@ def preprocess(
     distance = distance_of_mask(config, given, window, box)
     seen = first, filtered, window
     read = clicks_of(config, first, filtered, has_ids=has_ids, window=window)
-    said = placed([*read, *clicks], first, box, distance, None)
-    start = given["start"] if "start" in given else _first_surface(config, seen, said, box)
+    all_clicks = placed([*read, *clicks], first, box, distance, None)
+    start = given["start"] if "start" in given else _first_surface(config, seen, all_clicks, box)
     training = {name: _crop(mask, box) for name, mask in _training_voxels(config, given, seen).items()}
     psi = _start_within(_crop(start, box), distance, config, _name_of_start(config, given))
     around = None if geometry.shape == whole.shape else filtered  # the result shows it
@@ -165,13 +170,13 @@ def preprocess(
     images, scales = _scaled_channels(values, volumes, filters, box, part)
     del values
     context, learns = _context(config, volumes, images, scales, psi, training, distance, part)
-    if said.clicks and not has_ids and config.start == (starts.CLICKS,) and uses_model(config):
-        context = context.with_clicks(said)
+    if all_clicks.clicks and not has_ids and config.start == (starts.CLICKS,) and uses_model(config):
+        context = context.with_clicks(all_clicks)
         psi = _start_within(context.model_start(), distance, config, "of the clicks' model")
     shown = psi.copy() if whole.slice_axis is not None else None
     prepared = PreprocessedInput(
-        tuple(volumes), box, geometry, tuple(images), context, distance, said if said.clicks else None, filters,
-        around, shown, learns,
+        tuple(volumes), box, geometry, tuple(images), context, distance, all_clicks if all_clicks.clicks else None,
+        filters, around, shown, learns,
     )
     return prepared, psi
 
@@ -182,7 +187,7 @@ def _first_channel(
     """The first channel, filtered; of whole images after all channels were checked."""
     if part is not None:
         return part.filtered[0]
-    check_channels(volumes)
+    _check_channels(volumes)
     return filtered_volume(volumes[0], filters)
 
 
@@ -254,7 +259,7 @@ def _scaled_channels(
     return images, scales
 
 
-def check_channels(volumes: Sequence[Volume]) -> None:
+def _check_channels(volumes: Sequence[Volume]) -> None:
     """Refuse images that cannot be used, or that lie on different grids.
 
     Raises
@@ -264,10 +269,21 @@ def check_channels(volumes: Sequence[Volume]) -> None:
     """
     for channel in volumes:
         check_image(channel)
-        if not channel.geometry.matches(volumes[0].geometry):
+        check_grids([volumes[0], channel])
+
+
+def check_grids(channels: Sequence[Volume | LazyVolume]) -> None:
+    """Refuse channels that lie on different grids.
+
+    Raises
+    ------
+    GeometryError
+    """
+    for channel in channels[1:]:
+        if not channel.geometry.matches(channels[0].geometry):
             raise GeometryError(
                 f"channel {channel.source or ''}: on another grid than the image: "
-                f"{channel.geometry.difference(volumes[0].geometry)}",
+                f"{channel.geometry.difference(channels[0].geometry)}",
                 "resample it to the image's grid first",
             )
 
@@ -335,9 +351,9 @@ def scale_between(percentiles: NDArray[Any], extremes: NDArray[np.float32]) -> S
         raise InputError(f"the image is constant here: every voxel is {low:g}", "take a larger region of interest")
     width = float(high) - float(low)
     far = max(float(extremes[1]) - float(high), float(low) - float(extremes[0]))
-    if width < MIN_RANGE or far > MAX_RANGES * width:
+    if width < MIN_RANGE or far > _MAX_RANGES * width:
         raise InputError(
-            f"nearly all values lie from {low:g} to {high:g}, others {far:g} beyond, at most {MAX_RANGES:g} times "
+            f"nearly all values lie from {low:g} to {high:g}, others {far:g} beyond, at most {_MAX_RANGES:g} times "
             "their range expected",
             "values far beyond the others often mean that there is no value: replace them by that of the background",
         )

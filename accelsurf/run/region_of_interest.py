@@ -16,8 +16,8 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
 
-#: Least margin, voxels, of the region of a run around the box of --box: what is learned of the surroundings lies there.
-AROUND_BOX = 10
+#: Least margin, voxels, of the region of a run around the box of --box: models learn the surroundings there.
+_AROUND_BOX = 10
 
 
 def region_of_interest(text: str | None, geometry: Geometry, name: str = "roi") -> Box:
@@ -88,7 +88,7 @@ def region_of_run(config: RunConfig, geometry: Geometry) -> Box:
     if config.roi is not None or config.box is None:
         return region_of_interest(config.roi, geometry)
     box = region_of_interest(config.box, geometry, "box")
-    margin = [max(AROUND_BOX, math.ceil(0.5 * (s.stop - s.start))) for s in box]
+    margin = [max(_AROUND_BOX, math.ceil(0.5 * (s.stop - s.start))) for s in box]
     return widened(box, geometry.shape, margin)
 
 
@@ -102,7 +102,7 @@ def distance_of_mask(
     if "mask" in given:
         mask = np.asarray(given["mask"] < 0)
     elif config.mask is not None:
-        mask = read_mask(config.mask, window)
+        mask = _read_mask(config.mask, window)
     elif config.box is not None:
         mask = np.ones(window.shape, np.bool_)
     else:
@@ -115,7 +115,7 @@ def distance_of_mask(
     return mask_distance(np.ascontiguousarray(mask[box]), window.geometry.spacing)
 
 
-def read_mask(file: str, window: Window) -> NDArray[np.bool_]:
+def _read_mask(file: str, window: Window) -> NDArray[np.bool_]:
     """Voxels above 0 of a label map on the image's grid, in a window of it.
 
     Raises

@@ -1,8 +1,7 @@
 """Result of a run: an object or several, each with its surface, measures and quality.
 
-Rests of an object's front before it broke through, on the image's grid, with a place in mm.
-
-State of a finished run besides its result, from which it can be refined.
+An object has the plateaus of its front's speed, where it slowed down before it broke through. The result of a run has
+the state from which corrections go on.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.evolution.state import FoundRest
 from accelsurf.grid import pyramid
-from accelsurf.grid.boxes import Box, shared
+from accelsurf.grid.boxes import Box, corner_of, shared
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
@@ -41,6 +40,13 @@ from accelsurf.run.preprocessing import PreprocessedInput
 from accelsurf.run.setup import EnergyLike
 from accelsurf.run.start_pyramid import to_finest
 from accelsurf.settings.run_config import RunConfig
+
+#: Columns of the history that are summed over objects, and those of which the largest counts.
+_SUMMED = (
+    "potential", "kinetic", "mass_potential", "friction_work", "smoothing_work", "noise_work", "mass", "volume_mm3",
+    "area_mm2", "band_cells", "cells_visited", "seconds",
+)
+_LARGEST = ("mass_correction", "clamped_fraction", "motion_voxels", "limited_fraction")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,12 +72,12 @@ class SegmentedObject:
         The terms of the energy with every setting as it was in the run; empty for an energy of the user's own.
     learned : (float, float) or None
         Lowest and highest value, on the scale of ``image``, that the learned model expects in the object.
-    rests : tuple of RestPoint
-        Where its front rested before it broke through to something else.
+    plateaus : tuple of Plateau
+        Where its front slowed down before it broke through to something else.
     clicked : ndarray (nz, ny, nx) of bool, or None
         Voxels of its part that a person clicked, on either side.
-    sureness : Sureness or None
-        How sure the model of the clicks is; None where the energy has none.
+    confidence : Sureness or None
+        Of the model of the clicks in the object; None where the energy has none.
     """
 
     id: int
@@ -83,9 +89,9 @@ class SegmentedObject:
     stop: Stop
     terms: list[dict[str, Any]] = field(default_factory=list)
     learned: tuple[float, float] | None = None
-    rests: tuple[RestPoint, ...] = ()
+    plateaus: tuple[Plateau, ...] = ()
     clicked: NDArray[np.bool_] | None = None
-    sureness: Sureness | None = None
+    confidence: Sureness | None = None
 
     def __repr__(self) -> str:
         return f"SegmentedObject(id={self.id}, {self.volume_mm3:.6g} mm3, {self.stop.reason})"
@@ -168,10 +174,10 @@ class SegmentedObject:
     @cached_property
     def quality(self) -> Quality:
         """Measures of quality that need no reference."""
-        plateaus = [PlateauNote(rest.step, rest.volume_mm3, rest.left_at, rest.place) for rest in self.rests]
+        plateaus = [PlateauNote(*plateau[:-1]) for plateau in self.plateaus]
         seen = self.labels, self.image, self.geometry, self.history, self.stop
         learned = None if self.learned is None else ValueRange(*self.learned)
-        return assess(*seen, learned, plateaus, self.clicked, self.sureness)
+        return assess(*seen, learned, plateaus, self.clicked, self.confidence)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -207,15 +213,15 @@ class Result:
         Number of edits of ``config`` that were applied.
     resolved_settings : dict
         Values used for settings that depend on image and grid: see `accelsurf.output.document`.
-    late_growth : (float, float, float) or None
+    late_leakage : (float, float, float) or None
         Index (z, y, x) of the voxel near which the surfaces grew most in the last quarter of their growth; None without
         any, or where no object is any more.
     clicks : Clicks or None
-        What a person has clicked, on the image's grid.
+        All clicks, on the image's grid.
     state : RunState or None
-        What `accelsurf.refine` goes on from; None where it is not to be kept.
+        The state from which `accelsurf.refine` continues; None with ``keep_state=no``.
     window : Window or None
-        What part of a larger grid ``geometry`` is; None where it is the whole.
+        The part of a larger grid that ``geometry`` is; None where it is the whole.
     """
 
     objects: tuple[SegmentedObject, ...]
@@ -233,7 +239,7 @@ class Result:
     edits_done: int = 0
     given: tuple[str, ...] = ()
     resolved_settings: dict[str, Any] = field(default_factory=dict)
-    late_growth: tuple[float, float, float] | None = None
+    late_leakage: tuple[float, float, float] | None = None
     clicks: Clicks | None = None
     state: RunState | None = None
     window: Window | None = None
@@ -288,25 +294,22 @@ class Result:
 
     @cached_property
     def history(self) -> list[StepRecord]:
-        """The record of each step; of several objects, sums and largest values over them.
-
-        See `accelsurf.run.result.combined_history`.
-        """
+        """The record of each step; of several objects, sums and largest values over them."""
         if not self.has_ids:
             return self._one.history
-        return combined_history([segmented.history for segmented in self.objects if segmented.history])
+        return _combined_history([segmented.history for segmented in self.objects if segmented.history])
 
     @cached_property
     def run_history(self) -> list[StepRecord]:
         """`history` without corrections, whose potentials are those of their boxes and compare with no others."""
         edits = {edit.step for edit in self.config.edit[: self.edits_done]}
-        histories = [before_corrections(segmented.history, edits) for segmented in self.objects if segmented.history]
-        return combined_history(histories) if self.has_ids else [*histories, []][0]
+        histories = [_before_corrections(segmented.history, edits) for segmented in self.objects if segmented.history]
+        return _combined_history(histories) if self.has_ids else [*histories, []][0]
 
     @cached_property
     def terms(self) -> list[dict[str, Any]]:
         """The terms of the energy with their settings; "by object" where they differ between objects."""
-        return common_terms([segmented.terms for segmented in self.objects]) if self.has_ids else self._one.terms
+        return _common_terms([segmented.terms for segmented in self.objects]) if self.has_ids else self._one.terms
 
     @property
     def learned(self) -> tuple[float, float] | None:
@@ -408,30 +411,23 @@ class Result:
 #: Public name of a result of several objects: it is a `Result`.
 ObjectsResult = Result
 
-#: Columns of the history that are summed over objects, and those of which the largest counts.
-SUMMED = (
-    "potential", "kinetic", "mass_potential", "friction_work", "smoothing_work", "noise_work", "mass", "volume_mm3",
-    "area_mm2", "band_cells", "cells_visited", "seconds",
-)
-LARGEST = ("mass_correction", "clamped_fraction", "motion_voxels", "limited_fraction")
 
-
-def combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
+def _combined_history(histories: list[list[StepRecord]]) -> list[StepRecord]:
     """The history of several objects together, by step.
 
-    Energies, mass, volume and area are summed; the columns of `LARGEST` have the largest value of any object; the other
-    columns are those of the first. An object that has stopped counts with its last record.
+    Energies, mass, volume and area are summed; the columns of `_LARGEST` have the largest value of any object; the
+    other columns are those of the first. An object that has stopped counts with its last record.
     """
     records = []
     for step in range(max(map(len, histories))):
         now = [history[min(step, len(history) - 1)] for history in histories]
-        sums = {key: sum(getattr(record, key) for record in now) for key in SUMMED}
-        largest = {key: max((getattr(record, key) for record in now), key=abs) for key in LARGEST}
+        sums = {key: sum(getattr(record, key) for record in now) for key in _SUMMED}
+        largest = {key: max((getattr(record, key) for record in now), key=abs) for key in _LARGEST}
         records.append(now[0]._replace(step=step, restarted=False, **sums, **largest))
     return records
 
 
-def before_corrections(history: list[StepRecord], edits: set[int]) -> list[StepRecord]:
+def _before_corrections(history: list[StepRecord], edits: set[int]) -> list[StepRecord]:
     """The records of a run without those of corrections after it; ``edits`` are the steps of edits of the run itself.
 
     A correction counts as an edit before its first step, and replaces the record of the final state.
@@ -440,14 +436,14 @@ def before_corrections(history: list[StepRecord], edits: set[int]) -> list[StepR
     return history[: begun[0]] if begun else history
 
 
-def common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
+def _common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
     """The terms of all objects; "by object" where a setting differs. Objects that began later may have other terms.
 
     Examples
     --------
-    >>> common_terms([[{"term": "threshold", "LO": 3}], [{"term": "threshold", "LO": 4}]])
+    >>> _common_terms([[{"term": "threshold", "LO": 3}], [{"term": "threshold", "LO": 4}]])
     [{'term': 'threshold', 'LO': 'by object'}]
-    >>> common_terms([[{"term": "chan-vese"}], [{"term": "seeded"}]])
+    >>> _common_terms([[{"term": "chan-vese"}], [{"term": "seeded"}]])
     [{'term': 'chan-vese'}, {'term': 'seeded'}]
     """
     same: dict[tuple[Any, int], list[dict[str, Any]]] = {}
@@ -466,13 +462,13 @@ def common_terms(terms: list[list[dict[str, Any]]]) -> list[dict[str, Any]]:
     ]
 
 
-class RestPoint(NamedTuple):
-    """A rest of an object's front.
+class Plateau(NamedTuple):
+    """A plateau of the speed of an object's front.
 
     Attributes
     ----------
     step : int
-        When it rested.
+        When the front was slow.
     volume_mm3 : float
         Its volume then.
     left_at : int
@@ -490,28 +486,31 @@ class RestPoint(NamedTuple):
     labels: NDArray[np.uint8]
 
 
-def rest_points(rests: Sequence[FoundRest], prepared: PreprocessedInput, box: Box) -> tuple[RestPoint, ...]:
-    """The rests of an object whose part of the image's grid is ``box``."""
-    return tuple(_point(rest, prepared, box) for rest in rests)
+def plateaus_of(found: Sequence[FoundRest], prepared: PreprocessedInput, box: Box) -> tuple[Plateau, ...]:
+    """The plateaus of an object whose part of the image's grid is ``box``."""
+    return tuple(_plateau(rest, prepared, box) for rest in found)
 
 
-def on_larger_box(rests: Sequence[RestPoint], before: Box, box: Box) -> tuple[RestPoint, ...]:
-    """The rests of an object whose part of the image's grid was ``before``, and is now the larger ``box``."""
+def on_larger_box(plateaus: Sequence[Plateau], before: Box, box: Box) -> tuple[Plateau, ...]:
+    """The plateaus of an object whose part of the image's grid was ``before``, and is now the larger ``box``."""
     around = [(a.start - b.start, b.stop - a.stop) for a, b in zip(before, box, strict=True)]
-    return tuple(rest._replace(labels=np.pad(rest.labels, around)) for rest in rests)
+    return tuple(plateau._replace(labels=np.pad(plateau.labels, around)) for plateau in plateaus)
 
 
-def _point(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> RestPoint:
+def plateaus_on_whole(plateaus: Sequence[Plateau], window: Window) -> tuple[Plateau, ...]:
+    """The plateaus of an object in a window, with their places on the whole grid, to the last digit."""
+    return tuple(plateau._replace(place=window.place_on_whole(plateau.place)) for plateau in plateaus)
+
+
+def _plateau(rest: FoundRest, prepared: PreprocessedInput, box: Box) -> Plateau:
     geometry, at = prepared.geometry, rest.at
     grids = pyramid.levels(geometry.shape, geometry.spacing, at.level + 1)
     far = float(np.abs(at.surface.psi).max(initial=0.0)) or 1.0
     corner, psi = to_finest(at.corner, psi_of(at.surface, at.shape, far), at.level, grids)
     labels = np.zeros(tuple(s.stop - s.start for s in box), np.uint8)
-    first = prepared.first
-    on_image = (corner[0] + first[0], corner[1] + first[1], corner[2] + first[2])
-    mine, theirs = shared((box[0].start, box[1].start, box[2].start), labels.shape, on_image, psi.shape)
+    mine, theirs = shared(corner_of(box), labels.shape, prepared.corner_on_image(corner), psi.shape)
     labels[mine] = psi[theirs] < 0
-    return RestPoint(at.step, at.volume_mm3, rest.left_at, _place(rest, grids[at.level], geometry), labels)
+    return Plateau(at.step, at.volume_mm3, rest.left_at, _place(rest, grids[at.level], geometry), labels)
 
 
 def _place(rest: FoundRest, grid: pyramid.Level, geometry: Geometry) -> tuple[float, float, float]:
@@ -542,13 +541,13 @@ class RunState:
     clicks : Clicks or None
         All clicks so far, on the grid of the region of interest; None for none.
     models : mapping of int to LocalState
-        Of each object whose model refinements have needed, after all of them.
+        Of each object whose model corrections have needed, after all of them.
     totals : mapping of str to ndarray (2, m)
-        Of `accelsurf.run.region_totals.RegionTotals`; empty before the first refinement.
+        Of `accelsurf.run.region_totals.RegionTotals`; empty before the first correction.
     settings : mapping of int to RunConfig
-        Of objects whose settings are not those of the run: those that refinements have begun.
+        Of objects whose settings are not those of the run: those that corrections have begun.
     masks : mapping of int to BoxMask
-        By the number of a refinement, on the grid of the region of interest: voxels that its new object may not have,
+        By the number of a correction, on the grid of the region of interest: voxels that its new object may not have,
         or that were split off.
     """
 

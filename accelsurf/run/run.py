@@ -19,7 +19,7 @@ from accelsurf.levelset import Workers
 from accelsurf.run.checkpoint import RunCheckpoint
 from accelsurf.run.clicks import RunClicks, balls_for, balls_of, check_edit
 from accelsurf.run.ensemble import Ensemble, overall_stop
-from accelsurf.run.evolving_object import EnergyMaker, EvolvingObject
+from accelsurf.run.evolving_object import EvolvingObject, ObjectSolver
 from accelsurf.run.image_context import ImageContext
 from accelsurf.run.setup import (
     EnergyLike,
@@ -139,16 +139,16 @@ class Run:
         return EvolvingObject(
             start,
             self._inputs,
-            context,
-            setup_of(self.settings, place, self._levels, self.geometry),
-            self._energy_maker(self.settings),
+            self._solver(self.settings, place, context),
             Workers(1) if self.has_ids else self.workers,
             self._max_steps,
             self.has_ids,
         )
 
-    def _energy_maker(self, settings: RunConfig) -> EnergyMaker:
-        return energy_maker(self.energy_given, settings, self._levels, self.has_ids)
+    def _solver(self, settings: RunConfig, place: int, context: ImageContext) -> ObjectSolver:
+        """Return the solver of the object at a position in the run."""
+        make_energy = energy_maker(self.energy_given, settings, self._levels, self.has_ids)
+        return ObjectSolver(setup_of(settings, place, self._levels, self.geometry), make_energy, context)
 
     @property
     def geometry(self) -> Geometry:
@@ -304,11 +304,11 @@ class Run:
             balls = balls_of(edit, self.geometry)
             for place, evolving in enumerate(self._all):
                 mine = balls if not self.has_ids else balls_for(evolving.id, edit, balls)
-                setup, maker = setup_of(settings, place, self._levels, self.geometry), self._energy_maker(settings)
+                solver = self._solver(settings, place, contexts[place])
                 if evolving.takes_edits:
-                    evolving.edit(setup, maker, new_energy, mine, contexts[place])
+                    evolving.edit(solver, new_energy, mine)
                 else:
-                    evolving.set_up(setup, maker, contexts[place])
+                    evolving.set_up(solver)
             self.settings, self._edits_done = settings, self._edits_done + 1
 
     @property
@@ -383,9 +383,7 @@ class Run:
                 evolving.release_to(self.level)
         contexts = self._clicks.contexts(self.config.edit[: checkpoint.edits_done])
         for place, (evolving, state) in enumerate(zip(self._all, checkpoint.objects, strict=True)):
-            settings = checkpoint.settings
-            setup = setup_of(settings, place, self._levels, self.geometry)
-            evolving.restore(state, setup, self._energy_maker(settings), changed, contexts[place])
+            evolving.restore(state, self._solver(checkpoint.settings, place, contexts[place]), changed)
         self._stop_requested = False
         self.settings, self._edits_done = checkpoint.settings, checkpoint.edits_done
         self._steps_made = checkpoint.step

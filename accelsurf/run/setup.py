@@ -1,7 +1,4 @@
-"""Levels, flow, stop rule, band and makers of energies of a run under given settings.
-
-Memory that a run takes, by the number of its voxels, and the message where it is too much.
-"""
+"""Solver of a run under given settings: levels, flow, stop rule, band, makers of energies; and the run's memory."""
 
 from __future__ import annotations
 
@@ -38,11 +35,26 @@ from accelsurf.starts.objects import ObjectStart
 
 #: Ratio of the spacings from which on slices are thick.
 THICK = 4.0
-#: What `segment` takes for an energy: a name, an energy, or a function that makes one of the image, (nz, ny, nx)
+#: Energy as `segment` takes it: a name, an energy, or a function that makes one of the image, (nz, ny, nx)
 #: float32 as in `Result.image`, and the spacing, (hz, hy, hx) mm.
 EnergyLike = str | Energy | Callable[[NDArray[np.float32], tuple[float, float, float]], Energy]
-#: What `segment_objects` takes for the first voxels of objects: a file, a label map, first surfaces.
+#: First voxels of objects as `segment_objects` takes them: a file, a label map, first surfaces.
 ObjectsLike = str | Volume | NDArray[Any] | Sequence[ObjectStart]
+#: Motion in the steps to come, by the trend, that a converged surface may still make, as a share of the tolerance: the
+#: trend tells it too low by up to this.
+_FURTHER = 0.7
+#: Flows whose surface moves slowly also where it has not converged, and the share of the tolerance that it then moves.
+_SHORT_STEPS, SLOW = ("flowable-mass", "region-mass", "sobolev"), 0.4
+#: Steps without a lower energy after which a correction has converged: an oscillation from step to step finds one in
+#: two.
+PATIENCE = 3
+#: Bytes of a process that has loaded the packages of a run, and of a run by its values: with clicks, and without.
+PROCESS_BYTES, _CLICKS_BYTES, PLAIN_BYTES = 450 << 20, 60, 36
+#: Share of the free memory that a run, or a batch, takes unless it is given a limit.
+FREE_SHARE = 0.8
+_MEMORY = re.compile(r"([0-9]{1,9}(?:\.[0-9]{0,6})?) *([kmgt]i?)?b?", re.IGNORECASE)
+_UNITS = {"": 1, **{letter: 1000**n for n, letter in enumerate("kmgt", 1)}}
+_UNITS |= {f"{letter}i": 1024**n for n, letter in enumerate("kmgt", 1)}
 
 
 def choose_levels(
@@ -206,38 +218,28 @@ def window_reach(settings: RunConfig, geometry: Geometry) -> float:
     return max((load(reach)(given, largest) for reach, given in reaches if reach is not None), default=0.0)
 
 
-#: Motion in the steps to come, by the trend, that a converged surface may still make, as a share of the tolerance: the
-#: trend tells it too low by up to this.
-FURTHER = 0.7
-#: Flows whose surface moves slowly also where it has not converged, and the share of the tolerance that it then moves.
-SHORT_STEPS, SLOW = ("flowable-mass", "region-mass", "sobolev"), 0.4
-#: A correction has converged when so many steps have found no lower energy: an oscillation from step to step finds it
-#: in two.
-PATIENCE = 3
-
-
 def stop_rule(config: RunConfig, levels: int) -> StopRule:
-    """When a run on so many levels has converged on the finest one.
+    """Return the rule by which a run on a number of levels has converged on the finest one.
 
     After a coarser level, and where objects part the space between them, whose start has the boundaries of the model,
     the run begins near its end and is checked more often. The window has an even number of
     steps, so that an oscillation from step to step cancels. The waves of flowable-mass and region-mass keep their steps
     short, and the Sobolev gradient is small where forces are uneven: there a slow surface has not converged yet.
     """
-    further = FURTHER * config.tolerance
+    further = _FURTHER * config.tolerance
     slow = SLOW * config.tolerance
     if levels == 1 and not energy_expression.parts_space(config.energy):
         waves = config.flow in ("flowable-mass", "region-mass")
         return StopRule(motion=slow if waves else config.tolerance, further=further)
-    if config.flow in SHORT_STEPS:
+    if config.flow in _SHORT_STEPS:
         return StopRule(10, slow, further=further)
     return StopRule(6, config.tolerance, further=further)
 
 
 def correction_rule(config: RunConfig) -> StopRule:
-    """When a correction has converged: it begins near its end, as a run does after a coarser level."""
+    """Return the rule by which a correction has converged: it begins near its end, as after a coarser level."""
     rule = stop_rule(config, 2)
-    return rule if config.flow in SHORT_STEPS else rule._replace(patience=PATIENCE)
+    return rule if config.flow in _SHORT_STEPS else rule._replace(patience=PATIENCE)
 
 
 def half_width(config: RunConfig) -> float:
@@ -277,18 +279,8 @@ def make_flow(config: RunConfig) -> Flow:
     return flow
 
 
-#: Bytes of a process that has loaded what a run needs, and of a run by its values: with clicks, and without.
-PROCESS_BYTES, CLICKS_BYTES, PLAIN_BYTES = 450 << 20, 60, 36
-#: Share of the free memory that a run, or a batch, takes unless it is told.
-FREE_SHARE = 0.8
-
-_MEMORY = re.compile(r"([0-9]{1,9}(?:\.[0-9]{0,6})?) *([kmgt]i?)?b?", re.IGNORECASE)
-_UNITS = {"": 1, **{letter: 1000**n for n, letter in enumerate("kmgt", 1)}}
-_UNITS |= {f"{letter}i": 1024**n for n, letter in enumerate("kmgt", 1)}
-
-
 def allowed_bytes(text: str | None, free: int) -> int:
-    """Return the memory that a run may take: what was said, else most of what is free.
+    """Return the memory that a run may take: the text's, else most of the free memory.
 
     Examples
     --------
@@ -299,7 +291,7 @@ def allowed_bytes(text: str | None, free: int) -> int:
 
 
 def run_bytes(values: int, clicks: bool, flow: str = "constant-density") -> int:
-    """Return the estimated peak of a process that runs on so many values, all channels together.
+    """Return the estimated peak of a process that runs on a number of values, all channels together.
 
     Parameters
     ----------
@@ -324,7 +316,7 @@ def values_within(bytes: int, clicks: bool, flow: str = "constant-density") -> i
 
 
 def _value_bytes(clicks: bool, flow: str) -> int:
-    return (CLICKS_BYTES if clicks else PLAIN_BYTES) + FLOWS[flow].voxel_bytes
+    return (_CLICKS_BYTES if clicks else PLAIN_BYTES) + FLOWS[flow].voxel_bytes
 
 
 def bytes_text(size: int) -> str:

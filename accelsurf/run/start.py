@@ -29,8 +29,8 @@ from accelsurf.starts.objects import ObjectStart, core_of
 
 #: Voxels around an object's own grid that belong to its part of a result.
 AROUND = 2
-#: So many models are made at once: each marches on arrays of the whole grid, and has threads of its own for its parts.
-MODELS_AT_ONCE = 2
+#: Number of models that are made at once: each marches on arrays of the whole grid, and has threads for its parts.
+_MODELS_AT_ONCE = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +49,7 @@ class RunStart:
         Their SHA-256.
     prepared : PreprocessedInput
     starts : list of ObjectStart
-        On the grid of the region of interest, in order of their ids; 0 first, where something competes that is no
-        object.
+        On the grid of the region of interest, in order of their ids; 0 first, where the background competes.
     contexts : list of ImageContext
         Of the same objects.
     """
@@ -73,7 +72,7 @@ def start_of_run(
     clicks: Sequence[Click],
     part: WindowInput | None = None,
 ) -> RunStart:
-    """Read and prepare what a run begins with; the parameters are those of `accelsurf.run.run.Run`.
+    """Read and prepare the start of a run; the parameters are those of `accelsurf.run.run.Run`.
 
     Raises
     ------
@@ -143,25 +142,20 @@ def _several(
         return []
     if table is None:
         return object_starts.read(labels, geometry, AROUND)
-    # With a model the competition is in the force: what is no object needs no surface.
+    # With a model the competition is in the force: the background needs no surface.
     starts = tables.starts_of(table, geometry, AROUND)
     return [start for start in starts if start.id != NO_OBJECT or not uses_model(config)]
 
 
 def _no_object(prepared: PreprocessedInput, config: RunConfig) -> list[ObjectStart]:
-    """The surface that competes for what is no object, where --outside was given with objects."""
+    """The surface that competes for the background, where --outside was given with objects."""
     if prepared.clicks is None or uses_model(config):
         return []
     whole = Clicks(
         tuple(click for click in prepared.clicks.clicks if click.id == NO_OBJECT), prepared.clicks.shape
     )
     found = tables.starts_of(whole, prepared.geometry, AROUND)
-    first = prepared.first
-    return [start._replace(corner=_plus(start.corner, first)) for start in found]
-
-
-def _plus(first: tuple[int, int, int], other: tuple[int, int, int]) -> tuple[int, int, int]:
-    return first[0] + other[0], first[1] + other[1], first[2] + other[2]
+    return [start._replace(corner=prepared.corner_on_image(start.corner)) for start in found]
 
 
 def _with_clicks(context: ImageContext, clicks: Clicks | None, id: int) -> ImageContext:
@@ -171,7 +165,7 @@ def _with_clicks(context: ImageContext, clicks: Clicks | None, id: int) -> Image
 def _make_models(contexts: Sequence[ImageContext]) -> None:
     """Make the models of several objects, some at a time; those of a partition share too much for that."""
     inputs = contexts[0].model_inputs
-    at_once = min(inputs.threads, MODELS_AT_ONCE)
+    at_once = min(inputs.threads, _MODELS_AT_ONCE)
     if inputs.partition is not None or at_once < 2:
         return
     contexts[0].images_to_learn()  # once: they would each begin with it

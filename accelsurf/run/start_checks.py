@@ -1,7 +1,4 @@
-"""Checks before step 1: what a start, the energy's bounds and the area weight will do to each other; one line each.
-
-Each line names one command to try.
-"""
+"""Checks before step 1 of a start against the energy's bounds and the area weight; each line names a command to try."""
 
 from __future__ import annotations
 
@@ -27,16 +24,16 @@ from accelsurf.starts.objects import ObjectStart
 
 #: A start will shrink if less than this part of its values lies within the bounds; a window takes in the surroundings
 #: if it has more than this part of the voxels from so many to so many radii of the start around it.
-MIN_WITHIN, MAX_AROUND, SHELL = 0.2, 0.5, (3.0, 8.0)
+_MIN_WITHIN, _MAX_AROUND, SHELL = 0.2, 0.5, (3.0, 8.0)
 #: A start has outliers if its standard deviation is so many times the median-based one; they lie beyond so many of it.
-OUTLYING, FAR = 2.0, 4.0
+_OUTLYING, FAR = 2.0, 4.0
 #: A click has values of two kinds if more than this part lies beyond so many of its median-based spreads: of a normal
 #: distribution, and of one with tails, hardly any do. What is less is left out by a model that learns robustly.
-OTHER_KIND, BEYOND_KIND = 0.1, 6.0
+_OTHER_KIND, _BEYOND_KIND = 0.1, 6.0
 #: Fewest voxels of a start that outliers are looked for in; the surroundings are sampled at about so many voxels.
 MIN_VOXELS, SAMPLES = 20, 1 << 18
 #: The area cannot pull in a start whose curvature it weighs less than this part of the squared contrast.
-SAFE = 0.25
+_SAFE = 0.25
 
 
 class Bounds(NamedTuple):
@@ -49,7 +46,7 @@ class Bounds(NamedTuple):
 def start_checks(
     objects: Sequence[EvolvingObject], starts: Sequence[ObjectStart], prepared: PreprocessedInput, has_ids: bool
 ) -> list[str]:
-    """A line for each doubt about a start, with what to try; to be called before the first step.
+    """A line for each problem of a start, with what to try; to be called before the first step.
 
     Parameters
     ----------
@@ -85,14 +82,14 @@ def _of_values(evolving: EvolvingObject, start: ObjectStart, prepared: Preproces
     lines = []
     if prepared.learns:
         clicked = evolving.context.clicks is not None and bool(evolving.context.clicks.ids())
-        lines = outlier_line(values, inside, start.corner, prepared.geometry, _option(evolving, clicked, has_ids))
+        lines = _outlier_line(values, inside, start.corner, prepared.geometry, _option(evolving, clicked, has_ids))
     for term in evolving.made.terms:
         if term["term"] != "threshold" or "LO" not in term:
             continue
         window = Bounds(term["LO"], term["HI"])
-        if line := bounds_line(values, window):
+        if line := _bounds_line(values, window):
             lines.append(line)
-        elif line := surroundings_line(low + width * image, inside, start.corner, prepared.geometry, window):
+        elif line := _surroundings_line(low + width * image, inside, start.corner, prepared.geometry, window):
             lines.append(line)
     return lines
 
@@ -123,11 +120,11 @@ def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput, has_ids: b
     for click in () if evolving.context.clicks is None else evolving.context.clicks.clicks:
         if click.side == "inside":
             values = low + width * prepared.images[0][click.box][click.mask].astype(np.float64)
-            lines += two_kinds_line(values, click, prepared.geometry, _option(evolving, True, has_ids))
+            lines += _two_kinds_line(values, click, prepared.geometry, _option(evolving, True, has_ids))
     return lines
 
 
-def two_kinds_line(values: NDArray[np.float64], click: Click, geometry: Geometry, option: str) -> list[str]:
+def _two_kinds_line(values: NDArray[np.float64], click: Click, geometry: Geometry, option: str) -> list[str]:
     """Check that no good part of a click is unlike the rest; a note: the model learns the rest.
 
     Parameters
@@ -141,8 +138,8 @@ def two_kinds_line(values: NDArray[np.float64], click: Click, geometry: Geometry
     """
     middle = float(np.median(values))
     robust = NORMAL_MAD * float(np.median(np.abs(values - middle)))
-    unlike = np.abs(values - middle) > BEYOND_KIND * robust
-    if values.size < MIN_VOXELS or not robust > 0 or unlike.mean() <= OTHER_KIND:
+    unlike = np.abs(values - middle) > _BEYOND_KIND * robust
+    if values.size < MIN_VOXELS or not robust > 0 or unlike.mean() <= _OTHER_KIND:
         return []
     rest = click.mask.copy()
     rest[click.mask] = ~unlike
@@ -164,17 +161,17 @@ def _deepest_ball(mask: NDArray[np.bool_], corner: Sequence[int], geometry: Geom
     return f"{place_text(geometry.index_to_world(index.tolist()), steps)},{radius:.2g}"
 
 
-def bounds_line(values: NDArray[np.float64], window: Bounds) -> str:
+def _bounds_line(values: NDArray[np.float64], window: Bounds) -> str:
     """Check that not nearly all of the start lies beyond the energy's bounds.
 
     Examples
     --------
-    >>> bounds_line(np.array([110.0, 112.0]), Bounds(226.0, None))
+    >>> _bounds_line(np.array([110.0, 112.0]), Bounds(226.0, None))
     'start: its median is 111, the bound 226: everything will shrink; try --energy threshold:learned,learned'
     """
     low, high = window
     within = _within(values, window)
-    if within.mean() >= MIN_WITHIN:
+    if within.mean() >= _MIN_WITHIN:
         return ""
     middle = float(np.median(values))
     bound = low if low is not None and middle < low else high
@@ -189,7 +186,7 @@ def _within(values: NDArray[Any], window: Bounds) -> NDArray[np.bool_]:
     return np.asarray((values >= (-np.inf if low is None else low)) & (values <= (np.inf if high is None else high)))
 
 
-def surroundings_line(
+def _surroundings_line(
     image: NDArray[Any],
     inside: NDArray[np.bool_],
     corner: Corner,
@@ -217,7 +214,7 @@ def surroundings_line(
         return ""
     within = shell & _within(values, window)
     share = np.count_nonzero(within) / np.count_nonzero(shell)
-    if share <= MAX_AROUND:
+    if share <= _MAX_AROUND:
         return ""
     farthest = np.unravel_index(int(np.argmax(np.where(within, away, -1.0))), away.shape)
     index = [int(i) * (t.step or 1) + s.start + c for i, t, s, c in zip(farthest, thin, box, corner, strict=True)]
@@ -228,7 +225,7 @@ def surroundings_line(
     )
 
 
-def outlier_line(
+def _outlier_line(
     values: NDArray[np.float64], inside: NDArray[np.bool_], corner: Corner, geometry: Geometry, option: str
 ) -> list[str]:
     """Check that no values in the start are far from the others, and find the farthest.
@@ -246,7 +243,7 @@ def outlier_line(
     """
     middle = float(np.median(values))
     spread, robust = float(values.std()), NORMAL_MAD * float(np.median(np.abs(values - middle)))
-    if values.size < MIN_VOXELS or not spread > OUTLYING * robust > 0:
+    if values.size < MIN_VOXELS or not spread > _OUTLYING * robust > 0:
         return []
     unlike = np.abs(values - middle) > FAR * robust
     voxels = np.argwhere(inside)
@@ -274,7 +271,7 @@ def _of_area(evolving: EvolvingObject, start: ObjectStart, prepared: Preprocesse
         steps = prepared.geometry.steps
         size = values.size * math.prod(steps)
         radius = (0.75 * size / math.pi) ** (1 / 3) if len(steps) == 3 else math.sqrt(size / math.pi)
-        if 2.0 * alpha / radius < SAFE * (values.mean() - outside) ** 2:
+        if 2.0 * alpha / radius < _SAFE * (values.mean() - outside) ** 2:
             return []
     return area_line(evolving.evolution, of_terms)
 
@@ -291,8 +288,8 @@ def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
     surface = evolution.surface
     if not alpha > 0 or surface.size == 0:
         return []
-    # On a copy: what a surface has measured of itself is counted with its first step. Where the surface touches a
-    # click nothing acts into it; what would act there tells whether all but the clicks vanishes.
+    # On a copy: measures of the surface itself are counted with its first step. Where the surface touches a click no
+    # force acts into it; the force without clicks tells whether all but the clicks vanishes.
     energy, front_surface = without_clicks(evolution.energy), surface
     spacing = (front_surface.grid.hz, front_surface.grid.hy, front_surface.grid.hx)
     surface = LevelSet(

@@ -20,7 +20,7 @@ class StartPyramid:
     ----------
     start : ObjectStart
     grids : sequence of Level
-        Finest first. On each the start lies on the box of all blocks that it touches; beyond what is known of it, it
+        Finest first. On each the start lies on the box of all blocks that it touches; beyond its array it
         is far outside.
     """
 
@@ -62,12 +62,12 @@ class StartPyramid:
 def _widened(
     corner: Corner, psi: NDArray[np.float32], box: Box, value: float
 ) -> tuple[Corner, NDArray[np.float32]]:
-    """The same on a larger box, with ``value`` beyond what is known."""
+    """The same on a larger box, with ``value`` beyond the array."""
     pad = [(c - s.start, s.stop - c - n) for c, n, s in zip(corner, psi.shape, box, strict=True)]
     return corner_of(box), psi if not np.any(pad) else np.pad(psi, pad, constant_values=value)
 
 
-def ratio_of(coarse: Level, fine: Level) -> tuple[int, int, int]:
+def _ratio_of(coarse: Level, fine: Level) -> tuple[int, int, int]:
     """Voxels of the finer level per voxel of the coarser one, along each axis."""
     z, y, x = (c // f for c, f in zip(coarse.factors, fine.factors, strict=True))
     return z, y, x
@@ -78,7 +78,7 @@ def coarser_box(
 ) -> tuple[Corner, tuple[int, int, int]]:
     """First voxel and shape, on the next coarser level, of the voxels that a box touches."""
     at, counts = [], []
-    for c, n, ratio, whole in zip(corner, shape, ratio_of(coarse, fine), fine.shape, strict=True):
+    for c, n, ratio, whole in zip(corner, shape, _ratio_of(coarse, fine), fine.shape, strict=True):
         # A block of an axis of odd size takes half of the voxel after its last as well.
         at.append(c // ratio)
         counts.append((c + n - (1 if ratio == 1 or whole % 2 == 0 else 0)) // ratio + 1 - at[-1])
@@ -88,7 +88,7 @@ def coarser_box(
 def touched_box(corner: Corner, shape: tuple[int, ...], coarse: Level, fine: Level) -> Box:
     """The voxels of the next finer level that a box of blocks touches."""
     ends = []
-    for c, n, ratio, whole in zip(corner, shape, ratio_of(coarse, fine), fine.shape, strict=True):
+    for c, n, ratio, whole in zip(corner, shape, _ratio_of(coarse, fine), fine.shape, strict=True):
         half = 1 if ratio > 1 and whole % 2 else 0
         ends.append(slice(max(c * ratio - half, 0), min((c + n) * ratio, whole)))
     return ends[0], ends[1], ends[2]
@@ -101,7 +101,7 @@ def finer_box(
 
     Along an axis of odd size it goes from the centre of the first voxel to that of the last.
     """
-    ratio = ratio_of(coarse, fine)
+    ratio = _ratio_of(coarse, fine)
     z, y, x = (c * r for c, r in zip(corner, ratio, strict=True))
     nz, ny, nx = (
         n * r - (1 if r > 1 and whole % 2 else 0) for n, r, whole in zip(shape, ratio, fine.shape, strict=True)

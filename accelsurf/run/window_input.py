@@ -25,9 +25,9 @@ class WindowInput:
     ----------
     window : Window
     filtered : tuple of ndarray, shape of the window, float32
-        Each channel, filtered with what lies around the window; the run uses their memory.
+        Each channel, filtered with its surroundings; the run uses their memory.
     whole : tuple of WholeChannel
-        What is needed of each whole channel; empty with a region of interest, which is scaled by its own values.
+        Statistics of each whole channel; empty with a region of interest, which is scaled by its own values.
     starts : tuple of ObjectStart or None
         First surfaces of several objects, counted from the window's first voxel; None for a single object.
     """
@@ -39,7 +39,7 @@ class WindowInput:
 
     @property
     def open_window(self) -> Window | None:
-        """The window, where the run would go on beyond it; None where a region of interest ends it."""
+        """The window, where the object may lie beyond it; None where a region of interest ends it."""
         return self.window if self.whole else None
 
 

@@ -27,8 +27,8 @@ from accelsurf.starts import starts
 MAX_ID = 2**32 - 1
 #: Columns of a table: world mm (LPS), or voxel indices with the radius in voxels of the smallest spacing.
 WORLD_COLUMNS, VOXEL_COLUMNS = ("id", "x", "y", "z", "r"), ("id", "x_vox", "y_vox", "z_vox", "r_vox")
-#: What is deeper in a surface that is given than this part of its greatest depth is surely of the object.
-CORE_DEPTH = 0.5
+#: Voxels deeper in a given surface than this part of its greatest depth are surely of the object.
+_CORE_DEPTH = 0.5
 _BYTES_PER_VOXEL = 16  # image, psi twice, and an index of the band
 _FORM = f"columns {','.join(WORLD_COLUMNS)} in world mm (LPS), or {','.join(VOXEL_COLUMNS)}"
 
@@ -82,10 +82,9 @@ def _of_labels(
     places = np.where(labels > 0, np.searchsorted(found, labels) + 1, 0).astype(np.int32)
     boxes = [widened(box, geometry.shape, (margin, margin, margin)) for box in ndimage.find_objects(places)]
     _check_boxes(name, boxes, geometry)
-    half, out = np.float32(0.5 * min(geometry.steps)), []
+    out = []
     for place, (id, grown) in enumerate(zip(found, boxes, strict=True), start=1):
-        psi = np.where(places[grown] == place, -half, half)
-        out.append(ObjectStart(int(id), corner_of(grown), psi))
+        out.append(ObjectStart(int(id), corner_of(grown), starts.psi_of_mask(places[grown] == place, geometry)))
     return out
 
 
@@ -138,10 +137,7 @@ def whole_numbers(
     except InputError as error:
         raise InputError(f"objects {name}: {error.message}", error.hint) from None
     if ids:
-        wanted = np.zeros(labels.shape, np.bool_)
-        for first, last in ids:
-            wanted |= (labels >= first) & (labels <= last)
-        labels = np.where(wanted, labels, 0)
+        labels = np.where(starts.has_label(labels, ids), labels, 0)
     return labels
 
 
@@ -260,7 +256,7 @@ def ball_start(
 
 
 def core_of(psi: NDArray[np.float32], spacing: Sequence[float]) -> NDArray[np.bool_]:
-    """The voxels inside that are deeper than `CORE_DEPTH` of the greatest depth; beyond the box an object goes on.
+    """The voxels inside that are deeper than `_CORE_DEPTH` of the greatest depth; beyond the box an object goes on.
 
     Parameters
     ----------
@@ -277,7 +273,7 @@ def core_of(psi: NDArray[np.float32], spacing: Sequence[float]) -> NDArray[np.bo
     around = [(1, 1) if n > 1 else (0, 0) for n in psi.shape]
     depth = ndimage.distance_transform_edt(np.pad(psi < 0, around, mode="edge"), sampling=spacing)
     depth = depth[tuple(slice(low, n + low) for (low, _), n in zip(around, psi.shape, strict=True))]
-    return np.asarray((psi < 0) & (depth > CORE_DEPTH * depth.max()))
+    return np.asarray((psi < 0) & (depth > _CORE_DEPTH * depth.max()))
 
 
 def apart(objects: Sequence[ObjectStart]) -> list[ObjectStart]:

@@ -17,7 +17,7 @@ from accelsurf.grid.geometry import Geometry
 
 #: A path through a voxel counts twice its length when the value differs from the seed's by this many standard
 #: deviations of the seed's neighbours, but at least by this fraction of the range of the image's middle 99 percent.
-SEED_DEVIATIONS, MIN_RANGE_FRACTION = 3.0, 0.1
+_SEED_DEVIATIONS, MIN_RANGE_FRACTION = 3.0, 0.1
 
 #: A place is half-way between two voxels if it is so up to this fraction of one: world coordinates are rounded.
 TIE = 1e-6
@@ -86,7 +86,7 @@ def grow_region(
     """Voxels within a geodesic distance ``radius`` of a seed, where values like the seed's make paths short.
 
     A mm through value I counts as 1 + ((I - m)/s)^2 mm, m being the median of the seed's neighbours and s their
-    standard deviation (from the median absolute deviation) times `SEED_DEVIATIONS`: in a region like the seed's that
+    standard deviation (from the median absolute deviation) times `_SEED_DEVIATIONS`: in a region like the seed's that
     gives a ball, which stops at the region's edge. The shortest paths go from voxel to voxel over the 26 neighbours
     (Dijkstra); they are up to an eighth (with thick slices a fifth) longer than straight ones.
 
@@ -105,7 +105,7 @@ def grow_region(
         Empty when the seed is outside.
     """
     out = np.zeros(values.shape, np.bool_)
-    voxel = nearest_voxels(centre)
+    voxel = _nearest_voxels(centre)
     if any(s.start < 0 or s.stop > n for s, n in zip(voxel, values.shape, strict=True)):
         return out
     box = widened(voxel, values.shape, [int(np.ceil(radius / h)) + 1 for h in geometry.spacing])
@@ -113,7 +113,7 @@ def grow_region(
     middle = float(np.median(near))
     low, high = np.percentile(values, (0.5, 99.5))
     deviation = 1.4826 * float(np.median(np.abs(near - middle)))
-    spread = max(SEED_DEVIATIONS * deviation, MIN_RANGE_FRACTION * float(high - low), 1e-30)
+    spread = max(_SEED_DEVIATIONS * deviation, MIN_RANGE_FRACTION * float(high - low), 1e-30)
     cost = 1.0 + ((values[box].astype(np.float64) - middle) / spread) ** 2
     march = MCP_Geometric(cost, sampling=geometry.spacing)
     ranges = (range(v.start - s.start, v.stop - s.start) for v, s in zip(voxel, box, strict=True))
@@ -122,12 +122,12 @@ def grow_region(
     return out
 
 
-def nearest_voxels(centre: Sequence[float]) -> Box:
+def _nearest_voxels(centre: Sequence[float]) -> Box:
     """The voxel nearest to a place, in voxels; half-way between two it is both, from whichever side one counts.
 
     Examples
     --------
-    >>> nearest_voxels((3.0, 4.4, 5.5))
+    >>> _nearest_voxels((3.0, 4.4, 5.5))
     (slice(3, 4, None), slice(4, 5, None), slice(5, 7, None))
     """
     z, y, x = (slice(int(np.ceil(c - 0.5 - TIE)), int(np.floor(c + 0.5 + TIE)) + 1) for c in centre)

@@ -2,14 +2,15 @@
 
 A start is text, ``kind:values``. Coordinates are world mm (x, y, z; LPS). With the suffix ``vox`` they are voxel
 indices (x, y, z; 0 is the centre of the first voxel), and a radius is in voxels of the smallest spacing.
-Each start becomes a function psi on the grid, negative inside; the minimum of several is their union.
+Each start becomes a function psi on the grid, negative inside; the minimum of several is their union. Tables of places
+in mm or in voxels, of balls and of clicks, are read here too.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ from accelsurf.io import meshes, split_name
 from accelsurf.settings import budgets
 from accelsurf.settings.labels import parse_ids
 from accelsurf.settings.wording import did_you_mean, shown
+
+Row = TypeVar("Row")
 
 #: mm or voxels.
 MAX_LENGTH = 1e12
@@ -66,12 +69,15 @@ class Start(NamedTuple):
 
     def mask_of(self, labels: NDArray[Any]) -> NDArray[np.bool_]:
         """Voxels of a label map that have one of the labels."""
-        if not self.ids:
-            return np.asarray(labels > 0)
-        mask = np.zeros(labels.shape, np.bool_)
-        for first, last in self.ids:
-            mask |= (labels >= first) & (labels <= last)
-        return mask
+        return has_label(labels, self.ids) if self.ids else np.asarray(labels > 0)
+
+
+def has_label(labels: NDArray[Any], ids: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Voxels of a label map with a label in one of the ranges (first, last)."""
+    mask = np.zeros(labels.shape, np.bool_)
+    for first, last in ids:
+        mask |= (labels >= first) & (labels <= last)
+    return mask
 
 
 def parse(text: str) -> Start:
@@ -260,11 +266,8 @@ def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDAr
     geometry, box = window.geometry, window.box
     if start.kind == CLICKS:
         raise UsageError(f"start {text!r}: there is no click inside", "give --inside point:X,Y,Z, or another start")
-    if start.kind in BY_VALUES and not window.is_whole:
-        raise UsageError(
-            f"start {shown(text)!r}: it looks at values everywhere, and the image is read in parts",
-            "give --inside ball:X,Y,Z,R, or a ball, a box, a mesh or a label map as the start",
-        )
+    if not window.is_whole:
+        refuse_values(start, text)
     if start.kind == "label":
         return psi_of_mask(_read_mask(start, window), geometry)
     if start.kind == "mesh":
@@ -282,6 +285,20 @@ def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDAr
         z, y, x = geometry.world_to_index(start.numbers[:3])
         return _ball(window, (x, y, z), start.numbers[3])
     return _box(window, start)
+
+
+def refuse_values(start: Start, text: str) -> None:
+    """Refuse a start that looks at values everywhere, in an image that is read in parts.
+
+    Raises
+    ------
+    UsageError
+    """
+    if start.kind in BY_VALUES:
+        raise UsageError(
+            f"start {shown(text)!r}: it looks at values everywhere, and the image is read in parts",
+            "give --inside ball:X,Y,Z,R, or a ball, a box, a mesh or a label map as the start",
+        )
 
 
 def _by_values(start: Start, geometry: Geometry, values: NDArray) -> NDArray[np.bool_]:

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from accelsurf.correct.local_evolution import WIN_REACH, _restore, _win
+from accelsurf.correct.local_evolution import RELABEL_REACH, _relabel, _restore
 from accelsurf.correct.refiner import Refiner
 from accelsurf.correct.region import NearRegion, near_bounds, united
 from accelsurf.grid.boxes import whole_box
@@ -97,12 +97,12 @@ def test_a_known_distance_is_measured_without_solving_it_again(shape, spacing):
 def test_what_a_click_wins_is_on_its_side_with_distances_around():
     psi = np.full(SHAPE, 3.0, np.float32)
     basin = distance_from((10, 12, 25)) <= 4
-    _win(psi, basin, "inside", SPACING)
+    _relabel(psi, basin, "inside", SPACING)
     np.testing.assert_array_equal(psi < 0, basin)
     assert psi[10, 12, 31] == pytest.approx(1.5)
-    assert (psi[:, :, : 25 - 5 - int(WIN_REACH)] == 3.0).all()
+    assert (psi[:, :, : 25 - 5 - int(RELABEL_REACH)] == 3.0).all()
     before = np.full(SHAPE, -3.0, np.float32)
-    _win(before, basin, "outside", SPACING)
+    _relabel(before, basin, "outside", SPACING)
     np.testing.assert_array_equal(before >= 0, basin)
 
 

@@ -110,17 +110,17 @@ def leaked():
 @pytest.mark.parametrize("options", [{"levels": 1, "threads": 1}, {"levels": 1, "threads": 2}, {"levels": 2}])
 def test_the_run_can_end_at_its_rest(options, leaked):
     image, first = joined_balls()
-    assert leaked.labels.sum() > 1.8 * first.sum() and len(leaked.objects[0].rests) == 1
+    assert leaked.labels.sum() > 1.8 * first.sum() and len(leaked.objects[0].plateaus) == 1
     result = accelsurf.segment(image, **LEAK, **options, stop_at_rest=True)
     labels = result.labels > 0
     assert 2 * (labels & first).sum() > 0.93 * (labels.sum() + first.sum())
     if options["levels"] == 1:
         assert result.stop.reason == "rested" and "rested at step" in result.stop.message
-        np.testing.assert_array_equal(result.labels, leaked.objects[0].rests[0].labels)
+        np.testing.assert_array_equal(result.labels, leaked.objects[0].plateaus[0].labels)
 
 
 def test_the_result_says_where_it_broke_through(leaked):
-    (rest,) = leaked.objects[0].rests
+    (rest,) = leaked.objects[0].plateaus
     x, y, z = rest.place
     assert 28 < x < 46 and abs(y - 17.5) < 5 and abs(z - 17.5) < 5
     (note,) = [note for note in leaked.quality.notes if note.startswith("rest: ")]

@@ -50,7 +50,7 @@ def assert_same(one, want):
     pairs = zip(one.history, want.history, strict=True)
     assert all(own._replace(seconds=0.0) == other._replace(seconds=0.0) for own, other in pairs)
     assert one.quality == want.quality and one.area_mm2 == want.area_mm2
-    assert [rest.place for rest in one.rests] == [rest.place for rest in want.rests]
+    assert [rest.place for rest in one.plateaus] == [rest.place for rest in want.plateaus]
     if one.has_surface:
         assert one.surface.vertices.tobytes() == want.surface.vertices.tobytes()
 
@@ -142,11 +142,11 @@ def test_a_group_that_does_not_fit_is_named_and_the_others_go_on(image):
 def test_one_that_came_to_a_start_that_failed_is_run_without_it(image, monkeypatch):
     run_group, ran = group_run.run_group, []
 
-    def failing(image, whole, config, starts, others):
+    def failing(large, starts, others):
         ran.append([one.id for one in starts])
         if any(one.id == 21 for one in starts):
             raise AccelsurfError("no", "nothing to do")
-        return run_group(image, whole, config, starts, others)
+        return run_group(large, starts, others)
 
     monkeypatch.setattr(many_objects, "run_group", failing)
     found, _ = in_groups(image, LazyVolume.of_array(label_map((20, 21))), margin=-2)

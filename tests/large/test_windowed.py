@@ -58,7 +58,7 @@ def assert_same(whole, part):
     rows = [[row._replace(seconds=0.0, cells_visited=0) for row in one.history] for one in (whole, part)]
     assert rows[0] == rows[1]
     assert repr(part.quality) == repr(whole.quality)
-    grown = [one and tuple(float(v) for v in one) for one in (whole.late_growth, part.late_growth)]
+    grown = [one and tuple(float(v) for v in one) for one in (whole.late_leakage, part.late_leakage)]
     corner = part.window.corner
     assert grown[0] == (grown[1] and tuple(v + first for v, first in zip(grown[1], corner, strict=True)))
 
@@ -258,7 +258,7 @@ def test_a_rest_and_its_place_are_those_of_the_whole_image(small_windows, levels
     assert part.window.corner != (0, 0, 0)
     assert_same(whole, part)
     (one,), (other,) = whole.objects, part.objects
-    assert len(one.rests) == (1 if levels == 1 else len(other.rests))
-    for rest, own in zip(one.rests, other.rests, strict=True):
+    assert len(one.plateaus) == (1 if levels == 1 else len(other.plateaus))
+    for rest, own in zip(one.plateaus, other.plateaus, strict=True):
         assert rest[:4] == own[:4]
         assert np.array_equal(rest.labels[part.window.box], own.labels)

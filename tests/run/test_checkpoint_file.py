@@ -60,7 +60,7 @@ def bytes_of(result):
     rows = [[repr(record._replace(seconds=0.0, cells_visited=0)) for record in one.history] for one in result.objects]
     config = result.config.model_dump(exclude={"checkpoint"})
     psi = [one.psi.tobytes() for one in result.objects]
-    return psi, rows, result.labels.tobytes(), result.warnings, result.late_growth, config, result.levels
+    return psi, rows, result.labels.tobytes(), result.warnings, result.late_leakage, config, result.levels
 
 
 @pytest.mark.sampled(2)

@@ -25,7 +25,7 @@ def test_it_is_the_far_end_of_what_was_filled_last(mask, levels):
     options = {"mask": region} if mask else {}
     result = segment(image, start="ball:14,14,14,5", levels=levels, smoothness=0.05, **options)
     assert result.labels[14, 14, 54]  # it has got there
-    z, y, x = result.late_growth
+    z, y, x = result.late_leakage
     assert x > 40 and abs(y - 14) < 7 and abs(z - 14) < 7
     assert result.labels[int(z), int(y), int(x)]  # a voxel of the object, through which a slice shows it
 
@@ -36,7 +36,7 @@ def test_of_several_objects_it_is_where_any_grew_most():
     starts = np.zeros(image.shape, int)
     starts[11:18, 11:18, 11:18] = 4
     result = segment_objects(image, starts, levels=1, smoothness=0.05)
-    assert result.late_growth[2] > 40
+    assert result.late_leakage[2] > 40
 
 
 def test_it_is_on_a_thin_object_too_and_goes_with_what_a_correction_takes_away():
@@ -46,11 +46,11 @@ def test_it_is_on_a_thin_object_too_and_goes_with_what_a_correction_takes_away()
     noise = np.random.default_rng(0).normal(0, 5, disk.shape)
     image = (100.0 * disk + noise).astype(np.float32)
     result = segment(image, inside="ball:20,20,19,1.5", start="ball:20,20,19,3", energy="threshold:50,", threads=1)
-    place = tuple(int(v) for v in result.late_growth)
+    place = tuple(int(v) for v in result.late_leakage)
     assert result.labels[place]
     at = ",".join(str(v) for v in place[::-1])
-    assert refine(result, inside="point:20,20,19").late_growth == result.late_growth
-    assert refine(result, outside=f"ball:{at},4").late_growth is None
+    assert refine(result, inside="point:20,20,19").late_leakage == result.late_leakage
+    assert refine(result, outside=f"ball:{at},4").late_leakage is None
 
 
 def test_the_nearest_voxel_is_found_however_far_it_is():
@@ -63,4 +63,4 @@ def test_the_nearest_voxel_is_found_however_far_it_is():
 
 def test_there_is_none_where_nothing_grew():
     image = dumbbell()
-    assert segment(image, start="ball:14,14,14,5", max_steps=0).late_growth is None
+    assert segment(image, start="ball:14,14,14,5", max_steps=0).late_leakage is None

@@ -237,7 +237,7 @@ def test_the_steps_of_rest_stay_known_when_it_has_gone_back():
         session.play().result(60)
         assert session.wait(120)
         result = segment(image, config=config.replace(levels=1))
-        (rest,) = result.objects[0].rests
+        (rest,) = result.objects[0].plateaus
         assert session.status.rests == (rest.step,)
         session.go_to(2).result(60)
         session.wait(60)

@@ -16,7 +16,7 @@ from accelsurf.kernels.components import shared_cells, touching
 from accelsurf.levelset import FRONT_WIDTH, LevelSet
 
 #: Contact sets in at this distance, voxels of the smallest spacing, and grows until the surfaces touch.
-CONTACT_RANGE = 1.0
+_CONTACT_RANGE = 1.0
 
 
 class Neighbour(NamedTuple):
@@ -30,7 +30,7 @@ class Neighbour(NamedTuple):
 
 class Contact(NamedTuple):
     """Contact with a neighbour: ``near`` (m,) indices of the points; the neighbour's ``cells`` and ``slots``
-    there; ``share`` (m,), 1 where the two touch and 0 from `CONTACT_RANGE` on.
+    there; ``share`` (m,), 1 where the two touch and 0 from `_CONTACT_RANGE` on.
     """
 
     other: Neighbour
@@ -96,7 +96,7 @@ class NonOverlap(ConstrainedEnergy):
         reaction = np.zeros(front_slots.size, np.float32)
         for touch in self._contacts(surface, front_slots):
             theirs = touch.other.energy.force_in(touch.cells)
-            stopped = contact_reaction(force[front_slots[touch.near]], theirs, touch.share)
+            stopped = _contact_reaction(force[front_slots[touch.near]], theirs, touch.share)
             reaction[touch.near] = np.maximum(reaction[touch.near], stopped)
         force[front_slots] += reaction
         return force
@@ -109,7 +109,7 @@ class NonOverlap(ConstrainedEnergy):
         cells = surface.band.cells[front_slots]
         index = np.stack(np.unravel_index(cells, surface.shape), axis=1) + np.array(self._corner)
         points = index + np.where(np.array(surface.shape) > 1, surface.band.to_closest[front_slots] / steps, 0.0)
-        width = CONTACT_RANGE * float(steps.min())
+        width = _CONTACT_RANGE * float(steps.min())
         for other in self.neighbours:
             theirs = other.surface
             # Closest points of cells at the volume's border may lie beyond it: then the border's own voxels are read.
@@ -135,7 +135,7 @@ class NonOverlap(ConstrainedEnergy):
         stopped, slowed = np.zeros(front_slots.size, np.float32), np.zeros(front_slots.size, np.float32)
         for other, near, cells, slots, share in self._contacts(surface, front_slots):
             theirs = other.flow.normal_velocity(other.surface)[slots]
-            stopped[near] = np.maximum(stopped[near], contact_reaction(mine[near], theirs, share))
+            stopped[near] = np.maximum(stopped[near], _contact_reaction(mine[near], theirs, share))
             both = grows[near] & (other.energy.force_in(cells) < 0)
             slowed[near] = np.minimum(slowed[near], np.where(both, -share * np.maximum(mine[near], 0.0), 0.0))
         reaction = np.zeros(surface.size, np.float32)
@@ -170,7 +170,7 @@ class NonOverlap(ConstrainedEnergy):
         return deepest
 
 
-def contact_reaction(
+def _contact_reaction(
     mine: NDArray[np.float32], theirs: NDArray[np.float32], share: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """The change of a quantity along the inward normal to max(mine, -max(theirs, 0)), weighted by ``share``."""

@@ -15,6 +15,9 @@ from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.levelset import BandChange, LevelSet
 
+#: The surface touches the boundary of the mask when it is this close, voxels of the smallest spacing.
+CONTACT_DISTANCE = 0.25
+
 
 class ConstrainedEnergy(Energy):
     """Wraps an energy whose force is limited in places; everything else is that of the energy.
@@ -85,10 +88,6 @@ class ConstrainedEnergy(Energy):
     def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
         """The energy's own."""
         return self._energy.image_force(surface, box)
-
-
-#: The surface touches the boundary of the mask when it is this close, voxels of the smallest spacing.
-CONTACT_DISTANCE = 0.25
 
 
 class MaskConstraint(ConstrainedEnergy):

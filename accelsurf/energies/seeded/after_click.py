@@ -1,20 +1,13 @@
-"""The stage after one click more: what the click says of its neighbourhood, and what of it holds farther away.
+"""Stage after one click more: what the click says of its neighbourhood, and what of it holds farther away.
 
-As long as few clicks say what is outside the contests of the clicks fill more than the object: a click into a missing
-corner of a cube in noise took a layer all around the cube as well. Single voxels in noise do not tell; the mean of all
-that a click inside adds far from it does. Where that looks like the surroundings and not like what was inside already,
-F changes in the click's own neighbourhood alone.
+As long as few clicks say what is outside, the labelling by the clicks fills more than the object: a click into a
+missing corner of a cube in noise took a layer all around the cube as well. So where the mean of all that an inside
+click adds far from it looks like the surroundings, F changes in the click's neighbourhood alone. Nothing follows from
+the looks of what an outside click takes.
 
-An outside click takes what often looks like the object: nothing follows from its looks.
-
-Surprise of a click: what it says of its neighbourhood, and of nothing else.
-
-A click inside where F > 0, or outside where F < 0, is a surprise of so much as F lies on the wrong side. What made F
-wrong there (a value that both sides have, a size that is too small) made it wrong around it as well, so F is moved
-towards the click's side by a part of the surprise, less with the distance, within some of the click's own half widths.
-
-From the third click on F changes only where it is near, whatever the contests say elsewhere: most is right by then, and
-people click about half as wide as what is wrong.
+Disagreement at the click: F > 0 at an inside click, or F < 0 at an outside one. Its cause, a value that both sides
+have or a size that is too small, made F wrong around it as well. So F is moved towards the click's side by a part of
+the disagreement, less with the distance. From the third click on F changes only near the click: most is right by then.
 """
 
 from __future__ import annotations
@@ -43,6 +36,12 @@ LIKE_OUTSIDE, UNLIKE_OUTSIDE = 0.25, 0.4
 CLEAR_CONTRAST = 0.3
 #: Fewer voxels than these are not looked at.
 FEW = 5
+#: F is moved by this part of the surprise, by so much at most.
+PART, LARGEST = 0.5, 0.2
+#: Standard deviation, in half widths of the click, see `accelsurf.energies.seeded.nearness.nearness`.
+REACH = 3.5
+#: The same for where F changes after 2, 3, ... clicks.
+CHANGES_REACH = (np.inf, 24.0, 12.0, 8.0, 6.0)
 
 
 def stage_after(
@@ -130,14 +129,6 @@ def _likeness(image: Image, added: Mask, inside: Mask, outside: Mask) -> tuple[f
         return 0.0, 1.0
     spread = np.sqrt(0.5 * (within.var() + beyond.var()))
     return abs(step) / max(spread, 1e-6 * abs(step)), float(image[added].mean(dtype=np.float64) - beyond.mean()) / step
-
-
-#: F is moved by this part of the surprise, by so much at most.
-PART, LARGEST = 0.5, 0.2
-#: Standard deviation, in half widths of the click, see `accelsurf.energies.seeded.nearness.nearness`.
-REACH = 3.5
-#: The same for where F changes after 2, 3, ... clicks.
-CHANGES_REACH = (np.inf, 24.0, 12.0, 8.0, 6.0)
 
 
 def neighbourhood(

@@ -1,11 +1,11 @@
-"""Change of the field by each click: the field of the first one, and corrections that stay near the later ones.
+"""Change of the score map by each click: the map of the first one, and corrections that stay near the later ones.
 
-The first click's field balances arrival times from inside and from the surroundings, the likelihood of the values, and
-the level of the size. A later inside click is answered by the balance with all clicks, without the first size; a later
-outside click by what it changes in that balance, and by the balance itself where it arrives first. Either changes
-labels towards its own side alone, and only in the piece that is connected to it: what was right elsewhere stays.
+The first click's map balances arrival times from inside and from the surroundings, the likelihood of the values, and
+the iso-value of the size. A later inside click uses the balance with all clicks, without the first size; a later
+outside click what it changes in that balance, and the balance itself where it arrives first. Either changes labels
+towards its own side alone, and only in the piece that is connected to it: what was right elsewhere stays.
 
-Clicks on a large object are answered in blocks of voxels, see `accelsurf.energies.seeded.blocks`.
+On a large object this is computed in blocks of voxels, see `accelsurf.energies.seeded.blocks`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Appearance of the tissue under a click, robustly: medians and median-based spreads.
-
-Likelihood of a value inside and around: ratios of smoothed histograms.
-"""
+"""Local appearance under a click, by medians and median-based spreads; likelihood of a value inside and around."""
 
 from __future__ import annotations
 
@@ -41,6 +38,8 @@ FIRST_LOOK = 2.0
 MIN_CHANGE = 0.5
 #: Cost per mm, see `accelsurf.kernels.arrival.cost_at`.
 WEIGHTS = (0.02, 0.1, 50.0, 0.15, 2.0, 16.0)
+#: Bins of a histogram and the Gaussian that smooths it, in bins.
+BINS, WIDTH = 128, 2.0
 
 
 def box_around(click: Click, shape: Sequence[int], margin: int) -> tuple[Box, Mask]:
@@ -219,10 +218,6 @@ def _shells(
         like &= np.abs(image[box] - median) <= ALIKE * spread
     shell = (distance / step).astype(np.int64).ravel()
     return np.bincount(shell).astype(np.int64), np.bincount(shell, like.ravel()).astype(np.float64)
-
-
-#: Bins of a histogram and the Gaussian that smooths it, in bins.
-BINS, WIDTH = 128, 2.0
 
 
 def log_ratio(

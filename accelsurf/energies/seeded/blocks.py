@@ -1,9 +1,9 @@
-"""The image in blocks of voxels, in which later clicks on a large object are answered.
+"""The image in blocks of voxels, in which the score map of later clicks on a large object is computed.
 
-What a later click changes is found by marches that go over a multiple of the object's volume. On a large object a
-person would wait for them, while what they say of a single voxel does not count: beside them stand the contests of the
-clicks, which are coarsened too, and the surface is brought to the edges of the image voxel by voxel. So the marches go
-over blocks, as small as a bound on their number in the object allows. Small objects have blocks of one voxel.
+The effect of a later click is found by marches that go over a multiple of the object's volume. On a large object a
+person would wait for them, while their value at a single voxel does not count: the labelling by the clicks beside them
+is coarsened too, and the surface is brought to the edges of the image voxel by voxel. So the marches go over blocks,
+as small as a bound on their number in the object allows. Small objects have blocks of one voxel.
 """
 
 from __future__ import annotations

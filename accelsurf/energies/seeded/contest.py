@@ -1,11 +1,11 @@
-"""Contest of the clicks without a model: each voxel to the side that it is nearer to, on a box around the clicks.
+"""Labelling by the clicks without a model: each voxel to the side that it is nearer to, on a box around the clicks.
 
-Two contests, each -1 at inside clicks and 1 at outside ones: by the shortest paths, where a change of the values is
-what costs (Criminisi et al. 2008), and by random walks (Grady 2006). The first finds edges that leak little, the second
-closes gaps smoothly. The box reaches some depths around the inside clicks, a depth being twice a click's radius: so
-a person clicks. Its faces count as outside, but for those close to an inside click.
+Two labellings, each -1 at inside clicks and 1 at outside ones: geodesic, where a change of the values is what costs
+(Criminisi et al. 2008), and by random walks (Grady 2006). The first finds edges that leak little, the second closes
+gaps smoothly. The box reaches some depths around the inside clicks, a depth being twice a click's radius: so a person
+clicks. Its faces count as outside, but for those close to an inside click.
 
-Arrival times from inside and from outside, and which of them is earlier.
+Marches from inside and from outside give the arrival times, and which of them is earlier.
 """
 
 from __future__ import annotations
@@ -50,6 +50,11 @@ CERTAIN = 0.9
 WINDOW = 10.0
 #: A spread is at least this part of the range.
 MIN_RANGE = 1e-3
+Times = NDArray[np.float32]
+_Mask = NDArray[np.bool_]
+Order = NDArray[np.int64]
+_NO_CAP, _ALL_OPEN = np.zeros(0, np.float32), np.zeros(0, np.bool_)
+_NEVER_LATE = (0, np.inf)
 
 
 class Around(NamedTuple):
@@ -255,12 +260,6 @@ def _scaled(part: Image, image: Image, inside: Sequence[Click], steps: Corner) -
     middle, spread = robust(np.concatenate([image[click.box][click.mask] for click in inside]))
     spread = at_least_of_changes(part, max(spread, MIN_RANGE * float(np.ptp(part)), 1e-20))
     return np.asarray(scaled_means(part, np.float32(middle), np.float32(spread), np.float32(WINDOW), steps))
-
-
-Times = NDArray[np.float32]
-Order = NDArray[np.int64]
-_NO_CAP, _ALL_OPEN = np.zeros(0, np.float32), np.zeros(0, np.bool_)
-_NEVER_LATE = (0, np.inf)
 
 
 class Field(NamedTuple):

@@ -1,21 +1,11 @@
 """Edge of the object, within a voxel: halfway between the values on both sides of the model's boundary.
 
-The model of clicks tells voxels apart; its field knows neither the brightness outside nor the place of an edge between
-two voxels. In a window around each voxel near the boundary the mean values inside and outside are compared, without
-the voxels next to the boundary, which blur mixes; the edge is where the value is halfway. How much that counts depends
-on how far apart the means are, in spreads: between equals it counts nothing, and the field decides alone. So it does
-more than two voxels from the boundary, where nothing can leak.
+In a window around each voxel near the boundary the mean values inside and outside are compared, without the voxels
+next to the boundary, which blur mixes. An edge counts by how far apart the means are, in spreads; elsewhere, and more
+than two voxels from the boundary, F decides alone. Where a size was stated, F is shifted by a constant that keeps it.
 
-Edges make an object larger or smaller than the model has it. Where a size was stated F is lowered or raised by a
-constant, so that it keeps that of the model: where no edge is the surface goes the other way. Where edges are all
-around nothing can, and they decide.
-
-Pull of the area on an object of clicks as a whole, so that it smooths the surface and does not shrink it.
-
-F says where the object is, F = 0 is its boundary. With a weight alpha of the area the surface rests where F = -alpha H,
-inside of it wherever it is convex, the farther the more gently F rises: .3 voxels and more where no edge is near. So
-F is lowered by alpha times the mean of H over the boundary: the surface rests about F = 0 then, inside where it is more
-curved than in the mean, outside where less.
+With a weight alpha of the area the surface comes to lie where F = -alpha H, inside of F = 0 wherever it is convex. So
+F is lowered by alpha times the mean of H over the boundary: the area smooths the object and does not shrink it.
 """
 
 from __future__ import annotations
@@ -60,6 +50,12 @@ MIN_PART = 1e-4
 #: Weight of the area, of the smallest spacing, without noise; and what noise of the contrast's size adds. More noise
 #: adds no more.
 AREA, NOISY_AREA = 0.1, 0.2
+#: Parallel surfaces are so many of the smallest spacings away.
+APART = 2.0
+#: Larger boxes are coarsened to so many voxels.
+MOST = 40_000
+#: F is lowered by so much at most: on a tiny object the area would otherwise outweigh what the clicks say.
+MAX_OFFSET = 0.2
 
 
 def edge_balance(
@@ -275,14 +271,6 @@ def _noise_share(image: Image, inside: Mask, near: Mask) -> float:
         if second.size:
             found.append(float(np.median(second)) / SECOND_DIFFERENCE)
     return min(min(found, default=0.0) / max(contrast, 1e-20), 1.0)
-
-
-#: Parallel surfaces are so many of the smallest spacings away.
-APART = 2.0
-#: Larger boxes are coarsened to so many voxels.
-MOST = 40_000
-#: F is lowered by so much at most: on a tiny object the area would otherwise outweigh what the clicks say.
-MAX_OFFSET = 0.2
 
 
 def mean_curvature(inside: Mask, spacing: Spacing) -> float:

@@ -1,8 +1,8 @@
-"""The answer to the first inside click: how large the object is, and the field for that size.
+"""Score map of the first inside click: how large the object is, and F for that size.
 
-How large it is is asked of volumes up to many times the expected one. The march over voxels ends where an object of
-blocks of one voxel has its surroundings; beyond, where an object has so many voxels that a single one does not count, a
-march over blocks goes on: the first click on a large image is answered as soon as on a small one.
+Volumes up to many times the expected one are compared. The march over voxels ends where an object of blocks of one
+voxel has its surroundings; beyond, where a single voxel does not count, a march over blocks goes on: so the first click
+on a large image takes no longer than on a small one.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Voxels that a click implies around it: people click inside of what they mean, not along its edge.
 
-So what lies around a click, half as far again as the click is wide, is on its side too, unless it looks different or a
-click that says the opposite is nearer. That is a guess: it guides the contests of the clicks, and holds nothing.
-
-Windows of voxels to each side of voxels, alike in mm.
+Voxels around a click, half as far again as the click is wide, are on its side too, unless they look different or a
+click of the other side is nearer. That is a guess: it guides the labelling by the clicks, and bounds nothing. It
+compares windows of voxels to each side of voxels, alike in mm.
 """
 
 from __future__ import annotations

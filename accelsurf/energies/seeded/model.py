@@ -1,9 +1,7 @@
 """The seeded model: from clicks to a force field and a first surface.
 
-Clicks inside other objects: what is inside of one is outside of all others, but says little of those far from it.
-
-A model goes on from click to click and looks at a box around all of them. With the clicks of every other object among
-them, each of many objects looked at the whole image, coarsely, once for every other object.
+A model goes on from click to click and looks at a box around all of them. Clicks inside other objects are outside of
+this one, but say little of places far from them: with all of them each of many objects would look at the whole image.
 """
 
 from __future__ import annotations

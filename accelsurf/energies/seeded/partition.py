@@ -1,7 +1,7 @@
 """Cells that fill a space: each voxel belongs to the click that comes to it at the lowest cost, whatever lies behind.
 
-No likelihood and no surroundings: neighbours look alike, and only what lies between them, a membrane, tells them apart.
-One march from all clicks says where the cells are; how much nearer the next one is, marches within each cell.
+No likelihood and no surroundings: neighbours look alike, and only membranes between them tell them apart. One march
+from all clicks says where the cells are; marches within each cell say how much nearer the next one is.
 """
 
 from __future__ import annotations

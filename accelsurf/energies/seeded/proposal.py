@@ -1,6 +1,6 @@
-"""Choice of the level of an arrival time that is the object: by a stated size, or by evidence.
+"""Size hypothesis: the iso-value of an arrival time that bounds the object, by a stated size or by evidence.
 
-Further evidence for the level of an arrival time that is the object: edges along it, and the cost of a wrong one.
+Evidence is what a person clicks, the change of appearance, edges along the iso-surface, and the cost of a wrong choice.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ SIZE_SPREAD = 0.25
 BOX_FILLED, BOX_SPREAD = 0.4, 0.5
 #: The march ends at so many spreads above the expected volume.
 FARTHEST = 1.8
+#: The edge along a level is that of the voxels between the volumes this factor smaller and larger.
+ALONG = 1.1
 
 
 class Proposal(NamedTuple):
@@ -259,10 +261,6 @@ def scores(
         variance = square[counts] / counts - mean**2 + (square[above] - square[counts]) / (above - counts) - shell**2
         contrast = np.maximum(contrast, np.abs(shell - mean) / np.sqrt(np.maximum(variance, 1e-9)))
     return np.asarray(np.log(np.maximum(slow, 1e-6)) + np.log(np.maximum(contrast, 1e-6)))
-
-
-#: The edge along a level is that of the voxels between the volumes this factor smaller and larger.
-ALONG = 1.1
 
 
 def edges_of(

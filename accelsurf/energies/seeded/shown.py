@@ -1,8 +1,8 @@
-"""Result shown after some clicks: the learned answer and the contests of the clicks alone, mixed.
+"""Blended score after some clicks: the score map of the model and the labelling by the clicks alone.
 
-It is their mean, after the first click with as many voxels as the answer has, later between the answer's size and its
-own. A later click changes labels towards its own side alone, F by a part, F around it by more, and from the third on F
-near it alone.
+It is their mean, after the first click with as many voxels as the model has, later between the model's size and the
+labelling's. A later click changes labels towards its own side alone, F by a part, F around it by more, and from the
+third on F near it alone.
 """
 
 from __future__ import annotations

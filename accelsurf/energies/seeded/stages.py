@@ -1,4 +1,4 @@
-"""A model click by click: what is known after some of its clicks, from which it goes on when others change."""
+"""Stages of a model, click by click: what is known after some clicks, from which it goes on when others change."""
 
 from __future__ import annotations
 

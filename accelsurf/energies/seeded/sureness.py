@@ -1,4 +1,4 @@
-"""Sureness of the model of the clicks about its object, as numbers."""
+"""Confidence of the model of the clicks in its object, as numbers."""
 
 from __future__ import annotations
 

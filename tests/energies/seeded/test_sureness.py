@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from accelsurf.correct.finished import sureness_from
+from accelsurf.correct.finished import confidence_from
 from accelsurf.energies.seeded import Proposal, seeded_model
 from accelsurf.energies.seeded.proposal import spread_of
 from accelsurf.energies.seeded.shown import Shown
@@ -106,8 +106,8 @@ def test_click_by_click_or_at_once_is_the_same():
     for n in (1, 2, 3):
         given = Clicks(tuple(clicks[:n]), SHAPE)
         model = seeded_model([image], SPACING, given, previous=model)
-        found = sureness_from(model)
-        assert found == sureness_from(seeded_model([image], SPACING, given))
-        assert found == sureness_from(seeded_model([image], SPACING, given, previous=model))
+        found = confidence_from(model)
+        assert found == confidence_from(seeded_model([image], SPACING, given))
+        assert found == confidence_from(seeded_model([image], SPACING, given, previous=model))
         # The outside click lies where nothing was found, and corrects nothing.
         assert found.corrections == (n == 3) and (found.correction is None) == (n < 3)
