@@ -353,9 +353,9 @@ def _panel():
     application = QApplication([])
     status = Status.preparing(RunConfig(), "", False)
     scene, session = SimpleNamespace(geometry=volume().geometry, unit="mm"), SimpleNamespace(status=status, source=None)
-    workplace = SimpleNamespace(scene=scene, session=session, folder=None)
-    panel = SettingsPanel(workplace)
-    panel.show_state(SettingsFeature(workplace).state(status) | {"has_box": False})
+    actions = SimpleNamespace(scene=scene, session=session, folder=None)
+    panel = SettingsPanel(actions)
+    panel.show_state(SettingsFeature(actions).state(status) | {"has_box": False})
     for row in panel.rows.values():
         if isinstance(row, ListRow):
             print(*(row.choice.itemText(place) for place in range(row.choice.count())), sep="\n")

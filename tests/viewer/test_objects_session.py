@@ -13,7 +13,7 @@ from accelsurf.cli import view
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.actions.workplace import Actions
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene

@@ -212,7 +212,7 @@ def test_a_phantom_is_that_of_the_command(tmp_path):
 
 
 class Shown:
-    """What the opening needs of a workplace: whether something is unsaved, and where to say something."""
+    """What the opening needs of the actions: whether something is unsaved, and where to say something."""
 
     def __init__(self, unsaved=False, geometry=None):
         self.notes, self.message, self.compared = [], "", []

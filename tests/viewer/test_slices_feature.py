@@ -7,7 +7,7 @@ from accelsurf.errors import UsageError
 from accelsurf.image.grey_window import CT_WINDOWS, GreyWindow, parse_window
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.actions.workplace import Actions
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.tiles import LAYOUTS, viewports
@@ -53,7 +53,7 @@ def test_tiles_cover_the_picture_once(layout, chart, tiles):
 
 
 @pytest.fixture(scope="module")
-def workplace():
+def actions():
     viewing.needs_graphics()
     volume, center = viewing.ball_image(direction=viewing.TURN)
     start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
@@ -70,26 +70,26 @@ def workplace():
 
 
 @pytest.fixture
-def fresh(workplace):
-    workplace.scene.tiles.lay_out("one", "space", True)
-    workplace.scene.tiles.show_whole()
-    workplace.request("window_named", "image")
-    workplace.request("tool", "look")
-    workplace.message = ""
-    workplace.scene.screenshot()
-    return workplace
+def fresh(actions):
+    actions.scene.tiles.lay_out("one", "space", True)
+    actions.scene.tiles.show_whole()
+    actions.request("window_named", "image")
+    actions.request("tool", "look")
+    actions.message = ""
+    actions.scene.screenshot()
+    return actions
 
 
-def middle(workplace, tile):
+def middle(actions, tile):
     """Parts of width, and of the height from the top, of the middle of a tile."""
-    left, bottom, right, top = workplace.scene.tiles.renderer(tile).GetViewport()
+    left, bottom, right, top = actions.scene.tiles.renderer(tile).GetViewport()
     return 0.5 * (left + right), 1.0 - 0.5 * (bottom + top)
 
 
-def part_of(picture, workplace, tile):
+def part_of(picture, actions, tile):
     """The pixels of a tile."""
     height, width, _ = picture.shape
-    left, bottom, right, top = workplace.scene.tiles.renderer(tile).GetViewport()
+    left, bottom, right, top = actions.scene.tiles.renderer(tile).GetViewport()
     return picture[round(height * (1 - top)) : round(height * (1 - bottom)), round(width * left) : round(width * right)]
 
 

@@ -24,13 +24,13 @@ app = QApplication([])
 from accelsurf.viewer.window.canvas_events import CanvasEvents
 asked, drawn, sizes = [], [], []
 feature = SimpleNamespace(is_dragging=True, fit_layout=lambda *size: sizes.append(size))
-workplace = SimpleNamespace(
+actions = SimpleNamespace(
     request=lambda *request: asked.append(request), feature=lambda kind: feature,
     scene=SimpleNamespace(tiles=SimpleNamespace()),
 )
 canvas = QWidget()
 canvas.resize(101, 51)
-events = CanvasEvents(workplace, canvas, lambda: drawn.append(len(asked)))
+events = CanvasEvents(actions, canvas, lambda: drawn.append(len(asked)))
 canvas.show()
 screen = QTest.createTouchDevice()
 QTest.touchEvent(canvas, screen).press(0, QPoint(10, 10), canvas).commit()

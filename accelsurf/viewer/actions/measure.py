@@ -26,7 +26,7 @@ from accelsurf.viewer.scene.legend import measure
 from accelsurf.viewer.scene.space import Picked
 
 if TYPE_CHECKING:
-    from accelsurf.viewer.actions.workplace import Actions
+    from accelsurf.viewer.actions.actions import Actions
     from accelsurf.viewer.core.measurements import Figures
 
 

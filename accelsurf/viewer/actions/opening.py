@@ -16,9 +16,9 @@ from typing import Any
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.files import FilesFeature
 from accelsurf.viewer.actions.tool import carry_out, text, whole, word
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.command_queue import in_background
 from accelsurf.viewer.core.opening import (
     Choice,

@@ -10,7 +10,7 @@ from accelsurf.viewer.actions.tool import Feature, Key, whole
 from accelsurf.viewer.core.status import Status
 
 if TYPE_CHECKING:
-    from accelsurf.viewer.actions.workplace import Actions
+    from accelsurf.viewer.actions.actions import Actions
     from accelsurf.viewer.core.session import Doubt
 
 

@@ -16,7 +16,7 @@ from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.space import Picked
 
 if TYPE_CHECKING:
-    from accelsurf.viewer.actions.workplace import Actions
+    from accelsurf.viewer.actions.actions import Actions
 
 
 class Key(NamedTuple):

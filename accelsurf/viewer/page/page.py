@@ -32,11 +32,11 @@ from PIL import Image
 
 from accelsurf.errors import AccelsurfError, OutputError, UsageError
 from accelsurf.image.grey_window import parse_window
+from accelsurf.viewer.actions.actions import Actions, IdleDrawing
 from accelsurf.viewer.actions.files import FilesFeature
 from accelsurf.viewer.actions.opening import FormerSessions, Opening, ResultFolders
 from accelsurf.viewer.actions.picture import PictureFeature
 from accelsurf.viewer.actions.tool import help_rows
-from accelsurf.viewer.actions.workplace import Actions, IdleDrawing
 from accelsurf.viewer.core.opening import OpenedImage
 from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
 from accelsurf.viewer.core.status import error_line

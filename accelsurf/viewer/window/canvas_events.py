@@ -8,9 +8,9 @@ from PySide6.QtCore import QEvent, QObject, QPointF, Qt
 from PySide6.QtGui import QEventPoint, QInputDevice, QMouseEvent, QNativeGestureEvent, QTouchEvent, QWheelEvent
 from pyvistaqt import QtInteractor
 
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.mouse import LEFT, MIDDLE, RIGHT, ZOOM, MouseFeature
 from accelsurf.viewer.actions.slices import SlicesFeature
-from accelsurf.viewer.actions.workplace import Actions
 
 _BUTTONS = {Qt.MouseButton.LeftButton: LEFT, Qt.MouseButton.MiddleButton: MIDDLE, Qt.MouseButton.RightButton: RIGHT}
 _PRESSES = (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick)

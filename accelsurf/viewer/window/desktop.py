@@ -31,8 +31,8 @@ from pyvistaqt import QtInteractor
 
 from accelsurf.image.grey_window import parse_window
 from accelsurf.image.volume import Volume
+from accelsurf.viewer.actions.actions import Actions, IdleDrawing
 from accelsurf.viewer.actions.slices import READ_OUT
-from accelsurf.viewer.actions.workplace import Actions, IdleDrawing
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import SIZE, Scene

@@ -22,8 +22,8 @@ from PySide6.QtWidgets import (
     QTableWidgetItem,
 )
 
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.objects import NEAREST
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.window.section_panel import Section, WheelGuard, button, framed
 
 Index = QModelIndex | QPersistentModelIndex

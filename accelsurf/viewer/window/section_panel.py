@@ -23,8 +23,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.settings_rows import TICKS
-from accelsurf.viewer.actions.workplace import Actions
 
 L = TypeVar("L", bound=QLayout)
 

@@ -20,9 +20,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.settings import SettingsFeature
 from accelsurf.viewer.actions.settings_rows import Row
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.window.section_panel import Amount, Section, button, choice, framed, in_row, show_choice, switch
 
 #: Mark behind the name of a setting whose change begins another run.

@@ -8,8 +8,8 @@ from typing import Any
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QDoubleSpinBox, QFormLayout, QGridLayout, QLabel
 
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.slices import MAX_GREY
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.scene.colors import THEMES
 from accelsurf.viewer.window.section_panel import Section, WheelGuard, choice, framed, in_row, show_choice, show_switch
 
