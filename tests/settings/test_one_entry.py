@@ -348,7 +348,7 @@ def _panel():
 
     from accelsurf.viewer.actions.settings import SettingsFeature
     from accelsurf.viewer.core.status import Status
-    from accelsurf.viewer.window.settings_panel import ListRow, SettingsPanel
+    from accelsurf.viewer.window.settings_panel import SettingsPanel
 
     application = QApplication([])
     status = Status.preparing(RunConfig(), "", False)
@@ -357,7 +357,7 @@ def _panel():
     panel = SettingsPanel(actions)
     panel.show_state(SettingsFeature(actions).state(status) | {"has_box": False})
     for row in panel.rows.values():
-        if isinstance(row, ListRow):
+        if row.choice is not None:
             print(*(row.choice.itemText(place) for place in range(row.choice.count())), sep="\n")
     del panel, application
 
