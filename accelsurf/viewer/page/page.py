@@ -34,7 +34,7 @@ from accelsurf.errors import AccelsurfError, OutputError, UsageError
 from accelsurf.image.grey_window import parse_window
 from accelsurf.viewer.actions.actions import Actions, IdleDrawing
 from accelsurf.viewer.actions.files import FilesFeature
-from accelsurf.viewer.actions.opening import FormerSessions, Opening, ResultFolders
+from accelsurf.viewer.actions.opening import Opening
 from accelsurf.viewer.actions.picture import PictureFeature
 from accelsurf.viewer.actions.tool import help_rows
 from accelsurf.viewer.core.opening import OpenedImage
@@ -101,8 +101,7 @@ class Page:
     ) -> None:
         self.opening, self._theme, self._overwrite, self._checkpoint_mb = opening, theme, overwrite, checkpoint_mb
         self.actions: Actions | None = None
-        self._folders = ResultFolders(folder)
-        self._former = FormerSessions()
+        self._folder = folder
         #: The room that the page has said the picture has, and its pixels; nothing before.
         self._room: tuple[Any, ...] = ()
         self.token, self.address = secrets.token_hex(24), ""
@@ -189,10 +188,10 @@ class Page:
             title=None if opened.source is not None else opened.name, window=parse_window(opened.config.window),
         )
         if former is not None:
-            self._former.add(former)
             former.scene.close()
         session = opened.session(self._checkpoint_mb) if session is None else session
-        self.actions = Actions(session, scene, self._folders.of_next(opened.name), self._overwrite, opened.frames)
+        folder = self.opening.results_of_next(self._folder, opened.name)
+        self.actions = Actions(session, scene, folder, self._overwrite, opened.frames)
         self.idle = IdleDrawing(self.actions)
         if self._room:
             self.actions.request("size", *self._room)
@@ -212,9 +211,8 @@ class Page:
     def close(self) -> None:
         """Close the image; sessions finish what was asked of them."""
         if self.actions is not None:
-            self._former.add(self.actions)
             self.actions.scene.close()
-        self._former.close()
+        self.opening.close()
 
     # -- serving ------------------------------------------------------------------------------------------
 

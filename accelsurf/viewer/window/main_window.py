@@ -12,7 +12,7 @@ from PySide6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QKe
 from PySide6.QtWidgets import QFileDialog, QMainWindow, QMenu
 
 from accelsurf.settings.file_formats import image_suffixes
-from accelsurf.viewer.actions.opening import FormerSessions, Opening, ResultFolders
+from accelsurf.viewer.actions.opening import Opening
 from accelsurf.viewer.core.opening import OpenedImage
 from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
 from accelsurf.viewer.scene.scene import SIZE
@@ -57,9 +57,8 @@ class MainWindow(QMainWindow):
     ) -> None:
         super().__init__()
         self.opening, self._theme, self._overwrite, self._checkpoint_mb = opening, theme, overwrite, checkpoint_mb
-        self._folders = ResultFolders(folder)
+        self._folder = folder
         self.inner: Window | None = None
-        self._former = FormerSessions()
         #: The session without whose run the window closes, until that is prepared.
         self._awaited: Session | None = None
         self._shown: dict[str, Any] = {}
@@ -209,12 +208,11 @@ class MainWindow(QMainWindow):
         """
         session = opened.session(self._checkpoint_mb, begin=False) if session is None else session
         former, theme = self.inner, self._theme if self.inner is None else self.inner.scene.theme_name
-        folder = self._folders.of_next(opened.name)
+        folder = self.opening.results_of_next(self._folder, opened.name)
         self.inner = Window(session, opened.reference, folder, theme, self._overwrite, opened.frames)
         self.inner.setWindowFlags(Qt.WindowType.Widget)
         self.inner.windowTitleChanged.connect(self.setWindowTitle)
         if former is not None:
-            self._former.add(former.user_actions)
             former.leave()
         self.start_page = None
         self.setCentralWidget(self.inner)  # deletes the former
@@ -228,5 +226,5 @@ class MainWindow(QMainWindow):
         self._timer.stop()
         if self.inner is not None:
             self.inner.close()
-        self._former.close()
+        self.opening.close()
         super().closeEvent(event)
