@@ -60,8 +60,8 @@ def needs_chromium():
 
 def settle(actions):
     """Wait for all that was asked, and draw it."""
-    quiet, end = 0, time.monotonic() + 10
-    while quiet < 4 and time.monotonic() < end:  # some states cannot be drawn
+    idle, end = 0, time.monotonic() + 10
+    while idle < 4 and time.monotonic() < end:  # some states cannot be drawn
         assert actions.session.wait(60)
         actions.collect_results()
         view = actions.session.next_view()
@@ -70,7 +70,7 @@ def settle(actions):
         actions.state()
         # Views are made in the session's thread, after what was asked is done.
         is_drawn = view is None and not actions.session.has_unseen_state
-        quiet = quiet + 1 if is_drawn else 0
+        idle = idle + 1 if is_drawn else 0
         time.sleep(0.002)
     assert actions.session.wait(60)
     actions.collect_results()

@@ -544,7 +544,7 @@ def test_a_stroke_and_the_list_of_changes_in_the_page(tmp_path):
             until(lambda: not lines()[1][1] and lines()[1][2] == "true")
             picture.send_keys(Keys.CONTROL, "z")
             until(lambda: lines()[1][1])
-            assert not browser.find_element("id", "next-doubt").is_enabled()  # the run has not ended
+            assert not browser.find_element("id", "next-uncertain").is_enabled()  # the run has not ended
     finally:
         assert server.close() == 0, server.log_text()
 

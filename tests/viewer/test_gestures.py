@@ -61,8 +61,8 @@ def under(actions, x, y):
 
 
 def begin_pinch(actions, first=FIRST, second=SECOND):
-    actions.request("finger_down", *axial(actions, first), 7, True)
-    actions.request("finger_down", *axial(actions, second), 8, False)
+    actions.request("touch_down", *axial(actions, first), 7, True)
+    actions.request("touch_down", *axial(actions, second), 8, False)
 
 
 # ------------------------------------------------------------------------------------------------------------ buttons
@@ -112,17 +112,17 @@ def test_a_key_for_another_tool_ends_a_drag(actions):
 def test_two_fingers_paint_nothing_and_leave_no_mark(actions, tool):
     actions.request("tool", tool)
     first, second = axial(actions, FIRST), axial(actions, SECOND)
-    actions.request("finger_down", *first, 7, True)
-    actions.request("finger_move", first[0] + 0.004, first[1], 7)
+    actions.request("touch_down", *first, 7, True)
+    actions.request("touch_move", first[0] + 0.004, first[1], 7)
     assert actions.scene.marks.count == 1
-    actions.request("finger_down", *second, 8, False)
+    actions.request("touch_down", *second, 8, False)
     assert actions.scene.marks.count == 0
     for step in range(4):
-        actions.request("finger_move", first[0] + 0.004 * step, first[1], 7)
-        actions.request("finger_move", second[0] - 0.004 * step, second[1], 8)
-    actions.request("finger_up", 7)
-    actions.request("finger_move", first[0], first[1], 8)  # the last of two is no stroke
-    actions.request("finger_up", 8)
+        actions.request("touch_move", first[0] + 0.004 * step, first[1], 7)
+        actions.request("touch_move", second[0] - 0.004 * step, second[1], 8)
+    actions.request("touch_up", 7)
+    actions.request("touch_move", first[0], first[1], 8)  # the last of two is no stroke
+    actions.request("touch_up", 8)
     assert made(actions) == [] and actions.scene.marks.count == 0
     assert not actions.message and not actions.feature(MouseFeature).is_dragging
 
@@ -130,9 +130,9 @@ def test_two_fingers_paint_nothing_and_leave_no_mark(actions, tool):
 def test_one_finger_is_the_left_button(actions):
     actions.request("tool", "inside")
     for number in (3, 4):  # the second time a browser has another number for it
-        actions.request("finger_down", *axial(actions, FIRST), number, True)
-        actions.request("finger_move", *axial(actions, (13.0, 8.0, 9.0)), number)
-        actions.request("finger_up", number)
+        actions.request("touch_down", *axial(actions, FIRST), number, True)
+        actions.request("touch_move", *axial(actions, (13.0, 8.0, 9.0)), number)
+        actions.request("touch_up", number)
         assert len(settled(actions).refinements) == number - 2 and not actions.message
     assert settled(actions).refinements[0].inside[0].startswith("path:")
 
@@ -150,26 +150,26 @@ def test_what_is_under_two_fingers_stays_under_them(actions):
     right, down = 0.1 * (far_x - x), 0.1 * (far_y - y)
     for _ in range(2):
         x, y, far_x, far_y = x - right + 0.004, y - down - 0.006, far_x + right + 0.004, far_y + down - 0.006
-        actions.request("finger_move", x, y, 7)
-        actions.request("finger_move", far_x, far_y, 8)
+        actions.request("touch_move", x, y, 7)
+        actions.request("touch_move", far_x, far_y, 8)
     after = [under(actions, x, y), under(actions, far_x, far_y)]
     np.testing.assert_allclose(after, before, atol=1e-6)
     assert scale / actions.scene.slice_tiles["axial"].mm_per_pixel() == pytest.approx(1.4, rel=1e-6)
     assert actions.scene.slice_tiles["coronal"].mm_per_pixel() == pytest.approx(scale, rel=0.5)
-    actions.request("finger_up", 8)
-    actions.request("finger_up", 7)
+    actions.request("touch_up", 8)
+    actions.request("touch_up", 7)
     assert np.allclose(actions.scene.cursor, cursor) and not actions.feature(MouseFeature).is_dragging
 
 
 def test_two_fingers_in_3d_zoom_about_their_middle(actions):
     actions.request("view", "front")
     x, y = place_of(actions, "space", (14.0, 8.0, 9.0))
-    actions.request("finger_down", x - 0.05, y, 7, True)
-    actions.request("finger_down", x + 0.05, y, 8)
+    actions.request("touch_down", x - 0.05, y, 7, True)
+    actions.request("touch_down", x + 0.05, y, 8)
     scale = actions.scene.tiles.tile("space").mm_per_pixel()
     for step in (0.06, 0.07, 0.08):
-        actions.request("finger_move", x - step, y, 7)
-        actions.request("finger_move", x + step, y, 8)
+        actions.request("touch_move", x - step, y, 7)
+        actions.request("touch_move", x + step, y, 8)
     assert scale / actions.scene.tiles.tile("space").mm_per_pixel() == pytest.approx(1.6, rel=1e-6)
     assert place_of(actions, "space", (14.0, 8.0, 9.0)) == pytest.approx((x, y), abs=2e-3)
 
@@ -185,27 +185,27 @@ def test_a_second_finger_takes_back_what_the_first_has_placed(actions):
             actions.request("tool", name)
         for first in (FIRST, SECOND, (17.0, 8.0, 9.0)):  # at its ends, and beside it
             begin_pinch(actions, first, (29.0, 8.0, 9.0))
-            actions.request("finger_up", 8)
-            actions.request("finger_up", 7)
+            actions.request("touch_up", 8)
+            actions.request("touch_up", 7)
         assert made(actions) == [] and not actions.message, name
         assert actions.state()["measurements"] == [line], name
 
 
 def test_fingers_that_were_lost_and_hands_beside_a_pen(actions):
     actions.request("tool", "inside")
-    actions.request("finger_down", *axial(actions, SECOND), 1, True)  # its end is never heard of
-    actions.request("finger_down", *axial(actions, FIRST), 2, True)
-    actions.request("finger_cancel", 2)
+    actions.request("touch_down", *axial(actions, SECOND), 1, True)  # its end is never heard of
+    actions.request("touch_down", *axial(actions, FIRST), 2, True)
+    actions.request("touch_cancel", 2)
     assert made(actions) == [] and actions.scene.marks.count == 0
-    actions.request("finger_down", *axial(actions, SECOND), 3, True)
+    actions.request("touch_down", *axial(actions, SECOND), 3, True)
     drag(actions, "axial", FIRST)  # a pen, after the hand that holds it
-    actions.request("finger_move", *axial(actions, (27.0, 8.0, 9.0)), 3)
-    actions.request("finger_down", *axial(actions, SECOND), 4)
-    actions.request("finger_up", 3)
-    actions.request("finger_up", 4)
-    actions.request("finger_down", *axial(actions, SECOND), 5, True)
-    actions.request("finger_move", *axial(actions, (27.0, 8.0, 9.0)), 5)
-    actions.request("finger_up", 5)
+    actions.request("touch_move", *axial(actions, (27.0, 8.0, 9.0)), 3)
+    actions.request("touch_down", *axial(actions, SECOND), 4)
+    actions.request("touch_up", 3)
+    actions.request("touch_up", 4)
+    actions.request("touch_down", *axial(actions, SECOND), 5, True)
+    actions.request("touch_move", *axial(actions, (27.0, 8.0, 9.0)), 5)
+    actions.request("touch_up", 5)
     assert actions.scene.marks.count == 1
     actions.request("release")
     (refinement,) = settled(actions).refinements
@@ -217,18 +217,18 @@ def test_fingers_that_were_lost_and_hands_beside_a_pen(actions):
 def test_what_is_no_finger_is_refused(actions, bad):
     actions.request("tool", "inside")
     for name, values in (
-        ("finger_down", (bad, 0.5, 1, True)), ("finger_down", (0.5, bad, 1, True)), ("finger_move", (bad, 0.5, 1)),
-        ("scroll", (bad, 0.5, 100, 0)), ("press", (bad, 0.5)), ("release", (bad,)), ("finger_up", (bad,)),
+        ("touch_down", (bad, 0.5, 1, True)), ("touch_down", (0.5, bad, 1, True)), ("touch_move", (bad, 0.5, 1)),
+        ("scroll_delta", (bad, 0.5, 100, 0)), ("press", (bad, 0.5)), ("release", (bad,)), ("touch_up", (bad,)),
     ):
-        if name in ("release", "finger_up") and (bad is None or isinstance(bad, float) and abs(bad) < 2):
+        if name in ("release", "touch_up") and (bad is None or isinstance(bad, float) and abs(bad) < 2):
             continue  # the button that is down, and numbers that a button or a finger may have
         actions.message = ""
         actions.request(name, *values)
         assert "was given, expected a number" in actions.message, name
         assert not actions.feature(MouseFeature).is_dragging
     for number in range(50):
-        actions.request("finger_down", 0.5, 0.5, number)
-    actions.request("finger_cancel")
+        actions.request("touch_down", 0.5, 0.5, number)
+    actions.request("touch_cancel")
     assert made(actions) == [] and not actions.feature(MouseFeature).is_dragging
 
 
@@ -243,21 +243,21 @@ def test_parts_of_a_notch_add_up_to_a_slice(actions):
     tile, at = actions.scene.slice_tiles["axial"], at_middle(actions)
     before = tile.index
     for _ in range(9):
-        actions.request("wheel", *at, 0.1)
+        actions.request("scroll", *at, 0.1)
         assert tile.index == before
-    actions.request("wheel", *at, 0.1)
+    actions.request("scroll", *at, 0.1)
     assert abs(tile.index - before) == 1
     for _ in range(3):
-        actions.request("wheel", *at, 0.3)
-    actions.request("wheel", *at, -0.3)  # back: nothing is left of it
+        actions.request("scroll", *at, 0.3)
+    actions.request("scroll", *at, -0.3)  # back: nothing is left of it
     for _ in range(2):
-        actions.request("wheel", *at, -0.3)
+        actions.request("scroll", *at, -0.3)
     assert abs(tile.index - before) == 1
-    actions.request("wheel", *at, -0.3)
+    actions.request("scroll", *at, -0.3)
     assert tile.index == before
-    actions.request("wheel", *at, 2)
+    actions.request("scroll", *at, 2)
     assert abs(tile.index - before) == 2
-    actions.request("wheel", *at, 0)
+    actions.request("scroll", *at, 0)
     assert abs(tile.index - before) == 2 and not actions.message
 
 
@@ -271,11 +271,11 @@ def test_parts_of_a_notch_add_up_to_a_slice(actions):
 )
 def test_a_notch_of_any_browser_is_a_slice(actions, delta, mode, slices):
     tile, at = actions.scene.slice_tiles["axial"], at_middle(actions)
-    actions.request("wheel", *at, 1)
+    actions.request("scroll", *at, 1)
     middle = tile.index
-    actions.request("wheel", *at, -1)
+    actions.request("scroll", *at, -1)
     one, before = middle - tile.index, tile.index
-    actions.request("scroll", *at, delta, mode, False)
+    actions.request("scroll_delta", *at, delta, mode, False)
     assert tile.index - before == slices * one and not actions.message
 
 
@@ -283,16 +283,16 @@ def test_a_pinch_on_a_trackpad_zooms_as_far_as_the_fingers_spread(actions):
     tile, at = actions.scene.slice_tiles["axial"], at_middle(actions)
     scale = tile.mm_per_pixel()
     for _ in range(20):  # a browser reports 100 times the logarithm of how far they have spread
-        actions.request("scroll", *at, -100 * np.log(2.0) / 20, 0, True)
+        actions.request("scroll_delta", *at, -100 * np.log(2.0) / 20, 0, True)
     assert scale / tile.mm_per_pixel() == pytest.approx(2.0, rel=1e-6)
-    actions.request("scroll", *at, 0.0, 0, True)
+    actions.request("scroll_delta", *at, 0.0, 0, True)
     assert scale / tile.mm_per_pixel() == pytest.approx(2.0, rel=1e-6)
-    actions.request("scroll", *at, -100, 0, True)  # a notch of a mouse
+    actions.request("scroll_delta", *at, -100, 0, True)  # a notch of a mouse
     assert scale / tile.mm_per_pixel() == pytest.approx(2.0 * ZOOM, rel=1e-6)
     for bad in (None, "x", float("nan"), float("inf"), 1e9, True):
-        actions.request("scroll", *at, bad, 0, True)
+        actions.request("scroll_delta", *at, bad, 0, True)
         assert "was given" in actions.message
-        actions.request("scroll", *at, 1, bad, True)
+        actions.request("scroll_delta", *at, 1, bad, True)
         assert "was given" in actions.message
     assert scale / tile.mm_per_pixel() == pytest.approx(2.0 * ZOOM, rel=1e-6)
 
@@ -330,7 +330,7 @@ def test_a_key_shows_the_tile_under_the_mouse_alone_with_any_tool(actions):
 def test_whatever_page_and_picture_ask_for_can_be_asked(actions):
     text = document(("head", "tools", "slices", "measure"))
     sent = set(re.findall(r"\['([a-z_]+)', ", text[text.index("<main>") :])) | {"copy_failed", "cancel"}
-    assert {"finger_down", "scroll", "press"} <= sent <= set(actions.names)
+    assert {"touch_down", "scroll_delta", "press"} <= sent <= set(actions.names)
     actions.request("copy_point")
     assert "copied point:" in actions.state()["message"]
     actions.request("copy_failed")

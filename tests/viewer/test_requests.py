@@ -149,10 +149,10 @@ def test_dragging_turns_the_camera_and_moves_slices(handler):
     handler.request("release")
     assert np.linalg.norm(handler.scene.cursor - cursor) > 1
     cursor = handler.scene.cursor
-    handler.request("wheel", 0.6, 0.27, 1)
+    handler.request("scroll", 0.6, 0.27, 1)
     assert np.linalg.norm(handler.scene.cursor - cursor) > 0.5
     zoomed = handler.scene.screenshot()
-    handler.request("wheel", 0.2, 0.5, 1)
+    handler.request("scroll", 0.2, 0.5, 1)
     assert (handler.scene.screenshot() != zoomed).any()
     assert not handler.message
 

@@ -329,7 +329,7 @@ def test_sliders_wheel_and_switch(actions):
             assert actions.state()["slices"][name][0] == number and not actions.message
         x, y = pixel_of(scene, name, scene.cursor)
         before = scene.cursor
-        actions.request("wheel", x / SIZE[0], 1.0 - y / SIZE[1], 1)
+        actions.request("scroll", x / SIZE[0], 1.0 - y / SIZE[1], 1)
         moved = scene.cursor - before
         across = HANGS[name][2]
         assert moved[across] > 0 and np.abs(np.delete(moved, across)).max() < 1e-6

@@ -300,16 +300,16 @@ def test_n_goes_to_the_doubtful_places_one_after_another(scene_of):
         assert "when the run has ended" in actions.message
         ended(session)
         shown(actions)
-        until(lambda: session.status.doubts)
+        until(lambda: session.status.uncertain)
         plain = scene.screenshot()
         state = actions.state()
-        assert actions.changed and len(scene.marks.places) == len(state["doubts"]) > 0
+        assert actions.changed and len(scene.marks.places) == len(state["uncertain"]) > 0
         scene.render()
-        for number in range(2 * len(state["doubts"])):
+        for number in range(2 * len(state["uncertain"])):
             actions.request("key", "N")
-            want = session.status.doubts[number % len(state["doubts"])]
+            want = session.status.uncertain[number % len(state["uncertain"])]
             np.testing.assert_allclose(scene.cursor, want.world, atol=1e-6)
-            assert actions.state()["doubt_at"] == number % len(state["doubts"]) + 1
+            assert actions.state()["uncertain_at"] == number % len(state["uncertain"]) + 1
         assert (scene.screenshot() != plain).any()
         session.add_click("inside", "ball:25,8,9,1.5").result(60)
-        assert actions.state()["doubts"] == [] and scene.marks.places == ()
+        assert actions.state()["uncertain"] == [] and scene.marks.places == ()

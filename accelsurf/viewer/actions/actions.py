@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.viewer.actions.box import BoxFeature
@@ -26,7 +26,7 @@ from accelsurf.viewer.actions.picture import PictureFeature
 from accelsurf.viewer.actions.run import HistoryFeature, RunFeature
 from accelsurf.viewer.actions.settings import SettingsFeature
 from accelsurf.viewer.actions.slices import SlicesFeature
-from accelsurf.viewer.actions.tool import Feature, Key, Tool, carry_out, first_radius
+from accelsurf.viewer.actions.tool import Feature, Key, P, Tool, carry_out, first_radius
 from accelsurf.viewer.actions.tools import StrokesFeature
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
@@ -53,13 +53,11 @@ FEATURES: tuple[type[Feature], ...] = (
     FilesFeature,
 )
 #: Requests after which an earlier error stays in sight: the mouse moves all the time.
-KEEPING = ("hover", "move", "release", "cancel", "finger_move", "finger_up", "finger_cancel", "size")
+KEEPING = ("hover", "move", "release", "cancel", "touch_move", "touch_up", "touch_cancel", "size")
 #: Seconds without a change after which the picture is drawn in full.
 DELAY = 0.4
 #: Letters of a message at most.
 MAX_MESSAGE = 300
-
-P = TypeVar("P", bound=Feature)
 
 
 class Actions:

@@ -19,14 +19,13 @@ from accelsurf.output.tables import csv_text
 from accelsurf.settings.corrections import MAX_ID
 from accelsurf.settings.wording import in_unit, size_text
 from accelsurf.viewer.actions.files import FilesFeature
-from accelsurf.viewer.actions.tool import Feature, Tool, whole
+from accelsurf.viewer.actions.tool import AllActions, Feature, Tool, whole
 from accelsurf.viewer.core.measurements import COLUMNS, Measurement, Measurements
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.legend import measure
 from accelsurf.viewer.scene.space import Picked
 
 if TYPE_CHECKING:
-    from accelsurf.viewer.actions.actions import Actions
     from accelsurf.viewer.core.measurements import Figures
 
 
@@ -42,7 +41,7 @@ class Distance(Tool):
     name, key, text = "distance", "D", "Length"
     tip = "Drag from one end to the other, or click both; drag an end to move it"
 
-    def __init__(self, actions: Actions, measurements: Measurements) -> None:
+    def __init__(self, actions: AllActions, measurements: Measurements) -> None:
         super().__init__(actions)
         self._measurements = measurements
         #: Number of the measurement, and its end, that moves with the mouse.
@@ -129,7 +128,7 @@ class MeasureFeature(Feature):
         Of the state for which they were asked last.
     """
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self.measurements = Measurements()
         self.figures: Figures | None = None

@@ -9,7 +9,7 @@ from typing import Any
 from accelsurf.errors import UsageError
 from accelsurf.settings.corrections import MAX_ID
 from accelsurf.settings.labels import MAX_NAME
-from accelsurf.viewer.actions.tool import Feature, Key, Tool, number, numbers_text, short, text, whole, word
+from accelsurf.viewer.actions.tool import AllActions, Feature, Key, Tool, number, numbers_text, short, text, whole, word
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.colors import OBJECT_COLORS, ObjectStyle, unnamed
 from accelsurf.viewer.scene.space import Picked
@@ -27,7 +27,7 @@ class Split(Tool):
     name, key, text = "split", "Q", "Split"
     tip = "Click in a part of an object: what is connected to it becomes an object of its own"
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self._at: tuple[float, ...] = ()
 
@@ -46,7 +46,7 @@ class Split(Tool):
 class ObjectsFeature(Feature):
     """Changes objects, and the style in which each is drawn."""
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self._hidden: set[int] = set()
         self._opacity: dict[int, float] = {}

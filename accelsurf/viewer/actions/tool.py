@@ -4,19 +4,51 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
+from accelsurf.viewer.core.sequence_view import SequenceView
+from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import Status, View
+from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.space import Picked
 
-if TYPE_CHECKING:
-    from accelsurf.viewer.actions.actions import Actions
+P = TypeVar("P", bound="Feature")
+
+
+class AllActions(Protocol):
+    """All actions, as far as a group of them uses the others; see `accelsurf.viewer.actions.actions.Actions`."""
+
+    session: Session
+    scene: Scene
+    folder: Path | None
+    overwrite: bool
+    frames: SequenceView | None
+    object_id: int | None
+    radius: float
+    features: tuple[Feature, ...]
+    tools: dict[str, Tool]
+
+    def feature(self, kind: type[P]) -> P:
+        """Return the feature of a kind."""
+
+    def request(self, name: Any, *values: Any) -> None:
+        """Carry out a request."""
+
+    def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None, keeps_message: bool = False) -> None:
+        """Wait for a command of the session, without blocking."""
+
+    def note(self, line: str, seconds: float = 8.0) -> None:
+        """Show a line for some time."""
+
+    def copy(self, words: str) -> None:
+        """Put a text on the clipboard."""
 
 
 class Key(NamedTuple):
@@ -32,11 +64,11 @@ class Feature:
 
     Parameters
     ----------
-    actions : Actions
+    actions : AllActions
         Has session and scene.
     """
 
-    def __init__(self, actions: Actions) -> None:
+    def __init__(self, actions: AllActions) -> None:
         self.actions = actions
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
@@ -153,7 +185,7 @@ class Tool:
 
     Parameters
     ----------
-    actions : Actions
+    actions : AllActions
 
     Attributes
     ----------
@@ -165,7 +197,7 @@ class Tool:
 
     name = key = text = tip = ""
 
-    def __init__(self, actions: Actions) -> None:
+    def __init__(self, actions: AllActions) -> None:
         self.actions = actions
 
     def press(self, at: Picked) -> None:

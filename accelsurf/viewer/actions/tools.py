@@ -5,19 +5,16 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.clicks import Side
-from accelsurf.viewer.actions.tool import Feature, Tool, ball_text, finest, numbers_text
+from accelsurf.viewer.actions.tool import AllActions, Feature, Tool, ball_text, finest, numbers_text
 from accelsurf.viewer.core.size_drag import Dragging
 from accelsurf.viewer.core.status import View
 from accelsurf.viewer.scene.space import Picked
-
-if TYPE_CHECKING:
-    from accelsurf.viewer.actions.actions import Actions
 
 
 class Look(Tool):
@@ -26,7 +23,7 @@ class Look(Tool):
     name, key, text = "look", "V", "Look"
     tip = "Turn the surface; drag in a slice to move the slices"
 
-    def __init__(self, actions: Actions) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self._before: NDArray[np.float64] | None = None
 
@@ -53,7 +50,7 @@ class Ball(Tool):
     name, key, text = "ball", "B", "Ball"
     tip = "Press in a slice or on the surface and drag: a ball to start from"
 
-    def __init__(self, actions: Actions) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self.center: NDArray[np.float64] | None = None
 
@@ -88,7 +85,7 @@ class Points(Ball):
     name, key, text = "points", "P", "Points"
     tip = "Click in a slice: small balls to start from, one for each point"
 
-    def __init__(self, actions: Actions) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self._balls: list[str] = []
 
@@ -109,7 +106,7 @@ class Size(Tool):
     name, key, text = "size", "S", "Size"
     tip = "Press in the object and drag outwards until the outline fits: a click and a size"
 
-    def __init__(self, actions: Actions) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self._center: NDArray[np.float64] | None = None
         self._dragging: Dragging | None = None
@@ -161,7 +158,7 @@ class StrokeTool(Tool):
     #: In whose colour it is drawn.
     side: Side = "inside"
 
-    def __init__(self, actions: Actions) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         #: Pieces of the stroke, each a line of places.
         self._pieces: list[list[Place]] = []
@@ -265,7 +262,7 @@ class Shrink(Grow):
 class StrokesFeature(Feature):
     """The tools that paint."""
 
-    def __init__(self, actions: Actions) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self._tools = tuple(kind(actions) for kind in (Inside, Outside, Grow, Shrink))
 

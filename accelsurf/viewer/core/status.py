@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
@@ -16,11 +16,16 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.change_log import ChangeLine
 from accelsurf.viewer.core.frame import Frame
 
-if TYPE_CHECKING:
-    from accelsurf.viewer.core.session import Doubt
-
 #: What a session can save; ``run`` is the configuration that repeats the run.
 SAVED_KINDS = ("labels", "mesh", "picture", "trace", "report", "run")
+
+
+class UncertainLocation(NamedTuple):
+    """An uncertain location: ``world`` (x, y, z), mm LPS, the ``share`` of uncertainty there, and its object."""
+
+    world: tuple[float, float, float]
+    share: float
+    object_id: int
 
 
 class Status(NamedTuple):
@@ -62,8 +67,8 @@ class Status(NamedTuple):
         What was changed, in order, and what of it is undone.
     rests : tuple of int
         Steps in which the surface rested before it broke through, and that have been made.
-    doubts : tuple of Doubt
-        Where to click next, the most doubtful place first; found some time after the run's end.
+    uncertain : tuple of UncertainLocation
+        Where to click next, the most uncertain location first; found some time after the run's end.
     terms : sequence of dict
         Of the energy of the first object, with every setting resolved, see `ResolvedEnergy`.
     """
@@ -85,7 +90,7 @@ class Status(NamedTuple):
     refinements: tuple[Correction, ...] = ()
     changes: tuple[ChangeLine, ...] = ()
     rests: tuple[int, ...] = ()
-    doubts: tuple[Doubt, ...] = ()
+    uncertain: tuple[UncertainLocation, ...] = ()
     terms: Sequence[dict[str, Any]] = ()
 
     @classmethod

@@ -54,7 +54,7 @@ class HistoryPanel(Section):
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.list.itemClicked.connect(lambda item: self.ask("change", self.list.row(item)))
         tip = "Go to the most doubtful place; again: the next one (N)"
-        self.next = self.button("Where to click next", tip, "next_doubt")
+        self.next = self.button("Where to click next", tip, "next_uncertain")
         self.where = QLabel("")
         column = framed(QVBoxLayout(self.body))
         column.addWidget(self.list)
@@ -64,11 +64,11 @@ class HistoryPanel(Section):
         self._shown: list[Any] = []
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show the changes, those that are undone in grey, and how many places are in doubt."""
-        doubts = state["doubts"]
-        self.next.setEnabled(bool(doubts))
-        at = state["doubt_at"]
-        self.where.setText(f"{at} of {len(doubts)}" if at else f"{len(doubts)} places" if doubts else "")
+        """Show the changes, those that are undone in grey, and how many locations are uncertain."""
+        uncertain = state["uncertain"]
+        self.next.setEnabled(bool(uncertain))
+        at = state["uncertain_at"]
+        self.where.setText(f"{at} of {len(uncertain)}" if at else f"{len(uncertain)} places" if uncertain else "")
         if state["changes"] == self._shown:
             return
         self._shown = state["changes"]

@@ -24,7 +24,7 @@ from PySide6.QtWidgets import (
 
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.objects import NEAREST
-from accelsurf.viewer.window.section_panel import Section, WheelGuard, button, framed
+from accelsurf.viewer.window.section_panel import ScrollGuard, Section, button, framed
 
 Index = QModelIndex | QPersistentModelIndex
 COLUMNS = ("", "", "Name", "ml", "State")
@@ -77,7 +77,7 @@ class ObjectsPanel(Section):
         self.opacity = QSlider(Qt.Orientation.Horizontal)
         self.opacity.setAccessibleName("opacity")
         self.opacity.setRange(0, 100)
-        WheelGuard(self.opacity)
+        ScrollGuard(self.opacity)
         self.opacity.valueChanged.connect(self._set_opacity)
         grid = framed(QGridLayout(self.body))
         grid.addWidget(table, 0, 0, 1, 4)
