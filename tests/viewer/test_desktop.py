@@ -410,7 +410,7 @@ def test_the_command_opens_the_same_window(screen, scan, tmp_path):
 SLICES_FIRST = """
 import sys, threading
 from accelsurf.viewer.core import session
-from accelsurf.viewer.frontends import desktop
+from accelsurf.viewer.window import desktop
 
 looked, solver, draw = threading.Event(), session._solver, desktop.Window._draw_first
 session._solver = lambda: solver() if looked.wait(60) else None

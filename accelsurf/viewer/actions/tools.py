@@ -1,4 +1,4 @@
-"""Tools: to look, to press and draw a size, to start, to paint strokes that are drawn until the surface obeys."""
+"""Tools: to look, to press and draw a size, to start; to paint corrections, drawn until the surface obeys."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ Place = NDArray[np.float64]
 
 
 class StrokeTool(Tool):
-    """Paints a stroke; what it is sent as is up to its kinds."""
+    """Paints a stroke, which is sent as a correction of its kind."""
 
     #: In whose colour it is drawn.
     side: Side = "inside"
@@ -163,7 +163,7 @@ class StrokeTool(Tool):
         #: Pieces of the stroke, each a line of places.
         self._pieces: list[list[Place]] = []
         self._mark = 0
-        #: Strokes that were sent, and what waits for the surface to obey.
+        #: Corrections that were sent, each with its stroke, which is drawn until the surface obeys.
         self.sent: list[tuple[int, Future[Any]]] = []
 
     @property
@@ -208,7 +208,7 @@ class StrokeTool(Tool):
         self._pieces, self._mark = [], 0
 
     def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
-        """Have the session make the stroke."""
+        """Have the session make the correction."""
         raise NotImplementedError
 
     def end_obeyed(self) -> None:

@@ -1,6 +1,5 @@
-"""Opening in the viewer: an image, one of several in a folder, a phantom; and how it is read.
-
-A folder in which a page may choose images: nothing outside of it is named or opened.
+"""Reading of what is opened in the viewer: an image, one of several in a folder, a phantom; from a served folder alone
+where a page asks.
 """
 
 from __future__ import annotations

@@ -138,8 +138,8 @@ class Session:
     def next_view(self, drawing_seconds: float = 0.0) -> View | None:
         """Return what is new to be drawn, or None; and ask for the next.
 
-        Views are made only when asked for, at most `view_slot.FRAME_RATE` a second, and so that making and drawing
-        them takes at most the share `view_slot.DRAWING_SHARE` of the time while the run plays.
+        Views are made only when asked for, at most `status.FRAME_RATE` a second, and so that making and drawing
+        them takes at most the share `status.DRAWING_SHARE` of the time while the run plays.
 
         Parameters
         ----------
@@ -234,28 +234,21 @@ class Session:
         """
         return self._do(lambda timeline: timeline.files.change(settings))
 
-    def edit_ball(
-        self, kind: Literal["add", "remove"], ball: str, object_id: int | None = None, joined: bool = False
-    ) -> Future[None]:
-        """Add a ball, ``ball:X,Y,Z,R``, to an object, or remove one from it, see `edit_balls`."""
-        return self.edit_balls(kind, (ball,), object_id, joined)
-
     def edit_balls(
-        self, kind: Literal["add", "remove"], balls: Sequence[str], object_id: int | None = None, joined: bool = False
+        self, kind: Literal["add", "remove"], balls: Sequence[str], object_id: int | None = None
     ) -> Future[None]:
-        """Add balls, ``ball:X,Y,Z,R``, to an object, or remove them from it: one change.
+        """Add balls, ``ball:X,Y,Z,R``, to an object, or remove them from it: one correction.
 
-        Of several objects it is the one with this id, or else the one that is nearest to the first ball's centre. A
-        change that is ``joined``, a further part of a stroke, is undone together with the change before it. What is no
-        ball or lies outside is refused.
+        Of several objects it is the one with this id, or else the one that is nearest to the first ball's centre. What
+        is no ball or lies outside is refused.
         """
         texts = tuple(balls)
-        return self._do(lambda timeline: timeline.edit_balls(kind, texts, object_id, joined))
+        return self._do(lambda timeline: timeline.edit_balls(kind, texts, object_id))
 
     def add_click(self, side: Side, where: str | Sequence[str], object_id: int | None = None) -> Future[None]:
         """Say of voxels that they are in the object, or are not, as `--inside` takes them: balls, points, paths.
 
-        Several at once are one stroke: one change. They take voxels that they contradict from earlier ones. While the
+        Several at once are one correction. They take voxels that they contradict from earlier ones. While the
         run goes on they are an edit; after its end a correction, as `accelsurf refine` makes it. Of several objects it
         is the one with this id, or else the one that is nearest to where the first begins. What is no place, lies
         outside, or would leave nothing clicked inside is refused.

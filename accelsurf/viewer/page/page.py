@@ -1,9 +1,8 @@
 """The scene in a page: a session steered from a browser on this machine, served by trame; before that the start page.
 
-The page shows pictures of the same scene as the window, drawn here, and sends requests, which `requests` checks. It
-loads nothing from elsewhere. Whoever has the token of the address can change the run; nobody else is answered.
-
-Document of the page: its panels, its picture, its keys, and what happens to a file that is dropped on it.
+The page shows pictures of the same scene as the window, drawn here, and sends requests; each is checked. Its document
+has panels, the picture, keys, and takes files that are dropped on it; it loads nothing from elsewhere. Whoever has the
+token of the address can change the run; nobody else is answered.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""An image in the window: the scene, the panel of controls, the bar to move over steps; mouse and keys.
-
-The panels beside the scene: tools, and all others below.
-"""
+"""An image in the window: the scene, the panels beside it, the bars to move over steps and frames; keys."""
 
 from __future__ import annotations
 
