@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -28,8 +28,7 @@ from accelsurf.settings.track_config import TrackConfig
 if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
     from accelsurf.viewer.actions.opening import Opening
-    from accelsurf.viewer.core.opening import OpenedImage
-    from accelsurf.viewer.core.session import Session
+    from accelsurf.viewer.core.opening import ImageWithSession, OpenedImage
 
 
 @dataclass(frozen=True)
@@ -248,6 +247,7 @@ def _show(
 ) -> int:
     """Open window or page, with an image or the start page, until the user ends it."""
     from accelsurf.cli.interrupts import default_handling
+    from accelsurf.viewer.core.opening import ImageWithSession
 
     # Ctrl-C is the documented way to end a page.
     with ExitStack() as stack:
@@ -258,19 +258,12 @@ def _show(
             session = stack.enter_context(first.session(viewer.keep, begin=page.browser))
             if page.browser:
                 session.ready.result()
-        opened = None if first is None or session is None else _Shown(first, session)
+        opened = None if first is None or session is None else ImageWithSession(first, session)
         if page.browser:
             _serve(opening, opened, result, overwrite, viewer, page)
         else:
             _open_window(opening, opened, result, overwrite, viewer)
     return 0
-
-
-class _Shown(NamedTuple):
-    """An image that is shown, and its session."""
-
-    image: OpenedImage
-    session: Session
 
 
 def _check_given(image: Path | None, reference: Path | None, tracks: Path | None, times: TrackConfig) -> None:
@@ -363,7 +356,7 @@ def front_end(page: PageOptions, begin: Callable[[], None] | None = None) -> Pag
 
 
 def _open_window(
-    opening: Opening, first: _Shown | None, folder: Path | None, overwrite: bool,
+    opening: Opening, first: ImageWithSession | None, folder: Path | None, overwrite: bool,
     viewer: ViewerOptions,
 ) -> None:
     """Open a window until the user closes it, or the run of the first image cannot be prepared.
@@ -391,7 +384,7 @@ def _open_window(
 
 
 def _serve(
-    opening: Opening, first: _Shown | None, folder: Path | None, overwrite: bool,
+    opening: Opening, first: ImageWithSession | None, folder: Path | None, overwrite: bool,
     viewer: ViewerOptions, page: PageOptions,
 ) -> None:
     """Serve the page until Ctrl-C."""

@@ -83,6 +83,13 @@ class OpenedImage:
         )
 
 
+class ImageWithSession(NamedTuple):
+    """An image that was read, and the session of it that has begun."""
+
+    image: OpenedImage
+    session: Session
+
+
 def for_another_image(config: RunConfig) -> RunConfig:
     """Return settings without those that belong to one image.
 

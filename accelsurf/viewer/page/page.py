@@ -36,7 +36,7 @@ from accelsurf.viewer.actions.files import FilesFeature
 from accelsurf.viewer.actions.opening import Opening
 from accelsurf.viewer.actions.picture import PictureFeature
 from accelsurf.viewer.actions.tool import help_rows
-from accelsurf.viewer.core.opening import OpenedImage
+from accelsurf.viewer.core.opening import ImageWithSession, OpenedImage
 from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
 from accelsurf.viewer.core.status import error_line
 from accelsurf.viewer.page.guard import LOCAL, PageGuard
@@ -324,7 +324,7 @@ def _import_trame() -> tuple[Any, Any, Any]:
 
 def serve(
     opening: Opening,
-    first: tuple[OpenedImage, Session] | None,
+    first: ImageWithSession | None,
     folder: Path | None,
     theme: str,
     overwrite: bool = False,
@@ -338,7 +338,7 @@ def serve(
     Parameters
     ----------
     opening : Opening
-    first : (OpenedImage, Session) or None
+    first : ImageWithSession or None
         The image that is open at first; None for the start page.
     folder : Path or None
         Where files are saved; None: a folder that is deleted at the end, from which they can be downloaded.
