@@ -27,7 +27,7 @@ from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
-    from accelsurf.viewer.actions.opening import Opening
+    from accelsurf.viewer.actions.opening import Opening, ViewerSettings
     from accelsurf.viewer.core.opening import ImageWithSession, OpenedImage
 
 
@@ -247,12 +247,15 @@ def _show(
 ) -> int:
     """Open window or page, with an image or the start page, until the user ends it."""
     from accelsurf.cli.interrupts import default_handling
-    from accelsurf.viewer.core.opening import ImageWithSession
 
     # Ctrl-C is the documented way to end a page.
     with ExitStack() as stack:
         stack.enter_context(default_handling())
         opening = _opening(made, viewer.recent, page)
+        from accelsurf.viewer.actions.opening import ViewerSettings
+        from accelsurf.viewer.core.opening import ImageWithSession
+
+        settings = ViewerSettings(result, viewer.theme, overwrite, viewer.keep)
         session = None
         if first is not None:
             session = stack.enter_context(first.session(viewer.keep, begin=page.browser))
@@ -260,9 +263,9 @@ def _show(
                 session.ready.result()
         opened = None if first is None or session is None else ImageWithSession(first, session)
         if page.browser:
-            _serve(opening, opened, result, overwrite, viewer, page)
+            _serve(opening, opened, settings, page)
         else:
-            _open_window(opening, opened, result, overwrite, viewer)
+            _open_window(opening, opened, settings)
     return 0
 
 
@@ -355,10 +358,7 @@ def front_end(page: PageOptions, begin: Callable[[], None] | None = None) -> Pag
     return replace(page, browser=True)
 
 
-def _open_window(
-    opening: Opening, first: ImageWithSession | None, folder: Path | None, overwrite: bool,
-    viewer: ViewerOptions,
-) -> None:
+def _open_window(opening: Opening, first: ImageWithSession | None, settings: ViewerSettings) -> None:
     """Open a window until the user closes it, or the run of the first image cannot be prepared.
 
     Raises
@@ -370,7 +370,7 @@ def _open_window(
     from accelsurf.viewer.window.main_window import MainWindow
 
     app = application()
-    window = MainWindow(opening, folder, viewer.theme, overwrite, viewer.keep)
+    window = MainWindow(opening, settings)
     if first is None:
         window.show()
         app.exec()
@@ -384,8 +384,7 @@ def _open_window(
 
 
 def _serve(
-    opening: Opening, first: ImageWithSession | None, folder: Path | None, overwrite: bool,
-    viewer: ViewerOptions, page: PageOptions,
+    opening: Opening, first: ImageWithSession | None, settings: ViewerSettings, page: PageOptions
 ) -> None:
     """Serve the page until Ctrl-C."""
     import webbrowser
@@ -404,5 +403,4 @@ def _serve(
             "and download files; nothing is encrypted",
             file=sys.stderr,
         )
-    host, port = page.host or LOCAL, page.port or 0
-    serve(opening, first, folder, viewer.theme, overwrite, viewer.keep, host, port, show_address)
+    serve(opening, first, settings, page.host or LOCAL, page.port or 0, show_address)

@@ -71,7 +71,7 @@ def box_of(actions):
 
 def test_a_box_is_drawn_in_a_slice_and_its_sides_are_dragged(actions):
     tile = actions.scene.slice_tiles["axial"]
-    assert tile.axis == 0
+    assert tile.stack.axis == 0
     z = tile.index
     actions.request("tool", "box")
     drag(actions, "axial", (z, 4, 6), (z, 33, 39))

@@ -335,7 +335,7 @@ def test_sliders_wheel_and_switch(actions):
         assert moved[across] > 0 and np.abs(np.delete(moved, across)).max() < 1e-6
     actions.request("key", "2")
     assert not actions.state()["straight"] and not actions.message
-    assert all(tile.stack.count == SHAPE[tile.axis] for tile in scene.slice_tiles.values())
+    assert all(tile.stack.count == SHAPE[tile.stack.axis] for tile in scene.slice_tiles.values())
     actions.request("straight", True)
     assert actions.state()["straight"]
 

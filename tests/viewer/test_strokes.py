@@ -112,7 +112,7 @@ def test_what_is_painted_is_what_is_clicked(actions):
     drawn = {}
     for z in range(SHAPE[0]):
         actions.scene.cursor = (9.0, 8.0, z * SPACING[0])
-        layer = next(one for one in strokes._layers if one.tile.axis == 0)
+        layer = next(one for one in strokes._layers if one.tile.stack.axis == 0)
         drawn[z] = layer._sides[::-1] > 0  # the first row lies lowest, at the back
     actions.request("release")
     assert actions.session.wait(60)

@@ -117,9 +117,9 @@ class BoxTool(Tool):
             self._axes = list(sides)
             return
         last = np.array(scene.geometry.shape) - 1.0
-        self._axes = [axis for axis in range(3) if axis != tile.axis]
+        self._axes = [axis for axis in range(3) if axis != tile.stack.axis]
         self._fixed, self._moving = index.copy(), index.copy()
-        across = tile.axis
+        across = tile.stack.axis
         self._fixed[across] = 0.0 if box is None else box.low[across]
         self._moving[across] = last[across] if box is None else box.high[across]
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from accelsurf.viewer.core.opening import (
     read_reference,
 )
 from accelsurf.viewer.core.recent_files import RecentFiles
-from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
 from accelsurf.viewer.core.status import error_line
 
 #: Seconds that a session has at the end of the program to end its step, and to finish a save.
@@ -41,6 +42,28 @@ STEP_SECONDS, SAVING_SECONDS = 10.0, 600.0
 MAX_PATH, MAX_MESSAGE = 1024, 300
 #: Answers to a question, and the words of their buttons.
 ANSWERS = {"open": "Open", "reference": "As a reference", "cancel": "Cancel"}
+
+
+@dataclass(frozen=True)
+class ViewerSettings:
+    """Settings of window and page, the same for each image.
+
+    Attributes
+    ----------
+    folder : Path or None
+        Where results are saved; None: the window asks for it the first time, a page takes a temporary one.
+    theme : str
+        "dark" or "light".
+    overwrite : bool
+        Replace files in the folder that a session has not written.
+    checkpoint_mb : float
+        Memory for stored steps, MB.
+    """
+
+    folder: Path | None = None
+    theme: str = "dark"
+    overwrite: bool = False
+    checkpoint_mb: float = CHECKPOINT_MB
 
 
 class Opening:
