@@ -27,7 +27,7 @@ from accelsurf.viewer.actions.run import HistoryFeature, RunFeature
 from accelsurf.viewer.actions.settings import SettingsFeature
 from accelsurf.viewer.actions.slices import SlicesFeature
 from accelsurf.viewer.actions.tool import Feature, Key, P, Tool, carry_out, first_radius
-from accelsurf.viewer.actions.tools import StrokesFeature
+from accelsurf.viewer.actions.tools import CorrectionsFeature
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import View, error_line
@@ -41,7 +41,7 @@ FEATURES: tuple[type[Feature], ...] = (
     MouseFeature,
     TouchFeature,
     ObjectsFeature,
-    StrokesFeature,
+    CorrectionsFeature,
     HistoryFeature,
     SettingsFeature,
     HistogramFeature,
@@ -80,7 +80,7 @@ class Actions:
     message : str
         What went wrong last, in one line; empty when nothing did.
     object_id : int or None
-        Id of the object that clicks and strokes are for; None is the nearest.
+        Id of the object that corrections are for; None is the nearest.
     radius : float
         Of click, ball and brush, mm.
     features : tuple of Feature

@@ -1,4 +1,4 @@
-"""The objects: a list with names, colours, volumes; the active one takes strokes and sizes; merged, split, removed."""
+"""The objects: a list with names, colours, volumes; the active one takes corrections and sizes; merge, split, remove."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.colors import OBJECT_COLORS, ObjectStyle, unnamed
 from accelsurf.viewer.scene.space import Picked
 
-#: In place of an id: the object that is nearest to where a stroke begins.
+#: In place of an id: the object that is nearest to where a correction begins.
 NEAREST = "nearest"
 #: The state of an object that was added and has no voxel yet.
 NOT_BEGUN = "not begun"

@@ -152,7 +152,7 @@ JUMP = 4.0
 Place = NDArray[np.float64]
 
 
-class StrokeTool(Tool):
+class CorrectionTool(Tool):
     """Paints a stroke, which is sent as a correction of its kind."""
 
     #: In whose colour it is drawn.
@@ -219,7 +219,7 @@ class StrokeTool(Tool):
         self.sent = [(mark, future) for mark, future in self.sent if not future.done()]
 
 
-class Inside(StrokeTool):
+class Inside(CorrectionTool):
     """Says what is inside."""
 
     name, key, text = "inside", "I", "Inside"
@@ -238,7 +238,7 @@ class Outside(Inside):
     tip = "Click, or draw a stroke, in a slice or on the surface: this is not in the object, and stays out of it"
 
 
-class Grow(StrokeTool):
+class Grow(CorrectionTool):
     """Adds what the brush covers."""
 
     kind: Literal["add", "remove"] = "add"
@@ -259,7 +259,7 @@ class Shrink(Grow):
     tip = "Press and drag in a slice or on the surface: remove what the brush covers"
 
 
-class StrokesFeature(Feature):
+class CorrectionsFeature(Feature):
     """The tools that paint."""
 
     def __init__(self, actions: AllActions) -> None:

@@ -171,7 +171,7 @@ def _word(value: Any) -> Any:
 
 
 def clicks_in_words(side: Side, where: Sequence[str], object_id: int | None = None) -> str:
-    """Return the clicks of one stroke in words.
+    """Return the clicks of a correction in words.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The panel of objects: a table of names, colours and volumes; the row that is chosen takes strokes and sizes."""
+"""The panel of objects: a table of names, colours and volumes; the row that is chosen takes corrections and sizes."""
 
 from __future__ import annotations
 
