@@ -1,4 +1,4 @@
-"""The objects: a list with names, colours, volumes; the active one takes corrections and sizes; merge, split, remove."""
+"""The objects: a list with names, colours, volumes; the active one takes corrections and sizes; merge and split."""
 
 from __future__ import annotations
 
