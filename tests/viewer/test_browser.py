@@ -104,7 +104,7 @@ async def _talk(served, messages, headers=None, last=None):
                 if ws.closed:
                     break
                 await (ws.send_str(message) if isinstance(message, str) else ws.send_bytes(message))
-            ends = time.monotonic() + 0.4
+            ends = time.monotonic() + (0.4 if last is None else 30.0)  # an answer that is waited for may be late
             while time.monotonic() < ends:
                 try:
                     answer = await ws.receive(timeout=0.2)
