@@ -6,8 +6,7 @@ import signal
 import tempfile
 
 if importlib.util.find_spec("PySide6") is None or importlib.util.find_spec("pyvistaqt") is None:
-    _qt = ("desktop", "appearance", "main_window", "start_page")
-    collect_ignore = [f"accelsurf/viewer/frontends/{name}.py" for name in _qt]
+    collect_ignore = ["accelsurf/viewer/window"]
 
 # Started in the background, a process and all that it starts ignore Ctrl-C; some tests send it to programs.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

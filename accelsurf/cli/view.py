@@ -27,8 +27,8 @@ from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
     from accelsurf.image.volume import Volume
-    from accelsurf.viewer.actions.opening import Opening
-    from accelsurf.viewer.core.opening import OpenedImage, ShownImage
+    from accelsurf.viewer.actions.opening import Opening, ViewerSettings
+    from accelsurf.viewer.core.opening import ImageWithSession, OpenedImage
 
 Settings = settings_class("Settings")
 #: Settings that say how a sequence is read.
@@ -250,19 +250,21 @@ def _show(
     # Ctrl-C is the documented way to end a page.
     with ExitStack() as stack:
         stack.enter_context(default_handling())
-        from accelsurf.viewer.core.opening import ShownImage
-
         opening = _opening(made, viewer.recent, page)
+        from accelsurf.viewer.actions.opening import ViewerSettings
+        from accelsurf.viewer.core.opening import ImageWithSession
+
+        settings = ViewerSettings(result, viewer.theme, overwrite, viewer.keep)
         session = None
         if first is not None:
             session = stack.enter_context(first.session(viewer.keep, begin=page.browser))
             if page.browser:
                 session.ready.result()
-        opened = None if first is None or session is None else ShownImage(first, session)
+        opened = None if first is None or session is None else ImageWithSession(first, session)
         if page.browser:
-            _serve(opening, opened, result, overwrite, viewer, page)
+            _serve(opening, opened, settings, page)
         else:
-            _open_window(opening, opened, result, overwrite, viewer)
+            _open_window(opening, opened, settings)
     return 0
 
 
@@ -355,10 +357,7 @@ def front_end(page: PageOptions, begin: Callable[[], None] | None = None) -> Pag
     return replace(page, browser=True)
 
 
-def _open_window(
-    opening: Opening, first: ShownImage | None, folder: Path | None, overwrite: bool,
-    viewer: ViewerOptions,
-) -> None:
+def _open_window(opening: Opening, first: ImageWithSession | None, settings: ViewerSettings) -> None:
     """Open a window until the user closes it, or the run of the first image cannot be prepared.
 
     Raises
@@ -370,7 +369,7 @@ def _open_window(
     from accelsurf.viewer.window.main_window import MainWindow
 
     app = application()
-    window = MainWindow(opening, folder, viewer.theme, overwrite, viewer.keep)
+    window = MainWindow(opening, settings)
     if first is None:
         window.show()
         app.exec()
@@ -384,8 +383,7 @@ def _open_window(
 
 
 def _serve(
-    opening: Opening, first: ShownImage | None, folder: Path | None, overwrite: bool,
-    viewer: ViewerOptions, page: PageOptions,
+    opening: Opening, first: ImageWithSession | None, settings: ViewerSettings, page: PageOptions
 ) -> None:
     """Serve the page until Ctrl-C."""
     import webbrowser
@@ -404,5 +402,4 @@ def _serve(
             "and download files; nothing is encrypted",
             file=sys.stderr,
         )
-    host, port = page.host or LOCAL, page.port or 0
-    serve(opening, first, folder, viewer.theme, overwrite, viewer.keep, host, port, show_address)
+    serve(opening, first, settings, page.host or LOCAL, page.port or 0, show_address)

@@ -65,7 +65,6 @@ class MovieSettings:
             expected = f"sides of {MIN_SIDE} to {MAX_SIDE} pixels"
             raise UsageError(f"size: {given} was given, expected {expected}", "as in 1280x720")
 
-
     @property
     def turn(self) -> float:
         """Degrees that the camera turns from picture to picture."""

@@ -349,16 +349,16 @@ def _panel():
 
     from accelsurf.viewer.actions.settings import SettingsFeature
     from accelsurf.viewer.core.status import Status
-    from accelsurf.viewer.window.settings_panel import ListRow, SettingsPanel
+    from accelsurf.viewer.window.settings_panel import SettingsPanel
 
     application = QApplication([])
     status = Status.preparing(RunConfig(), "", False)
     scene, session = SimpleNamespace(geometry=volume().geometry, unit="mm"), SimpleNamespace(status=status, source=None)
-    workplace = SimpleNamespace(scene=scene, session=session, folder=None)
-    panel = SettingsPanel(workplace)
-    panel.show_state(SettingsFeature(workplace).state(status) | {"has_box": False})
+    actions = SimpleNamespace(scene=scene, session=session, folder=None)
+    panel = SettingsPanel(actions)
+    panel.show_state(SettingsFeature(actions).state(status) | {"has_box": False})
     for row in panel.rows.values():
-        if isinstance(row, ListRow):
+        if row.choice is not None:
             print(*(row.choice.itemText(place) for place in range(row.choice.count())), sep="\n")
     del panel, application
 

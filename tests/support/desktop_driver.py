@@ -27,7 +27,7 @@ from accelsurf import io
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.window.desktop import Window, application
-from accelsurf.viewer.window.settings_panel import EnergyRow, SettingRow, SliderRow, SwitchRow, TextRow
+from accelsurf.viewer.window.settings_panel import SettingRow
 
 
 def main() -> None:
@@ -90,11 +90,11 @@ def places(window: Window) -> dict[str, Any]:
         | {"grey values": middle(slices.window_word), "layout": middle(slices.layout_), "level": middle(slices.level)}
         | {"straight": middle(slices.straight)}
         | {f"change {row}": row_of(side.panels["HistoryPanel"].list, row) for row in range(3)}
-        | {"next doubt": middle(side.panels["HistoryPanel"].next)}
+        | {"next uncertain": middle(side.panels["HistoryPanel"].next)}
         | {f"object {row}": cell_of(objects.table, row, 2) for row in range(3)}
         | {f"color {row}": cell_of(objects.table, row, 1) for row in range(3)}
         | {f"seen {row}": cell_of(objects.table, row, 0) for row in range(3)}
-        | {name: ends(row.amount.slider) for name, row in settings.rows.items() if isinstance(row, SliderRow)},
+        | {name: ends(row.amount.slider) for name, row in settings.rows.items() if row.amount is not None},
         "tiles": tiles, "dialog": dialog(), "hidden_width": hidden_width(side),
         "rows": {key: [row.label.text(), middle(line_of(row))] for key, row in settings.rows.items()},
         "histogram": ends(side.panels["HistogramPanel"].view),
@@ -120,9 +120,7 @@ def dialog() -> dict[str, Any]:
 
 def line_of(row: SettingRow) -> QWidget:
     """What one types in, or chooses with."""
-    if isinstance(row, SliderRow):
-        return row.amount.box
-    return row.box if isinstance(row, SwitchRow) else row.line if isinstance(row, (TextRow, EnergyRow)) else row.choice
+    return row.amount.box if row.amount is not None else row.box or row.line or row.choice
 
 
 def shown(session: Session, window: Window) -> dict[str, Any]:

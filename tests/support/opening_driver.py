@@ -15,7 +15,7 @@ from PySide6.QtCore import QPoint, QTimer
 from PySide6.QtWidgets import QAbstractButton, QDialogButtonBox, QListWidget, QMessageBox, QWidget
 
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.actions.opening import Opening
+from accelsurf.viewer.actions.opening import Opening, ViewerSettings
 from accelsurf.viewer.core.recent_files import RecentFiles
 from accelsurf.viewer.window.desktop import application
 from accelsurf.viewer.window.main_window import MainWindow
@@ -26,7 +26,7 @@ def main() -> None:
     options: dict[str, Any] = dict(word.split("=", 1) for word in sys.argv[3:])
     folder = options.pop("result", None)
     app = application()
-    window = MainWindow(Opening(RunConfig(**options), recent), None if folder is None else Path(folder))
+    window = MainWindow(Opening(RunConfig(**options), recent), ViewerSettings(None if folder is None else Path(folder)))
     window.show()
     draft = state_file.with_suffix(".draft")
     #: The longest time between two turns of the window's loop, seconds.

@@ -58,19 +58,19 @@ def needs_chromium():
     pytest.skip("no Chromium: apt install chromium chromium-driver")
 
 
-def settle(workplace):
+def settle(actions):
     """Wait for all that was asked, and draw it."""
-    quiet, end = 0, time.monotonic() + 10
-    while quiet < 4 and time.monotonic() < end:  # some states cannot be drawn
-        assert workplace.session.wait(60)
-        workplace.collect_results()
-        view = workplace.session.next_view()
+    idle, end = 0, time.monotonic() + 10
+    while idle < 4 and time.monotonic() < end:  # some states cannot be drawn
+        assert actions.session.wait(60)
+        actions.collect_results()
+        view = actions.session.next_view()
         if view is not None:
-            workplace.update(view)
-        workplace.state()
+            actions.update(view)
+        actions.state()
         # Views are made in the session's thread, after what was asked is done.
-        is_drawn = view is None and not workplace.session.has_unseen_state
-        quiet = quiet + 1 if is_drawn else 0
+        is_drawn = view is None and not actions.session.has_unseen_state
+        idle = idle + 1 if is_drawn else 0
         time.sleep(0.002)
-    assert workplace.session.wait(60)
-    workplace.collect_results()
+    assert actions.session.wait(60)
+    actions.collect_results()

@@ -6,9 +6,9 @@ import pytest
 from accelsurf.image.volume import Volume
 from accelsurf.run.region_of_interest import region_of_interest
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.box import BoxFeature
 from accelsurf.viewer.actions.force import ForceFeature
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.box import BoxOverlay, VoxelBox
 from accelsurf.viewer.scene.colors import MARK
@@ -31,7 +31,7 @@ def placed(request):
 
 
 @pytest.fixture
-def workplace(placed):
+def actions(placed):
     scene, volume, center = placed
     scene.frame, scene.cursor = None, center
     start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
@@ -43,9 +43,9 @@ def workplace(placed):
         yield made
 
 
-def pixel(workplace, tile_name, index):
+def pixel(actions, tile_name, index):
     """Parts of width, and of the height from the top, at which an index (z, y, x) is seen in a tile."""
-    tile = workplace.scene.slice_tiles[tile_name]
+    tile = actions.scene.slice_tiles[tile_name]
     left, bottom, right, top = tile.renderer.GetViewport()
     x, y = tile.to_tile(np.asarray(index, float))
     (x0, y0), (x1, y1) = tile.to_plane(0.0, 0.0), tile.to_plane(1.0, 1.0)
@@ -53,52 +53,52 @@ def pixel(workplace, tile_name, index):
     return left + across * (right - left), 1.0 - (bottom + up * (top - bottom))
 
 
-def drag(workplace, tile, start, end):
-    workplace.request("press", *pixel(workplace, tile, start))
+def drag(actions, tile, start, end):
+    actions.request("press", *pixel(actions, tile, start))
     for share in (0.3, 0.7, 1.0):
         between = np.asarray(start, float) + share * (np.asarray(end, float) - start)
-        workplace.request("move", *pixel(workplace, tile, between))
-    workplace.request("release")
+        actions.request("move", *pixel(actions, tile, between))
+    actions.request("release")
 
 
-def box_of(workplace):
-    roi = workplace.session.status.settings.roi
-    return [(s.start, s.stop - 1) for s in region_of_interest(roi, workplace.scene.geometry)]
+def box_of(actions):
+    roi = actions.session.status.settings.roi
+    return [(s.start, s.stop - 1) for s in region_of_interest(roi, actions.scene.geometry)]
 
 
 # -------------------------------------------------------------------------------------------------------------- the box
 
 
-def test_a_box_is_drawn_in_a_slice_and_its_sides_are_dragged(workplace):
-    tile = workplace.scene.slice_tiles["axial"]
-    assert tile.axis == 0
+def test_a_box_is_drawn_in_a_slice_and_its_sides_are_dragged(actions):
+    tile = actions.scene.slice_tiles["axial"]
+    assert tile.stack.axis == 0
     z = tile.index
-    workplace.request("tool", "box")
-    drag(workplace, "axial", (z, 4, 6), (z, 33, 39))
-    settle(workplace)
-    assert not workplace.message and workplace.session.status.step == 0
-    assert box_of(workplace) == [(0, 19), (4, 33), (6, 39)] and workplace.state()["has_box"]
+    actions.request("tool", "box")
+    drag(actions, "axial", (z, 4, 6), (z, 33, 39))
+    settle(actions)
+    assert not actions.message and actions.session.status.step == 0
+    assert box_of(actions) == [(0, 19), (4, 33), (6, 39)] and actions.state()["has_box"]
     # the upper side along y, in the same slice; then both sides of a corner in another one
-    drag(workplace, "axial", (z, 33.5, 20), (z, 36, 20))
-    settle(workplace)
-    assert box_of(workplace) == [(0, 19), (4, 36), (6, 39)]
-    other = workplace.scene.slice_tiles["coronal"]
+    drag(actions, "axial", (z, 33.5, 20), (z, 36, 20))
+    settle(actions)
+    assert box_of(actions) == [(0, 19), (4, 36), (6, 39)]
+    other = actions.scene.slice_tiles["coronal"]
     across = other.index
     corner, target = [0.0, 0.0, 0.0], [2.0, 0.0, 0.0]
     corner[other.axis] = target[other.axis] = across
     free = 3 - other.axis  # the axis in the plane of both that is not z
-    corner[0], corner[free] = -0.5, box_of(workplace)[free][0] - 0.5
-    target[free] = box_of(workplace)[free][0] + 3
-    before = box_of(workplace)
-    drag(workplace, "coronal", corner, target)
-    settle(workplace)
+    corner[0], corner[free] = -0.5, box_of(actions)[free][0] - 0.5
+    target[free] = box_of(actions)[free][0] + 3
+    before = box_of(actions)
+    drag(actions, "coronal", corner, target)
+    settle(actions)
     wanted = list(before)
     wanted[0], wanted[free] = (2, 19), (before[free][0] + 3, before[free][1])
-    assert box_of(workplace) == wanted
-    workplace.request("undo")
-    settle(workplace)
-    assert box_of(workplace) == before
-    assert workplace.feature(BoxFeature).overlay.box == VoxelBox(*zip(*before, strict=True))
+    assert box_of(actions) == wanted
+    actions.request("undo")
+    settle(actions)
+    assert box_of(actions) == before
+    assert actions.feature(BoxFeature).overlay.box == VoxelBox(*zip(*before, strict=True))
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.5, 2.0, 3.0])
@@ -118,45 +118,45 @@ def test_a_side_is_taken_from_as_far_on_a_fine_screen(placed, ratio):
         overlay.show(None)
 
 
-def test_a_box_that_the_run_refuses_leaves_the_one_before(workplace):
-    workplace.request("tool", "box")
-    z = workplace.scene.slice_tiles["axial"].index
-    drag(workplace, "axial", (z, 1, 1), (z, 4, 4))
-    settle(workplace)
-    assert "start" in workplace.message and workplace.session.status.settings.roi is None
-    assert workplace.feature(BoxFeature).overlay.box is None
-    workplace.message = ""
-    drag(workplace, "axial", (z, 10, 10), (z, 10.2, 10.2))
-    settle(workplace)
-    assert workplace.session.status.settings.roi is None and not workplace.message, "a click draws none"
+def test_a_box_that_the_run_refuses_leaves_the_one_before(actions):
+    actions.request("tool", "box")
+    z = actions.scene.slice_tiles["axial"].index
+    drag(actions, "axial", (z, 1, 1), (z, 4, 4))
+    settle(actions)
+    assert "start" in actions.message and actions.session.status.settings.roi is None
+    assert actions.feature(BoxFeature).overlay.box is None
+    actions.message = ""
+    drag(actions, "axial", (z, 10, 10), (z, 10.2, 10.2))
+    settle(actions)
+    assert actions.session.status.settings.roi is None and not actions.message, "a click draws none"
 
 
-def test_a_box_is_laid_around_the_object_and_taken_away(workplace):
-    workplace.request("box_around")
-    settle(workplace)
-    box = box_of(workplace)
-    psi = workplace.session.look(lambda run: run.objects[0].surface.psi.shape).result(60)
+def test_a_box_is_laid_around_the_object_and_taken_away(actions):
+    actions.request("box_around")
+    settle(actions)
+    box = box_of(actions)
+    psi = actions.session.look(lambda run: run.objects[0].surface.psi.shape).result(60)
     assert psi == tuple(high - low + 1 for low, high in box) and np.prod(psi) < 0.8 * 20 * 40 * 44
-    workplace.request("box_none")
-    settle(workplace)
-    assert workplace.session.status.settings.roi is None and not workplace.state()["has_box"]
+    actions.request("box_none")
+    settle(actions)
+    assert actions.session.status.settings.roi is None and not actions.state()["has_box"]
 
 
-def test_the_box_is_seen_in_slices_and_in_3d(workplace):
-    workplace.scene.tiles.lay_out("four", "space", False)
-    settle(workplace)
-    without = workplace.scene.screenshot().astype(int)
-    workplace.request("set", "roi", "6,6,4,38,34,16vox")
-    settle(workplace)
-    picture = workplace.scene.screenshot().astype(int)
+def test_the_box_is_seen_in_slices_and_in_3d(actions):
+    actions.scene.tiles.lay_out("four", "space", False)
+    settle(actions)
+    without = actions.scene.screenshot().astype(int)
+    actions.request("set", "roi", "6,6,4,38,34,16vox")
+    settle(actions)
+    picture = actions.scene.screenshot().astype(int)
     color = np.array([int(MARK[i : i + 2], 16) for i in (1, 3, 5)])
     for name in ("space", "axial", "coronal", "sagittal"):
-        left, bottom, right, top = workplace.scene.tiles.renderer(name).GetViewport()
+        left, bottom, right, top = actions.scene.tiles.renderer(name).GetViewport()
         rows = slice(round(SIZE[1] * (1 - top)), round(SIZE[1] * (1 - bottom)))
         columns = slice(round(SIZE[0] * left), round(SIZE[0] * right))
         near = [(np.abs(one[rows, columns] - color).sum(axis=-1) < 40).sum() for one in (without, picture)]
         assert near[1] > near[0] + 60, name
-    workplace.scene.tiles.lay_out("slices", "axial", False)
+    actions.scene.tiles.lay_out("slices", "axial", False)
 
 
 def test_an_image_of_one_slice_has_a_box_too():
@@ -166,17 +166,17 @@ def test_an_image_of_one_slice_has_a_box_too():
     scene = Scene(Volume.from_array(disc), size=(600, 400))
     with Session(scene.volume, RunConfig(start="ball:25,20,0,6vox", threads=1), name="disc") as session:
         session.ready.result(60)
-        workplace = Actions(session, scene)
-        settle(workplace)
+        actions = Actions(session, scene)
+        settle(actions)
         scene.screenshot()
-        workplace.request("tool", "box")
-        drag(workplace, next(iter(scene.slice_tiles)), (0, 3, 5), (0, 36, 44))
-        settle(workplace)
-        assert not workplace.message
-        assert box_of(workplace) == [(0, 0), (3, 36), (5, 44)] and not workplace.message
-        workplace.request("force", True)
-        settle(workplace)
-        assert len(workplace.feature(ForceFeature).overlay.shown) == 1
+        actions.request("tool", "box")
+        drag(actions, next(iter(scene.slice_tiles)), (0, 3, 5), (0, 36, 44))
+        settle(actions)
+        assert not actions.message
+        assert box_of(actions) == [(0, 0), (3, 36), (5, 44)] and not actions.message
+        actions.request("force", True)
+        settle(actions)
+        assert len(actions.feature(ForceFeature).overlay.shown) == 1
     scene.close()
 
 
@@ -190,54 +190,54 @@ def test_colours_say_the_sign_and_the_size():
     assert (picture[0, :2, 0] < 60).all() and (picture[0, 3:5, 0] > 190).all()
 
 
-def picture_of(workplace, name):
-    picture = workplace.scene.screenshot().astype(int)
-    left, bottom, right, top = workplace.scene.tiles.renderer(name).GetViewport()
+def picture_of(actions, name):
+    picture = actions.scene.screenshot().astype(int)
+    left, bottom, right, top = actions.scene.tiles.renderer(name).GetViewport()
     return picture[
         round(SIZE[1] * (1 - top)) : round(SIZE[1] * (1 - bottom)), round(SIZE[0] * left) : round(SIZE[0] * right)
     ]
 
 
-def test_the_force_lies_over_the_slices_where_it_belongs(workplace):
+def test_the_force_lies_over_the_slices_where_it_belongs(actions):
     """In the bright ball the surface grows: purple, bluer than before; beyond it shrinks: orange, redder."""
-    overlay = workplace.feature(ForceFeature).overlay
-    before = picture_of(workplace, "axial")
+    overlay = actions.feature(ForceFeature).overlay
+    before = picture_of(actions, "axial")
     assert overlay.shown == ()
-    workplace.request("force", True)
-    settle(workplace)
-    assert set(overlay.shown) == set(workplace.scene.slice_tiles) and "purple grows" in workplace.state()["force_note"]
-    after = picture_of(workplace, "axial")
+    actions.request("force", True)
+    settle(actions)
+    assert set(overlay.shown) == set(actions.scene.slice_tiles) and "purple grows" in actions.state()["force_note"]
+    after = picture_of(actions, "axial")
     bluer = (after - before)[..., 2] - (after - before)[..., 0]
-    tile = workplace.scene.slice_tiles["axial"]
-    ball = workplace.session.volume.array[tile.index]
+    tile = actions.scene.slice_tiles["axial"]
+    ball = actions.session.volume.array[tile.index]
     for inside in (True, False):
         row, column = np.argwhere((ball > 50) == inside)[[100, -100]][int(inside)]
-        x, y = pixel(workplace, "axial", (tile.index, row, column))
+        x, y = pixel(actions, "axial", (tile.index, row, column))
         left, _, right, top = tile.renderer.GetViewport()
         at = bluer[round(SIZE[1] * y - SIZE[1] * (1 - top)), round(SIZE[0] * (x - left))]
         assert (at > 15) if inside else (at < -15)
-    workplace.request("next_force")
-    settle(workplace)
-    assert overlay.shown == () and np.array_equal(picture_of(workplace, "axial"), before)
+    actions.request("next_force")
+    settle(actions)
+    assert overlay.shown == () and np.array_equal(picture_of(actions, "axial"), before)
 
 
-def test_the_force_follows_slices_and_the_run(workplace):
-    feature = workplace.feature(ForceFeature)
-    workplace.request("force", True)
-    settle(workplace)
-    workplace.scene.step_slice("axial", 3)
+def test_the_force_follows_slices_and_the_run(actions):
+    feature = actions.feature(ForceFeature)
+    actions.request("force", True)
+    settle(actions)
+    actions.scene.step_slice("axial", 3)
     assert "axial" not in feature.overlay.shown, "that of another slice is not shown"
-    settle(workplace)
+    settle(actions)
     assert "axial" in feature.overlay.shown
-    before = picture_of(workplace, "axial")
-    workplace.request("set", "energy", "threshold:,20")
-    settle(workplace)
-    assert np.abs(picture_of(workplace, "axial") - before).max() > 60, "what was bright is outside now"
+    before = picture_of(actions, "axial")
+    actions.request("set", "energy", "threshold:,20")
+    settle(actions)
+    assert np.abs(picture_of(actions, "axial") - before).max() > 60, "what was bright is outside now"
     asked = feature._run
-    workplace.state()
-    settle(workplace)
-    assert feature._run is asked and not workplace.session.has_unseen_state, "nothing new, nothing asked"
-    workplace.request("step")
-    settle(workplace)
+    actions.state()
+    settle(actions)
+    assert feature._run is asked and not actions.session.has_unseen_state, "nothing new, nothing asked"
+    actions.request("step")
+    settle(actions)
     assert feature._run != asked
-    workplace.request("force", False)
+    actions.request("force", False)

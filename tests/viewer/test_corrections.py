@@ -206,19 +206,19 @@ def test_where_to_click_next_is_offered_after_the_end_and_is_that_of_the_quality
     with Session(image, CONFIGS["seeded"]) as session:
         at(session, 3)
         time.sleep(0.6)
-        assert session.status.doubts == ()  # it has not ended
+        assert session.status.uncertain == ()  # it has not ended
         ended(session)
-        until(lambda: session.status.doubts)
-        first, result = session.status.doubts, accelsurf.segment(image, config=CONFIGS["seeded"])
+        until(lambda: session.status.uncertain)
+        first, result = session.status.uncertain, accelsurf.segment(image, config=CONFIGS["seeded"])
         assert first[0].world == result.quality.next_click and first[0].share == result.quality.next_doubt
         session.add_click("inside", OTHER).result(60)
-        assert session.status.doubts == ()
-        until(lambda: session.status.doubts)
-        assert session.status.doubts[0].world == refine(result, inside=OTHER).quality.next_click
-        assert session.status.doubts != first
+        assert session.status.uncertain == ()
+        until(lambda: session.status.uncertain)
+        assert session.status.uncertain[0].world == refine(result, inside=OTHER).quality.next_click
+        assert session.status.uncertain != first
         session.undo().result(60)
-        until(lambda: session.status.doubts)
-        assert session.status.doubts == first
+        until(lambda: session.status.uncertain)
+        assert session.status.uncertain == first
 
 
 def until(condition, seconds=20.0):

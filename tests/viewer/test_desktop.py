@@ -258,9 +258,9 @@ def test_strokes_history_and_where_to_click_next(screen, tmp_path):
     try:
         person.key("space")
         first = person.until(lambda now: now["stop"] and not now["playing"], 120)
-        doubtful = person.until(lambda now: now["state"]["doubts"])
+        doubtful = person.until(lambda now: now["state"]["uncertain"])
         person.key("n")
-        person.until(lambda now: now["state"]["doubt_at"] == 1 and now["cursor"] != doubtful["cursor"])
+        person.until(lambda now: now["state"]["uncertain_at"] == 1 and now["cursor"] != doubtful["cursor"])
         person.key("i")
         now = person.until(lambda now: now["state"]["tool"] == "inside")
         x, y = now["tiles"]["axial"]

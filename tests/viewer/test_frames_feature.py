@@ -10,8 +10,8 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.track.output.files import TrackFiles
 from accelsurf.track.output.outputs import TrackOutputs
 from accelsurf.track.output.surfaces import SavedTracks
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.frames import FramesFeature
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.sequence_view import MAX_FRAMES, SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
@@ -39,7 +39,7 @@ def tracks(made, tmp_path_factory):
 
 
 @pytest.fixture(params=[True, False], ids=["tracks", "alone"])
-def workplace(request, made, tracks):
+def actions(request, made, tracks):
     viewing.needs_graphics()
     view = SequenceView(made.sequence, 0, tracks if request.param else None)
     scene = Scene(made.sequence.frame(0), size=(640, 360))
@@ -117,90 +117,90 @@ def test_every_second_dash_of_a_circle_stays():
     assert len(dashed(lines[:0])) == 0
 
 
-def test_keys_slider_and_play_move_over_the_frames(workplace, made):
+def test_keys_slider_and_play_move_over_the_frames(actions, made):
     count = len(made.sequence)
-    assert workplace.state()["frames"] == count and workplace.state()["frame"] == 0
-    workplace.request("key", ".")
-    assert workplace.state()["frame"] == 1
-    assert (workplace.scene.volume.array == made.sequence.frame(1).array).all()
-    shown = workplace.scene.slice_tiles["axial"]
+    assert actions.state()["frames"] == count and actions.state()["frame"] == 0
+    actions.request("key", ".")
+    assert actions.state()["frame"] == 1
+    assert (actions.scene.volume.array == made.sequence.frame(1).array).all()
+    shown = actions.scene.slice_tiles["axial"]
     assert (shown._image == made.sequence.frame(1).array).all()
-    workplace.request("frame", count - 1)
-    workplace.request("key", ".")
-    assert workplace.state()["frame"] == count - 1 and not workplace.message
-    workplace.request("key", ",")
-    assert workplace.state()["frame"] == count - 2
-    workplace.request("frame", count)
-    assert workplace.message and workplace.state()["frame"] == count - 2
-    workplace.request("key", "X")
-    workplace.collect_results()
-    assert workplace.state()["frame"] == count - 1 and workplace.state()["frames_play"]
-    workplace.request("key", "X")
-    assert not workplace.state()["frames_play"]
+    actions.request("frame", count - 1)
+    actions.request("key", ".")
+    assert actions.state()["frame"] == count - 1 and not actions.message
+    actions.request("key", ",")
+    assert actions.state()["frame"] == count - 2
+    actions.request("frame", count)
+    assert actions.message and actions.state()["frame"] == count - 2
+    actions.request("key", "X")
+    actions.collect_results()
+    assert actions.state()["frame"] == count - 1 and actions.state()["frames_play"]
+    actions.request("key", "X")
+    assert not actions.state()["frames_play"]
 
 
-def test_tracked_objects_keep_their_colour_and_predictions_are_drawn(workplace, made, tracks):
-    if workplace.frames.tracks is None:
+def test_tracked_objects_keep_their_colour_and_predictions_are_drawn(actions, made, tracks):
+    if actions.frames.tracks is None:
         pytest.skip("without tracks")
     colors = {}
     for number in range(len(made.sequence)):
-        workplace.request("frame", number)
-        frame = workplace.scene.frame
+        actions.request("frame", number)
+        frame = actions.scene.frame
         assert [one.id for one in frame.surfaces] == [one.id for one in tracks.drawn(number)]
         assert len(frame.predicted) == sum(one.predicted is not None for one in tracks.drawn(number))
-        for one, style in zip(frame.surfaces, workplace.scene.styles.of(frame), strict=True):
+        for one, style in zip(frame.surfaces, actions.scene.styles.of(frame), strict=True):
             assert colors.setdefault(one.id, style.color) == style.color
-        assert f"frame {number} of" in workplace.scene.space.title.text
+        assert f"frame {number} of" in actions.scene.space.title.text
     assert len(set(colors.values())) == len(colors) > 1
-    workplace.request("frame", 1)
-    workplace.scene.cursor = tracks.paths(1)[workplace.scene.frame.surfaces[0].id][-1]
-    with_both = workplace.scene.screenshot()
-    for tile in workplace.scene.slice_tiles.values():
+    actions.request("frame", 1)
+    actions.scene.cursor = tracks.paths(1)[actions.scene.frame.surfaces[0].id][-1]
+    with_both = actions.scene.screenshot()
+    for tile in actions.scene.slice_tiles.values():
         tile._lines["predicted"][0].SetVisibility(False)
-    workplace.scene.tiles.redraw.mark_all()
-    assert (workplace.scene.screenshot() != with_both).any()
+    actions.scene.tiles.redraw.mark_all()
+    assert (actions.scene.screenshot() != with_both).any()
 
 
-def test_the_run_is_steered_in_its_frame_alone(workplace):
-    workplace.request("key", ".")
+def test_the_run_is_steered_in_its_frame_alone(actions):
+    actions.request("key", ".")
     for name in ("play", "step", "undo", "save"):
-        workplace.request(name)
-        assert name in workplace.message
-    assert workplace.session.status.step == 0
-    workplace.request("tool", "ball")
-    workplace.scene.tiles.lay_out("single", "axial")
-    workplace.scene.screenshot()
-    workplace.message = ""
-    workplace.request("press", 0.5, 0.5)
-    assert workplace.message
-    workplace.request("release")
-    assert workplace.session.status.undoable == 0
+        actions.request(name)
+        assert name in actions.message
+    assert actions.session.status.step == 0
+    actions.request("tool", "ball")
+    actions.scene.tiles.lay_out("single", "axial")
+    actions.scene.screenshot()
+    actions.message = ""
+    actions.request("press", 0.5, 0.5)
+    assert actions.message
+    actions.request("release")
+    assert actions.session.status.undoable == 0
 
 
-def test_the_run_is_drawn_again_in_its_frame(workplace):
+def test_the_run_is_drawn_again_in_its_frame(actions):
     view = None
     while view is None:
-        view = workplace.session.next_view()
-    workplace.request("frame", 1)
-    workplace.update(view)
-    assert workplace.scene.frame is not view.frame
-    workplace.request("frame", 0)
-    assert (workplace.scene.frame is view.frame) == (workplace.frames.tracks is None)
+        view = actions.session.next_view()
+    actions.request("frame", 1)
+    actions.update(view)
+    assert actions.scene.frame is not view.frame
+    actions.request("frame", 0)
+    assert (actions.scene.frame is view.frame) == (actions.frames.tracks is None)
 
 
-def test_a_place_is_copied_as_a_correction(workplace):
-    workplace.request("frame", 2)
-    workplace.request("key", "/")
-    words = workplace.state()["copied"][1]
+def test_a_place_is_copied_as_a_correction(actions):
+    actions.request("frame", 2)
+    actions.request("key", "/")
+    words = actions.state()["copied"][1]
     assert words.startswith('--correct "frame=2 inside=point:') and words.count(",") == 2
 
 
-def test_a_frame_that_was_read_is_shown_quickly(workplace):
+def test_a_frame_that_was_read_is_shown_quickly(actions):
     for number in (1, 2):
-        workplace.request("frame", number)
-        workplace.scene.screenshot()
+        actions.request("frame", number)
+        actions.scene.screenshot()
     began = time.perf_counter()
-    workplace.request("frame", 1)
+    actions.request("frame", 1)
     assert time.perf_counter() - began < 2.0  # a bound for any machine; the record has the figures
 
 

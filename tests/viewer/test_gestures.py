@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.mouse import ZOOM, MouseFeature
 from accelsurf.viewer.actions.run import HistoryFeature
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.page.page import document
 from tests.viewer.test_corrections import CONFIGS, ended, scan
@@ -26,7 +26,7 @@ def session():
 
 
 @pytest.fixture
-def workplace(session, scene_of):
+def actions(session, scene_of):
     made = Actions(session, scene_of(session.volume, size=(960, 544)))
     shown(made)
     made.request("cursor", 9.0, 8.0, 9.0)
@@ -39,226 +39,226 @@ def workplace(session, scene_of):
         ended(session)
 
 
-def settled(workplace):
-    assert workplace.session.wait(60)
-    shown(workplace)
-    return workplace.session.status
+def settled(actions):
+    assert actions.session.wait(60)
+    shown(actions)
+    return actions.session.status
 
 
-def made(workplace):
+def made(actions):
     """The changes that are in force."""
-    return [one.line for one in settled(workplace).changes if one.done]
+    return [one.line for one in settled(actions).changes if one.done]
 
 
-def axial(workplace, world):
-    return place_of(workplace, "axial", world)
+def axial(actions, world):
+    return place_of(actions, "axial", world)
 
 
-def under(workplace, x, y):
+def under(actions, x, y):
     """The place of the image under parts of the width and of the height."""
-    width, height = workplace.scene.plotter.render_window.GetSize()
-    return workplace.scene.pick(x * width, (1.0 - y) * height).world
+    width, height = actions.scene.plotter.render_window.GetSize()
+    return actions.scene.pick(x * width, (1.0 - y) * height).world
 
 
-def begin_pinch(workplace, first=FIRST, second=SECOND):
-    workplace.request("finger_down", *axial(workplace, first), 7, True)
-    workplace.request("finger_down", *axial(workplace, second), 8, False)
+def begin_pinch(actions, first=FIRST, second=SECOND):
+    actions.request("touch_down", *axial(actions, first), 7, True)
+    actions.request("touch_down", *axial(actions, second), 8, False)
 
 
 # ------------------------------------------------------------------------------------------------------------ buttons
 
 
 @pytest.mark.parametrize("tool", PAINTS)
-def test_a_second_button_changes_nothing_until_the_first_is_up(workplace, tool):
-    workplace.request("tool", tool)
-    window = workplace.scene.window
-    drag(workplace, "axial", FIRST, (13.0, 8.0, 9.0))
-    workplace.request("press", *axial(workplace, FIRST), 2)
-    workplace.request("move", *axial(workplace, (15.0, 8.0, 9.0)))
-    workplace.request("release", 2)
-    assert workplace.scene.marks.count == 1 and workplace.scene.window == window
-    workplace.request("move", *axial(workplace, (16.0, 8.0, 9.0)))
-    workplace.request("release", 0)
-    assert len(made(workplace)) == 1 and workplace.scene.marks.count == 0
-    assert not workplace.message
+def test_a_second_button_changes_nothing_until_the_first_is_up(actions, tool):
+    actions.request("tool", tool)
+    window = actions.scene.window
+    drag(actions, "axial", FIRST, (13.0, 8.0, 9.0))
+    actions.request("press", *axial(actions, FIRST), 2)
+    actions.request("move", *axial(actions, (15.0, 8.0, 9.0)))
+    actions.request("release", 2)
+    assert actions.scene.marks.count == 1 and actions.scene.window == window
+    actions.request("move", *axial(actions, (16.0, 8.0, 9.0)))
+    actions.request("release", 0)
+    assert len(made(actions)) == 1 and actions.scene.marks.count == 0
+    assert not actions.message
 
 
-def test_the_same_button_again_begins_anew_where_its_release_was_lost(workplace):
-    workplace.request("tool", "inside")
-    drag(workplace, "axial", FIRST, (13.0, 8.0, 9.0))
-    drag(workplace, "axial", SECOND)
-    assert workplace.scene.marks.count == 1
-    workplace.request("release")
-    (refinement,) = settled(workplace).refinements
+def test_the_same_button_again_begins_anew_where_its_release_was_lost(actions):
+    actions.request("tool", "inside")
+    drag(actions, "axial", FIRST, (13.0, 8.0, 9.0))
+    drag(actions, "axial", SECOND)
+    assert actions.scene.marks.count == 1
+    actions.request("release")
+    (refinement,) = settled(actions).refinements
     assert len(refinement.inside) == 1 and refinement.inside[0].startswith("ball:25,")
-    assert workplace.scene.marks.count == 0
+    assert actions.scene.marks.count == 0
 
 
-def test_a_key_for_another_tool_ends_a_drag(workplace):
-    workplace.request("tool", "inside")
-    drag(workplace, "axial", FIRST)
-    workplace.request("key", "V")
-    cursor = workplace.scene.cursor
-    workplace.request("move", *axial(workplace, SECOND))  # the button is still down
-    assert np.array_equal(workplace.scene.cursor, cursor)
-    workplace.request("release")
-    assert made(workplace) == [] and workplace.scene.marks.count == 0
+def test_a_key_for_another_tool_ends_a_drag(actions):
+    actions.request("tool", "inside")
+    drag(actions, "axial", FIRST)
+    actions.request("key", "V")
+    cursor = actions.scene.cursor
+    actions.request("move", *axial(actions, SECOND))  # the button is still down
+    assert np.array_equal(actions.scene.cursor, cursor)
+    actions.request("release")
+    assert made(actions) == [] and actions.scene.marks.count == 0
 
 
 # ------------------------------------------------------------------------------------------------------------ fingers
 
 
 @pytest.mark.parametrize("tool", PAINTS)
-def test_two_fingers_paint_nothing_and_leave_no_mark(workplace, tool):
-    workplace.request("tool", tool)
-    first, second = axial(workplace, FIRST), axial(workplace, SECOND)
-    workplace.request("finger_down", *first, 7, True)
-    workplace.request("finger_move", first[0] + 0.004, first[1], 7)
-    assert workplace.scene.marks.count == 1
-    workplace.request("finger_down", *second, 8, False)
-    assert workplace.scene.marks.count == 0
+def test_two_fingers_paint_nothing_and_leave_no_mark(actions, tool):
+    actions.request("tool", tool)
+    first, second = axial(actions, FIRST), axial(actions, SECOND)
+    actions.request("touch_down", *first, 7, True)
+    actions.request("touch_move", first[0] + 0.004, first[1], 7)
+    assert actions.scene.marks.count == 1
+    actions.request("touch_down", *second, 8, False)
+    assert actions.scene.marks.count == 0
     for step in range(4):
-        workplace.request("finger_move", first[0] + 0.004 * step, first[1], 7)
-        workplace.request("finger_move", second[0] - 0.004 * step, second[1], 8)
-    workplace.request("finger_up", 7)
-    workplace.request("finger_move", first[0], first[1], 8)  # the last of two is no stroke
-    workplace.request("finger_up", 8)
-    assert made(workplace) == [] and workplace.scene.marks.count == 0
-    assert not workplace.message and not workplace.feature(MouseFeature).is_dragging
+        actions.request("touch_move", first[0] + 0.004 * step, first[1], 7)
+        actions.request("touch_move", second[0] - 0.004 * step, second[1], 8)
+    actions.request("touch_up", 7)
+    actions.request("touch_move", first[0], first[1], 8)  # the last of two is no stroke
+    actions.request("touch_up", 8)
+    assert made(actions) == [] and actions.scene.marks.count == 0
+    assert not actions.message and not actions.feature(MouseFeature).is_dragging
 
 
-def test_one_finger_is_the_left_button(workplace):
-    workplace.request("tool", "inside")
+def test_one_finger_is_the_left_button(actions):
+    actions.request("tool", "inside")
     for number in (3, 4):  # the second time a browser has another number for it
-        workplace.request("finger_down", *axial(workplace, FIRST), number, True)
-        workplace.request("finger_move", *axial(workplace, (13.0, 8.0, 9.0)), number)
-        workplace.request("finger_up", number)
-        assert len(settled(workplace).refinements) == number - 2 and not workplace.message
-    assert settled(workplace).refinements[0].inside[0].startswith("path:")
+        actions.request("touch_down", *axial(actions, FIRST), number, True)
+        actions.request("touch_move", *axial(actions, (13.0, 8.0, 9.0)), number)
+        actions.request("touch_up", number)
+        assert len(settled(actions).refinements) == number - 2 and not actions.message
+    assert settled(actions).refinements[0].inside[0].startswith("path:")
 
 
-def test_what_is_under_two_fingers_stays_under_them(workplace):
+def test_what_is_under_two_fingers_stays_under_them(actions):
     """They move and spread at once: zoom and shift follow from where the two were and are."""
-    workplace.request("tool", "look")
-    cursor = workplace.scene.cursor
-    begin_pinch(workplace)
-    assert np.allclose(workplace.scene.cursor, cursor)  # the first finger has moved the slices: it was not meant
-    (x, y), (far_x, far_y) = axial(workplace, FIRST), axial(workplace, SECOND)
-    before = [under(workplace, x, y), under(workplace, far_x, far_y)]
-    scale = workplace.scene.slice_tiles["axial"].mm_per_pixel()
+    actions.request("tool", "look")
+    cursor = actions.scene.cursor
+    begin_pinch(actions)
+    assert np.allclose(actions.scene.cursor, cursor)  # the first finger has moved the slices: it was not meant
+    (x, y), (far_x, far_y) = axial(actions, FIRST), axial(actions, SECOND)
+    before = [under(actions, x, y), under(actions, far_x, far_y)]
+    scale = actions.scene.slice_tiles["axial"].mm_per_pixel()
     # Spread by a fifth along the line between them, and moved: the two of a step one after another.
     right, down = 0.1 * (far_x - x), 0.1 * (far_y - y)
     for _ in range(2):
         x, y, far_x, far_y = x - right + 0.004, y - down - 0.006, far_x + right + 0.004, far_y + down - 0.006
-        workplace.request("finger_move", x, y, 7)
-        workplace.request("finger_move", far_x, far_y, 8)
-    after = [under(workplace, x, y), under(workplace, far_x, far_y)]
+        actions.request("touch_move", x, y, 7)
+        actions.request("touch_move", far_x, far_y, 8)
+    after = [under(actions, x, y), under(actions, far_x, far_y)]
     np.testing.assert_allclose(after, before, atol=1e-6)
-    assert scale / workplace.scene.slice_tiles["axial"].mm_per_pixel() == pytest.approx(1.4, rel=1e-6)
-    assert workplace.scene.slice_tiles["coronal"].mm_per_pixel() == pytest.approx(scale, rel=0.5)
-    workplace.request("finger_up", 8)
-    workplace.request("finger_up", 7)
-    assert np.allclose(workplace.scene.cursor, cursor) and not workplace.feature(MouseFeature).is_dragging
+    assert scale / actions.scene.slice_tiles["axial"].mm_per_pixel() == pytest.approx(1.4, rel=1e-6)
+    assert actions.scene.slice_tiles["coronal"].mm_per_pixel() == pytest.approx(scale, rel=0.5)
+    actions.request("touch_up", 8)
+    actions.request("touch_up", 7)
+    assert np.allclose(actions.scene.cursor, cursor) and not actions.feature(MouseFeature).is_dragging
 
 
-def test_two_fingers_in_3d_zoom_about_their_middle(workplace):
-    workplace.request("view", "front")
-    x, y = place_of(workplace, "space", (14.0, 8.0, 9.0))
-    workplace.request("finger_down", x - 0.05, y, 7, True)
-    workplace.request("finger_down", x + 0.05, y, 8)
-    scale = workplace.scene.tiles.tile("space").mm_per_pixel()
+def test_two_fingers_in_3d_zoom_about_their_middle(actions):
+    actions.request("view", "front")
+    x, y = place_of(actions, "space", (14.0, 8.0, 9.0))
+    actions.request("touch_down", x - 0.05, y, 7, True)
+    actions.request("touch_down", x + 0.05, y, 8)
+    scale = actions.scene.tiles.tile("space").mm_per_pixel()
     for step in (0.06, 0.07, 0.08):
-        workplace.request("finger_move", x - step, y, 7)
-        workplace.request("finger_move", x + step, y, 8)
-    assert scale / workplace.scene.tiles.tile("space").mm_per_pixel() == pytest.approx(1.6, rel=1e-6)
-    assert place_of(workplace, "space", (14.0, 8.0, 9.0)) == pytest.approx((x, y), abs=2e-3)
+        actions.request("touch_move", x - step, y, 7)
+        actions.request("touch_move", x + step, y, 8)
+    assert scale / actions.scene.tiles.tile("space").mm_per_pixel() == pytest.approx(1.6, rel=1e-6)
+    assert place_of(actions, "space", (14.0, 8.0, 9.0)) == pytest.approx((x, y), abs=2e-3)
 
 
-def test_a_second_finger_takes_back_what_the_first_has_placed(workplace):
+def test_a_second_finger_takes_back_what_the_first_has_placed(actions):
     """Each tool: nothing is changed by the beginning of a pinch, what was there before stays."""
-    workplace.request("tool", "distance")
-    drag(workplace, "axial", FIRST, SECOND)
-    workplace.request("release")
-    (line,) = workplace.state()["measurements"]
-    for name in workplace.tools:
+    actions.request("tool", "distance")
+    drag(actions, "axial", FIRST, SECOND)
+    actions.request("release")
+    (line,) = actions.state()["measurements"]
+    for name in actions.tools:
         if name != "distance":
-            workplace.request("tool", name)
+            actions.request("tool", name)
         for first in (FIRST, SECOND, (17.0, 8.0, 9.0)):  # at its ends, and beside it
-            begin_pinch(workplace, first, (29.0, 8.0, 9.0))
-            workplace.request("finger_up", 8)
-            workplace.request("finger_up", 7)
-        assert made(workplace) == [] and not workplace.message, name
-        assert workplace.state()["measurements"] == [line], name
+            begin_pinch(actions, first, (29.0, 8.0, 9.0))
+            actions.request("touch_up", 8)
+            actions.request("touch_up", 7)
+        assert made(actions) == [] and not actions.message, name
+        assert actions.state()["measurements"] == [line], name
 
 
-def test_fingers_that_were_lost_and_hands_beside_a_pen(workplace):
-    workplace.request("tool", "inside")
-    workplace.request("finger_down", *axial(workplace, SECOND), 1, True)  # its end is never heard of
-    workplace.request("finger_down", *axial(workplace, FIRST), 2, True)
-    workplace.request("finger_cancel", 2)
-    assert made(workplace) == [] and workplace.scene.marks.count == 0
-    workplace.request("finger_down", *axial(workplace, SECOND), 3, True)
-    drag(workplace, "axial", FIRST)  # a pen, after the hand that holds it
-    workplace.request("finger_move", *axial(workplace, (27.0, 8.0, 9.0)), 3)
-    workplace.request("finger_down", *axial(workplace, SECOND), 4)
-    workplace.request("finger_up", 3)
-    workplace.request("finger_up", 4)
-    workplace.request("finger_down", *axial(workplace, SECOND), 5, True)
-    workplace.request("finger_move", *axial(workplace, (27.0, 8.0, 9.0)), 5)
-    workplace.request("finger_up", 5)
-    assert workplace.scene.marks.count == 1
-    workplace.request("release")
-    (refinement,) = settled(workplace).refinements
-    assert refinement.inside[0].startswith("ball:11,") and workplace.scene.marks.count == 0
+def test_fingers_that_were_lost_and_hands_beside_a_pen(actions):
+    actions.request("tool", "inside")
+    actions.request("touch_down", *axial(actions, SECOND), 1, True)  # its end is never heard of
+    actions.request("touch_down", *axial(actions, FIRST), 2, True)
+    actions.request("touch_cancel", 2)
+    assert made(actions) == [] and actions.scene.marks.count == 0
+    actions.request("touch_down", *axial(actions, SECOND), 3, True)
+    drag(actions, "axial", FIRST)  # a pen, after the hand that holds it
+    actions.request("touch_move", *axial(actions, (27.0, 8.0, 9.0)), 3)
+    actions.request("touch_down", *axial(actions, SECOND), 4)
+    actions.request("touch_up", 3)
+    actions.request("touch_up", 4)
+    actions.request("touch_down", *axial(actions, SECOND), 5, True)
+    actions.request("touch_move", *axial(actions, (27.0, 8.0, 9.0)), 5)
+    actions.request("touch_up", 5)
+    assert actions.scene.marks.count == 1
+    actions.request("release")
+    (refinement,) = settled(actions).refinements
+    assert refinement.inside[0].startswith("ball:11,") and actions.scene.marks.count == 0
 
 
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("bad", [None, True, "x", float("nan"), float("inf"), 1e308, [], {}, -0.1, 1.1, 2**40])
-def test_what_is_no_finger_is_refused(workplace, bad):
-    workplace.request("tool", "inside")
+def test_what_is_no_finger_is_refused(actions, bad):
+    actions.request("tool", "inside")
     for name, values in (
-        ("finger_down", (bad, 0.5, 1, True)), ("finger_down", (0.5, bad, 1, True)), ("finger_move", (bad, 0.5, 1)),
-        ("scroll", (bad, 0.5, 100, 0)), ("press", (bad, 0.5)), ("release", (bad,)), ("finger_up", (bad,)),
+        ("touch_down", (bad, 0.5, 1, True)), ("touch_down", (0.5, bad, 1, True)), ("touch_move", (bad, 0.5, 1)),
+        ("scroll_delta", (bad, 0.5, 100, 0)), ("press", (bad, 0.5)), ("release", (bad,)), ("touch_up", (bad,)),
     ):
-        if name in ("release", "finger_up") and (bad is None or isinstance(bad, float) and abs(bad) < 2):
+        if name in ("release", "touch_up") and (bad is None or isinstance(bad, float) and abs(bad) < 2):
             continue  # the button that is down, and numbers that a button or a finger may have
-        workplace.message = ""
-        workplace.request(name, *values)
-        assert "was given, expected a number" in workplace.message, name
-        assert not workplace.feature(MouseFeature).is_dragging
+        actions.message = ""
+        actions.request(name, *values)
+        assert "was given, expected a number" in actions.message, name
+        assert not actions.feature(MouseFeature).is_dragging
     for number in range(50):
-        workplace.request("finger_down", 0.5, 0.5, number)
-    workplace.request("finger_cancel")
-    assert made(workplace) == [] and not workplace.feature(MouseFeature).is_dragging
+        actions.request("touch_down", 0.5, 0.5, number)
+    actions.request("touch_cancel")
+    assert made(actions) == [] and not actions.feature(MouseFeature).is_dragging
 
 
 # -------------------------------------------------------------------------------------------------------------- wheel
 
 
-def at_middle(workplace):
-    return axial(workplace, (17.0, 8.0, 9.0))
+def at_middle(actions):
+    return axial(actions, (17.0, 8.0, 9.0))
 
 
-def test_parts_of_a_notch_add_up_to_a_slice(workplace):
-    tile, at = workplace.scene.slice_tiles["axial"], at_middle(workplace)
+def test_parts_of_a_notch_add_up_to_a_slice(actions):
+    tile, at = actions.scene.slice_tiles["axial"], at_middle(actions)
     before = tile.index
     for _ in range(9):
-        workplace.request("wheel", *at, 0.1)
+        actions.request("scroll", *at, 0.1)
         assert tile.index == before
-    workplace.request("wheel", *at, 0.1)
+    actions.request("scroll", *at, 0.1)
     assert abs(tile.index - before) == 1
     for _ in range(3):
-        workplace.request("wheel", *at, 0.3)
-    workplace.request("wheel", *at, -0.3)  # back: nothing is left of it
+        actions.request("scroll", *at, 0.3)
+    actions.request("scroll", *at, -0.3)  # back: nothing is left of it
     for _ in range(2):
-        workplace.request("wheel", *at, -0.3)
+        actions.request("scroll", *at, -0.3)
     assert abs(tile.index - before) == 1
-    workplace.request("wheel", *at, -0.3)
+    actions.request("scroll", *at, -0.3)
     assert tile.index == before
-    workplace.request("wheel", *at, 2)
+    actions.request("scroll", *at, 2)
     assert abs(tile.index - before) == 2
-    workplace.request("wheel", *at, 0)
-    assert abs(tile.index - before) == 2 and not workplace.message
+    actions.request("scroll", *at, 0)
+    assert abs(tile.index - before) == 2 and not actions.message
 
 
 @pytest.mark.sampled(3)
@@ -269,31 +269,31 @@ def test_parts_of_a_notch_add_up_to_a_slice(workplace):
         (-20, 0, 0),
     ],
 )
-def test_a_notch_of_any_browser_is_a_slice(workplace, delta, mode, slices):
-    tile, at = workplace.scene.slice_tiles["axial"], at_middle(workplace)
-    workplace.request("wheel", *at, 1)
+def test_a_notch_of_any_browser_is_a_slice(actions, delta, mode, slices):
+    tile, at = actions.scene.slice_tiles["axial"], at_middle(actions)
+    actions.request("scroll", *at, 1)
     middle = tile.index
-    workplace.request("wheel", *at, -1)
+    actions.request("scroll", *at, -1)
     one, before = middle - tile.index, tile.index
-    workplace.request("scroll", *at, delta, mode, False)
-    assert tile.index - before == slices * one and not workplace.message
+    actions.request("scroll_delta", *at, delta, mode, False)
+    assert tile.index - before == slices * one and not actions.message
 
 
-def test_a_pinch_on_a_trackpad_zooms_as_far_as_the_fingers_spread(workplace):
-    tile, at = workplace.scene.slice_tiles["axial"], at_middle(workplace)
+def test_a_pinch_on_a_trackpad_zooms_as_far_as_the_fingers_spread(actions):
+    tile, at = actions.scene.slice_tiles["axial"], at_middle(actions)
     scale = tile.mm_per_pixel()
     for _ in range(20):  # a browser reports 100 times the logarithm of how far they have spread
-        workplace.request("scroll", *at, -100 * np.log(2.0) / 20, 0, True)
+        actions.request("scroll_delta", *at, -100 * np.log(2.0) / 20, 0, True)
     assert scale / tile.mm_per_pixel() == pytest.approx(2.0, rel=1e-6)
-    workplace.request("scroll", *at, 0.0, 0, True)
+    actions.request("scroll_delta", *at, 0.0, 0, True)
     assert scale / tile.mm_per_pixel() == pytest.approx(2.0, rel=1e-6)
-    workplace.request("scroll", *at, -100, 0, True)  # a notch of a mouse
+    actions.request("scroll_delta", *at, -100, 0, True)  # a notch of a mouse
     assert scale / tile.mm_per_pixel() == pytest.approx(2.0 * ZOOM, rel=1e-6)
     for bad in (None, "x", float("nan"), float("inf"), 1e9, True):
-        workplace.request("scroll", *at, bad, 0, True)
-        assert "was given" in workplace.message
-        workplace.request("scroll", *at, 1, bad, True)
-        assert "was given" in workplace.message
+        actions.request("scroll_delta", *at, bad, 0, True)
+        assert "was given" in actions.message
+        actions.request("scroll_delta", *at, 1, bad, True)
+        assert "was given" in actions.message
     assert scale / tile.mm_per_pixel() == pytest.approx(2.0 * ZOOM, rel=1e-6)
 
 
@@ -304,42 +304,42 @@ def test_the_slices_go_to_points_too(scene_of):
     image = scan()
     with Session(image, CONFIGS["seeded"]) as session:
         session.ready.result(60)
-        workplace = shown(Actions(session, scene_of(image, size=(960, 544))))
-        workplace.request("cursor", 9.0, 8.0, 9.0)
-        workplace.request("tool", "points")
+        actions = shown(Actions(session, scene_of(image, size=(960, 544))))
+        actions.request("cursor", 9.0, 8.0, 9.0)
+        actions.request("tool", "points")
         for world in (FIRST, SECOND):
-            drag(workplace, "axial", world)
-            workplace.request("release")
-            np.testing.assert_allclose(workplace.scene.cursor, world, atol=0.4)
-        assert len(settled(workplace).settings.start) == 2
+            drag(actions, "axial", world)
+            actions.request("release")
+            np.testing.assert_allclose(actions.scene.cursor, world, atol=0.4)
+        assert len(settled(actions).settings.start) == 2
 
 
-def test_a_key_shows_the_tile_under_the_mouse_alone_with_any_tool(workplace):
-    tiles = workplace.scene.tiles
+def test_a_key_shows_the_tile_under_the_mouse_alone_with_any_tool(actions):
+    tiles = actions.scene.tiles
     layout = tiles.layout
     for tool in ("inside", "look", "distance"):
-        workplace.request("tool", tool)
-        workplace.request("hover", *place_of(workplace, "coronal", (17.0, 8.0, 9.0)))
-        workplace.request("key", "1")
+        actions.request("tool", tool)
+        actions.request("hover", *place_of(actions, "coronal", (17.0, 8.0, 9.0)))
+        actions.request("key", "1")
         assert (tiles.layout, tiles.large) == ("single", "coronal")
-        workplace.request("hover", 0.01, 0.01)
-        workplace.request("key", "1")
-        assert tiles.layout == layout and not workplace.message
+        actions.request("hover", 0.01, 0.01)
+        actions.request("key", "1")
+        assert tiles.layout == layout and not actions.message
 
 
-def test_whatever_page_and_picture_ask_for_can_be_asked(workplace):
+def test_whatever_page_and_picture_ask_for_can_be_asked(actions):
     text = document(("head", "tools", "slices", "measure"))
     sent = set(re.findall(r"\['([a-z_]+)', ", text[text.index("<main>") :])) | {"copy_failed", "cancel"}
-    assert {"finger_down", "scroll", "press"} <= sent <= set(workplace.names)
-    workplace.request("copy_point")
-    assert "copied point:" in workplace.state()["message"]
-    workplace.request("copy_failed")
-    assert "no clipboard" in workplace.state()["message"] and workplace.state()["failed"]
+    assert {"touch_down", "scroll_delta", "press"} <= sent <= set(actions.names)
+    actions.request("copy_point")
+    assert "copied point:" in actions.state()["message"]
+    actions.request("copy_failed")
+    assert "no clipboard" in actions.state()["message"] and actions.state()["failed"]
 
 
-def test_steps_of_rest_reach_the_page_and_can_be_gone_to(workplace):
-    status = workplace.session.status._replace(rests=(3, 7))
-    assert workplace.feature(HistoryFeature).state(status)["rests"] == [3, 7]
+def test_steps_of_rest_reach_the_page_and_can_be_gone_to(actions):
+    status = actions.session.status._replace(rests=(3, 7))
+    assert actions.feature(HistoryFeature).state(status)["rests"] == [3, 7]
     for step in (7, 3):
-        workplace.request("go_to", step)
-        assert settled(workplace).step == step and not workplace.message
+        actions.request("go_to", step)
+        assert settled(actions).step == step and not actions.message

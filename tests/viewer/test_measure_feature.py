@@ -1,4 +1,4 @@
-"""Measuring in the workplace: with the mouse, by requests, from a state of the run, into files, onto the clipboard."""
+"""Measuring by actions: with the mouse, by requests, from a state of the run, into files, onto the clipboard."""
 
 import csv
 import io
@@ -11,9 +11,9 @@ from accelsurf import Volume
 from accelsurf.io import write
 from accelsurf.io.headers import UNIT_KEY, VALUE_UNIT_KEY
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.files import FilesFeature
 from accelsurf.viewer.actions.measure import MeasureFeature, table_of
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
@@ -49,7 +49,7 @@ def scene_and_session():
 
 
 @pytest.fixture
-def workplace(scene_and_session, tmp_path):
+def actions(scene_and_session, tmp_path):
     scene, session = scene_and_session
     made = Actions(session, scene, tmp_path)
     scene.measures.show(())
@@ -58,102 +58,102 @@ def workplace(scene_and_session, tmp_path):
     return made
 
 
-def ask(workplace, *request):
-    workplace.request(*request)
-    assert workplace.session.wait(120)
-    workplace.collect_results()
-    return workplace.state()
+def ask(actions, *request):
+    actions.request(*request)
+    assert actions.session.wait(120)
+    actions.collect_results()
+    return actions.state()
 
 
-def place(workplace, tile, right, up):
+def place(actions, tile, right, up):
     """Parts of the picture's width, and height from the top, of a place in a tile."""
-    left, bottom, far, top = workplace.scene.tiles.renderer(tile).GetViewport()
+    left, bottom, far, top = actions.scene.tiles.renderer(tile).GetViewport()
     return left + right * (far - left), 1 - (bottom + up * (top - bottom))
 
 
-def drag(workplace, tile, *places):
-    first, *rest = [place(workplace, tile, *at) for at in places]
-    workplace.request("press", *first)
+def drag(actions, tile, *places):
+    first, *rest = [place(actions, tile, *at) for at in places]
+    actions.request("press", *first)
     for at in rest:
-        workplace.request("move", *at)
-    workplace.request("release")
-    assert not workplace.message, workplace.message
+        actions.request("move", *at)
+    actions.request("release")
+    assert not actions.message, actions.message
 
 
-def world(workplace, tile, right, up):
-    scene = workplace.scene
+def world(actions, tile, right, up):
+    scene = actions.scene
     width, height = scene.plotter.render_window.GetSize()
-    x, y = place(workplace, tile, right, up)
+    x, y = place(actions, tile, right, up)
     return scene.pick(x * width, (1 - y) * height).world
 
 
-def test_a_length_is_dragged_moved_listed_and_deleted(workplace):
-    workplace.request("tool", "distance")
-    drag(workplace, "axial", (0.35, 0.4), (0.5, 0.5), (0.6, 0.55))
-    ends = [world(workplace, "axial", *at) for at in ((0.35, 0.4), (0.6, 0.55))]
-    (row,) = workplace.state()["measurements"]
+def test_a_length_is_dragged_moved_listed_and_deleted(actions):
+    actions.request("tool", "distance")
+    drag(actions, "axial", (0.35, 0.4), (0.5, 0.5), (0.6, 0.55))
+    ends = [world(actions, "axial", *at) for at in ((0.35, 0.4), (0.6, 0.55))]
+    (row,) = actions.state()["measurements"]
     length = np.linalg.norm(ends[1] - ends[0])
     assert row == [1, "distance", f"{length:.4g} mm"]
     # An end is taken up from some pixels away, and no second line begins.
-    drag(workplace, "axial", (0.602, 0.552), (0.5, 0.7))
-    moved = world(workplace, "axial", 0.5, 0.7)
-    (row,) = workplace.state()["measurements"]
+    drag(actions, "axial", (0.602, 0.552), (0.5, 0.7))
+    moved = world(actions, "axial", 0.5, 0.7)
+    (row,) = actions.state()["measurements"]
     assert row == [1, "distance", f"{np.linalg.norm(moved - ends[0]):.4g} mm"]
-    drag(workplace, "coronal", (0.4, 0.5), (0.6, 0.5))
-    assert [row[0] for row in workplace.state()["measurements"]] == [1, 2]
-    workplace.request("measure_delete", 1)
-    assert [row[0] for row in workplace.state()["measurements"]] == [2]
-    workplace.request("measure_clear")
-    assert workplace.state()["measurements"] == []
-    workplace.request("tool", "look")
-    json.dumps(workplace.state())
+    drag(actions, "coronal", (0.4, 0.5), (0.6, 0.5))
+    assert [row[0] for row in actions.state()["measurements"]] == [1, 2]
+    actions.request("measure_delete", 1)
+    assert [row[0] for row in actions.state()["measurements"]] == [2]
+    actions.request("measure_clear")
+    assert actions.state()["measurements"] == []
+    actions.request("tool", "look")
+    json.dumps(actions.state())
 
 
-def test_clicks_make_a_length_and_an_angle_over_tiles(workplace):
-    workplace.request("tool", "distance")
-    drag(workplace, "axial", (0.4, 0.4))
-    assert workplace.state()["measurements"] == [[1, "distance", ""]]
-    drag(workplace, "coronal", (0.6, 0.6))
-    ends = world(workplace, "axial", 0.4, 0.4), world(workplace, "coronal", 0.6, 0.6)
-    assert workplace.state()["measurements"] == [[1, "distance", f"{np.linalg.norm(ends[1] - ends[0]):.4g} mm"]]
-    workplace.request("tool", "angle")
+def test_clicks_make_a_length_and_an_angle_over_tiles(actions):
+    actions.request("tool", "distance")
+    drag(actions, "axial", (0.4, 0.4))
+    assert actions.state()["measurements"] == [[1, "distance", ""]]
+    drag(actions, "coronal", (0.6, 0.6))
+    ends = world(actions, "axial", 0.4, 0.4), world(actions, "coronal", 0.6, 0.6)
+    assert actions.state()["measurements"] == [[1, "distance", f"{np.linalg.norm(ends[1] - ends[0]):.4g} mm"]]
+    actions.request("tool", "angle")
     for at in ((0.7, 0.5), (0.5, 0.5), (0.5, 0.7)):
-        drag(workplace, "axial", at)
-    assert workplace.state()["measurements"][1] == [2, "angle", "90.0°"]
-    drag(workplace, "axial", (0.3, 0.3), (0.4, 0.3))  # an arm, and the corner
-    assert workplace.state()["measurements"][2] == [3, "angle", ""]
-    workplace.request("tool", "look")  # what is not finished is forgotten
-    assert [row[0] for row in workplace.state()["measurements"]] == [1, 2]
+        drag(actions, "axial", at)
+    assert actions.state()["measurements"][1] == [2, "angle", "90.0°"]
+    drag(actions, "axial", (0.3, 0.3), (0.4, 0.3))  # an arm, and the corner
+    assert actions.state()["measurements"][2] == [3, "angle", ""]
+    actions.request("tool", "look")  # what is not finished is forgotten
+    assert [row[0] for row in actions.state()["measurements"]] == [1, 2]
 
 
-def test_an_end_may_lie_on_the_surface(workplace):
-    session, scene = workplace.session, workplace.scene
+def test_an_end_may_lie_on_the_surface(actions):
+    session, scene = actions.session, actions.scene
     view = session.next_view()
     while view is None:
         view = session.next_view()
-    workplace.update(view)
+    actions.update(view)
     scene.screenshot()
-    workplace.request("tool", "distance")
-    drag(workplace, "space", (0.45, 0.5), (0.55, 0.52))
-    one = next(iter(workplace.feature(MeasureFeature).measurements))
+    actions.request("tool", "distance")
+    drag(actions, "space", (0.45, 0.5), (0.55, 0.52))
+    one = next(iter(actions.feature(MeasureFeature).measurements))
     mesh = scene.space.meshes[0]
     for point in one.points:
         assert np.linalg.norm(np.asarray(mesh.points) - point, axis=1).min() < 1.0
     assert scene.measures.marks["space"].texts == (one.text(),)
-    workplace.request("tool", "look")
+    actions.request("tool", "look")
 
 
-def test_the_table_has_the_figures_of_an_ellipsoid(workplace):
-    state = ask(workplace, "measure_table")
-    assert state["figures_current"] and state["figures_step"] == workplace.session.status.step
-    figures = workplace.feature(MeasureFeature).figures
+def test_the_table_has_the_figures_of_an_ellipsoid(actions):
+    state = ask(actions, "measure_table")
+    assert state["figures_current"] and state["figures_step"] == actions.session.status.step
+    figures = actions.feature(MeasureFeature).figures
     (row,) = figures.rows
     assert row["volume_mm3"] == pytest.approx(4 / 3 * np.pi * 18 * 12 * 8, rel=0.03)
     for key, true in (("diameter_mm", 36), ("diameter_across_mm", 24), ("diameter_axial_mm", 36),
                       ("diameter_axial_across_mm", 24)):  # fmt: skip
         assert row[key] == pytest.approx(true, abs=2.2), key  # a diagonal of a voxel is 2 mm
     assert row["mean"] == pytest.approx(100, abs=1.5) and row["sd"] < 12
-    assert row["centroid_mm"] == pytest.approx(workplace.scene.geometry.center_world().tolist(), abs=0.2)
+    assert row["centroid_mm"] == pytest.approx(actions.scene.geometry.center_world().tolist(), abs=0.2)
     lines = {line[0]: line[1] for line in state["figures"]}
     assert lines[""] == "object" and lines["Volume"] == f"{row['volume_ml']:.4g} ml"
     assert lines["Volume, mm3"].replace(" ", "") == f"{row['volume_mm3']:.0f}mm3"
@@ -161,58 +161,58 @@ def test_the_table_has_the_figures_of_an_ellipsoid(workplace):
     json.dumps(state)
 
 
-def test_the_table_is_known_to_be_of_another_step(workplace):
-    ask(workplace, "measure_table")
-    last = workplace.session.status.step
-    ask(workplace, "go_to", last - 2)
-    view = workplace.session.next_view()
+def test_the_table_is_known_to_be_of_another_step(actions):
+    ask(actions, "measure_table")
+    last = actions.session.status.step
+    ask(actions, "go_to", last - 2)
+    view = actions.session.next_view()
     while view is None or view.status.step == last:
-        view = workplace.session.next_view()
-    workplace.update(view)
-    assert not workplace.state()["figures_current"] and workplace.state()["figures_step"] == last
-    ask(workplace, "go_to", last)
+        view = actions.session.next_view()
+    actions.update(view)
+    assert not actions.state()["figures_current"] and actions.state()["figures_step"] == last
+    ask(actions, "go_to", last)
 
 
-def test_diameters_are_drawn_with_the_lengths_of_the_table(workplace):
-    ask(workplace, "measure_table")
-    state = ask(workplace, "measure_diameters")
+def test_diameters_are_drawn_with_the_lengths_of_the_table(actions):
+    ask(actions, "measure_table")
+    state = ask(actions, "measure_diameters")
     assert [row[1] for row in state["measurements"]] == ["distance"] * 4
-    (row,) = workplace.feature(MeasureFeature).figures.rows
+    (row,) = actions.feature(MeasureFeature).figures.rows
     names = ("diameter_mm", "diameter_across_mm", "diameter_axial_mm", "diameter_axial_across_mm")
     assert [one[2] for one in state["measurements"]] == [f"{row[name]:.4g} mm" for name in names]
     # The slices go to where the long and the short axis lie.
-    assert workplace.scene.measures.marks["axial"].texts == tuple(f"{row[name]:.4g} mm" for name in names[2:])
+    assert actions.scene.measures.marks["axial"].texts == tuple(f"{row[name]:.4g} mm" for name in names[2:])
 
 
-def test_tables_are_copied_and_saved_with_the_run(workplace, tmp_path):
-    workplace.request("measure_copy")
-    assert "nothing has been measured" in workplace.message
-    ask(workplace, "measure_table")
-    ask(workplace, "measure_diameters", 1)
-    state = ask(workplace, "measure_copy")
+def test_tables_are_copied_and_saved_with_the_run(actions, tmp_path):
+    actions.request("measure_copy")
+    assert "nothing has been measured" in actions.message
+    ask(actions, "measure_table")
+    ask(actions, "measure_diameters", 1)
+    state = ask(actions, "measure_copy")
     rows = [line.split("\t") for line in state["copied"][1].split("\n")]
     table = dict(zip(rows[0], rows[1], strict=True))
     assert table["name"] == "object" and float(table["volume_ml"]) * 1000 == pytest.approx(float(table["volume_mm3"]))
     assert rows[2] == [""] and rows[3][:4] == ["number", "kind", "value", "unit"]
-    ask(workplace, "save")
-    saved = workplace.feature(FilesFeature).files
+    ask(actions, "save")
+    saved = actions.feature(FilesFeature).files
     assert {"egg_measurements.csv", "egg_statistics.csv"} <= set(saved)
     drawn = list(csv.DictReader(io.StringIO((tmp_path / "egg_measurements.csv").read_text())))
     assert len(drawn) == 4 and float(drawn[0]["value"]) == pytest.approx(float(table["diameter_mm"]))
     # One source: what is copied is what the run's own table has.
     (own,) = csv.DictReader(io.StringIO((tmp_path / "egg_statistics.csv").read_text()))
     assert {key: own[key] for key in table} == table
-    ask(workplace, "measure_save")
+    ask(actions, "measure_save")
     assert (tmp_path / "egg_figures.csv").read_text().split("\n")[0].split(",") == rows[0]
-    assert "egg_figures.csv" in workplace.state()["saved"]
+    assert "egg_figures.csv" in actions.state()["saved"]
 
 
-def test_a_file_of_others_is_not_replaced(workplace, tmp_path):
+def test_a_file_of_others_is_not_replaced(actions, tmp_path):
     (tmp_path / "egg_measurements.csv").write_text("mine")
-    ask(workplace, "measure_diameters")
-    ask(workplace, "measure_save")
-    assert "exists already" in workplace.message and (tmp_path / "egg_measurements.csv").read_text() == "mine"
-    other = Actions(workplace.session, workplace.scene, tmp_path, overwrite=True)
+    ask(actions, "measure_diameters")
+    ask(actions, "measure_save")
+    assert "exists already" in actions.message and (tmp_path / "egg_measurements.csv").read_text() == "mine"
+    other = Actions(actions.session, actions.scene, tmp_path, overwrite=True)
     ask(other, "measure_diameters")
     ask(other, "measure_save")
     assert (tmp_path / "egg_measurements.csv").read_text().startswith("number,kind")
@@ -223,10 +223,10 @@ def test_a_file_of_others_is_not_replaced(workplace, tmp_path):
                  ("measure_diameters", 9), ("measure_diameters", "nan"), ("measure_diameters", [1]),
                  ("measure_table", 1), ("measure_copy", 1), ("measure_clear", 0), ("measure_save", "/tmp/x")]
 )  # fmt: skip
-def test_wrong_values_change_nothing_and_are_said_in_one_line(workplace, request_, tmp_path):
-    before = workplace.state()
-    after = ask(workplace, *request_)
-    assert workplace.message and "\n" not in workplace.message and "internal" not in workplace.message
+def test_wrong_values_change_nothing_and_are_said_in_one_line(actions, request_, tmp_path):
+    before = actions.state()
+    after = ask(actions, *request_)
+    assert actions.message and "\n" not in actions.message and "internal" not in actions.message
     assert {key: after[key] for key in ("measurements", "figures")} == {
         key: before[key] for key in ("measurements", "figures")
     }
@@ -258,15 +258,15 @@ def test_a_flat_image_is_measured_with_the_mouse(scene_of, tmp_path, axis):
     with Session(image, RunConfig(start=f"ball:{center},6", threads=1), name="disc") as session:
         session.play().result(60)
         session.wait(60)
-        workplace = Actions(session, scene, tmp_path)
+        actions = Actions(session, scene, tmp_path)
         scene.screenshot()
         (tile,) = scene.slice_tiles
-        workplace.request("tool", "distance")
-        drag(workplace, tile, (0.4, 0.5), (0.6, 0.5))
-        ends = [world(workplace, tile, part, 0.5) for part in (0.4, 0.6)]
-        (row,) = workplace.state()["measurements"]
+        actions.request("tool", "distance")
+        drag(actions, tile, (0.4, 0.5), (0.6, 0.5))
+        ends = [world(actions, tile, part, 0.5) for part in (0.4, 0.6)]
+        (row,) = actions.state()["measurements"]
         assert float(row[2].split()[0]) == pytest.approx(np.linalg.norm(ends[1] - ends[0]), rel=1e-3)
-        state = ask(workplace, "measure_diameters")
+        state = ask(actions, "measure_diameters")
         assert [one[2] for one in state["measurements"][1:]] == [state["measurements"][1][2]] * 4
         assert float(state["measurements"][1][2].split()[0]) == pytest.approx(20, abs=0.8)
         assert set(scene.measures.marks[tile].texts) == {one[2] for one in state["measurements"]}
@@ -284,15 +284,15 @@ def test_each_object_has_its_column(scene_of, tmp_path):
     with Session(image, config, name="two") as session:
         session.play().result(60)
         session.wait(60)
-        workplace = Actions(session, scene_of(image, size=(640, 360)), tmp_path / "out")
-        state = ask(workplace, "measure_table")
+        actions = Actions(session, scene_of(image, size=(640, 360)), tmp_path / "out")
+        state = ask(actions, "measure_table")
         assert state["figures"][0] == ["", "object 3", "small"] and state["figures_ids"] == [3, 7]
         first, second = (float(text.split()[0]) for text in state["figures"][1][1:])
         assert first == pytest.approx(4 / 3 * np.pi * 8**3 / 1000, rel=0.1) and second < 0.5 * first
-        ask(workplace, "measure_diameters", 7)
-        (longest, *_) = workplace.feature(MeasureFeature).measurements
+        ask(actions, "measure_diameters", 7)
+        (longest, *_) = actions.feature(MeasureFeature).measurements
         assert longest.value == pytest.approx(12, abs=1.8)
         middle = np.mean(longest.points, axis=0)
         assert np.linalg.norm(middle - image.geometry.index_to_world((12, 15, 36))) < 2
-        ask(workplace, "measure_diameters", 4)
-        assert "expected 3, 7" in workplace.message
+        ask(actions, "measure_diameters", 4)
+        assert "expected 3, 7" in actions.message

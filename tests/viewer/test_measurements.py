@@ -98,7 +98,7 @@ def scene(scene_of):
 def in_slice(scene, name, *places):
     """World places at parts of a slice's width and height."""
     tile = scene.slice_tiles[name]
-    left, right, bottom, top = tile.extent
+    left, right, bottom, top = tile.stack.extent
     return [
         scene.geometry.index_to_world(tile.from_tile(left + a * (right - left), bottom + b * (top - bottom)))
         for a, b in places
@@ -111,7 +111,7 @@ def test_a_line_drawn_in_a_slice_has_the_length_it_has_on_the_screen(scene, name
     scene.cursor = scene.geometry.index_to_world((9, 21, 17))
     ends = in_slice(scene, name, (0.2, 0.3), (0.7, 0.75))
     tile = scene.slice_tiles[name]
-    left, right, bottom, top = tile.extent
+    left, right, bottom, top = tile.stack.extent
     on_screen = np.hypot(0.5 * (right - left), 0.45 * (top - bottom))
     one = Measurement(1, "distance", tuple(map(tuple, ends)))
     assert one.value == pytest.approx(on_screen, rel=1e-9)
@@ -141,7 +141,7 @@ def test_an_angle_has_an_arc_and_an_end_in_another_slice_is_a_dot(scene):
     scene.measures.show([Measurement(1, "angle", (tuple(first), tuple(middle), tuple(last)))])
     assert scene.measures.marks["axial"].texts == ("90.0°",)
     angle = scene.screenshot()
-    across = np.eye(3)[scene.slice_tiles["axial"].axis]
+    across = np.eye(3)[scene.slice_tiles["axial"].stack.axis]
     away = scene.geometry.index_to_world(scene.geometry.world_to_index(middle) + 5 * across)
     scene.measures.show([Measurement(1, "distance", (tuple(middle), tuple(away)))])
     assert scene.measures.marks["axial"].texts == ()

@@ -9,8 +9,8 @@ import accelsurf
 from accelsurf import io
 from accelsurf.errors import UsageError
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.objects import NOT_BEGUN
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from tests.correct.test_object_changes import BALLS, SPACING, dice, press, scan, truth
@@ -88,7 +88,7 @@ def test_an_object_is_begun_by_a_click_and_the_active_one_takes_strokes(session,
     # With no object named it is the nearest one.
     session.add_click("inside", "point:12,15,29").result(60)
     assert session.status.refinements[-1].object == 1
-    session.edit_ball("add", "ball:44,15,17,2", 2).result(60)
+    session.edit_balls("add", ("ball:44,15,17,2",), 2).result(60)
     assert session.status.refinements[-1].object == 2 and session.status.refinements[-1].inside
     saved(session, tmp_path)
 
@@ -144,7 +144,7 @@ def test_names_and_colours_go_into_the_files(session, tmp_path):
 
 
 @pytest.fixture
-def workplace(session, tmp_path):
+def actions(session, tmp_path):
     viewing.needs_graphics()
     scene = Scene(session.volume, size=(640, 360))
     made = Actions(session, scene, tmp_path)
@@ -152,83 +152,83 @@ def workplace(session, tmp_path):
     scene.close()
 
 
-def settled(workplace):
+def settled(actions):
     """Draw until nothing is new."""
     for _ in range(400):
-        workplace.session.wait(60)
-        workplace.collect_results()
-        view = workplace.session.next_view()
+        actions.session.wait(60)
+        actions.collect_results()
+        view = actions.session.next_view()
         if view is not None:
-            workplace.update(view)
-        elif not workplace.session.has_unseen_state:
+            actions.update(view)
+        elif not actions.session.has_unseen_state:
             break
         time.sleep(0.005)
-    return workplace.state()
+    return actions.state()
 
 
-def ask(workplace, *request):
-    workplace.request(*request)
-    state = settled(workplace)
-    assert not workplace.message, workplace.message
+def ask(actions, *request):
+    actions.request(*request)
+    state = settled(actions)
+    assert not actions.message, actions.message
     return state
 
 
-def test_the_list_and_how_objects_are_drawn(workplace):
-    workplace.session.play().result(60)
-    state = settled(workplace)
+def test_the_list_and_how_objects_are_drawn(actions):
+    actions.session.play().result(60)
+    state = settled(actions)
     (row,) = state["object_rows"]
     assert row["id"] == 1 and row["word"] == "converged" and 1.4 < float(row["ml"]) < 2.0
     assert row["voxels"] == pytest.approx(1000 * float(row["ml"]) / np.prod(SPACING), rel=0.05)
-    state = ask(workplace, "object_add")
+    state = ask(actions, "object_add")
     assert state["object_active"] == 2 and state["tool"] == "size"
     assert [one["word"] for one in state["object_rows"]] == ["converged", NOT_BEGUN]
-    workplace.session.add_click("inside", press(2), workplace.object_id).result(60)
-    state = settled(workplace)
+    actions.session.add_click("inside", press(2), actions.object_id).result(60)
+    state = settled(actions)
     assert [one["word"] for one in state["object_rows"]] == ["converged"] * 2 and len(state["object_rows"]) == 2
-    state = ask(workplace, "object_name", 2, "cyst")
+    state = ask(actions, "object_name", 2, "cyst")
     shown = {one["id"]: one["color"] for one in state["object_rows"]}
-    told = workplace.session.status.labels
+    told = actions.session.status.labels
     # Files have the colours that are seen.
     assert {own: "#{:02x}{:02x}{:02x}".format(*told[own].color) for own in (1, 2)} == shown
-    assert state["object_rows"][1]["name"] == "cyst" and "cyst" in workplace.scene.legend
+    assert state["object_rows"][1]["name"] == "cyst" and "cyst" in actions.scene.legend
     color_before = state["object_rows"][1]["color"]
-    first, second = workplace.scene.space._surfaces[:2]
+    first, second = actions.scene.space._surfaces[:2]
     assert tuple(round(255 * v) for v in second.prop.color.float_rgb) == tuple(
         int(color_before[i : i + 2], 16) for i in (1, 3, 5)
     )
-    ask(workplace, "object_color", 2, "#0000ff")
+    ask(actions, "object_color", 2, "#0000ff")
     assert second.prop.color.float_rgb == (0.0, 0.0, 1.0) and first.prop.color.float_rgb != (0.0, 0.0, 1.0)
-    ask(workplace, "object_opacity", 2, 0.25)
+    ask(actions, "object_opacity", 2, 0.25)
     assert second.prop.opacity == 0.25 and first.prop.opacity == 1.0
-    workplace.scene.cursor = (38.0, 15.0, 17.0)
-    tile = workplace.scene.slice_tiles["axial"]
+    actions.scene.cursor = (38.0, 15.0, 17.0)
+    tile = actions.scene.slice_tiles["axial"]
     assert tile._lines["object 1"][0].GetVisibility() and tile._lines["object 1"][0].prop.opacity == 0.25
-    ask(workplace, "object_visible", 2, False)
+    ask(actions, "object_visible", 2, False)
     assert not second.GetVisibility() and not tile._lines["object 1"][0].GetVisibility() and first.GetVisibility()
-    assert "cyst" not in workplace.scene.legend
-    state = ask(workplace, "object_visible", 2, True)
+    assert "cyst" not in actions.scene.legend
+    state = ask(actions, "object_visible", 2, True)
     assert second.GetVisibility() and state["object_rows"][1]["visible"]
-    state = ask(workplace, "object_merge", 1, 2)
+    state = ask(actions, "object_merge", 1, 2)
     assert [one["id"] for one in state["object_rows"]] == [1] and state["object_active"] == 1
-    state = ask(workplace, "object_split", 38.0, 15.0, 17.0)
+    state = ask(actions, "object_split", 38.0, 15.0, 17.0)
     assert [one["id"] for one in state["object_rows"]] == [1, 2]
-    state = ask(workplace, "object_remove", 1)
+    state = ask(actions, "object_remove", 1)
     assert [one["id"] for one in state["object_rows"]] == [2] and state["object_active"] == 0
 
 
-def test_the_size_tool_presses_for_the_active_object(workplace):
-    workplace.session.play().result(60)
-    settled(workplace)
-    ask(workplace, "object_add")
-    workplace.scene.cursor = (38.0, 15.0, 17.0)
-    tool = workplace.tools["size"]
+def test_the_size_tool_presses_for_the_active_object(actions):
+    actions.session.play().result(60)
+    settled(actions)
+    ask(actions, "object_add")
+    actions.scene.cursor = (38.0, 15.0, 17.0)
+    tool = actions.tools["size"]
     at = type("At", (), {"tile": "axial", "world": np.array([38.0, 15.0, 17.0])})()
     tool.press(at)
-    workplace.session.wait(60)
+    actions.session.wait(60)
     tool.move(type("At", (), {"tile": "axial", "world": np.array([45.0, 15.0, 17.0])})())
     tool.release()
-    state = settled(workplace)
-    assert not workplace.message and [one["id"] for one in state["object_rows"]] == [1, 2]
+    state = settled(actions)
+    assert not actions.message and [one["id"] for one in state["object_rows"]] == [1, 2]
     # The drag says the ball without the one beside it, as bright, which it touches.
     assert 1000 * float(state["object_rows"][1]["ml"]) == pytest.approx(truth(2).sum() * 1.5, rel=0.1)
 
@@ -247,21 +247,21 @@ BAD = (
 
 
 @pytest.mark.parametrize("request_", BAD, ids=map(str, range(len(BAD))))
-def test_bad_requests_change_nothing_and_say_one_line(workplace, request_):
-    workplace.session.play_to(1).result(60)
-    before = settled(workplace)["object_rows"]
+def test_bad_requests_change_nothing_and_say_one_line(actions, request_):
+    actions.session.play_to(1).result(60)
+    before = settled(actions)["object_rows"]
     if request_[0] in ("object_split", "object_remove"):
-        workplace.session.play().result(60)
-        before = settled(workplace)["object_rows"]
-    config = workplace.session.status.refinements
-    workplace.request(*request_)
-    state = settled(workplace)
-    assert workplace.message and "\n" not in workplace.message
-    assert state["object_rows"] == before and workplace.session.status.refinements == config
-    assert workplace.object_id is None
+        actions.session.play().result(60)
+        before = settled(actions)["object_rows"]
+    config = actions.session.status.refinements
+    actions.request(*request_)
+    state = settled(actions)
+    assert actions.message and "\n" not in actions.message
+    assert state["object_rows"] == before and actions.session.status.refinements == config
+    assert actions.object_id is None
 
 
-def test_no_key_means_two_things(workplace):
-    keys = [tool.key for tool in workplace.tools.values()]
-    keys += [key for feature in workplace.features for key in feature.keys()]
+def test_no_key_means_two_things(actions):
+    keys = [tool.key for tool in actions.tools.values()]
+    keys += [key for feature in actions.features for key in feature.keys()]
     assert sorted(keys) == sorted(set(keys))

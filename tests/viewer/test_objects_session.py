@@ -13,7 +13,7 @@ from accelsurf.cli import view
 from accelsurf.errors import OutputError, UsageError
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.actions.workplace import Actions
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
@@ -52,11 +52,11 @@ def test_what_is_saved_repeats_the_steered_run(session, tmp_path):
     assert session.wait(60) and session.status.step == 5
     assert labels_of(at(session, 12), tmp_path / "b")[0] == straight
     session.go_to(6).result(60)
-    session.edit_ball("add", "ball:38,14,12,3", 3).result(60)
+    session.edit_balls("add", ("ball:38,14,12,3",), 3).result(60)
     assert session.status.message == "added ball:38,14,12,3 to object 3"
     session.change(smoothness=0.2).result(60)
     at(session, 14)
-    session.edit_ball("remove", "ball:12,6,12,4").result(60)
+    session.edit_balls("remove", ("ball:12,6,12,4",)).result(60)
     at(session, 17)
     paths = session.save(tmp_path / "saved").result(60)
     assert {"run.toml", "surface_seg.nii.gz", "surface_objects.csv", "surface_trace.csv", "surface_preview.png"} | {
@@ -95,7 +95,7 @@ def test_a_run_goes_on_after_it_converged_and_is_repeated(session, tmp_path):
     assert first.stop.reason == "converged"
     saved, toml = labels_of(session, tmp_path)
     assert repeated(toml).tobytes() == saved
-    session.edit_ball("remove", "ball:29,8,12,5").result(60)
+    session.edit_balls("remove", ("ball:29,8,12,5",)).result(60)
     assert session.status.edits[-1].object == 8
     at(session, first.step + 6)
     saved, toml = labels_of(session, tmp_path)
@@ -113,8 +113,8 @@ def test_an_object_that_stood_still_while_others_moved_is_repeated_too(tmp_path)
     with Session(image, RunConfig(objects=str(path), threads=1)) as session:
         session.play().result(60)
         assert session.wait(120) and session.status.stop.reason == "converged"
-        session.edit_ball("add", "ball:12,18,12,4").result(60)
-        session.edit_ball("add", "ball:28,20,12,4").result(60)
+        session.edit_balls("add", ("ball:12,18,12,4",)).result(60)
+        session.edit_balls("add", ("ball:28,20,12,4",)).result(60)
         assert [edit.object for edit in session.status.edits] == [3, 8]
         at(session, session.status.step + 6)
         small, large = views(session)[-1].histories
@@ -143,14 +143,14 @@ def test_a_ball_without_an_object_is_the_nearest_ones(config):
             assert nearest_object(run, f"ball:{x},{y},{z},2") == own
         assert nearest_object(run, "ball:2,14,12,2") == 3 and nearest_object(run, "ball:22,2,12,2") == 8
     with Session(volume(), config) as session:
-        session.edit_ball("add", "ball:22,2,12,2").result(60)
+        session.edit_balls("add", ("ball:22,2,12,2",)).result(60)
         assert [edit.object for edit in session.status.edits] == [8]
 
 
 def test_bad_commands_change_nothing(session):
     at(session, 2)
     for call, message in (
-        (lambda: session.edit_ball("add", "ball:22,2,12,2", 5), "object 5 was given, expected one of 3, 8"),
+        (lambda: session.edit_balls("add", ("ball:22,2,12,2",), 5), "object 5 was given, expected one of 3, 8"),
         (lambda: session.start_from(["ball:12,14,12,4"]), "was given with objects"),
         (lambda: session.change(objects="others.nii.gz"), "objects cannot change while a run runs"),
     ):
@@ -162,7 +162,7 @@ def test_bad_commands_change_nothing(session):
 def test_one_object_without_an_id_is_named_by_nothing():
     with Session(volume(), RunConfig(start="ball:12,14,12,4", threads=1)) as session:
         session.ready.result(60)
-        session.edit_ball("add", "ball:15,14,12,4").result(60)
+        session.edit_balls("add", ("ball:15,14,12,4",)).result(60)
         assert session.status.objects == () and session.status.edits[0].object is None
         assert session.status.message == "added ball:15,14,12,4"
 

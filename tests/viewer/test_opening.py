@@ -212,7 +212,7 @@ def test_a_phantom_is_that_of_the_command(tmp_path):
 
 
 class Shown:
-    """What the opening needs of a workplace: whether something is unsaved, and where to say something."""
+    """What the opening needs of the actions: whether something is unsaved, and where to say something."""
 
     def __init__(self, unsaved=False, geometry=None):
         self.notes, self.message, self.compared = [], "", []
@@ -257,6 +257,12 @@ def test_an_image_is_read_in_a_thread_and_then_listed(opening, tmp_path):
     assert opening.state()["recent"] == [{"name": "a.nii", "folder": str(tmp_path), "exists": True}]
     opening.request("open_recent", 0)
     assert finish(opening).config.start == ("center",)  # the start was that of the first image
+
+
+def test_each_further_image_has_a_folder_of_its_own_for_results(opening, tmp_path):
+    folders = [opening.results_of_next(tmp_path / "out", "scan") for _ in range(3)]
+    assert [path.relative_to(tmp_path).as_posix() for path in folders] == ["out", "out/scan-2", "out/scan-3"]
+    assert opening.results_of_next(None, "scan") is None
 
 
 def test_errors_are_one_line_and_nothing_is_returned(opening, tmp_path):

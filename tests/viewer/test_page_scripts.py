@@ -58,8 +58,8 @@ def test_pointers_are_sent_as_what_they_are():
     """
     (asked,) = rendered(script)
     assert [one for one in asked if one[0] != "captured"] == [
-        ["finger_down", 0.25, 0.5, 12, True], ["finger_down", 0.75, 0.25, 13, False], ["finger_move", 1, 0, 13],
-        ["finger_up", 13], ["finger_cancel", 12], ["press", 0.25, 0.5, 2, True], ["move", 0.5, 0.5],
+        ["touch_down", 0.25, 0.5, 12, True], ["touch_down", 0.75, 0.25, 13, False], ["touch_move", 1, 0, 13],
+        ["touch_up", 13], ["touch_cancel", 12], ["press", 0.25, 0.5, 2, True], ["move", 0.5, 0.5],
         ["hover", 0.5, 0.5], ["release"], ["cancel"],
     ]
     assert [one for one in asked if one[0] == "captured"] == [["captured", 12], ["captured", 13], ["captured", 1]]

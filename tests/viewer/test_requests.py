@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.files import FilesFeature
 from accelsurf.viewer.actions.picture import MAX_SIZE, MIN_SIZE
 from accelsurf.viewer.actions.settings import SETTINGS
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
@@ -149,10 +149,10 @@ def test_dragging_turns_the_camera_and_moves_slices(handler):
     handler.request("release")
     assert np.linalg.norm(handler.scene.cursor - cursor) > 1
     cursor = handler.scene.cursor
-    handler.request("wheel", 0.6, 0.27, 1)
+    handler.request("scroll", 0.6, 0.27, 1)
     assert np.linalg.norm(handler.scene.cursor - cursor) > 0.5
     zoomed = handler.scene.screenshot()
-    handler.request("wheel", 0.2, 0.5, 1)
+    handler.request("scroll", 0.2, 0.5, 1)
     assert (handler.scene.screenshot() != zoomed).any()
     assert not handler.message
 

@@ -32,7 +32,7 @@ def test_clicks_stay_and_balls_do_not(session, tmp_path):
     at(session, 3)
     session.change(smoothness=0.2).result(60)
     session.add_click("inside", "ball:17,15,16,2").result(60)
-    session.edit_ball("add", "ball:17,15,22,3").result(60)
+    session.edit_balls("add", ("ball:17,15,22,3",)).result(60)
     at(session, 5)
     session.add_click("outside", ["point:17,28,16", "point:16,28,16"]).result(60)
     session.restart_with(presmooth="1vox", max_volume=9e4).result(60)

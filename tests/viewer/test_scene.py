@@ -221,7 +221,7 @@ def test_a_stepped_slice_is_the_next_one(scene_of):
         scene.step_slice(name, 2)
         assert abs(tile.index - before) == 2
         scene.step_slice(name, -1000)
-        assert tile.index in (0, volume.array.shape[tile.axis] - 1)
+        assert tile.index in (0, volume.array.shape[tile.stack.axis] - 1)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -1,4 +1,4 @@
-"""Settings in the workplace: rows from the catalogue, presets, energies as they are typed, bounds, the mask."""
+"""Settings by actions: rows from the catalogue, presets, energies as they are typed, bounds, the mask."""
 
 import json
 import re
@@ -13,8 +13,8 @@ from accelsurf.settings.catalogue import default_shown, entry, help_of, names_of
 from accelsurf.settings.energy_terms import TERMS, Word
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.settings_rows import settings_rows
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
@@ -22,8 +22,8 @@ from tests.support import viewing
 COMMON = ["preset", "energy", "smoothness", "presmooth", "size", "max_volume", "levels", "roi", "mask"]
 
 
-def rows_of(workplace):
-    return {row["key"]: row for row in workplace.state()["settings"]}
+def rows_of(actions):
+    return {row["key"]: row for row in actions.state()["settings"]}
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def scene():
 
 
 @pytest.fixture
-def workplace(scene, tmp_path):
+def actions(scene, tmp_path):
     volume, center = viewing.ball_image()
     start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
     image = tmp_path / "scan" / "ball.nii.gz"
@@ -48,12 +48,12 @@ def workplace(scene, tmp_path):
         yield Actions(session, scene, tmp_path / "out")
 
 
-def ask(workplace, *request):
-    workplace.message = ""
-    workplace.request(*request)
-    assert workplace.session.wait(60)
-    workplace.collect_results()
-    return workplace.session.status
+def ask(actions, *request):
+    actions.message = ""
+    actions.request(*request)
+    assert actions.session.wait(60)
+    actions.collect_results()
+    return actions.session.status
 
 
 # ------------------------------------------------------------------------------------------------------------ the rows
@@ -110,73 +110,73 @@ def test_the_settings_of_a_term_appear_when_the_energy_has_it(name):
 # --------------------------------------------------------------------------------------------------------------- files
 
 
-def test_which_files_are_written_is_said_at_any_time_and_no_run_begins_again(workplace, tmp_path):
-    session = workplace.session
+def test_which_files_are_written_is_said_at_any_time_and_no_run_begins_again(actions, tmp_path):
+    session = actions.session
     session.play_to(4)
     assert session.wait(60)
     before, run = session.status, session.look(lambda run: run).result(60)
-    assert rows_of(workplace)["mesh"]["value"] == "auto" and not rows_of(workplace)["mesh"]["restarts"]
-    status = ask(workplace, "set", "mesh", "stl,obj")
-    assert workplace.message == "" and status.settings.mesh == ("stl", "obj")
+    assert rows_of(actions)["mesh"]["value"] == "auto" and not rows_of(actions)["mesh"]["restarts"]
+    status = ask(actions, "set", "mesh", "stl,obj")
+    assert actions.message == "" and status.settings.mesh == ("stl", "obj")
     assert status.step == before.step == 4 and session.look(lambda run: run).result(60) is run
-    assert rows_of(workplace)["mesh"]["value"] == "stl,obj" and status.changes == before.changes
-    ask(workplace, "set", "save_sdf", True)
-    ask(workplace, "set", "also", "ctbl")
-    status = ask(workplace, "set", "smoothness", "0.4")  # another run's settings do not undo it
+    assert rows_of(actions)["mesh"]["value"] == "stl,obj" and status.changes == before.changes
+    ask(actions, "set", "save_sdf", True)
+    ask(actions, "set", "also", "ctbl")
+    status = ask(actions, "set", "smoothness", "0.4")  # another run's settings do not undo it
     assert status.settings.mesh == ("stl", "obj") and status.settings.smoothness == 0.4 and status.settings.save_sdf
-    ask(workplace, "save")
+    ask(actions, "save")
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"ball_surface.stl", "ball_surface.obj", "ball_sdf.nii.gz"} <= names and "ball_surface.ply" not in names
     assert any("ctbl" in name for name in names)
     written = (tmp_path / "out" / "run.toml").read_text()
     assert 'mesh = ["stl", "obj"]' in written and "save_sdf = true" in written
-    ask(workplace, "restart")
-    assert rows_of(workplace)["mesh"]["value"] == "stl,obj"
+    ask(actions, "restart")
+    assert rows_of(actions)["mesh"]["value"] == "stl,obj"
 
 
 @pytest.mark.parametrize(("key", "value"), [("mesh", "step"), ("layout", "heap"), ("mesh_smooth", "-1"), ("also", "x")])
-def test_files_that_cannot_be_written_are_refused_and_nothing_changes(workplace, key, value):
-    before = workplace.session.status.settings
-    ask(workplace, "set", key, value)
-    assert key in workplace.message.replace("-", "_")
-    assert workplace.session.status.settings is before
+def test_files_that_cannot_be_written_are_refused_and_nothing_changes(actions, key, value):
+    before = actions.session.status.settings
+    ask(actions, "set", key, value)
+    assert key in actions.message.replace("-", "_")
+    assert actions.session.status.settings is before
 
 
-def test_only_settings_of_files_change_beside_the_run(workplace):
+def test_only_settings_of_files_change_beside_the_run(actions):
     with pytest.raises(UsageError, match="energy: it says nothing of the files"):
-        workplace.session.change_files(energy="area").result(60)
+        actions.session.change_files(energy="area").result(60)
     with pytest.raises(UsageError, match="heap: it says nothing"):
-        workplace.session.change_files(heap=1).result(60)
+        actions.session.change_files(heap=1).result(60)
 
 
 # ------------------------------------------------------------------------------------------------------------- changes
 
 
-def test_a_setting_that_may_change_is_an_edit_and_a_fixed_one_begins_another_run(workplace):
-    status = ask(workplace, "step")
-    status = ask(workplace, "set", "smoothness", 0.4)
+def test_a_setting_that_may_change_is_an_edit_and_a_fixed_one_begins_another_run(actions):
+    status = ask(actions, "step")
+    status = ask(actions, "set", "smoothness", 0.4)
     assert status.step == 1 and status.edits[0].settings == {"smoothness": 0.4}
-    assert rows_of(workplace)["smoothness"]["value"] == 0.4
-    status = ask(workplace, "set", "presmooth", " 1vox ")
+    assert rows_of(actions)["smoothness"]["value"] == 0.4
+    status = ask(actions, "set", "presmooth", " 1vox ")
     assert status.step == 0 and status.settings.presmooth == "1vox" and status.settings.smoothness == 0.4
-    ask(workplace, "step")
-    assert ask(workplace, "set", "presmooth", "1vox").step == 1, "nothing is different"
-    assert ask(workplace, "set", "presmooth", "").settings.presmooth == 0.0
-    assert ask(workplace, "set", "stop_at_rest", True).settings.stop_at_rest is True
-    assert ask(workplace, "set", "foreground", "ball:1,2,3,4vox ball:9,9,9,2vox").settings.foreground == (
+    ask(actions, "step")
+    assert ask(actions, "set", "presmooth", "1vox").step == 1, "nothing is different"
+    assert ask(actions, "set", "presmooth", "").settings.presmooth == 0.0
+    assert ask(actions, "set", "stop_at_rest", True).settings.stop_at_rest is True
+    assert ask(actions, "set", "foreground", "ball:1,2,3,4vox ball:9,9,9,2vox").settings.foreground == (
         "ball:1,2,3,4vox", "ball:9,9,9,2vox",
     )
-    assert rows_of(workplace)["foreground"]["value"] == "ball:1,2,3,4vox ball:9,9,9,2vox"
-    assert not workplace.message
+    assert rows_of(actions)["foreground"]["value"] == "ball:1,2,3,4vox ball:9,9,9,2vox"
+    assert not actions.message
 
 
-def test_a_preset_is_chosen_and_says_what_it_changes(workplace):
-    status = ask(workplace, "set", "preset", "mr-ventricle")
+def test_a_preset_is_chosen_and_says_what_it_changes(actions):
+    status = ask(actions, "set", "preset", "mr-ventricle")
     assert status.settings.energy == "threshold:,auto" and status.settings.preset == "mr-ventricle"
-    assert workplace.state()["message"] == (
+    assert actions.state()["message"] == (
         "from the start: preset mr-ventricle: energy threshold:,auto, smoothness 0.5"
     )
-    status = ask(workplace, "undo")
+    status = ask(actions, "undo")
     assert status.settings.preset is None and status.settings.energy == "chan-vese"
 
 
@@ -192,81 +192,81 @@ BAD = [
 
 
 @pytest.mark.parametrize("request_", BAD, ids=str)
-def test_what_is_wrong_changes_nothing_and_says_so_in_one_line(workplace, request_):
-    before = ask(workplace, "step")
-    after = ask(workplace, *request_)
-    assert workplace.message and "\n" not in workplace.message and len(workplace.message) < 700
+def test_what_is_wrong_changes_nothing_and_says_so_in_one_line(actions, request_):
+    before = ask(actions, "step")
+    after = ask(actions, *request_)
+    assert actions.message and "\n" not in actions.message and len(actions.message) < 700
     assert (after.step, after.settings, after.edits, after.undoable) == (1, before.settings, (), 0)
-    assert workplace.state()["failed"]
+    assert actions.state()["failed"]
 
 
-def test_an_energy_is_checked_as_it_is_typed(workplace):
-    before = workplace.session.status
+def test_an_energy_is_checked_as_it_is_typed(actions):
+    before = actions.session.status
     for typed, wrong in (("chan", "chan"), ("chan-vese + ", "blank"), ("local-region:R=-1", "R of local-region")):
-        workplace.request("type_energy", typed)
-        assert wrong in workplace.state()["energy_error"], typed
-        assert not workplace.message and workplace.session.status is before
-    workplace.request("type_energy", "local-region:R=9 + 0.1*geodesic")
-    assert workplace.state()["energy_error"] == ""
-    ask(workplace, "type_energy", "chan")
-    status = ask(workplace, "set", "energy", "local-region:R=9 + 0.1*geodesic")
-    assert status.settings.energy == "local-region:R=9 + 0.1*geodesic" and workplace.state()["energy_error"] == ""
-    rows = rows_of(workplace)
+        actions.request("type_energy", typed)
+        assert wrong in actions.state()["energy_error"], typed
+        assert not actions.message and actions.session.status is before
+    actions.request("type_energy", "local-region:R=9 + 0.1*geodesic")
+    assert actions.state()["energy_error"] == ""
+    ask(actions, "type_energy", "chan")
+    status = ask(actions, "set", "energy", "local-region:R=9 + 0.1*geodesic")
+    assert status.settings.energy == "local-region:R=9 + 0.1*geodesic" and actions.state()["energy_error"] == ""
+    rows = rows_of(actions)
     assert rows["local-region-0-R"]["value"] == "9" and rows["geodesic-1-scale"]["now"] == "2"
-    assert ask(workplace, "set_term", 0, "R", "7.5").settings.energy == "local-region:R=7.5 + 0.1*geodesic"
-    assert ask(workplace, "set_term", 0, "R", "").settings.energy == "local-region + 0.1*geodesic"
+    assert ask(actions, "set_term", 0, "R", "7.5").settings.energy == "local-region:R=7.5 + 0.1*geodesic"
+    assert ask(actions, "set_term", 0, "R", "").settings.energy == "local-region + 0.1*geodesic"
 
 
-def test_only_masks_that_are_offered_are_read(workplace, tmp_path):
-    volume = workplace.session.volume
+def test_only_masks_that_are_offered_are_read(actions, tmp_path):
+    volume = actions.session.volume
     cut = np.zeros(volume.array.shape, np.uint8)
     cut[:, :, :22] = 1
     io.write_labels(volume.with_array(cut), tmp_path / "scan" / "left.nii.gz")
     io.write_labels(volume.with_array(cut), tmp_path / "elsewhere.nii.gz")
     (tmp_path / "scan" / "secret.txt").write_text("mine")
-    assert [one["name"] for one in rows_of(workplace)["mask"]["names"]] == ["", "left.nii.gz"]
-    status = ask(workplace, "mask", "left.nii.gz")
-    assert status.settings.mask == str(tmp_path / "scan" / "left.nii.gz") and not workplace.message
-    assert rows_of(workplace)["mask"]["value"] == "left.nii.gz"
+    assert [one["name"] for one in rows_of(actions)["mask"]["names"]] == ["", "left.nii.gz"]
+    status = ask(actions, "mask", "left.nii.gz")
+    assert status.settings.mask == str(tmp_path / "scan" / "left.nii.gz") and not actions.message
+    assert rows_of(actions)["mask"]["value"] == "left.nii.gz"
     for name in ("elsewhere.nii.gz", "secret.txt", str(tmp_path / "elsewhere.nii.gz")):
-        assert ask(workplace, "mask", name).settings.mask == status.settings.mask and workplace.message
-    assert ask(workplace, "mask", "").settings.mask is None
+        assert ask(actions, "mask", name).settings.mask == status.settings.mask and actions.message
+    assert ask(actions, "mask", "").settings.mask is None
 
 
 # ----------------------------------------------------------------------------------------------------------- histogram
 
 
-def draw(workplace):
+def draw(actions):
     view = None
     while view is None:
-        view = workplace.session.next_view()
-    workplace.update(view)
+        view = actions.session.next_view()
+    actions.update(view)
 
 
-def test_the_histogram_is_of_the_image_and_of_the_object(workplace):
-    draw(workplace)
-    said = workplace.state()["histogram"]
-    assert said is workplace.state()["histogram"], "counted once"
-    image = workplace.session.volume.array
+def test_the_histogram_is_of_the_image_and_of_the_object(actions):
+    draw(actions)
+    said = actions.state()["histogram"]
+    assert said is actions.state()["histogram"], "counted once"
+    image = actions.session.volume.array
     assert (said["low"], said["high"]) == (0.0, 100.0) and len(said["image"]) == len(said["object"]) == 96
     share = np.mean(image > 50) / np.mean(image < 50)
     assert said["image"][0] == 1.0 and said["image"][-1] == pytest.approx(np.sqrt(share), abs=0.02)
     assert said["object"][-1] == 1.0 and max(said["object"][:-1]) == 0.0, "the start lies in the ball"
 
 
-def test_bounds_are_shown_where_they_are_in_force_and_moved(workplace):
-    assert workplace.state()["bounds"] == []
-    ask(workplace, "set", "energy", "0.5*chan-vese + threshold:auto")
-    (low,) = workplace.state()["bounds"]
+def test_bounds_are_shown_where_they_are_in_force_and_moved(actions):
+    assert actions.state()["bounds"] == []
+    ask(actions, "set", "energy", "0.5*chan-vese + threshold:auto")
+    (low,) = actions.state()["bounds"]
     assert (low["term"], low["key"], low["given"]) == (1, "LO", False) and 20 < low["value"] < 80
-    status = ask(workplace, "bound", 1, "LO", 30.25)
-    assert status.settings.energy == "0.5*chan-vese + threshold:LO=30.25" and not workplace.message
-    ask(workplace, "set_term", 1, "HI", "120")
-    assert [(one["key"], one["value"], one["given"]) for one in workplace.state()["bounds"]] == [
+    status = ask(actions, "bound", 1, "LO", 30.25)
+    assert status.settings.energy == "0.5*chan-vese + threshold:LO=30.25" and not actions.message
+    ask(actions, "set_term", 1, "HI", "120")
+    assert [(one["key"], one["value"], one["given"]) for one in actions.state()["bounds"]] == [
         ("LO", pytest.approx(30.25), True), ("HI", pytest.approx(120.0), True),
     ]
-    before = workplace.session.status.settings.energy
-    assert ask(workplace, "bound", 1, "LO", 130).settings.energy == before and "below" in workplace.message
+    before = actions.session.status.settings.energy
+    assert ask(actions, "bound", 1, "LO", 130).settings.energy == before and "below" in actions.message
 
 
 def test_large_images_are_counted_on_a_coarser_grid():
@@ -278,7 +278,7 @@ def test_large_images_are_counted_on_a_coarser_grid():
     assert sample(np.zeros((1, 30, 40))).size == 1200
 
 
-def test_no_key_is_taken_twice(workplace):
-    taken = [tool.key for tool in workplace.tools.values()]
-    taken += [key for feature in workplace.features for key in feature.keys()]
-    assert len(taken) == len(set(taken)) == len(workplace.keys), sorted(taken)
+def test_no_key_is_taken_twice(actions):
+    taken = [tool.key for tool in actions.tools.values()]
+    taken += [key for feature in actions.features for key in feature.keys()]
+    assert len(taken) == len(set(taken)) == len(actions.keys), sorted(taken)

@@ -7,7 +7,7 @@ from accelsurf.errors import UsageError
 from accelsurf.image.grey_window import CT_WINDOWS, GreyWindow, parse_window
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.actions.workplace import Actions
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.tiles import LAYOUTS, viewports
@@ -53,7 +53,7 @@ def test_tiles_cover_the_picture_once(layout, chart, tiles):
 
 
 @pytest.fixture(scope="module")
-def workplace():
+def actions():
     viewing.needs_graphics()
     volume, center = viewing.ball_image(direction=viewing.TURN)
     start = "ball:" + ",".join(f"{v:g}" for v in (*center, 6.0))
@@ -70,26 +70,26 @@ def workplace():
 
 
 @pytest.fixture
-def fresh(workplace):
-    workplace.scene.tiles.lay_out("one", "space", True)
-    workplace.scene.tiles.show_whole()
-    workplace.request("window_named", "image")
-    workplace.request("tool", "look")
-    workplace.message = ""
-    workplace.scene.screenshot()
-    return workplace
+def fresh(actions):
+    actions.scene.tiles.lay_out("one", "space", True)
+    actions.scene.tiles.show_whole()
+    actions.request("window_named", "image")
+    actions.request("tool", "look")
+    actions.message = ""
+    actions.scene.screenshot()
+    return actions
 
 
-def middle(workplace, tile):
+def middle(actions, tile):
     """Parts of width, and of the height from the top, of the middle of a tile."""
-    left, bottom, right, top = workplace.scene.tiles.renderer(tile).GetViewport()
+    left, bottom, right, top = actions.scene.tiles.renderer(tile).GetViewport()
     return 0.5 * (left + right), 1.0 - 0.5 * (bottom + top)
 
 
-def part_of(picture, workplace, tile):
+def part_of(picture, actions, tile):
     """The pixels of a tile."""
     height, width, _ = picture.shape
-    left, bottom, right, top = workplace.scene.tiles.renderer(tile).GetViewport()
+    left, bottom, right, top = actions.scene.tiles.renderer(tile).GetViewport()
     return picture[round(height * (1 - top)) : round(height * (1 - bottom)), round(width * left) : round(width * right)]
 
 
@@ -127,12 +127,12 @@ def test_windows_have_names_and_numbers(fresh):
 def test_the_wheel_goes_through_slices_and_zooms_with_ctrl_around_the_mouse(fresh):
     x, y = middle(fresh, "coronal")
     place = fresh.scene.pick((x + 0.03) * 640, (1 - y) * 360).world
-    fresh.request("wheel", x + 0.03, y, 3, True)
+    fresh.request("scroll", x + 0.03, y, 3, True)
     assert np.allclose(fresh.scene.pick((x + 0.03) * 640, (1 - y) * 360).world, place, atol=1e-6)
     tile = fresh.scene.slice_tiles["coronal"]
     assert tile.mm_per_pixel() < 0.8 * fresh.scene.slice_tiles["sagittal"].mm_per_pixel()
     before = tile.index
-    fresh.request("wheel", x, y, 1)
+    fresh.request("scroll", x, y, 1)
     assert abs(tile.index - before) == 1
     # Middle, or shift with left, moves the picture; the image point under the mouse stays under it.
     at = fresh.scene.pick(x * 640, (1 - y) * 360).world
@@ -141,7 +141,7 @@ def test_the_wheel_goes_through_slices_and_zooms_with_ctrl_around_the_mouse(fres
     fresh.request("release")
     assert np.allclose(fresh.scene.pick((x + 0.02) * 640, (1 - y - 0.02) * 360).world, at, atol=1e-6)
     for _ in range(40):
-        fresh.request("wheel", x, y, -100, True)
+        fresh.request("scroll", x, y, -100, True)
         fresh.request("press", x, y, 1)
         fresh.request("move", 1.0, 1.0)
         fresh.request("release")
@@ -232,11 +232,11 @@ def test_only_what_has_changed_is_drawn(fresh):
     ]
     fresh.scene.render()
     assert drawn == []  # nothing
-    fresh.request("wheel", *middle(fresh, "axial"), 1, True)
+    fresh.request("scroll", *middle(fresh, "axial"), 1, True)
     fresh.scene.render()
     assert drawn == ["axial"]
     drawn.clear()
-    fresh.request("wheel", *middle(fresh, "axial"), 1)
+    fresh.request("scroll", *middle(fresh, "axial"), 1)
     fresh.scene.render()
     assert sorted(drawn) == ["axial", "coronal", "sagittal"]  # the lines of the cursor
     drawn.clear()
@@ -255,7 +255,7 @@ def test_an_image_of_one_slice_has_the_same():
         made = Actions(session, scene)
         for layout in LAYOUTS:
             made.request("layout", layout)
-        made.request("wheel", 0.3, 0.5, 1, True)
+        made.request("scroll", 0.3, 0.5, 1, True)
         made.request("double", 0.3, 0.5)
         made.request("hover", 0.3, 0.5)
         assert not made.message and made.state()["slices"] == {"axial": [1, 1]}

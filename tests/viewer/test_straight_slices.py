@@ -13,9 +13,9 @@ from accelsurf.io.headers import DICOM_KEY
 from accelsurf.run.image_force import image_forces
 from accelsurf.run.region_of_interest import region_of_interest
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.box import BoxFeature
 from accelsurf.viewer.actions.force import ForceFeature
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.measurements import Measurement
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.size_drag import SizeDrag
@@ -233,7 +233,7 @@ def test_slices_in_3d_are_those_of_the_tiles(placed):
 
 
 @pytest.fixture
-def workplace():
+def actions():
     volume, center = scan()
     rough = volume.with_array(volume.array + np.random.default_rng(3).normal(0, 4, SHAPE).astype(np.float32))
     scene = Scene(rough, size=SIZE)
@@ -250,34 +250,34 @@ def workplace():
     scene.close()
 
 
-def drag(workplace, name, *worlds):
-    parts = [(x / SIZE[0], 1.0 - y / SIZE[1]) for x, y in (pixel_of(workplace.scene, name, world) for world in worlds)]
-    workplace.request("press", *parts[0])
+def drag(actions, name, *worlds):
+    parts = [(x / SIZE[0], 1.0 - y / SIZE[1]) for x, y in (pixel_of(actions.scene, name, world) for world in worlds)]
+    actions.request("press", *parts[0])
     for part in parts[1:]:
-        workplace.request("move", *part)
+        actions.request("move", *part)
 
 
 @pytest.mark.parametrize("name", list(HANGS))
-def test_a_stroke_marks_the_voxels_under_the_brush(workplace, name):
+def test_a_stroke_marks_the_voxels_under_the_brush(actions, name):
     """Coloured are the pixels in voxels of the click, all of them; and that is a band as wide as the brush."""
-    workplace, center = workplace
-    scene = workplace.scene
+    actions, center = actions
+    scene = actions.scene
     tile = scene.slice_tiles[name]
     (right, sign), (up, turn), across = HANGS[name]
     start, end = center.copy(), center.copy()
     end[right] += 7.0
     end[up] += 4.0
     start[across] = end[across] = tile.across
-    workplace.request("radius", 2.5)
-    workplace.request("tool", "inside")
-    drag(workplace, name, start, 0.5 * (start + end), end)
+    actions.request("radius", 2.5)
+    actions.request("tool", "inside")
+    drag(actions, name, start, 0.5 * (start + end), end)
     strokes = scene.marks
     drawn = {key: layer._sides > 0 for key, layer in zip(scene.slice_tiles, strokes._layers, strict=True)}
-    workplace.request("release")
-    settle(workplace)
-    given = [text for edit in (*workplace.session.status.edits, *workplace.session.status.refinements)
+    actions.request("release")
+    settle(actions)
+    given = [text for edit in (*actions.session.status.edits, *actions.session.status.refinements)
              for text in edit.inside or ()]  # fmt: skip
-    assert len(given) == 1 and given[0].startswith("path:"), workplace.message
+    assert len(given) == 1 and given[0].startswith("path:"), actions.message
     (click,) = read_clicks(tuple(given), "inside", scene.volume)
     named = np.zeros(SHAPE, bool)
     named[click.box] = click.mask
@@ -305,39 +305,39 @@ def test_a_stroke_marks_the_voxels_under_the_brush(workplace, name):
     assert area == pytest.approx(np.pi * 2.5**2 + 5.0 * np.linalg.norm(way), rel=0.15)
 
 
-def test_the_read_out_is_of_the_voxel_under_the_mouse_and_can_be_copied(workplace):
-    workplace, center = workplace
+def test_the_read_out_is_of_the_voxel_under_the_mouse_and_can_be_copied(actions):
+    actions, center = actions
     world = center + [6.0, -2.0, 0.0]
-    world[2] = workplace.scene.slice_tiles["axial"].across
-    x, y = pixel_of(workplace.scene, "axial", world)
-    workplace.request("hover", x / SIZE[0], 1.0 - y / SIZE[1])
-    said = workplace.state()
-    voxel = np.rint(workplace.scene.geometry.world_to_index(world)).astype(int)
+    world[2] = actions.scene.slice_tiles["axial"].across
+    x, y = pixel_of(actions.scene, "axial", world)
+    actions.request("hover", x / SIZE[0], 1.0 - y / SIZE[1])
+    said = actions.state()
+    voxel = np.rint(actions.scene.geometry.world_to_index(world)).astype(int)
     assert said["voxel"] == ", ".join(str(v) for v in voxel[::-1])
-    assert float(said["value"]) == pytest.approx(workplace.scene.volume.array[tuple(voxel)], rel=1e-5)
+    assert float(said["value"]) == pytest.approx(actions.scene.volume.array[tuple(voxel)], rel=1e-5)
     assert [float(v) for v in said["as_point"].removeprefix("point:").split(",")] == pytest.approx(world, abs=0.06)
 
 
-def test_sliders_wheel_and_switch(workplace):
-    workplace, center = workplace
-    scene, said = workplace.scene, workplace.state()
+def test_sliders_wheel_and_switch(actions):
+    actions, center = actions
+    scene, said = actions.scene, actions.state()
     assert said["straight"] and said["is_oblique"]
     assert said["slices"] == {name: [tile.index + 1, tile.stack.count] for name, tile in scene.slice_tiles.items()}
     for name, tile in scene.slice_tiles.items():
         for number in (1, tile.stack.count, tile.stack.count // 2):
-            workplace.request("slice", name, number)
-            assert workplace.state()["slices"][name][0] == number and not workplace.message
+            actions.request("slice", name, number)
+            assert actions.state()["slices"][name][0] == number and not actions.message
         x, y = pixel_of(scene, name, scene.cursor)
         before = scene.cursor
-        workplace.request("wheel", x / SIZE[0], 1.0 - y / SIZE[1], 1)
+        actions.request("scroll", x / SIZE[0], 1.0 - y / SIZE[1], 1)
         moved = scene.cursor - before
         across = HANGS[name][2]
         assert moved[across] > 0 and np.abs(np.delete(moved, across)).max() < 1e-6
-    workplace.request("key", "2")
-    assert not workplace.state()["straight"] and not workplace.message
-    assert all(tile.stack.count == SHAPE[tile.axis] for tile in scene.slice_tiles.values())
-    workplace.request("straight", True)
-    assert workplace.state()["straight"]
+    actions.request("key", "2")
+    assert not actions.state()["straight"] and not actions.message
+    assert all(tile.stack.count == SHAPE[tile.stack.axis] for tile in scene.slice_tiles.values())
+    actions.request("straight", True)
+    assert actions.state()["straight"]
 
 
 def test_the_switch_is_refused_where_it_does_nothing(scene_of):
@@ -352,12 +352,12 @@ def test_the_switch_is_refused_where_it_does_nothing(scene_of):
         assert not made.state()["is_oblique"]
 
 
-def test_a_box_is_cut_aslant_and_its_sides_are_dragged(workplace):
-    workplace, center = workplace
-    scene = workplace.scene
-    workplace.request("set", "roi", "4,5,3,35,38,22vox")
-    settle(workplace)
-    overlay = workplace.feature(BoxFeature).overlay
+def test_a_box_is_cut_aslant_and_its_sides_are_dragged(actions):
+    actions, center = actions
+    scene = actions.scene
+    actions.request("set", "roi", "4,5,3,35,38,22vox")
+    settle(actions)
+    overlay = actions.feature(BoxFeature).overlay
     tile = scene.slice_tiles["sagittal"]
     corners = np.asarray(overlay._actors["sagittal"].mapper.GetInput().points)[:, :2]
     index = tile.stack.to_index(np.column_stack([corners, np.full(len(corners), tile.across)]))
@@ -372,30 +372,30 @@ def test_a_box_is_cut_aslant_and_its_sides_are_dragged(workplace):
     middle[0] = 2.5
     place = [*tile.stack.to_place(middle)[:2], tile.across]
     start = scene.geometry.index_to_world(tile.stack.to_index(place))
-    workplace.request("tool", "box")
+    actions.request("tool", "box")
     step = scene.geometry.index_to_world((2.0, 0.0, 0.0)) - scene.geometry.index_to_world((0.0, 0.0, 0.0))
-    drag(workplace, "sagittal", start, start + 0.5 * step, start + step)
-    workplace.request("release")
-    settle(workplace)
-    z, y, x = region_of_interest(workplace.session.status.settings.roi, scene.geometry)
-    assert (z.start, z.stop, y.start, y.stop, x.start, x.stop) == (5, 23, 5, 39, 4, 36), workplace.message
+    drag(actions, "sagittal", start, start + 0.5 * step, start + step)
+    actions.request("release")
+    settle(actions)
+    z, y, x = region_of_interest(actions.session.status.settings.roi, scene.geometry)
+    assert (z.start, z.stop, y.start, y.stop, x.start, x.stop) == (5, 23, 5, 39, 4, 36), actions.message
 
 
-def test_the_force_in_a_straight_slice_is_that_of_the_voxels(workplace):
-    workplace, _ = workplace
-    overlay = workplace.feature(ForceFeature).overlay
-    workplace.request("force", True)
-    settle(workplace)
+def test_the_force_in_a_straight_slice_is_that_of_the_voxels(actions):
+    actions, _ = actions
+    overlay = actions.feature(ForceFeature).overlay
+    actions.request("force", True)
+    settle(actions)
     assert set(overlay.shown) == set(HANGS)
     planes = [(0, index) for index in range(SHAPE[0])]
-    whole = np.stack(workplace.session.look(lambda run: image_forces(run, planes)).result(60))
-    for name, tile in workplace.scene.slice_tiles.items():
+    whole = np.stack(actions.session.look(lambda run: image_forces(run, planes)).result(60))
+    for name, tile in actions.scene.slice_tiles.items():
         at = np.rint(np.stack(np.broadcast_arrays(*tile.stack.patch(tile.index).places), axis=-1)).astype(int)
         inside = ((at >= 0) & (at < SHAPE)).all(axis=-1)
         want = np.full(inside.shape, np.nan, np.float32)
         want[inside] = whole[tuple(at[inside].T)]
         np.testing.assert_allclose(overlay._slices[name].values, want, rtol=1e-5, atol=1e-6)
-    workplace.request("straight", False)
+    actions.request("straight", False)
     assert overlay.shown == (), "that of a slice aslant is not shown over one along the voxels"
-    settle(workplace)
+    settle(actions)
     assert set(overlay.shown) == set(HANGS)

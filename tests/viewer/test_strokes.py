@@ -1,4 +1,4 @@
-"""Strokes through the workplace: drawn at once, until the surface obeys; one stroke is one change and one click."""
+"""Strokes by actions: drawn at once, until the surface obeys; one stroke is one change and one click."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from accelsurf.api.segment import segment
 from accelsurf.clicks.reading import read_clicks
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.viewer.actions.workplace import Actions
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.colors import INSIDE, OUTSIDE
 from tests.support.steering import views
@@ -21,7 +21,7 @@ def image():
 
 
 @pytest.fixture
-def workplace(image, scene_of):
+def actions(image, scene_of):
     scene = scene_of(image, size=(960, 544))
     with Session(image, CONFIGS["seeded"]) as session:
         ended(session)
@@ -30,18 +30,18 @@ def workplace(image, scene_of):
         yield made
 
 
-def shown(workplace):
+def shown(actions):
     """What the session has, drawn."""
-    for view in views(workplace.session):
-        workplace.update(view)
-    workplace.collect_results()
-    workplace.scene.render()
-    return workplace
+    for view in views(actions.session):
+        actions.update(view)
+    actions.collect_results()
+    actions.scene.render()
+    return actions
 
 
-def place_of(workplace, tile, world):
+def place_of(actions, tile, world):
     """Parts of the width and of the height from the top, of a point in a slice."""
-    scene = workplace.scene
+    scene = actions.scene
     width, height = scene.plotter.render_window.GetSize()
     renderer = scene.tiles.renderer(tile)
     if tile == "space":
@@ -58,19 +58,19 @@ def place_of(workplace, tile, world):
     return x / width, 1.0 - y / height
 
 
-def drag(workplace, tile, *worlds):
+def drag(actions, tile, *worlds):
     """Press at the first place, move over the others; the button stays down."""
-    workplace.request("press", *place_of(workplace, tile, worlds[0]))
+    actions.request("press", *place_of(actions, tile, worlds[0]))
     for world in worlds[1:]:
-        workplace.request("move", *place_of(workplace, tile, world))
-    assert not workplace.message
+        actions.request("move", *place_of(actions, tile, world))
+    assert not actions.message
 
 
-def pixels(workplace, color, tile="axial"):
+def pixels(actions, color, tile="axial"):
     """How many pixels of a tile are nearer to a translucent colour than to grey."""
-    picture = workplace.scene.screenshot().astype(float)
+    picture = actions.scene.screenshot().astype(float)
     height, width = picture.shape[:2]
-    left, bottom, right, top = workplace.scene.tiles.renderer(tile).GetViewport()
+    left, bottom, right, top = actions.scene.tiles.renderer(tile).GetViewport()
     part = picture[round(height * (1 - top)) : round(height * (1 - bottom)), round(width * left) : round(width * right)]
     red, green, blue = (part[..., channel] for channel in range(3))
     if color == INSIDE:
@@ -81,44 +81,44 @@ def pixels(workplace, color, tile="axial"):
 @pytest.mark.parametrize(
     ("tool", "color"), [("inside", INSIDE), ("outside", OUTSIDE), ("grow", INSIDE), ("shrink", OUTSIDE)]
 )
-def test_a_stroke_is_drawn_as_it_is_painted_and_until_the_surface_obeys(workplace, tool, color):
-    workplace.request("cursor", 9.0, 8.0, 9.0)
-    workplace.request("radius", 1.6)
-    workplace.request("tool", tool)
-    before = pixels(workplace, color)
+def test_a_stroke_is_drawn_as_it_is_painted_and_until_the_surface_obeys(actions, tool, color):
+    actions.request("cursor", 9.0, 8.0, 9.0)
+    actions.request("radius", 1.6)
+    actions.request("tool", tool)
+    before = pixels(actions, color)
     x = (11.0, 15.0) if tool in ("inside", "grow") else (5.0, 7.0)
-    drag(workplace, "axial", (x[0], 8.0, 9.0))
-    first = pixels(workplace, color)
+    drag(actions, "axial", (x[0], 8.0, 9.0))
+    first = pixels(actions, color)
     assert first > before + 50
     for part in np.linspace(x[0], x[1], 6)[1:]:
-        workplace.request("move", *place_of(workplace, "axial", (part, 8.0, 9.0)))
-    drawn = pixels(workplace, color)
-    assert drawn > first + 50 and workplace.session.status.changes == ()
-    workplace.request("release")
-    assert pixels(workplace, color) == drawn and workplace.scene.marks.count == 1
-    assert workplace.session.wait(60)
-    shown(workplace)
-    assert workplace.scene.marks.count == 0 and pixels(workplace, color) < drawn
-    assert workplace.session.status.undoable == 1
+        actions.request("move", *place_of(actions, "axial", (part, 8.0, 9.0)))
+    drawn = pixels(actions, color)
+    assert drawn > first + 50 and actions.session.status.changes == ()
+    actions.request("release")
+    assert pixels(actions, color) == drawn and actions.scene.marks.count == 1
+    assert actions.session.wait(60)
+    shown(actions)
+    assert actions.scene.marks.count == 0 and pixels(actions, color) < drawn
+    assert actions.session.status.undoable == 1
 
 
-def test_what_is_painted_is_what_is_clicked(workplace):
+def test_what_is_painted_is_what_is_clicked(actions):
     """The voxels drawn in each slice are those of the click that the session stores."""
-    workplace.request("cursor", 9.0, 8.0, 9.0)
-    workplace.request("radius", 2.0)
-    workplace.request("tool", "inside")
-    drag(workplace, "axial", (9.0, 8.0, 9.0), (12.0, 9.0, 9.0), (16.0, 11.0, 9.0))
-    strokes = workplace.scene.marks
+    actions.request("cursor", 9.0, 8.0, 9.0)
+    actions.request("radius", 2.0)
+    actions.request("tool", "inside")
+    drag(actions, "axial", (9.0, 8.0, 9.0), (12.0, 9.0, 9.0), (16.0, 11.0, 9.0))
+    strokes = actions.scene.marks
     drawn = {}
     for z in range(SHAPE[0]):
-        workplace.scene.cursor = (9.0, 8.0, z * SPACING[0])
-        layer = next(one for one in strokes._layers if one.tile.axis == 0)
+        actions.scene.cursor = (9.0, 8.0, z * SPACING[0])
+        layer = next(one for one in strokes._layers if one.tile.stack.axis == 0)
         drawn[z] = layer._sides[::-1] > 0  # the first row lies lowest, at the back
-    workplace.request("release")
-    assert workplace.session.wait(60)
-    (refinement,) = workplace.session.status.refinements
+    actions.request("release")
+    assert actions.session.wait(60)
+    (refinement,) = actions.session.status.refinements
     assert len(refinement.inside) == 1 and refinement.inside[0].startswith("path:")
-    (click,) = read_clicks(refinement.inside, "inside", workplace.session.volume)
+    (click,) = read_clicks(refinement.inside, "inside", actions.session.volume)
     want = np.zeros(SHAPE, bool)
     want[click.box] = click.mask
     for z, rows in drawn.items():
@@ -135,101 +135,101 @@ def test_what_is_painted_is_what_is_clicked(workplace):
         (0.5, [(21.0, 8.0, 9.0), (25.0, 8.0, 9.0)], "path:"),
     ],
 )
-def test_a_click_is_a_point_a_ball_or_a_path(workplace, radius, places, text):
-    workplace.request("cursor", *places[0])
-    workplace.request("radius", radius)
-    workplace.request("tool", "inside")
-    drag(workplace, "coronal", *places)
-    workplace.request("release")
-    assert workplace.session.wait(60)
-    (refinement,) = workplace.session.status.refinements
+def test_a_click_is_a_point_a_ball_or_a_path(actions, radius, places, text):
+    actions.request("cursor", *places[0])
+    actions.request("radius", radius)
+    actions.request("tool", "inside")
+    drag(actions, "coronal", *places)
+    actions.request("release")
+    assert actions.session.wait(60)
+    (refinement,) = actions.session.status.refinements
     (said,) = refinement.inside
     assert said.startswith(text)
     radii = {part.split(",")[-1] for part in said.split(":")[1].split(";")}
     assert text == "point:" or radii == {"0" if radius == 0.5 else "1.5"}
 
 
-def test_a_stroke_on_the_surface_says_what_lies_there(workplace):
-    workplace.request("view", "front")
-    workplace.request("radius", 1.0)
-    workplace.request("tool", "outside")
-    x, y = place_of(workplace, "space", (9.0, 8.0, 9.0))
-    workplace.request("press", x, y)
+def test_a_stroke_on_the_surface_says_what_lies_there(actions):
+    actions.request("view", "front")
+    actions.request("radius", 1.0)
+    actions.request("tool", "outside")
+    x, y = place_of(actions, "space", (9.0, 8.0, 9.0))
+    actions.request("press", x, y)
     for part in (0.004, 0.008, 0.012):
-        workplace.request("move", x + part, y)
-    assert pixels(workplace, OUTSIDE, "space") > 30
-    workplace.request("release")
-    assert workplace.session.wait(60) and not shown(workplace).message
-    (refinement,) = workplace.session.status.refinements
-    (click,) = read_clicks(refinement.outside, "outside", workplace.session.volume)
+        actions.request("move", x + part, y)
+    assert pixels(actions, OUTSIDE, "space") > 30
+    actions.request("release")
+    assert actions.session.wait(60) and not shown(actions).message
+    (refinement,) = actions.session.status.refinements
+    (click,) = read_clicks(refinement.outside, "outside", actions.session.volume)
     # Seen from the front, y is least.
     index = np.argwhere(click.mask) + [side.start for side in click.box]
     assert index[:, 1].max() < 8
-    result = workplace.scene.frame.surfaces[0]
+    result = actions.scene.frame.surfaces[0]
     assert not any(result.contains(tuple(int(i) for i in one)) for one in index)
 
 
-def test_one_stroke_of_the_brush_is_one_change(workplace):
-    workplace.request("cursor", 9.0, 8.0, 9.0)
-    workplace.request("radius", 2.0)
-    workplace.request("tool", "grow")
-    drag(workplace, "axial", *[(x, 8.0, 9.0) for x in np.arange(12.0, 20.0)])
-    workplace.request("release")
-    assert workplace.session.wait(60)
-    status = workplace.session.status
+def test_one_stroke_of_the_brush_is_one_change(actions):
+    actions.request("cursor", 9.0, 8.0, 9.0)
+    actions.request("radius", 2.0)
+    actions.request("tool", "grow")
+    drag(actions, "axial", *[(x, 8.0, 9.0) for x in np.arange(12.0, 20.0)])
+    actions.request("release")
+    assert actions.session.wait(60)
+    status = actions.session.status
     assert len(status.edits) > 3 and status.undoable == 1 and "stroke of" in status.changes[0].line
-    workplace.request("undo")
-    assert workplace.session.wait(60) and workplace.session.status.edits == ()
+    actions.request("undo")
+    assert actions.session.wait(60) and actions.session.status.edits == ()
 
 
-def test_a_stroke_that_is_refused_is_drawn_no_longer(workplace):
-    workplace.request("cursor", 9.0, 8.0, 9.0)
-    workplace.request("radius", 12.0)
-    workplace.request("tool", "outside")
-    drag(workplace, "axial", (9.0, 8.0, 9.0), (14.0, 8.0, 9.0))
-    workplace.request("release")
-    assert workplace.session.wait(60)
-    shown(workplace)
-    assert "nothing would be left" in workplace.message and workplace.scene.marks.count == 0
-    assert workplace.session.status.changes == ()
+def test_a_stroke_that_is_refused_is_drawn_no_longer(actions):
+    actions.request("cursor", 9.0, 8.0, 9.0)
+    actions.request("radius", 12.0)
+    actions.request("tool", "outside")
+    drag(actions, "axial", (9.0, 8.0, 9.0), (14.0, 8.0, 9.0))
+    actions.request("release")
+    assert actions.session.wait(60)
+    shown(actions)
+    assert "nothing would be left" in actions.message and actions.scene.marks.count == 0
+    assert actions.session.status.changes == ()
 
 
-def test_the_slices_go_to_a_start_and_a_press(workplace):
-    workplace.request("cursor", 9.0, 8.0, 9.0)
-    workplace.request("tool", "ball")
-    drag(workplace, "axial", (25.0, 7.0, 9.0))
-    workplace.request("release")
-    np.testing.assert_allclose(workplace.scene.cursor, (25.0, 7.0, 9.0), atol=0.4)
-    assert workplace.session.wait(60)
-    workplace.request("tool", "size")
-    drag(workplace, "axial", (9.0, 8.0, 9.0))
-    np.testing.assert_allclose(workplace.scene.cursor, (9.0, 8.0, 9.0), atol=0.4)
-    workplace.request("release")
-    workplace.session.wait(60)
+def test_the_slices_go_to_a_start_and_a_press(actions):
+    actions.request("cursor", 9.0, 8.0, 9.0)
+    actions.request("tool", "ball")
+    drag(actions, "axial", (25.0, 7.0, 9.0))
+    actions.request("release")
+    np.testing.assert_allclose(actions.scene.cursor, (25.0, 7.0, 9.0), atol=0.4)
+    assert actions.session.wait(60)
+    actions.request("tool", "size")
+    drag(actions, "axial", (9.0, 8.0, 9.0))
+    np.testing.assert_allclose(actions.scene.cursor, (9.0, 8.0, 9.0), atol=0.4)
+    actions.request("release")
+    actions.session.wait(60)
 
 
-def test_keys_of_the_strokes(workplace):
-    keys = workplace.keys
+def test_keys_of_the_strokes(actions):
+    keys = actions.keys
     assert keys["I"].values == ("inside",) and keys["O"].values == ("outside",)
     for key, tool in (("I", "inside"), ("O", "outside")):
-        workplace.request("key", key)
-        assert workplace.state()["tool"] == tool
-    radius = workplace.radius
-    workplace.request("key", "]")
-    assert workplace.radius > radius
-    workplace.request("key", "[")
-    assert workplace.radius == pytest.approx(radius)
+        actions.request("key", key)
+        assert actions.state()["tool"] == tool
+    radius = actions.radius
+    actions.request("key", "]")
+    assert actions.radius > radius
+    actions.request("key", "[")
+    assert actions.radius == pytest.approx(radius)
 
 
-def test_escape_drops_a_stroke_that_is_being_painted(workplace):
-    workplace.request("cursor", 9.0, 8.0, 9.0)
-    workplace.request("key", "I")
-    drag(workplace, "axial", (12.0, 8.0, 9.0), (16.0, 8.0, 9.0))
-    assert workplace.scene.marks.count == 1
-    workplace.request("key", "Escape")
-    assert workplace.scene.marks.count == 0 and workplace.state()["tool"] == "look"
-    workplace.request("release")
-    assert workplace.session.wait(60) and workplace.session.status.changes == ()
+def test_escape_drops_a_stroke_that_is_being_painted(actions):
+    actions.request("cursor", 9.0, 8.0, 9.0)
+    actions.request("key", "I")
+    drag(actions, "axial", (12.0, 8.0, 9.0), (16.0, 8.0, 9.0))
+    assert actions.scene.marks.count == 1
+    actions.request("key", "Escape")
+    assert actions.scene.marks.count == 0 and actions.state()["tool"] == "look"
+    actions.request("release")
+    assert actions.session.wait(60) and actions.session.status.changes == ()
 
 
 def test_in_one_slice_too(scene_of):
@@ -240,51 +240,51 @@ def test_in_one_slice_too(scene_of):
     scene = scene_of(volume, size=(640, 360))
     with Session(volume, RunConfig(inside="ball:14,20,0,3", threads=1)) as session:
         ended(session)
-        workplace = shown(Actions(session, scene))
-        workplace.request("radius", 2.0)
-        workplace.request("tool", "inside")
-        drag(workplace, "axial", (34.0, 20.0, 0.0), (38.0, 20.0, 0.0))
-        assert pixels(workplace, INSIDE) > 50
-        workplace.request("release")
-        assert session.wait(60) and not shown(workplace).message
+        actions = shown(Actions(session, scene))
+        actions.request("radius", 2.0)
+        actions.request("tool", "inside")
+        drag(actions, "axial", (34.0, 20.0, 0.0), (38.0, 20.0, 0.0))
+        assert pixels(actions, INSIDE) > 50
+        actions.request("release")
+        assert session.wait(60) and not shown(actions).message
         assert session.status.refinements[0].inside[0].startswith("path:")
         assert scene.frame.surfaces[0].contains((0, 20, 36))
 
 
-def test_the_settings_of_a_painted_session_make_the_same_bytes(workplace, image, tmp_path):
-    workplace.request("radius", 1.5)
+def test_the_settings_of_a_painted_session_make_the_same_bytes(actions, image, tmp_path):
+    actions.request("radius", 1.5)
     for tool, worlds in (
         ("inside", [(23.0, 8.0, 9.0), (27.0, 8.0, 9.0)]), ("outside", [(15.0, 4.0, 9.0), (18.0, 12.0, 9.0)]),
         ("inside", [(20.0, 8.0, 9.0)]),
     ):
-        workplace.request("cursor", *worlds[0])
-        workplace.request("tool", tool)
-        drag(workplace, "axial", *worlds)
-        workplace.request("release")
-    assert workplace.session.wait(120) and len(workplace.session.status.refinements) == 3
-    paths = workplace.session.save(tmp_path, ("labels", "run")).result(60)
+        actions.request("cursor", *worlds[0])
+        actions.request("tool", tool)
+        drag(actions, "axial", *worlds)
+        actions.request("release")
+    assert actions.session.wait(120) and len(actions.session.status.refinements) == 3
+    paths = actions.session.save(tmp_path, ("labels", "run")).result(60)
     labels = io.read_labels(next(path for path in paths if "_seg" in path.name)).array
     again = segment(image, config=RunConfig.from_toml(tmp_path / "run.toml"))
     assert np.array_equal(again.labels, labels)
 
 
-def test_the_history_leads_back_and_grey_lines_forward(workplace):
+def test_the_history_leads_back_and_grey_lines_forward(actions):
     for text in ("ball:25,8,9,1.5", "point:9,8,16.5"):
-        workplace.session.add_click("inside" if text.startswith("ball") else "outside", text).result(60)
-    state = workplace.state()
+        actions.session.add_click("inside" if text.startswith("ball") else "outside", text).result(60)
+    state = actions.state()
     assert [(one["number"], one["done"]) for one in state["changes"]] == [(1, True), (2, True)]
-    workplace.request("change", 0)
-    assert workplace.session.wait(60)
-    assert [one["done"] for one in workplace.state()["changes"]] == [False, False]
-    workplace.request("change", 2)
-    assert workplace.session.wait(60) and len(workplace.session.status.refinements) == 2
+    actions.request("change", 0)
+    assert actions.session.wait(60)
+    assert [one["done"] for one in actions.state()["changes"]] == [False, False]
+    actions.request("change", 2)
+    assert actions.session.wait(60) and len(actions.session.status.refinements) == 2
     for wrong in (-1, 3, "x", None, [1], float("nan")):
-        workplace.request("change", wrong)
-        workplace.session.wait(60)
-        workplace.collect_results()
-        assert "expected a number" in workplace.message
-        assert len(workplace.session.status.refinements) == 2
-        workplace.message = ""
+        actions.request("change", wrong)
+        actions.session.wait(60)
+        actions.collect_results()
+        assert "expected a number" in actions.message
+        assert len(actions.session.status.refinements) == 2
+        actions.message = ""
 
 
 def test_n_goes_to_the_doubtful_places_one_after_another(scene_of):
@@ -294,22 +294,22 @@ def test_n_goes_to_the_doubtful_places_one_after_another(scene_of):
     image = image.with_array((image.array + 90.0 * bridge).clip(None, 100).astype(np.float32))
     scene = scene_of(image, size=(960, 544))
     with Session(image, CONFIGS["seeded"]) as session:
-        workplace = Actions(session, scene)
+        actions = Actions(session, scene)
         session.ready.result(60)
-        workplace.request("key", "N")
-        assert "when the run has ended" in workplace.message
+        actions.request("key", "N")
+        assert "when the run has ended" in actions.message
         ended(session)
-        shown(workplace)
-        until(lambda: session.status.doubts)
+        shown(actions)
+        until(lambda: session.status.uncertain)
         plain = scene.screenshot()
-        state = workplace.state()
-        assert workplace.changed and len(scene.marks.places) == len(state["doubts"]) > 0
+        state = actions.state()
+        assert actions.changed and len(scene.marks.places) == len(state["uncertain"]) > 0
         scene.render()
-        for number in range(2 * len(state["doubts"])):
-            workplace.request("key", "N")
-            want = session.status.doubts[number % len(state["doubts"])]
+        for number in range(2 * len(state["uncertain"])):
+            actions.request("key", "N")
+            want = session.status.uncertain[number % len(state["uncertain"])]
             np.testing.assert_allclose(scene.cursor, want.world, atol=1e-6)
-            assert workplace.state()["doubt_at"] == number % len(state["doubts"]) + 1
+            assert actions.state()["uncertain_at"] == number % len(state["uncertain"]) + 1
         assert (scene.screenshot() != plain).any()
         session.add_click("inside", "ball:25,8,9,1.5").result(60)
-        assert workplace.state()["doubts"] == [] and scene.marks.places == ()
+        assert actions.state()["uncertain"] == [] and scene.marks.places == ()

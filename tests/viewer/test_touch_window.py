@@ -24,13 +24,13 @@ app = QApplication([])
 from accelsurf.viewer.window.canvas_events import CanvasEvents
 asked, drawn, sizes = [], [], []
 feature = SimpleNamespace(is_dragging=True, fit_layout=lambda *size: sizes.append(size))
-workplace = SimpleNamespace(
+actions = SimpleNamespace(
     request=lambda *request: asked.append(request), feature=lambda kind: feature,
     scene=SimpleNamespace(tiles=SimpleNamespace()),
 )
 canvas = QWidget()
 canvas.resize(101, 51)
-events = CanvasEvents(workplace, canvas, lambda: drawn.append(len(asked)))
+events = CanvasEvents(actions, canvas, lambda: drawn.append(len(asked)))
 canvas.show()
 screen = QTest.createTouchDevice()
 QTest.touchEvent(canvas, screen).press(0, QPoint(10, 10), canvas).commit()
@@ -43,7 +43,7 @@ print(len(drawn))
 asked.clear()
 pad = QTest.createTouchDevice(QInputDevice.DeviceType.TouchPad)
 QTest.touchEvent(canvas, pad).press(0, QPoint(10, 10), canvas).press(1, QPoint(50, 25), canvas).commit()
-print(json.dumps([one for one in asked if one[0].startswith("finger")]))
+print(json.dumps([one for one in asked if one[0].startswith("touch")]))
 asked.clear()
 QTest.mousePress(canvas, Qt.MouseButton.RightButton, pos=QPoint(50, 25))
 QTest.mouseRelease(canvas, Qt.MouseButton.RightButton, pos=QPoint(50, 25))
@@ -57,9 +57,9 @@ def test_fingers_become_requests():
     first, second = asked[0][3], asked[1][3]  # Qt's own numbers of the fingers
     assert first != second
     assert asked == [
-        ["finger_down", 0.1, 0.2, first, True], ["finger_down", 0.5, 0.5, second, False],
-        ["finger_move", 0.2, 0.2, first], ["finger_move", 0.6, 0.5, second], ["finger_up", first],
-        ["finger_up", second],
+        ["touch_down", 0.1, 0.2, first, True], ["touch_down", 0.5, 0.5, second, False],
+        ["touch_move", 0.2, 0.2, first], ["touch_move", 0.6, 0.5, second], ["touch_up", first],
+        ["touch_up", second],
     ]
     assert size == [101, 51]  # from which the layout follows
     assert drawn == 5 and of_pad == []  # once for an event of both; a pad moves the mouse

@@ -10,8 +10,8 @@ import pytest
 from accelsurf import Volume
 from accelsurf.io.headers import UNIT_KEY
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.settings_rows import settings_rows
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.page.page import page_text
 from accelsurf.viewer.scene.scene import Scene
@@ -54,7 +54,7 @@ def test_lengths_and_areas_are_in_the_unit_of_the_file_and_nothing_else_is():
 
 
 @pytest.fixture
-def workplace():
+def actions():
     """A ball in a file in micrometres."""
     viewing.needs_graphics()
     volume = Volume.from_array(np.zeros((20, 24, 28), np.float32), (FINE, FINE, FINE))
@@ -70,41 +70,41 @@ def workplace():
     scene.close()
 
 
-def ask(workplace, *request):
-    workplace.message = ""
-    workplace.request(*request)
-    assert workplace.session.wait(60)
-    workplace.collect_results()
-    return workplace.session.status.settings
+def ask(actions, *request):
+    actions.message = ""
+    actions.request(*request)
+    assert actions.session.wait(60)
+    actions.collect_results()
+    return actions.session.status.settings
 
 
-def test_what_is_set_in_micrometres_is_in_mm_in_the_session(workplace):
-    assert ask(workplace, "set", "smoothness", "0.6").smoothness == 0.0006
-    assert ask(workplace, "set", "smoothness", 1.25).smoothness == 0.00125
-    assert ask(workplace, "set", "diffusion", "2.5").diffusion == 2.5e-6
-    assert ask(workplace, "set", "diffusion", "free").diffusion == "free"
-    assert ask(workplace, "set", "presmooth", "0.5").presmooth == 0.0005
-    assert ask(workplace, "set", "presmooth", "2vox").presmooth == "2vox"
-    assert ask(workplace, "set", "cfl", "0.4").cfl == 0.4 and not workplace.message
-    rows = {row["key"]: row for row in workplace.state()["settings"]}
+def test_what_is_set_in_micrometres_is_in_mm_in_the_session(actions):
+    assert ask(actions, "set", "smoothness", "0.6").smoothness == 0.0006
+    assert ask(actions, "set", "smoothness", 1.25).smoothness == 0.00125
+    assert ask(actions, "set", "diffusion", "2.5").diffusion == 2.5e-6
+    assert ask(actions, "set", "diffusion", "free").diffusion == "free"
+    assert ask(actions, "set", "presmooth", "0.5").presmooth == 0.0005
+    assert ask(actions, "set", "presmooth", "2vox").presmooth == "2vox"
+    assert ask(actions, "set", "cfl", "0.4").cfl == 0.4 and not actions.message
+    rows = {row["key"]: row for row in actions.state()["settings"]}
     assert rows["smoothness"]["value"] == 1.25
-    ask(workplace, "set", "presmooth", "")
-    assert "smoothness = 0.00125" in workplace.session.status.settings.to_toml()
+    ask(actions, "set", "presmooth", "")
+    assert "smoothness = 0.00125" in actions.session.status.settings.to_toml()
     for bad in ("nan", "-1", "1e400", "x", True, [1], 10**400):
-        ask(workplace, "set", "smoothness", bad)
-        assert workplace.message and workplace.session.status.settings.smoothness == 0.00125
+        ask(actions, "set", "smoothness", bad)
+        assert actions.message and actions.session.status.settings.smoothness == 0.00125
 
 
-def test_the_radius_is_set_in_micrometres_and_copied_in_mm(workplace):
-    row = workplace.state()["radius_row"]
+def test_the_radius_is_set_in_micrometres_and_copied_in_mm(actions):
+    row = actions.state()["radius_row"]
     assert (row["unit"], row["low"], row["value"]) == ("um", 0.25, 1.0)
     assert row["high"] == pytest.approx(0.4 * 28 * 0.5) and row["digits"] == 3
-    ask(workplace, "set_radius", "1.375")
-    assert workplace.radius == 0.001375 and workplace.state()["radius_row"]["value"] == 1.375
-    assert workplace.state()["radius"] == 0.001375
+    ask(actions, "set_radius", "1.375")
+    assert actions.radius == 0.001375 and actions.state()["radius_row"]["value"] == 1.375
+    assert actions.state()["radius"] == 0.001375
     for bad in ("nan", -1, 1e9, "x", None, [1]):
-        ask(workplace, "set_radius", bad)
-        assert workplace.message and workplace.radius == 0.001375
+        ask(actions, "set_radius", bad)
+        assert actions.message and actions.radius == 0.001375
 
 
 def test_the_page_reads_unit_and_digits_from_the_rows():

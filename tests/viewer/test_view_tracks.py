@@ -10,7 +10,7 @@ import tifffile
 from accelsurf import cli, io
 from accelsurf.cli import view
 from accelsurf.image.volume import Volume
-from accelsurf.viewer.actions.workplace import Actions
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.core.opening import OpenedImage
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.headless import GraphicsError
@@ -40,12 +40,12 @@ def seen(monkeypatch) -> list[dict]:
         session.start_preparing()  # as the window does, with its first picture
         session.ready.result(60)
         scene = Scene(first.volume, size=(320, 180))
-        workplace = Actions(session, scene, frames=first.frames)
-        begun = workplace.state()["frame"]
-        for number in range(workplace.state()["frames"]):
-            workplace.request("frame", number)
+        actions = Actions(session, scene, frames=first.frames)
+        begun = actions.state()["frame"]
+        for number in range(actions.state()["frames"]):
+            actions.request("frame", number)
             drawn = [one.id for one in scene.frame.surfaces] if first.frames.tracks is not None else []
-            state = workplace.state()
+            state = actions.state()
             found.append({"words": state["frame_words"], "lines": state["frame_lines"], "ids": drawn, "begun": begun})
         scene.close()
 

@@ -25,14 +25,14 @@ from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QWheelEvent
 from PySide6.QtWidgets import QApplication, QDoubleSpinBox, QSlider, QVBoxLayout, QWidget
 app = QApplication([])
-from accelsurf.viewer.window.section_panel import WheelGuard
+from accelsurf.viewer.window.section_panel import ScrollGuard
 window = QWidget()
 column = QVBoxLayout(window)
 parts = [QDoubleSpinBox(), QSlider(Qt.Orientation.Horizontal)]
 for part in parts:
     part.setRange(0, 100)
     part.setValue(50)
-    WheelGuard(part)
+    ScrollGuard(part)
     column.addWidget(part)
 other = QDoubleSpinBox()
 column.addWidget(other)

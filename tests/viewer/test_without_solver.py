@@ -37,13 +37,13 @@ from accelsurf.settings.track_config import TrackConfig
 wait = FirstImage(Path(sys.argv[1]), RunConfig(threads=1), None, None, TrackConfig()).start_reading()
 _load()
 from accelsurf.viewer.scene.scene import Scene
-from accelsurf.viewer.actions.workplace import Actions
+from accelsurf.viewer.actions.actions import Actions
 
 opened = wait()
 session = opened.session(begin=False)
 scene = Scene(opened.volume, size=(300, 200))
-workplace = Actions(session, scene)
-workplace.state()
+actions = Actions(session, scene)
+actions.state()
 assert scene.screenshot().std() > 0
 note("picture")
 session.start_preparing()
@@ -54,8 +54,8 @@ session.play_to(2).result()
 session.wait()
 session.figures().result()
 session.diameters(1).result()
-workplace.request("force", True)
-workplace.state()
+actions.request("force", True)
+actions.state()
 session.look(lambda run: None).result()
 print(json.dumps(["later", sorted({name for name in sys.modules if name.startswith("accelsurf.")} - known)]))
 session.close()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.run.region_of_interest import region_of_interest
-from accelsurf.viewer.actions.tool import Feature, Tool
+from accelsurf.viewer.actions.tool import AllActions, Feature, Tool
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.box import BoxOverlay, VoxelBox
 from accelsurf.viewer.scene.space import Picked
@@ -27,7 +27,7 @@ class BoxFeature(Feature):
     overlay : BoxOverlay
     """
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self.overlay = BoxOverlay(actions.scene)
         self._tool = BoxTool(actions, self)
@@ -97,7 +97,7 @@ class BoxTool(Tool):
     name, key, text = "box", "Z", "Box"
     tip = "Drag in a slice: the box in which the run is made; drag its sides and corners to change it"
 
-    def __init__(self, actions: Any, feature: BoxFeature) -> None:
+    def __init__(self, actions: AllActions, feature: BoxFeature) -> None:
         super().__init__(actions)
         self._feature, self.is_drawing = feature, False
         self._fixed = self._moving = np.zeros(3)
@@ -117,9 +117,9 @@ class BoxTool(Tool):
             self._axes = list(sides)
             return
         last = np.array(scene.geometry.shape) - 1.0
-        self._axes = [axis for axis in range(3) if axis != tile.axis]
+        self._axes = [axis for axis in range(3) if axis != tile.stack.axis]
         self._fixed, self._moving = index.copy(), index.copy()
-        across = tile.axis
+        across = tile.stack.axis
         self._fixed[across] = 0.0 if box is None else box.low[across]
         self._moving[across] = last[across] if box is None else box.high[across]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import UsageError
-from accelsurf.viewer.actions.tool import Feature, Key, word
+from accelsurf.viewer.actions.tool import AllActions, Feature, Key, word
 from accelsurf.viewer.core.status import SAVED_KINDS, Status
 
 
@@ -22,7 +22,7 @@ class FilesFeature(Feature):
         Whether files are being written.
     """
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self.files: dict[str, Path] = {}
         self.is_saving = False

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.image.slice_stack import SliceStack
-from accelsurf.viewer.actions.tool import Feature, Key
+from accelsurf.viewer.actions.tool import AllActions, Feature, Key
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.force_overlay import ForceOverlay, ForceSlice
 
@@ -31,7 +31,7 @@ class ForceFeature(Feature):
     is_on : bool
     """
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self.overlay, self.is_on = ForceOverlay(actions.scene), False
         self._waiting: Future[Any] | None = None

@@ -10,7 +10,7 @@ from accelsurf.errors import UsageError
 from accelsurf.output.pictures.canvas import object_color
 from accelsurf.viewer.actions.force import ForceFeature
 from accelsurf.viewer.actions.slices import SlicesFeature
-from accelsurf.viewer.actions.tool import Feature, Key, whole
+from accelsurf.viewer.actions.tool import AllActions, Feature, Key, whole
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.colors import ObjectStyle, unnamed
@@ -19,10 +19,10 @@ from accelsurf.viewer.scene.colors import ObjectStyle, unnamed
 RATE = 8.0
 #: Requests for the frame that runs are made in: elsewhere they would change what is not seen.
 OF_A_RUN = (
-    "play", "toggle", "step", "back", "go_to", "restart", "undo", "redo", "change", "next_doubt", "doubt", "save",
-    "object_add", "object_remove", "object_merge", "object_split", "object_name", "object_color", "object_visible",
-    "object_opacity", "set", "set_term", "type_energy", "mask", "bound", "force", "next_force", "box_around",
-    "box_none",
+    "play", "toggle", "step", "back", "go_to", "restart", "undo", "redo", "change", "next_uncertain", "uncertain",
+    "save", "object_add", "object_remove", "object_merge", "object_split", "object_name", "object_color",
+    "object_visible", "object_opacity", "set", "set_term", "type_energy", "mask", "bound", "force", "next_force",
+    "box_around", "box_none",
 )
 
 
@@ -37,7 +37,7 @@ class FramesFeature(Feature):
         Whether the frames follow each other by themselves.
     """
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self._frames: SequenceView | None = actions.frames
         self.number, self.is_playing = 0, False

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from accelsurf.errors import UsageError
 from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_expression import with_setting
-from accelsurf.viewer.actions.tool import Feature, number, whole, word
+from accelsurf.viewer.actions.tool import AllActions, Feature, number, whole, word
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 from accelsurf.viewer.core.status import Status, View
 
@@ -29,7 +29,7 @@ MAX_BOUND = 1e30
 class HistogramFeature(Feature):
     """Counts the values of the image once, those in the object when it has changed; moves the bounds of the energy."""
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         image = sample(actions.session.volume.array)
         low, high = (float(v) for v in np.percentile(image, ENDS))

@@ -128,7 +128,7 @@ class MeasureFeature(Feature):
         Of the state for which they were asked last.
     """
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self.measurements = Measurements()
         self.figures: Figures | None = None

@@ -1,7 +1,7 @@
-"""Mouse, wheel and touch in the scene, of window and page alike.
+"""Mouse, scrolling and touch in the scene, of window and page alike.
 
 Left uses the tool, or looks around; right changes the grey values of slices, and zooms in 3D; middle (or shift with
-left) moves the picture; the wheel goes through slices, with Ctrl it zooms. One button at a time counts. Places are
+left) moves the picture; scrolling goes through slices, with Ctrl it zooms. One button at a time counts. Places are
 parts of the width, and of the height from the top, each from 0 to 1.
 """
 
@@ -15,10 +15,10 @@ from typing import Any
 from accelsurf.viewer.actions.frames import FramesFeature
 from accelsurf.viewer.actions.settings_rows import amount, from_read, read_in
 from accelsurf.viewer.actions.slices import SlicesFeature
-from accelsurf.viewer.actions.tool import Feature, Key, Tool, finest, number, whole, word
+from accelsurf.viewer.actions.tool import AllActions, Feature, Key, Tool, finest, number, whole, word
 from accelsurf.viewer.actions.tools import TOOLS
 from accelsurf.viewer.core.status import Status
-from accelsurf.viewer.scene.space import Picked
+from accelsurf.viewer.scene.space import Picked, place_in_renderer
 
 #: Zoom per notch.
 ZOOM = 1.12
@@ -32,7 +32,7 @@ MAX_DELTA = 1e6
 
 
 def notches_of(delta: object, mode: object, zoom: bool) -> float:
-    """Return the notches of what a browser reports of a wheel, up positive.
+    """Return the notches that a browser reports of scrolling, up positive.
 
     Parameters
     ----------
@@ -60,14 +60,14 @@ def notches_of(delta: object, mode: object, zoom: bool) -> float:
     return min(max(turned, -100.0), 100.0)
 
 
-class SliceTurns:
-    """Turns of the wheel over slices: fractions of a notch add up until they are a whole slice."""
+class SliceScroll:
+    """Scrolling over slices: fractions of a notch add up until they are a whole slice."""
 
     def __init__(self) -> None:
         self._tile, self._left = "", 0.0
 
     def add(self, tile: str, notches: float) -> int:
-        """Add a turn over a tile; returns how many slices further it is now."""
+        """Scroll over a tile; returns how many slices further it is now."""
         if tile != self._tile or notches * self._left < 0:
             self._left = 0.0
         self._tile, self._left = tile, self._left + notches
@@ -99,13 +99,13 @@ class MouseFeature(Feature):
         How many presses there have been.
     """
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self._tools = tuple(kind(actions) for kind in TOOLS)
         self.tool: Tool = self._tools[0]
         #: The tile in which a button is down, that button, and what it does: with shift, left is as middle.
         self._tile, self._pressed, self._button, self._at = "", LEFT, LEFT, (0.0, 0.0)
-        self._moved_at, self.gesture, self._turns = 0.0, 0, SliceTurns()
+        self._moved_at, self.gesture, self._scrolled = 0.0, 0, SliceScroll()
         self._unit, self._per = read_in("mm", actions.scene.unit)
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
@@ -120,8 +120,8 @@ class MouseFeature(Feature):
             "release": self.release,
             "cancel": self.cancel,
             "hover": self._hover,
-            "wheel": self._wheel,
             "scroll": self._scroll,
+            "scroll_delta": self._scroll_delta,
             "double": self._double,
         }
 
@@ -238,28 +238,28 @@ class MouseFeature(Feature):
     def _hover(self, x: Any, y: Any) -> None:
         self._read(self.actions.scene.pick(*self._pixel(x, y)) if not self.is_dragging else None)
 
-    def _wheel(self, x: Any, y: Any, notches: Any, zoom: Any = False) -> None:
+    def _scroll(self, x: Any, y: Any, notches: Any, zoom: Any = False) -> None:
         scene, (across, up) = self.actions.scene, self._pixel(x, y)
         at, notches = scene.pick(across, up), number(notches, -100, 100)
         factor = ZOOM ** min(max(notches, -5.0), 5.0)
         if at.tile in scene.slice_tiles and zoom:
-            scene.slice_tiles[at.tile].zoom(factor, *self._place(at.tile, across, up))
+            self._zoom(at.tile, across, up, factor)
         elif at.tile in scene.slice_tiles:
-            if slices := self._turns.add(at.tile, notches):
+            if slices := self._scrolled.add(at.tile, notches):
                 scene.step_slice(at.tile, slices)
                 self._read(scene.pick(across, up))
         elif scene.space is not None and at.tile == "space":
             scene.space.zoom(factor)
 
-    def _scroll(self, x: Any, y: Any, delta: Any, mode: Any, zoom: Any = False) -> None:
-        """The wheel as browsers report it: how much, and in pixels, lines or pages."""
-        self._wheel(x, y, notches_of(delta, mode, bool(zoom)), zoom)
+    def _scroll_delta(self, x: Any, y: Any, delta: Any, mode: Any, zoom: Any = False) -> None:
+        """Scroll as browsers report it: how much, and in pixels, lines or pages."""
+        self._scroll(x, y, notches_of(delta, mode, bool(zoom)), zoom)
 
     def zoom(self, x: float, y: float, factor: float) -> None:
         """Enlarge the tile in which a button is down; what is at this place stays there."""
-        tiles, pixel = self.actions.scene.tiles, self._pixel(x, y)
-        if self._tile in tiles.names:
-            tiles.tile(self._tile).zoom(factor, *self._place(self._tile, *pixel))
+        pixel = self._pixel(x, y)
+        if self._tile in self.actions.scene.tiles.names:
+            self._zoom(self._tile, *pixel, factor)
 
     def _double(self, x: Any, y: Any) -> None:
         tile = self.actions.scene.pick(*self._pixel(x, y)).tile
@@ -279,29 +279,26 @@ class MouseFeature(Feature):
         width, height = self.actions.scene.plotter.render_window.GetSize()
         return number(x, 0.0, 1.0) * width, (1.0 - number(y, 0.0, 1.0)) * height
 
-    def _place(self, tile: str, x: float, y: float) -> tuple[float, float]:
-        """Place of a pixel in a tile, each coordinate from 0 to 1; beyond that where it lies beside it."""
-        width, height = self.actions.scene.plotter.render_window.GetSize()
-        left, bottom, right, top = self.actions.scene.tiles.renderer(tile).GetViewport()
-        if right <= left or top <= bottom:  # another layout, which does not show it
-            return 0.5, 0.5
-        return (x / width - left) / (right - left), (y / height - bottom) / (top - bottom)
+    def _zoom(self, tile: str, x: float, y: float, factor: float) -> None:
+        """Enlarge a tile; what is at this pixel stays there."""
+        tiles = self.actions.scene.tiles
+        tiles.tile(tile).zoom(factor, *(place_in_renderer(tiles.renderer(tile), x, y, beside=True) or (0.5, 0.5)))
 
 
-#: Fingers that are counted; and the largest magnitude of the number by which a screen knows one.
-MAX_FINGERS, MAX_NUMBER = 10, 2**31
-#: Two fingers are never nearer than so many pixels: their distance is divided by.
+#: Touches that are counted; and the largest magnitude of the number by which a screen knows each.
+MAX_TOUCHES, MAX_NUMBER = 10, 2**31
+#: Two touches are never nearer than so many pixels: their distance is divided by.
 NEAR = 10.0
 
 
 class TouchFeature(Feature):
-    """Makes of fingers what the mouse does.
+    """Does for touches what the mouse does.
 
     The first one draws. With the second one a gesture of two begins, so what the first has begun is cancelled, and
-    nothing is drawn until all are up: who lifts one finger of two does not mean a stroke.
+    nothing is drawn until all are up: who lifts one finger of two does not mean to paint.
     """
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         #: Places of all that are down, parts of the width and of the height from the top.
         self._places: dict[int, tuple[float, float]] = {}
@@ -311,10 +308,10 @@ class TouchFeature(Feature):
 
     def requests(self) -> Mapping[str, Callable[..., None]]:
         return {
-            "finger_down": self._down,
-            "finger_move": self._move,
-            "finger_up": self._up,
-            "finger_cancel": self._cancel,
+            "touch_down": self._down,
+            "touch_move": self._move,
+            "touch_up": self._up,
+            "touch_cancel": self._cancel,
         }
 
     @property
@@ -323,76 +320,76 @@ class TouchFeature(Feature):
 
     @property
     def _leads(self) -> bool:
-        """Test if the drag was begun by these fingers, not by a mouse or a pen meanwhile."""
+        """Test if the drag was begun by these touches, not by a mouse or a pen meanwhile."""
         return bool(self._leading) and self._mouse.is_dragging and self._mouse.gesture == self._gesture
 
-    def _down(self, x: Any, y: Any, finger: Any, first: Any = False) -> None:
-        """A finger comes down; ``first`` when the screen knows of no other: any that are known here were lost."""
-        finger, place = _number(finger), _place(x, y)
+    def _down(self, x: Any, y: Any, touch: Any, first: Any = False) -> None:
+        """Begin a touch; ``first`` when the screen knows of no other: any that are known here were lost."""
+        touch, place = _number(touch), _place(x, y)
         if first:
             self._cancel()
-        if len(self._places) >= MAX_FINGERS or (not self._places and self._mouse.is_dragging):
+        if len(self._places) >= MAX_TOUCHES or (not self._places and self._mouse.is_dragging):
             return  # a hand that rests on the screen while a pen draws
         is_alone = not self._places
-        self._places[finger] = place
+        self._places[touch] = place
         if is_alone:
-            self._begin_with((finger,), LEFT)
-        elif len(self._leading) == 1 and finger not in self._leading:
+            self._begin_with((touch,), LEFT)
+        elif len(self._leading) == 1 and touch not in self._leading:
             if self._leads:
                 self._mouse.cancel()
-                self._begin_with((*self._leading, finger), MIDDLE)
+                self._begin_with((*self._leading, touch), MIDDLE)
             else:  # a pen draws meanwhile, or what was begun has ended by a key
                 self._leading = ()
 
-    def _begin_with(self, fingers: tuple[int, ...], button: int) -> None:
-        self._leading = fingers
+    def _begin_with(self, touches: tuple[int, ...], button: int) -> None:
+        self._leading = touches
         try:
             self._mouse.press(*self._middle(), button)
         finally:  # a tool may be refused; the button is down all the same
             self._gesture = self._mouse.gesture
 
-    def _move(self, x: Any, y: Any, finger: Any) -> None:
-        finger, place = _number(finger), _place(x, y)
-        if finger not in self._places:
+    def _move(self, x: Any, y: Any, touch: Any) -> None:
+        touch, place = _number(touch), _place(x, y)
+        if touch not in self._places:
             return
-        before, self._places[finger] = self._apart(), place
-        if finger in self._leading and self._leads:
+        before, self._places[touch] = self._apart(), place
+        if touch in self._leading and self._leads:
             self._mouse.move(*self._middle())
             if len(self._leading) == 2:
                 self._mouse.zoom(*self._middle(), self._apart() / before)
 
-    def _up(self, finger: Any) -> None:
-        self._forget(_number(finger), self._mouse.release)
+    def _up(self, touch: Any) -> None:
+        self._forget(_number(touch), self._mouse.release)
 
-    def _cancel(self, finger: Any = None) -> None:
-        """End what a finger, or all, has begun: the system has taken it for something else."""
-        for lost in (*self._places,) if finger is None else (_number(finger),):
+    def _cancel(self, touch: Any = None) -> None:
+        """End what a touch, or all, has begun: the system has taken it for something else."""
+        for lost in (*self._places,) if touch is None else (_number(touch),):
             self._forget(lost, self._mouse.cancel)
 
-    def _forget(self, finger: int, end: Callable[[], None]) -> None:
-        """Forget a finger that is no longer down; what it has begun ends with ``end``."""
-        self._places.pop(finger, None)
-        if finger in self._leading:
+    def _forget(self, touch: int, end: Callable[[], None]) -> None:
+        """Forget a touch that has ended; what it has begun ends with ``end``."""
+        self._places.pop(touch, None)
+        if touch in self._leading:
             leads, self._leading = self._leads, ()
             if leads:
                 end()
 
     def _middle(self) -> tuple[float, float]:
-        """Return the place between the fingers that lead."""
-        x, y = zip(*(self._places[finger] for finger in self._leading), strict=True)
+        """Return the place between the touches that lead."""
+        x, y = zip(*(self._places[touch] for touch in self._leading), strict=True)
         return sum(x) / len(x), sum(y) / len(y)
 
     def _apart(self) -> float:
-        """Pixels between the two fingers that lead."""
+        """Pixels between the two touches that lead."""
         if len(self._leading) != 2:
             return NEAR
         width, height = self.actions.scene.plotter.render_window.GetSize()
-        (x, y), (far_x, far_y) = (self._places[finger] for finger in self._leading)
+        (x, y), (far_x, far_y) = (self._places[touch] for touch in self._leading)
         return max(math.hypot((far_x - x) * width, (far_y - y) * height), NEAR)
 
 
-def _number(finger: Any) -> int:
-    return whole(finger, -MAX_NUMBER, MAX_NUMBER)
+def _number(touch: Any) -> int:
+    return whole(touch, -MAX_NUMBER, MAX_NUMBER)
 
 
 def _place(x: Any, y: Any) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""The objects: a list with names, colours, volumes; the active one takes strokes and sizes; merged, split, removed."""
+"""The objects: a list with names, colours, volumes; the active one takes corrections and sizes; merge and split."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 from accelsurf.errors import UsageError
 from accelsurf.settings.corrections import MAX_ID
 from accelsurf.settings.labels import MAX_NAME
-from accelsurf.viewer.actions.tool import Feature, Key, Tool, number, numbers_text, short, text, whole, word
+from accelsurf.viewer.actions.tool import AllActions, Feature, Key, Tool, number, numbers_text, short, text, whole, word
 from accelsurf.viewer.core.status import Status, View
 from accelsurf.viewer.scene.colors import OBJECT_COLORS, ObjectStyle, unnamed
 from accelsurf.viewer.scene.space import Picked
 
-#: In place of an id: the object that is nearest to where a stroke begins.
+#: In place of an id: the object that is nearest to where a correction begins.
 NEAREST = "nearest"
 #: The state of an object that was added and has no voxel yet.
 NOT_BEGUN = "not begun"
@@ -27,7 +27,7 @@ class Split(Tool):
     name, key, text = "split", "Q", "Split"
     tip = "Click in a part of an object: what is connected to it becomes an object of its own"
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self._at: tuple[float, ...] = ()
 
@@ -46,7 +46,7 @@ class Split(Tool):
 class ObjectsFeature(Feature):
     """Changes objects, and the style in which each is drawn."""
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self._hidden: set[int] = set()
         self._opacity: dict[int, float] = {}

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,9 @@ from typing import Any
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.files import FilesFeature
 from accelsurf.viewer.actions.tool import carry_out, text, whole, word
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.core.command_queue import in_background
 from accelsurf.viewer.core.opening import (
     Choice,
@@ -32,63 +33,37 @@ from accelsurf.viewer.core.opening import (
     read_reference,
 )
 from accelsurf.viewer.core.recent_files import RecentFiles
-from accelsurf.viewer.core.session import Session
+from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
 from accelsurf.viewer.core.status import error_line
 
 #: Seconds that a session has at the end of the program to end its step, and to finish a save.
 STEP_SECONDS, SAVING_SECONDS = 10.0, 600.0
-
-
-class FormerSessions:
-    """Ends sessions without waiting for them; at the end of the program they finish what was asked of them."""
-
-    def __init__(self) -> None:
-        self._sessions: list[tuple[Session, float]] = []
-
-    def add(self, actions: Actions) -> None:
-        """End the session of an image that is left."""
-        is_saving = actions.feature(FilesFeature).is_saving
-        actions.session.close(0.0)
-        self._sessions = [former for former in self._sessions if former[0].is_alive]
-        self._sessions.append((actions.session, SAVING_SECONDS if is_saving else STEP_SECONDS))
-
-    def close(self) -> None:
-        """Wait until they have ended."""
-        for session, seconds in self._sessions:
-            session.close(seconds)
-
-
-class ResultFolders:
-    """Folders for results: the first image is saved in the folder itself, each further one in a folder of its own.
-
-    Parameters
-    ----------
-    folder : Path or None
-        None where the user is asked for one.
-    """
-
-    def __init__(self, folder: Path | None) -> None:
-        self._folder, self._count = folder, 0
-
-    def of_next(self, name: str) -> Path | None:
-        """Return the folder for the image that is opened next, by its name; it is made when something is saved.
-
-        Examples
-        --------
-        >>> folders = ResultFolders(Path("out"))
-        >>> [folders.of_next("scan").as_posix() for _ in range(3)]
-        ['out', 'out/scan-2', 'out/scan-3']
-        """
-        self._count += 1
-        if self._folder is None or self._count == 1:
-            return self._folder
-        return self._folder / f"{name}-{self._count}"
-
-
 #: Letters of a path that a page sends, and of a message.
 MAX_PATH, MAX_MESSAGE = 1024, 300
 #: Answers to a question, and the words of their buttons.
 ANSWERS = {"open": "Open", "reference": "As a reference", "cancel": "Cancel"}
+
+
+@dataclass(frozen=True)
+class ViewerSettings:
+    """Settings of window and page, the same for each image.
+
+    Attributes
+    ----------
+    folder : Path or None
+        Where results are saved; None: the window asks for it the first time, a page takes a temporary one.
+    theme : str
+        "dark" or "light".
+    overwrite : bool
+        Replace files in the folder that a session has not written.
+    checkpoint_mb : float
+        Memory for stored steps, MB.
+    """
+
+    folder: Path | None = None
+    theme: str = "dark"
+    overwrite: bool = False
+    checkpoint_mb: float = CHECKPOINT_MB
 
 
 class Opening:
@@ -106,7 +81,7 @@ class Opening:
     Attributes
     ----------
     actions : Actions or None
-        The one that is open now; set by whoever shows it.
+        Of the image that is open now.
     message : str
         One line: what is being done, or what went wrong last.
     failed : bool
@@ -128,6 +103,9 @@ class Opening:
         self._folder = served.root if served is not None else None
         self._phantoms = phantom_texts()
         self._lists: dict[str, Any] = {}
+        #: Sessions of images that were left, with the seconds that each has at the end; how many images were opened.
+        self._former: list[tuple[Session, float]] = []
+        self._opened = 0
         self._requests = dict(self.requests())
         self._renew_lists()
 
@@ -319,8 +297,17 @@ class Opening:
         except AccelsurfError as error:
             self._fail(error)
 
+    def results_of_next(self, folder: Path | None, name: str) -> Path | None:
+        """Return the folder for the results of the image that is opened next: the first has the folder itself, each
+        further one a folder in it, by its name; None where the user is asked for one.
+        """
+        self._opened += 1
+        return folder if folder is None or self._opened == 1 else folder / f"{name}-{self._opened}"
+
     def show(self, actions: Actions, opened: OpenedImage) -> None:
-        """Note that an image that was read is shown."""
+        """Note that an image that was read is shown; the session of the former one ends, without waiting for it."""
+        if self.actions is not None:
+            self._end(self.actions)
         self.actions, self._path = actions, None
         self._config = for_another_image(self._config)
         if opened.source is not None and self._is_listed:
@@ -328,6 +315,19 @@ class Opening:
         self._renew_lists()
         if opened.note:
             actions.note(opened.note, 30.0)
+
+    def _end(self, actions: Actions) -> None:
+        is_saving = actions.feature(FilesFeature).is_saving
+        actions.session.close(0.0)
+        self._former = [former for former in self._former if former[0].is_alive]
+        self._former.append((actions.session, SAVING_SECONDS if is_saving else STEP_SECONDS))
+
+    def close(self) -> None:
+        """End all sessions, and wait until they have finished what was asked of them."""
+        if self.actions is not None:
+            self._end(self.actions)
+        for session, seconds in self._former:
+            session.close(seconds)
 
     # -- to show ------------------------------------------------------------------------------------------
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from accelsurf.viewer.actions.slices import SlicesFeature
-from accelsurf.viewer.actions.tool import Feature, Key, number, word
+from accelsurf.viewer.actions.tool import AllActions, Feature, Key, number, word
 from accelsurf.viewer.core.frame import COLORS
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.colors import THEMES
@@ -21,7 +21,7 @@ MAX_RATIO = 4.0
 class PictureFeature(Feature):
     """Changes how the scene is drawn."""
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         #: Size of the picture in pixels of a usual screen, and how many of the device each is.
         self._sides: tuple[int, int] = self.actions.scene.plotter.render_window.GetSize()

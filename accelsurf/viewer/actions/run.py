@@ -7,7 +7,7 @@ from typing import Any
 
 from accelsurf.errors import UsageError
 from accelsurf.viewer.actions.tool import AllActions, Feature, Key, whole
-from accelsurf.viewer.core.status import Doubt, Status
+from accelsurf.viewer.core.status import Status, UncertainLocation
 
 
 class RunFeature(Feature):
@@ -56,11 +56,11 @@ class RunFeature(Feature):
 
 
 class HistoryFeature(Feature):
-    """Goes back and forward over changes, and to doubtful places."""
+    """Goes back and forward over changes, and to uncertain locations."""
 
     def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
-        self._doubts: tuple[Doubt, ...] = ()
+        self._uncertain: tuple[UncertainLocation, ...] = ()
         #: Which of them N went to last.
         self._at = -1
 
@@ -68,45 +68,44 @@ class HistoryFeature(Feature):
         session, ask = self.actions.session, self.actions.ask
         return {
             "change": lambda count: ask(session.go_to_change(whole(count, 0, 10**6))),
-            "next_doubt": self._next_doubt,
-            "doubt": lambda number: self._go_to(whole(number, 1, max(len(self._doubts), 1)) - 1),
+            "next_uncertain": self._next_uncertain,
+            "uncertain": lambda number: self._go_to(whole(number, 1, max(len(self._uncertain), 1)) - 1),
         }
 
     def keys(self) -> Mapping[str, Key]:
-        return {"N": Key("next_doubt", (), "where to click next, once more: the next place")}
+        return {"N": Key("next_uncertain", (), "where to click next, once more: the next place")}
 
     def state(self, status: Status) -> dict[str, Any]:
-        if status.doubts != self._doubts:
-            self._doubts, self._at = status.doubts, -1
-            self.actions.scene.marks.show_places([doubt.world for doubt in self._doubts])
+        if status.uncertain != self._uncertain:
+            self._uncertain, self._at = status.uncertain, -1
+            self.actions.scene.marks.show_places([location.world for location in self._uncertain])
         return {
             "changes": [change._asdict() for change in status.changes],
             "rests": list(status.rests),
-            "doubts": [
-                {"place": ", ".join(f"{v:.4g}" for v in doubt.world), "percent": round(100.0 * doubt.share)}
-                for doubt in status.doubts
+            "uncertain": [
+                {"place": ", ".join(f"{v:.4g}" for v in location.world), "percent": round(100.0 * location.share)}
+                for location in status.uncertain
             ],
-            "doubt_at": self._at + 1,
+            "uncertain_at": self._at + 1,
         }
 
-    def _next_doubt(self) -> None:
-        """Go to the most doubtful place, and from there to the next.
+    def _next_uncertain(self) -> None:
+        """Go to the most uncertain location, and from there to the next.
 
         Raises
         ------
         UsageError
             When there is none.
         """
-        if not self._doubts:
+        if not self._uncertain:
             ended = self.actions.session.status.stop is not None
             raise UsageError("no place is in doubt" if ended else "where to click next is known when the run has ended")
-        self._go_to((self._at + 1) % len(self._doubts))
+        self._go_to((self._at + 1) % len(self._uncertain))
 
     def _go_to(self, number: int) -> None:
-        if not number < len(self._doubts):
+        if not number < len(self._uncertain):
             raise UsageError("no place is in doubt")
-        self._at, doubt = number, self._doubts[number]
-        self.actions.scene.cursor = doubt.world
-        self.actions.note(
-            f"place {number + 1} of {len(self._doubts)}, {100.0 * doubt.share:.0f} % doubt: click inside or outside"
-        )
+        self._at, location = number, self._uncertain[number]
+        self.actions.scene.cursor = location.world
+        place = f"place {number + 1} of {len(self._uncertain)}"
+        self.actions.note(f"{place}, {100.0 * location.share:.0f} % doubt: click inside or outside")

@@ -15,7 +15,7 @@ from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import did_you_mean
 from accelsurf.viewer.actions.settings_rows import Row, from_read, settings_rows, unit_read
-from accelsurf.viewer.actions.tool import Feature, finest, short, text, whole
+from accelsurf.viewer.actions.tool import AllActions, Feature, finest, short, text, whole
 from accelsurf.viewer.core.status import Status
 
 #: Settings that can be changed.
@@ -31,7 +31,7 @@ LOOK_SECONDS, MAX_FILES = 5.0, 200
 class SettingsFeature(Feature):
     """Changes settings of the run; those that are fixed while it runs begin another, those of files touch no run."""
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self._finest, self._unit = finest(actions.scene.geometry), actions.scene.unit
         self._shown: tuple[RunConfig, Sequence[Mapping[str, Any]], tuple[str, ...]] | None = None

@@ -147,7 +147,7 @@ def settings_rows(
         ``key``, ``label``, ``unit``, ``help``; ``kind``: slider, list, text, switch, energy or file; ``group``: empty
         for the common ones; ``value`` in force; ``enabled``: whether it acts on this flow and energy; ``restarts``:
         whether a change begins another run; ``names`` of a list, each with its help; of a slider its ``low`` and
-        ``high`` end, ``power``, ``digits``, ``limit``, ``words`` and ``tick``, see `amounts.amount`;
+        ``high`` end, ``power``, ``digits``, ``limit``, ``words`` and ``tick``, see `amount`;
         ``term``: of a setting of a term its place and name, else empty (the channel of a term only where there are
         several); ``now``: the value that is meant by an empty field.
     """

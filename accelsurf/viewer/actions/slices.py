@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
-from accelsurf.grid.boxes import Box
 from accelsurf.image.grey_window import AUTO, CT_WINDOWS, GreyWindow, parse_window, window_of
 from accelsurf.settings.wording import in_unit
-from accelsurf.viewer.actions.tool import Feature, Key, number, text, whole, word
-from accelsurf.viewer.core.frame import SurfaceFrame
+from accelsurf.viewer.actions.tool import AllActions, Feature, Key, number, text, whole, word
 from accelsurf.viewer.core.status import Status
 from accelsurf.viewer.scene.space import Picked
 from accelsurf.viewer.scene.tiles import LAYOUTS, fitting
@@ -35,7 +32,7 @@ AROUND = 0.5
 class SlicesFeature(Feature):
     """Draws slices, and reads the image under the mouse."""
 
-    def __init__(self, actions: Any) -> None:
+    def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
         self._picked: Picked | None = None
         self._before = "one"
@@ -138,21 +135,7 @@ class SlicesFeature(Feature):
             slice(max(int(a), 0), min(int(b) + 1, n))
             for a, b, n in zip(low - around, high + around, array.shape, strict=True)
         )
-        return window_of(array[z, y, x], self._inside(surfaces, (z, y, x)))
-
-    @staticmethod
-    def _inside(surfaces: Sequence[SurfaceFrame], box: Box) -> NDArray[np.bool_]:
-        """Test which voxels of a box of the image are in an object, as far as it is drawn."""
-        inside = np.zeros([side.stop - side.start for side in box], bool)
-        for surface in surfaces:
-            axes = [
-                np.rint(surface.from_image(np.stack([np.arange(side.start, side.stop)] * 3, -1))[:, axis]).astype(int)
-                for axis, side in enumerate(box)
-            ]
-            valid = [(at >= 0) & (at < n) for at, n in zip(axes, surface.psi.shape, strict=True)]
-            where = np.ix_(*(np.flatnonzero(part) for part in valid))
-            inside[where] |= surface.psi[np.ix_(*(at[part] for at, part in zip(axes, valid, strict=True)))] < 0
-        return inside
+        return window_of(array[z, y, x], np.any([surface.inside((z, y, x)) for surface in surfaces], axis=0))
 
     def drag_window(self, right: float, up: float) -> None:
         """A drag with the right button, by parts of the picture: sideways the width, up darkens as a higher level."""

@@ -6,61 +6,49 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
+from accelsurf.viewer.core.sequence_view import SequenceView
+from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import Status, View
+from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.space import Picked
 
-if TYPE_CHECKING:
-    from accelsurf.viewer.core.session import Session
-    from accelsurf.viewer.scene.scene import Scene
+P = TypeVar("P", bound="Feature")
 
 
 class AllActions(Protocol):
-    """All actions, with what a feature or a tool reaches of them: see `accelsurf.viewer.actions.workplace.Actions`."""
+    """All actions, as far as a group of them uses the others; see `accelsurf.viewer.actions.actions.Actions`."""
 
     session: Session
     scene: Scene
     folder: Path | None
     overwrite: bool
-    message: str
+    frames: SequenceView | None
     object_id: int | None
     radius: float
+    features: tuple[Feature, ...]
+    tools: dict[str, Tool]
 
-    @property
-    def features(self) -> Sequence[Feature]:
-        """In the order in which window and page show them."""
-        ...
-
-    @property
-    def tools(self) -> Mapping[str, Tool]:
-        """Tools of the left button by name."""
-        ...
-
-    def feature(self, kind: type[F]) -> F:
+    def feature(self, kind: type[P]) -> P:
         """Return the feature of a kind."""
-        ...
 
     def request(self, name: Any, *values: Any) -> None:
-        """Carry out a request. Raises nothing."""
-        ...
+        """Carry out a request."""
 
     def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None, keeps_message: bool = False) -> None:
         """Wait for a command of the session, without blocking."""
-        ...
 
     def note(self, line: str, seconds: float = 8.0) -> None:
         """Show a line for some time."""
-        ...
 
     def copy(self, words: str) -> None:
-        """Have the front end put a text on the clipboard."""
-        ...
+        """Put a text on the clipboard."""
 
 
 class Key(NamedTuple):

@@ -1,4 +1,4 @@
-"""Tools: to look, to press and draw a size, to start, to paint strokes that are drawn until the surface obeys."""
+"""Tools: to look, to press and draw a size, to start; to paint corrections, drawn until the surface obeys."""
 
 from __future__ import annotations
 
@@ -152,8 +152,8 @@ JUMP = 4.0
 Place = NDArray[np.float64]
 
 
-class StrokeTool(Tool):
-    """Paints a stroke; what it is sent as is up to its kinds."""
+class CorrectionTool(Tool):
+    """Paints a stroke, which is sent as a correction of its kind."""
 
     #: In whose colour it is drawn.
     side: Side = "inside"
@@ -163,7 +163,7 @@ class StrokeTool(Tool):
         #: Pieces of the stroke, each a line of places.
         self._pieces: list[list[Place]] = []
         self._mark = 0
-        #: Strokes that were sent, and what waits for the surface to obey.
+        #: Corrections that were sent, each with its stroke, which is drawn until the surface obeys.
         self.sent: list[tuple[int, Future[Any]]] = []
 
     @property
@@ -208,7 +208,7 @@ class StrokeTool(Tool):
         self._pieces, self._mark = [], 0
 
     def send(self, pieces: Sequence[Sequence[Place]]) -> Future[None]:
-        """Have the session make the stroke."""
+        """Have the session make the correction."""
         raise NotImplementedError
 
     def end_obeyed(self) -> None:
@@ -219,7 +219,7 @@ class StrokeTool(Tool):
         self.sent = [(mark, future) for mark, future in self.sent if not future.done()]
 
 
-class Inside(StrokeTool):
+class Inside(CorrectionTool):
     """Says what is inside."""
 
     name, key, text = "inside", "I", "Inside"
@@ -238,7 +238,7 @@ class Outside(Inside):
     tip = "Click, or draw a stroke, in a slice or on the surface: this is not in the object, and stays out of it"
 
 
-class Grow(StrokeTool):
+class Grow(CorrectionTool):
     """Adds what the brush covers."""
 
     kind: Literal["add", "remove"] = "add"
@@ -259,7 +259,7 @@ class Shrink(Grow):
     tip = "Press and drag in a slice or on the surface: remove what the brush covers"
 
 
-class StrokesFeature(Feature):
+class CorrectionsFeature(Feature):
     """The tools that paint."""
 
     def __init__(self, actions: AllActions) -> None:

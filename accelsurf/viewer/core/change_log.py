@@ -60,13 +60,9 @@ class ChangeLog:
         """All changes in their order, those that are undone last; the same object until something changes."""
         return self._lines
 
-    def add(self, before: Moment, line: str, joined: bool = False) -> None:
-        """Note what was in force before a change that has been made; what was undone is forgotten.
-
-        One that is ``joined``, a further ball of a stroke, is undone together with the change before it.
-        """
-        if not (joined and self._done and not self._undone):
-            self._done.append(_Change(line, before))
+    def add(self, before: Moment, line: str) -> None:
+        """Note what was in force before a change that has been made; what was undone is forgotten."""
+        self._done.append(_Change(line, before))
         self._undone.clear()
         self._renew()
 
@@ -175,7 +171,7 @@ def _word(value: Any) -> Any:
 
 
 def clicks_in_words(side: Side, where: Sequence[str], object_id: int | None = None) -> str:
-    """Return the clicks of one stroke in words.
+    """Return the clicks of a correction in words.
 
     Examples
     --------

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from accelsurf.clicks.reading import on_image
 from accelsurf.evolution.records import StepFields, StepRecord
 from accelsurf.grid import pyramid
-from accelsurf.grid.boxes import bounding_box, corner_of
+from accelsurf.grid.boxes import Box, bounding_box, corner_of
 from accelsurf.output.pictures.preview_content import ClickMark, marks_of
 
 if TYPE_CHECKING:
@@ -171,6 +171,16 @@ class SurfaceFrame:
         place = np.rint(self.from_image(index)).astype(int)
         is_there = (place >= 0).all() and (place < self.psi.shape).all()
         return bool(is_there and self.psi[tuple(place)] < 0)
+
+    def inside(self, box: Box) -> NDArray[np.bool_]:
+        """Return which voxels of a box of the image, or every so many of them, are inside."""
+        ranges = [np.arange(side.start, side.stop, side.step or 1) for side in box]
+        axes = [np.rint(self.from_image(np.stack([at] * 3, -1))[:, axis]).astype(int) for axis, at in enumerate(ranges)]
+        valid = [(at >= 0) & (at < n) for at, n in zip(axes, self.psi.shape, strict=True)]
+        inside = np.zeros([len(at) for at in axes], bool)
+        here = [at[part] for at, part in zip(axes, valid, strict=True)]
+        inside[np.ix_(*valid)] = self.psi[np.ix_(*here)] < 0
+        return inside
 
     @property
     def _stands_for(self) -> int:

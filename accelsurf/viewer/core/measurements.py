@@ -1,7 +1,4 @@
-"""Distances and angles that a person measures, in world mm; not part of a run.
-
-The figures of the objects of a session, as they are now: those of `NAME_statistics.csv`.
-"""
+"""Measures in a session: mesh statistics and diameters of its objects; distances and angles that a person draws."""
 
 from __future__ import annotations
 

@@ -1,6 +1,5 @@
-"""Opening in the viewer: an image, one of several in a folder, a phantom; and how it is read.
-
-A folder in which a page may choose images: nothing outside of it is named or opened.
+"""Reading of what is opened in the viewer: an image, one of several in a folder, a phantom; from a served folder alone
+where a page asks.
 """
 
 from __future__ import annotations
@@ -82,6 +81,13 @@ class OpenedImage:
             self.volume, self.config, name=self.name, source=self.source, checkpoint_mb=checkpoint_mb,
             channels=self.channels, begin=begin,
         )
+
+
+class ImageWithSession(NamedTuple):
+    """An image that was read, and the session of it that has begun."""
+
+    image: OpenedImage
+    session: Session
 
 
 def for_another_image(config: RunConfig) -> RunConfig:
@@ -275,13 +281,6 @@ def read_reference(path: Path, geometry: Geometry) -> Volume:
 
 #: So many names of a folder are listed.
 MAX_ENTRIES = 500
-
-
-class ShownImage(NamedTuple):
-    """An image that is shown, and its session."""
-
-    image: OpenedImage
-    session: Session
 
 
 class Entry(NamedTuple):

@@ -3,8 +3,7 @@
 Its methods may be called from any thread. Commands (`play`, `pause`, `change`, ...) return a Future at once and are
 carried out between two steps; `next_view` returns what is new to be drawn. What the user did is stored as the edits of
 the configuration, so that `save` writes a ``run.toml`` that makes the same bytes from the command line.
-
-Uncertain places of a finished run, where to click next: those whose surface has the least evidence.
+When the run has ended, its uncertain locations are found: where the surface has the least evidence.
 """
 
 from __future__ import annotations
@@ -27,45 +26,17 @@ from accelsurf.run.result import Result, SegmentedObject
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
-from accelsurf.viewer.core.status import SAVED_KINDS, Doubt, Status, View, ViewSlot, error_line
+from accelsurf.viewer.core.status import SAVED_KINDS, Status, UncertainLocation, View, ViewSlot, error_line
 
 if TYPE_CHECKING:
-    from accelsurf.run.result import Result
     from accelsurf.run.run import Run
     from accelsurf.viewer.core.measurements import Figures
     from accelsurf.viewer.core.object_commands import ObjectCommands
     from accelsurf.viewer.core.timeline import Timeline
 
 
-#: Seconds without a command after which doubts are looked for.
-QUIET = 0.4
-
-
-class DoubtWatch:
-    """When the doubts of a session are looked for: once for each state after the run's end, when nothing else is asked.
-
-    Looking takes tenths of a second on a large object, which the next command must not wait for.
-    """
-
-    def __init__(self) -> None:
-        self._looked_at, self._busy_until = -1, 0.0
-
-    def is_wanted(self, version: int, has_ended: bool) -> bool:
-        """Return True if this version of the state has not been looked at."""
-        return has_ended and self._looked_at != version
-
-    def postpone(self) -> None:
-        """Something was done: wait again until it has been quiet for some time."""
-        self._busy_until = time.perf_counter() + QUIET
-
-    def find(self, version: int, run: Run, corrected: Result | None) -> tuple[Doubt, ...] | None:
-        """The doubts of a version of the state; None while it is not quiet yet."""
-        from accelsurf.correct.finished import result_of
-
-        if time.perf_counter() < self._busy_until:
-            return None
-        self._looked_at = version
-        return doubts_of(corrected if corrected is not None else result_of(run))
+#: Seconds without a command after which uncertain locations are looked for.
+IDLE = 0.4
 
 
 #: Voxels of a frame while the run plays; a frame of a paused run has all of them.
@@ -132,7 +103,7 @@ class Session:
         self._config, self._checkpoint_mb, self._channels = config, checkpoint_mb, tuple(channels)
         self._commands, self._views = CommandQueue(), ViewSlot()
         #: Counts what changes the picture: steps and commands.
-        self._version, self._doubts = 0, DoubtWatch()
+        self._version, self._uncertainty = 0, UncertaintyWatch()
         self._status = Status.preparing(config, "preparing", False)
         #: Set when the image is prepared; has the error if it could not be.
         self.ready: Future[None] = Future()
@@ -167,8 +138,8 @@ class Session:
     def next_view(self, drawing_seconds: float = 0.0) -> View | None:
         """Return what is new to be drawn, or None; and ask for the next.
 
-        Views are made only when asked for, at most `view_slot.FRAME_RATE` a second, and so that making and drawing
-        them takes at most the share `view_slot.DRAWING_SHARE` of the time while the run plays.
+        Views are made only when asked for, at most `status.FRAME_RATE` a second, and so that making and drawing
+        them takes at most the share `status.DRAWING_SHARE` of the time while the run plays.
 
         Parameters
         ----------
@@ -263,28 +234,21 @@ class Session:
         """
         return self._do(lambda timeline: timeline.files.change(settings))
 
-    def edit_ball(
-        self, kind: Literal["add", "remove"], ball: str, object_id: int | None = None, joined: bool = False
-    ) -> Future[None]:
-        """Add a ball, ``ball:X,Y,Z,R``, to an object, or remove one from it, see `edit_balls`."""
-        return self.edit_balls(kind, (ball,), object_id, joined)
-
     def edit_balls(
-        self, kind: Literal["add", "remove"], balls: Sequence[str], object_id: int | None = None, joined: bool = False
+        self, kind: Literal["add", "remove"], balls: Sequence[str], object_id: int | None = None
     ) -> Future[None]:
-        """Add balls, ``ball:X,Y,Z,R``, to an object, or remove them from it: one change.
+        """Add balls, ``ball:X,Y,Z,R``, to an object, or remove them from it: one correction.
 
-        Of several objects it is the one with this id, or else the one that is nearest to the first ball's centre. A
-        change that is ``joined``, a further part of a stroke, is undone together with the change before it. What is no
-        ball or lies outside is refused.
+        Of several objects it is the one with this id, or else the one that is nearest to the first ball's centre. What
+        is no ball or lies outside is refused.
         """
         texts = tuple(balls)
-        return self._do(lambda timeline: timeline.edit_balls(kind, texts, object_id, joined))
+        return self._do(lambda timeline: timeline.edit_balls(kind, texts, object_id))
 
     def add_click(self, side: Side, where: str | Sequence[str], object_id: int | None = None) -> Future[None]:
         """Say of voxels that they are in the object, or are not, as `--inside` takes them: balls, points, paths.
 
-        Several at once are one stroke: one change. They take voxels that they contradict from earlier ones. While the
+        Several at once are one correction. They take voxels that they contradict from earlier ones. While the
         run goes on they are an edit; after its end a correction, as `accelsurf refine` makes it. Of several objects it
         is the one with this id, or else the one that is nearest to where the first begins. What is no place, lies
         outside, or would leave nothing clicked inside is refused.
@@ -410,8 +374,8 @@ class Session:
     def _carry_out_commands(self, timeline: Timeline) -> None:
         """Carry out commands, and make steps while the timeline plays, until the session is closed."""
         while True:
-            looks = self._doubts.is_wanted(self._version, timeline.stop is not None) and not timeline.is_playing
-            command = self._commands.next(not timeline.is_playing, QUIET if looks else None)
+            looks = self._uncertainty.is_wanted(self._version, timeline.stop is not None) and not timeline.is_playing
+            command = self._commands.next(not timeline.is_playing, IDLE if looks else None)
             if command is not None:
                 self._carry_out(command, timeline)
             elif self._commands.is_closed:
@@ -419,7 +383,7 @@ class Session:
             elif timeline.is_playing:
                 self._step(timeline)
             elif looks:
-                self._look_for_doubts(timeline)
+                self._look_for_uncertain(timeline)
             if self._commands.is_empty:
                 self._make_view(timeline)
             if not timeline.is_playing:
@@ -455,19 +419,19 @@ class Session:
     def _report(self, timeline: Timeline, error: Exception | None = None) -> None:
         """Renew the status after something was done, well or with an error."""
         self._version += 1
-        self._doubts.postpone()
+        self._uncertainty.postpone()
         message = timeline.message if error is None else error_line(error)
         self._status = timeline.status(message, error is not None)
 
-    def _look_for_doubts(self, timeline: Timeline) -> None:
-        """Find where to click next, when it has been quiet for some time."""
+    def _look_for_uncertain(self, timeline: Timeline) -> None:
+        """Find where to click next, when it has been idle for some time."""
         try:
-            found = self._doubts.find(self._version, timeline.run, timeline.corrections.result())
+            found = self._uncertainty.find(self._version, timeline.run, timeline.corrections.result())
         except Exception as error:
             self._status = self._status._replace(message=error_line(error), failed=True)
             return
         if found is not None:
-            self._status = self._status._replace(doubts=found)
+            self._status = self._status._replace(uncertain=found)
 
     def _show_progress(self, message: str) -> None:
         """Renew the message while a command is being carried out."""
@@ -516,23 +480,50 @@ def _diameters(timeline: Timeline, object_id: int) -> Diameters:
 
 #: Places that are offered, of all objects together.
 COUNT = 5
-#: Below this share of doubt there is nothing to click.
+#: Below this uncertainty there is nothing to click.
 MIN_SHARE = 0.1
 
 
-def doubts_of(result: Result) -> tuple[Doubt, ...]:
-    """Return the most doubtful places of a result, the first of each object as `Quality.next_click` has it.
+class UncertaintyWatch:
+    """Decides when uncertain locations are looked for: once for each state after the run's end, when nothing is asked.
+
+    Looking takes tenths of a second on a large object, which the next command must not wait for.
+    """
+
+    def __init__(self) -> None:
+        self._looked_at, self._busy_until = -1, 0.0
+
+    def is_wanted(self, version: int, has_ended: bool) -> bool:
+        """Return True if this version of the state has not been looked at."""
+        return has_ended and self._looked_at != version
+
+    def postpone(self) -> None:
+        """Something was done: wait again until it has been idle for some time."""
+        self._busy_until = time.perf_counter() + IDLE
+
+    def find(self, version: int, run: Run, corrected: Result | None) -> tuple[UncertainLocation, ...] | None:
+        """Return the uncertain locations of a version of the state; None while it is not idle yet."""
+        from accelsurf.correct.finished import result_of
+
+        if time.perf_counter() < self._busy_until:
+            return None
+        self._looked_at = version
+        return uncertain_locations(corrected if corrected is not None else result_of(run))
+
+
+def uncertain_locations(result: Result) -> tuple[UncertainLocation, ...]:
+    """Return the most uncertain locations of a result, the first of each object as `Quality.next_click` has it.
 
     Parameters
     ----------
     result : Result
         Of a run that has ended.
     """
-    ranked = [(rank, doubt) for segmented in result.objects for rank, doubt in enumerate(_doubts(segmented))]
-    return tuple(doubt for _, doubt in sorted(ranked, key=lambda entry: (entry[0], -entry[1].share))[:COUNT])
+    ranked = [entry for segmented in result.objects for entry in enumerate(_uncertain_in(segmented))]
+    return tuple(location for _, location in sorted(ranked, key=lambda entry: (entry[0], -entry[1].share))[:COUNT])
 
 
-def _doubts(segmented: SegmentedObject) -> list[Doubt]:
+def _uncertain_in(segmented: SegmentedObject) -> list[UncertainLocation]:
     inside = segmented.psi < 0
     evidence = gather(inside, segmented.image, segmented.geometry.spacing, segmented.clicked)
     if evidence is None:
@@ -542,5 +533,5 @@ def _doubts(segmented: SegmentedObject) -> list[Doubt]:
     for index, share in uncertain_places(evidence, segmented.geometry.spacing, volume, COUNT):
         x, y, z = (float(v) for v in segmented.geometry.index_to_world(np.array(index, float)))
         if share >= MIN_SHARE:
-            out.append(Doubt((x, y, z), share, segmented.id))
+            out.append(UncertainLocation((x, y, z), share, segmented.id))
     return out

@@ -20,8 +20,8 @@ from accelsurf.viewer.core.frame import Frame
 SAVED_KINDS = ("labels", "mesh", "picture", "trace", "report", "run")
 
 
-class Doubt(NamedTuple):
-    """A doubtful place: ``world`` (x, y, z), mm LPS, ``share`` of doubt there, 0 to 1, and whose surface it is on."""
+class UncertainLocation(NamedTuple):
+    """An uncertain location: ``world`` (x, y, z), mm LPS, the ``share`` of uncertainty there, and its object."""
 
     world: tuple[float, float, float]
     share: float
@@ -67,8 +67,8 @@ class Status(NamedTuple):
         What was changed, in order, and what of it is undone.
     rests : tuple of int
         Steps in which the surface rested before it broke through, and that have been made.
-    doubts : tuple of Doubt
-        Where to click next, the most doubtful place first; found some time after the run's end.
+    uncertain : tuple of UncertainLocation
+        Where to click next, the most uncertain location first; found some time after the run's end.
     terms : sequence of dict
         Of the energy of the first object, with every setting resolved, see `ResolvedEnergy`.
     """
@@ -90,7 +90,7 @@ class Status(NamedTuple):
     refinements: tuple[Correction, ...] = ()
     changes: tuple[ChangeLine, ...] = ()
     rests: tuple[int, ...] = ()
-    doubts: tuple[Doubt, ...] = ()
+    uncertain: tuple[UncertainLocation, ...] = ()
     terms: Sequence[dict[str, Any]] = ()
 
     @classmethod

@@ -403,9 +403,7 @@ class Timeline:
             self._replace_edits(altered, said)
         self._message = said
 
-    def edit_balls(
-        self, kind: Literal["add", "remove"], balls: tuple[str, ...], object_id: int | None, joined: bool
-    ) -> None:
+    def edit_balls(self, kind: Literal["add", "remove"], balls: tuple[str, ...], object_id: int | None) -> None:
         """Add balls to an object (``add``), or remove them from it (``remove``), see `Session.edit_balls`.
 
         Raises
@@ -418,7 +416,7 @@ class Timeline:
             return self.add_click("inside" if kind == "add" else "outside", balls, object_id)
         rows = [{"step": self.step_number, kind: ball, "object": self.objects.of_run(object_id)} for ball in balls]
         said = balls_in_words(kind, balls, object_id)
-        self._replace_edits((*self._edits_so_far(), *RunConfig(edit=rows).edit), said, joined)
+        self._replace_edits((*self._edits_so_far(), *RunConfig(edit=rows).edit), said)
         self._message = said
         return None
 
@@ -526,7 +524,7 @@ class Timeline:
     def _edits_so_far(self) -> tuple[Correction, ...]:
         return tuple(edit for edit in self.run.config.edit if edit.step <= self.step_number)
 
-    def _replace_edits(self, edits: tuple[Correction, ...], said: str, joined: bool = False) -> None:
+    def _replace_edits(self, edits: tuple[Correction, ...], said: str) -> None:
         """Continue with other edits from the present step; the steps made after it are forgotten."""
         run, step, before = self.run, self.step_number, self._now()
         if edits == before.config.edit and run.stop is None:
@@ -540,7 +538,7 @@ class Timeline:
         run.set_edits(edits)
         self.checkpoints.drop_after(step)
         self.corrections.leave()
-        self.log.add(before, said, joined)
+        self.log.add(before, said)
 
     # -- files --------------------------------------------------------------------------------------------
 

@@ -1,9 +1,8 @@
 """The scene in a page: a session steered from a browser on this machine, served by trame; before that the start page.
 
-The page shows pictures of the same scene as the window, drawn here, and sends requests, which `requests` checks. It
-loads nothing from elsewhere. Whoever has the token of the address can change the run; nobody else is answered.
-
-Document of the page: its panels, its picture, its keys, and what happens to a file that is dropped on it.
+The page shows pictures of the same scene as the window, drawn here, and sends requests; each is checked. Its document
+has panels, the picture, keys, and takes files that are dropped on it; it loads nothing from elsewhere. Whoever has the
+token of the address can change the run; nobody else is answered.
 """
 
 from __future__ import annotations
@@ -32,13 +31,13 @@ from PIL import Image
 
 from accelsurf.errors import AccelsurfError, OutputError, UsageError
 from accelsurf.image.grey_window import parse_window
+from accelsurf.viewer.actions.actions import Actions, IdleDrawing
 from accelsurf.viewer.actions.files import FilesFeature
-from accelsurf.viewer.actions.opening import FormerSessions, Opening, ResultFolders
+from accelsurf.viewer.actions.opening import Opening, ViewerSettings
 from accelsurf.viewer.actions.picture import PictureFeature
 from accelsurf.viewer.actions.tool import help_rows
-from accelsurf.viewer.actions.workplace import Actions, IdleDrawing
-from accelsurf.viewer.core.opening import OpenedImage, ShownImage
-from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
+from accelsurf.viewer.core.opening import ImageWithSession, OpenedImage
+from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import error_line
 from accelsurf.viewer.page.guard import LOCAL, PageGuard
 from accelsurf.viewer.page.uploads import PageUploads
@@ -58,20 +57,13 @@ class Page:
     Parameters
     ----------
     opening : Opening
-    folder : Path
-        Where files are saved, and downloaded from.
-    uploads : Path
-        An empty folder for what is uploaded.
+    settings : ViewerSettings
+    temporary : Path
+        An empty folder: for uploads, and for what is saved where the settings name no folder.
     host : str, optional
         Address to listen on; by default of this machine alone.
     port : int, optional
         0 takes a free one.
-    overwrite : bool, optional
-        Replace files in the folder that a session has not written.
-    theme : str, optional
-        "dark" or "light".
-    checkpoint_mb : float, optional
-        Memory for stored steps, MB.
 
     Attributes
     ----------
@@ -89,20 +81,12 @@ class Page:
     """
 
     def __init__(
-        self,
-        opening: Opening,
-        folder: Path,
-        uploads: Path,
-        host: str = LOCAL,
-        port: int = 0,
-        overwrite: bool = False,
-        theme: str = "dark",
-        checkpoint_mb: float = CHECKPOINT_MB,
+        self, opening: Opening, settings: ViewerSettings, temporary: Path, host: str = LOCAL, port: int = 0
     ) -> None:
-        self.opening, self._theme, self._overwrite, self._checkpoint_mb = opening, theme, overwrite, checkpoint_mb
+        self.opening, self._settings = opening, settings
         self.actions: Actions | None = None
-        self._folders = ResultFolders(folder)
-        self._former = FormerSessions()
+        self._folder, uploads = settings.folder or temporary, temporary / "uploads"
+        uploads.mkdir()
         #: The room that the page has said the picture has, and its pixels; nothing before.
         self._room: tuple[Any, ...] = ()
         self.token, self.address = secrets.token_hex(24), ""
@@ -123,7 +107,8 @@ class Page:
     def _make_server(self) -> Any:
         get_server, layout, style = _import_trame()
         server = get_server(f"accelsurf-{self.token[:8]}", client_type="vue3")
-        server.state.update({"trame__title": "accelsurf", "theme": self._theme, "picture": "", **self._state()})
+        first = {"trame__title": "accelsurf", "theme": self._settings.theme, "picture": ""}
+        server.state.update(first | self._state())
         server.state.upload_to = f"upload?secret={self.token}&name="
         server.trigger("ask")(self._ask)
         server.trigger("shown")(self._was_shown)
@@ -183,16 +168,17 @@ class Page:
             When it cannot be drawn; what was shown stays.
         """
         self._loading.join()
-        former = self.actions
+        settings, former = self._settings, self.actions
+        theme = settings.theme if former is None else former.scene.theme_name
         scene = Scene(
-            opened.volume, theme=self._theme if former is None else former.scene.theme_name, reference=opened.reference,
+            opened.volume, theme=theme, reference=opened.reference,
             title=None if opened.source is not None else opened.name, window=parse_window(opened.config.window),
         )
         if former is not None:
-            self._former.add(former)
             former.scene.close()
-        session = opened.session(self._checkpoint_mb) if session is None else session
-        self.actions = Actions(session, scene, self._folders.of_next(opened.name), self._overwrite, opened.frames)
+        session = opened.session(settings.checkpoint_mb) if session is None else session
+        folder = self.opening.results_of_next(self._folder, opened.name)
+        self.actions = Actions(session, scene, folder, settings.overwrite, opened.frames)
         self.idle = IdleDrawing(self.actions)
         if self._room:
             self.actions.request("size", *self._room)
@@ -212,9 +198,8 @@ class Page:
     def close(self) -> None:
         """Close the image; sessions finish what was asked of them."""
         if self.actions is not None:
-            self._former.add(self.actions)
             self.actions.scene.close()
-        self._former.close()
+        self.opening.close()
 
     # -- serving ------------------------------------------------------------------------------------------
 
@@ -327,11 +312,8 @@ def _import_trame() -> tuple[Any, Any, Any]:
 
 def serve(
     opening: Opening,
-    first: ShownImage | None,
-    folder: Path | None,
-    theme: str,
-    overwrite: bool = False,
-    checkpoint_mb: float = CHECKPOINT_MB,
+    first: ImageWithSession | None,
+    settings: ViewerSettings,
     host: str = LOCAL,
     port: int = 0,
     on_ready: Callable[[str], None] | None = None,
@@ -341,16 +323,10 @@ def serve(
     Parameters
     ----------
     opening : Opening
-    first : ShownImage or None
+    first : ImageWithSession or None
         The image that is open at first; None for the start page.
-    folder : Path or None
-        Where files are saved; None: a folder that is deleted at the end, from which they can be downloaded.
-    theme : str
-        "dark" or "light".
-    overwrite : bool, optional
-        Replace files there that a session has not written.
-    checkpoint_mb : float, optional
-        Memory for stored steps, MB.
+    settings : ViewerSettings
+        What is saved in a temporary folder can be downloaded; it is deleted at the end.
     host, port : str, int, optional
         As of `Page`.
     on_ready : callable, optional
@@ -366,10 +342,8 @@ def serve(
         When nothing can be drawn here.
     """
     with contextlib.ExitStack() as stack:
-        temporary = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="accelsurf-")))
-        uploads = temporary / "uploads"
-        uploads.mkdir()
-        page = Page(opening, folder or temporary, uploads, host, port, overwrite, theme, checkpoint_mb)
+        temporary = stack.enter_context(tempfile.TemporaryDirectory(prefix="accelsurf-"))
+        page = Page(opening, settings, Path(temporary), host, port)
         stack.callback(page.close)
         if first is not None:
             page.open(*first)

@@ -90,13 +90,13 @@ class BoxOverlay:
         if box is None:
             return {}
         reach = REACH * self._scene.tiles.pixel_ratio * tile.mm_per_pixel()
-        for axis in (other for other in range(3) if other != tile.axis):
+        for axis in (other for other in range(3) if other != tile.stack.axis):
             step = self._scene.geometry.spacing[axis]
             away = [abs(index[axis] - box.low[axis] + 0.5) * step, abs(index[axis] - box.high[axis] - 0.5) * step]
             if min(away) <= reach:
                 found[axis] = int(away[1] < away[0])
         # A side ends at the corners.
-        for axis in (other for other in range(3) if other != tile.axis):
+        for axis in (other for other in range(3) if other != tile.stack.axis):
             margin = reach / self._scene.geometry.spacing[axis]
             if not box.low[axis] - 0.5 - margin <= index[axis] <= box.high[axis] + 0.5 + margin:
                 return {}

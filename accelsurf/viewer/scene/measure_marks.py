@@ -15,6 +15,7 @@ from accelsurf.viewer.core.measurements import Measurement
 from accelsurf.viewer.scene.colors import MEASURE, RIM
 from accelsurf.viewer.scene.overlay import Label, Pixels
 from accelsurf.viewer.scene.redraw import Redraw
+from accelsurf.viewer.scene.shapes import path_lines
 from accelsurf.viewer.scene.slices import SliceTile
 from accelsurf.viewer.scene.space import SpaceTile
 
@@ -84,7 +85,7 @@ class MeasureMarks:
 
     def show(self, marks: Sequence[Mark]) -> None:
         """Draw these, in place of those before."""
-        lines = _polylines([path for mark in marks for path in mark.paths])
+        lines = path_lines([path for mark in marks for path in mark.paths])
         ends = np.concatenate([np.zeros((0, 3)), *(mark.ends for mark in marks)])
         points = pv.PolyData(ends) if len(ends) else pv.PolyData()
         for overlay, mesh in ((self._rim, lines), (self._lines, lines), (self._ends, points)):
@@ -189,14 +190,3 @@ def _arc(points: Floats) -> tuple[Floats, ...]:
         return ()
     turn = np.linspace(0.0, np.arctan2(size, second @ first), 25)[:, None]
     return (points[1] + ARC * min(lengths) * (np.cos(turn) * first + np.sin(turn) * across / size),)
-
-
-def _polylines(paths: Sequence[Floats]) -> pv.PolyData:
-    """Paths (n, 3) as lines."""
-    if not paths:
-        return pv.PolyData()
-    cells, first = [], 0
-    for path in paths:
-        cells += [len(path), *range(first, first + len(path))]
-        first += len(path)
-    return pv.PolyData(np.concatenate(paths), lines=np.array(cells))

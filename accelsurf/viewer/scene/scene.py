@@ -81,7 +81,7 @@ class Scene:
     unit : str
         Of lengths in the file, and in read-outs.
     marks : Marks
-        Strokes that are painted, and doubtful places.
+        Strokes that are painted, and uncertain locations.
 
     Raises
     ------

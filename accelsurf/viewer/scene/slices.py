@@ -185,11 +185,6 @@ class SliceTile:
     # -- places -------------------------------------------------------------------------------------------
 
     @property
-    def axis(self) -> int:
-        """Array axis of the image that is nearest to across."""
-        return self.stack.axis
-
-    @property
     def across(self) -> float:
         """Coordinate of the slice that is shown, across it, mm."""
         return self.stack.across(self.index)
@@ -200,13 +195,8 @@ class SliceTile:
         return self.stack.is_straight, self.index
 
     @property
-    def extent(self) -> tuple[float, float, float, float]:
-        """Left, right, bottom, top of the image in the tile's plane, mm; the outer faces of its border voxels."""
-        return self.stack.extent
-
-    @property
     def _center(self) -> NDArray[np.float64]:
-        left, right, bottom, top = self.extent
+        left, right, bottom, top = self.stack.extent
         return np.array([0.5 * (left + right), 0.5 * (bottom + top)])
 
     def to_tile(self, indices: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -237,7 +227,7 @@ class SliceTile:
         if index != self.index:
             self.index = index
             self._show_values()
-        left, right, bottom, top = self.extent
+        left, right, bottom, top = self.stack.extent
         x, y = self.to_tile(np.asarray(cursor, float))
         cross = np.array([[[left, y], [right, y]], [[x, bottom], [x, top]]])
         self._draw_lines("cursor", cross, CURSOR, 1.0, 0.45)
@@ -248,7 +238,7 @@ class SliceTile:
         """Show other slices of the image, the one nearest to an index (z, y, x), as a whole."""
         self.stack, self.index = stack, -1
         for actor, depth in self._pictures:
-            actor.mapper.SetInputData(polygon(self._corners, self.extent, depth))
+            actor.mapper.SetInputData(polygon(self._corners, self.stack.extent, depth))
         self.show_whole()
         self.show(cursor)
 
@@ -256,7 +246,7 @@ class SliceTile:
         """Draw the image in the slice, as far as it reaches."""
         last = np.array(self._image.shape) - 1
         corners = self.stack.outline(self.across, (0, 0, 0), last) if self.stack.is_straight else self._corners
-        self._picture.mapper.SetInputData(polygon(corners, self.extent))
+        self._picture.mapper.SetInputData(polygon(corners, self.stack.extent))
         self._values = self.stack.values(self._image, self.index, self._is_smooth)
         self._show_grey()
 
@@ -267,7 +257,7 @@ class SliceTile:
 
     @property
     def _corners(self) -> NDArray[np.float64]:
-        left, right, bottom, top = self.extent
+        left, right, bottom, top = self.stack.extent
         return np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
 
     def in_space(self) -> tuple[pv.PolyData, NDArray[np.uint8]]:
@@ -331,7 +321,7 @@ class SliceTile:
 
     def mark_places(self, places: NDArray[np.float64]) -> None:
         """Draw a diamond in a larger one at each of these indices (z, y, x), (n, 3), that lies in this slice."""
-        left, right, bottom, top = self.extent
+        left, right, bottom, top = self.stack.extent
         here = self.to_tile(places[np.rint(self.stack.place_number(places)) == self.index].reshape(-1, 3))
         corners = ARM * max(right - left, top - bottom) * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
         sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
@@ -340,7 +330,7 @@ class SliceTile:
 
     def add_picture(self, texture: Texture, depth: float) -> pv.Actor:
         """Draw a picture of the whole slice; what has a larger ``depth`` lies over what has a smaller one."""
-        actor = add_actor(self.renderer, polygon(self._corners, self.extent, depth), "white")
+        actor = add_actor(self.renderer, polygon(self._corners, self.stack.extent, depth), "white")
         actor.SetTexture(texture.texture)
         self._pictures.append((actor, depth))
         return actor
@@ -348,7 +338,7 @@ class SliceTile:
     def _draw_clicks(self, frame: Frame) -> None:
         """Draw the clicks that this slice cuts: + inside, x outside."""
         arms: dict[str, list[NDArray[np.float64]]] = {"inside": [], "outside": []}
-        left, right, bottom, top = self.extent
+        left, right, bottom, top = self.stack.extent
         arm = ARM * max(right - left, top - bottom)
         for mark in frame.clicks:
             low, high = ([getattr(side, end) for side in mark.box] for end in ("start", "stop"))
@@ -392,7 +382,7 @@ class SliceTile:
         self._aim()
         self._bar.fit(pixels)
         if self._letters:
-            left, right, bottom, top = self.extent
+            left, right, bottom, top = self.stack.extent
             scale = 2.0 * self.renderer.camera.parallel_scale
             room = LETTER * pixels.text / height
             self._place_letters((right - left) * height / width / scale, (top - bottom) / scale, room)
@@ -402,7 +392,7 @@ class SliceTile:
     def _fitted(self) -> float:
         """Half the mm that the tile must be high for the whole slice to be seen."""
         width, height = self.renderer.GetSize()
-        left, right, bottom, top = self.extent
+        left, right, bottom, top = self.stack.extent
         return 0.5 * max(top - bottom, (right - left) * height / max(width, 1)) / FILL
 
     def _aim(self) -> None:
@@ -425,7 +415,7 @@ class SliceTile:
 
     def _move(self, right_mm: float, up_mm: float) -> None:
         """Move the camera by mm in the tile's plane; never so far that the slice is out of sight."""
-        left, right, bottom, top = self.extent
+        left, right, bottom, top = self.stack.extent
         self._middle = np.clip(self._middle + np.array([right_mm, up_mm]), [left, bottom], [right, top])
         self._aim()
         self.mark()

@@ -33,14 +33,17 @@ class Picked(NamedTuple):
     world: NDArray[np.float64] | None
 
 
-def place_in_renderer(renderer: pv.Renderer, x: float, y: float) -> tuple[float, float] | None:
-    """Place of a pixel of the window in a renderer, each coordinate from 0 to 1; None outside it."""
+def place_in_renderer(renderer: pv.Renderer, x: float, y: float, beside: bool = False) -> tuple[float, float] | None:
+    """Return the place of a pixel of the window in a renderer, each coordinate from 0 to 1.
+
+    None outside it, unless places ``beside`` it are wanted too; None where the renderer is not shown.
+    """
     width, height = renderer.GetRenderWindow().GetSize()
     left, bottom, right, top = renderer.GetViewport()
     if right <= left or top <= bottom:
         return None
     place = ((x / width - left) / (right - left), (y / height - bottom) / (top - bottom))
-    return place if all(0 <= part < 1 for part in place) else None
+    return place if beside or all(0 <= part < 1 for part in place) else None
 
 
 #: Most voxels along an axis that are drawn; more take too long.

@@ -51,7 +51,7 @@ class Tiles:
     Attributes
     ----------
     layout : str
-        How they lie, one of `layouts.LAYOUTS`.
+        How they lie, one of `LAYOUTS`.
     large : str
         The tile that the layouts ``one`` and ``single`` show large.
     shows_chart : bool

@@ -8,9 +8,9 @@ from PySide6.QtCore import QEvent, QObject, QPointF, Qt
 from PySide6.QtGui import QEventPoint, QInputDevice, QMouseEvent, QNativeGestureEvent, QTouchEvent, QWheelEvent
 from pyvistaqt import QtInteractor
 
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.mouse import LEFT, MIDDLE, RIGHT, ZOOM, MouseFeature
 from accelsurf.viewer.actions.slices import SlicesFeature
-from accelsurf.viewer.actions.workplace import Actions
 
 _BUTTONS = {Qt.MouseButton.LeftButton: LEFT, Qt.MouseButton.MiddleButton: MIDDLE, Qt.MouseButton.RightButton: RIGHT}
 _PRESSES = (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick)
@@ -51,11 +51,11 @@ class CanvasEvents(QObject):
             zoom = bool(event.modifiers() & Qt.KeyboardModifier.ControlModifier)
             turned = event.angleDelta().y()
             if turned:
-                self._ask("wheel", event.position(), turned / 120.0, zoom)
+                self._ask("scroll", event.position(), turned / 120.0, zoom)
             return True
         if isinstance(event, QNativeGestureEvent):
             if event.gestureType() == Qt.NativeGestureType.ZoomNativeGesture:
-                self._ask("wheel", event.position(), event.value() / (ZOOM - 1.0), True)
+                self._ask("scroll", event.position(), event.value() / (ZOOM - 1.0), True)
             return True
         if isinstance(event, QTouchEvent) and event.device().type() == QInputDevice.DeviceType.TouchScreen:
             self._touch(event)
@@ -82,16 +82,16 @@ class CanvasEvents(QObject):
             self._refresh()
 
     def _touch(self, event: QTouchEvent) -> None:
-        """Fingers on a screen."""
+        """Request what touches of a screen mean."""
         if event.type() == QEvent.Type.TouchCancel:
-            self._actions.request("finger_cancel")
+            self._actions.request("touch_cancel")
         for point in event.points():
             if point.state() == QEventPoint.State.Pressed:
-                self._request("finger_down", point.position(), point.id(), event.type() == QEvent.Type.TouchBegin)
+                self._request("touch_down", point.position(), point.id(), event.type() == QEvent.Type.TouchBegin)
             elif point.state() == QEventPoint.State.Updated:
-                self._request("finger_move", point.position(), point.id())
+                self._request("touch_move", point.position(), point.id())
             elif point.state() == QEventPoint.State.Released:
-                self._actions.request("finger_up", point.id())
+                self._actions.request("touch_up", point.id())
         self._refresh()
 
     def _ask(self, name: str, place: QPointF, *more: object) -> None:

@@ -1,6 +1,6 @@
-"""An image in the window: the scene, the panel of controls, the bar to move over steps; mouse and keys.
+"""An image in the window: the scene, the panels beside it, the bars to move over steps and frames; keys.
 
-The panels beside the scene: tools, and all others below.
+The panels of tools and of the history are here, with the buttons to undo, redo and save above all.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from PySide6.QtCore import Qt, QTimer
-from PySide6.QtGui import QAction, QCloseEvent, QKeySequence, QResizeEvent, QShowEvent
+from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
+from PySide6.QtGui import QAction, QCloseEvent, QKeySequence, QPalette, QResizeEvent, QShowEvent
 from PySide6.QtWidgets import (
     QApplication,
     QButtonGroup,
@@ -21,6 +21,8 @@ from PySide6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
     QLabel,
+    QListWidget,
+    QListWidgetItem,
     QMainWindow,
     QPushButton,
     QScrollArea,
@@ -31,19 +33,18 @@ from pyvistaqt import QtInteractor
 
 from accelsurf.image.grey_window import parse_window
 from accelsurf.image.volume import Volume
+from accelsurf.viewer.actions.actions import Actions, IdleDrawing
 from accelsurf.viewer.actions.slices import READ_OUT
-from accelsurf.viewer.actions.workplace import Actions, IdleDrawing
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import SIZE, Scene
 from accelsurf.viewer.window.appearance import page_of_help, palette, sheet
 from accelsurf.viewer.window.canvas_events import CanvasEvents
 from accelsurf.viewer.window.histogram_panel import HistogramPanel
-from accelsurf.viewer.window.history_panel import ChangesBar, HistoryPanel
 from accelsurf.viewer.window.measure_panel import MeasurePanel
 from accelsurf.viewer.window.objects_panel import ObjectsPanel
 from accelsurf.viewer.window.playback_bar import FrameBar, PlaybackBar
-from accelsurf.viewer.window.section_panel import Amount, OneLine, Section, framed
+from accelsurf.viewer.window.section_panel import Amount, OneLine, Section, button, framed, in_row
 from accelsurf.viewer.window.settings_panel import SettingsPanel
 from accelsurf.viewer.window.slices_panel import PicturePanel, SlicesPanel
 
@@ -313,6 +314,80 @@ class ToolsPanel(Section):
         self.tools[state["tool"]].setChecked(True)
         if not self.radius.is_being_moved:
             self.radius.show_value(state["radius_row"]["value"])
+
+
+class ChangesBar(QWidget):
+    """Buttons to undo, redo and save."""
+
+    save_wanted = Signal()
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__()
+        self.undo = button("Undo", "Undo the last change (Ctrl+Z)")
+        self.redo = button("Redo", "Make the undone change again (Ctrl+Shift+Z)")
+        self.save = button("Save", "Labels, mesh, picture, report and run.toml (Ctrl+S)")
+        self.undo.clicked.connect(lambda: actions.request("undo"))
+        self.redo.clicked.connect(lambda: actions.request("redo"))
+        self.save.clicked.connect(self.save_wanted)
+        row = in_row(self.undo, self.redo, self.save)
+        row.setContentsMargins(0, 0, 0, 0)
+        self.setLayout(row)
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show what can be undone."""
+        self.undo.setEnabled(state["undoable"] > 0)
+        self.redo.setEnabled(state["redoable"] > 0)
+        self.save.setEnabled(state["ready"] and not state["saving"])
+
+
+#: Lines of the history that are in sight at once.
+LINES = 4
+
+
+class HistoryPanel(Section):
+    """All changes; a click on one goes there."""
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__("History", actions)
+        self.list = QListWidget()
+        self.list.setAccessibleName("changes")
+        self.list.setToolTip("A click goes back, or forward again, to what was in force after that change")
+        self.list.setFixedHeight(LINES * self.list.fontMetrics().lineSpacing() + 14)
+        # A long line ends in an ellipsis, with all of it in its tip: a bar below would cover one of the few lines.
+        self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.list.itemClicked.connect(lambda item: self.ask("change", self.list.row(item)))
+        tip = "Go to the most doubtful place; again: the next one (N)"
+        self.next = self.button("Where to click next", tip, "next_uncertain")
+        self.where = QLabel("")
+        column = framed(QVBoxLayout(self.body))
+        column.addWidget(self.list)
+        row = in_row(self.next)
+        row.addWidget(self.where, 1)
+        column.addLayout(row)
+        self._shown: list[Any] = []
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show the changes, those that are undone in grey, and how many locations are uncertain."""
+        uncertain = state["uncertain"]
+        self.next.setEnabled(bool(uncertain))
+        at = state["uncertain_at"]
+        self.where.setText(f"{at} of {len(uncertain)}" if at else f"{len(uncertain)} places" if uncertain else "")
+        if state["changes"] == self._shown:
+            return
+        self._shown = state["changes"]
+        grey = self.palette().color(QPalette.ColorGroup.Disabled, QPalette.ColorRole.Text)
+        with QSignalBlocker(self.list):
+            self.list.clear()
+            self.list.addItem("0: as at first")
+            for change in self._shown:
+                item = QListWidgetItem(f"{change['number']}: {change['line']}")
+                item.setToolTip(f"{change['line']}, at step {change['step']}{'' if change['done'] else ', undone'}")
+                if not change["done"]:
+                    item.setForeground(grey)
+                self.list.addItem(item)
+            done = sum(change["done"] for change in self._shown)
+            self.list.setCurrentRow(done)
+            self.list.scrollToItem(self.list.item(done))
 
 
 #: In their order; that of the page is the same.

@@ -9,7 +9,7 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from accelsurf.viewer.actions.workplace import Actions
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.scene.colors import MARK, SURFACE
 from accelsurf.viewer.window.section_panel import Section, framed, show_switch
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import Qt, QTimer
@@ -12,9 +11,9 @@ from PySide6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent, QKe
 from PySide6.QtWidgets import QFileDialog, QMainWindow, QMenu
 
 from accelsurf.settings.file_formats import image_suffixes
-from accelsurf.viewer.actions.opening import FormerSessions, Opening, ResultFolders
+from accelsurf.viewer.actions.opening import Opening, ViewerSettings
 from accelsurf.viewer.core.opening import OpenedImage
-from accelsurf.viewer.core.session import CHECKPOINT_MB, Session
+from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import SIZE
 from accelsurf.viewer.window.appearance import palette, sheet
 from accelsurf.viewer.window.desktop import Window, application
@@ -30,14 +29,7 @@ class MainWindow(QMainWindow):
     Parameters
     ----------
     opening : Opening
-    folder : Path, optional
-        Where to save; otherwise the user is asked the first time.
-    theme : str
-        "dark" or "light".
-    overwrite : bool
-        Replace files in the folder that a session has not written.
-    checkpoint_mb : float
-        Memory for stored steps, MB.
+    settings : ViewerSettings
 
     Attributes
     ----------
@@ -47,19 +39,10 @@ class MainWindow(QMainWindow):
         Shown before.
     """
 
-    def __init__(
-        self,
-        opening: Opening,
-        folder: Path | None = None,
-        theme: str = "dark",
-        overwrite: bool = False,
-        checkpoint_mb: float = CHECKPOINT_MB,
-    ) -> None:
+    def __init__(self, opening: Opening, settings: ViewerSettings) -> None:
         super().__init__()
-        self.opening, self._theme, self._overwrite, self._checkpoint_mb = opening, theme, overwrite, checkpoint_mb
-        self._folders = ResultFolders(folder)
+        self.opening, self._settings = opening, settings
         self.inner: Window | None = None
-        self._former = FormerSessions()
         #: The session without whose run the window closes, until that is prepared.
         self._awaited: Session | None = None
         self._shown: dict[str, Any] = {}
@@ -68,8 +51,8 @@ class MainWindow(QMainWindow):
         self.resize(*SIZE)
         self.setAcceptDrops(True)
         self._add_menu()
-        application().setPalette(palette(theme))
-        self.setStyleSheet(sheet(theme))
+        application().setPalette(palette(settings.theme))
+        self.setStyleSheet(sheet(settings.theme))
         self.start_page: StartPage | None = StartPage(opening)
         self.start_page.file_wanted.connect(self.ask_file)
         self.start_page.folder_wanted.connect(self.ask_folder)
@@ -207,14 +190,14 @@ class MainWindow(QMainWindow):
             Close the window if the run cannot be prepared, unless another image is open by then; else the window says
             what is wrong.
         """
-        session = opened.session(self._checkpoint_mb, begin=False) if session is None else session
-        former, theme = self.inner, self._theme if self.inner is None else self.inner.scene.theme_name
-        folder = self._folders.of_next(opened.name)
-        self.inner = Window(session, opened.reference, folder, theme, self._overwrite, opened.frames)
+        settings, former = self._settings, self.inner
+        session = opened.session(settings.checkpoint_mb, begin=False) if session is None else session
+        theme = settings.theme if former is None else former.scene.theme_name
+        folder = self.opening.results_of_next(settings.folder, opened.name)
+        self.inner = Window(session, opened.reference, folder, theme, settings.overwrite, opened.frames)
         self.inner.setWindowFlags(Qt.WindowType.Widget)
         self.inner.windowTitleChanged.connect(self.setWindowTitle)
         if former is not None:
-            self._former.add(former.user_actions)
             former.leave()
         self.start_page = None
         self.setCentralWidget(self.inner)  # deletes the former
@@ -228,5 +211,5 @@ class MainWindow(QMainWindow):
         self._timer.stop()
         if self.inner is not None:
             self.inner.close()
-        self._former.close()
+        self.opening.close()
         super().closeEvent(event)

@@ -1,4 +1,4 @@
-"""The panel of objects: a table of names, colours and volumes; the row that is chosen takes strokes and sizes."""
+"""The panel of objects: a table of names, colours and volumes; the row that is chosen takes corrections and sizes."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from PySide6.QtWidgets import (
     QTableWidgetItem,
 )
 
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.objects import NEAREST
-from accelsurf.viewer.actions.workplace import Actions
-from accelsurf.viewer.window.section_panel import Section, WheelGuard, button, framed
+from accelsurf.viewer.window.section_panel import ScrollGuard, Section, button, framed
 
 Index = QModelIndex | QPersistentModelIndex
 COLUMNS = ("", "", "Name", "ml", "State")
@@ -77,7 +77,7 @@ class ObjectsPanel(Section):
         self.opacity = QSlider(Qt.Orientation.Horizontal)
         self.opacity.setAccessibleName("opacity")
         self.opacity.setRange(0, 100)
-        WheelGuard(self.opacity)
+        ScrollGuard(self.opacity)
         self.opacity.valueChanged.connect(self._set_opacity)
         grid = framed(QGridLayout(self.body))
         grid.addWidget(table, 0, 0, 1, 4)

@@ -10,7 +10,7 @@ from PySide6.QtCore import QSignalBlocker, Qt, Signal
 from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QLabel, QPushButton, QSlider, QStyle, QWidget
 
-from accelsurf.viewer.actions.workplace import Actions
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.scene.colors import CURSOR
 from accelsurf.viewer.window.section_panel import button, in_row
 

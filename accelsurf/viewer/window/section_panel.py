@@ -23,14 +23,14 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.settings_rows import TICKS
-from accelsurf.viewer.actions.workplace import Actions
 
 L = TypeVar("L", bound=QLayout)
 
 
-class WheelGuard(QObject):
-    """Passes the wheel on to what scrolls, unless its widget has the keyboard."""
+class ScrollGuard(QObject):
+    """Passes scrolling on to the panels, unless its widget has the keyboard."""
 
     def __init__(self, widget: QWidget) -> None:
         super().__init__(widget)
@@ -41,7 +41,7 @@ class WheelGuard(QObject):
         widget.installEventFilter(self)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Keep the wheel from the widget."""
+        """Keep scrolling from the widget."""
         if event.type() == QEvent.Type.Wheel and not self._widget.hasFocus():
             event.ignore()
             return True
@@ -138,7 +138,7 @@ def choice(label: str) -> QComboBox:
     made.setFocusPolicy(Qt.FocusPolicy.TabFocus)
     made.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
     made.setMinimumContentsLength(6)
-    WheelGuard(made)
+    ScrollGuard(made)
     made.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
     return made
 
@@ -227,7 +227,7 @@ class Amount(QWidget):
         line.addWidget(self.box)
         for part in (self.slider, self.box, self.word):
             if part is not None:
-                WheelGuard(part)
+                ScrollGuard(part)
         self._delay = QTimer(self, singleShot=True, interval=DELAY_MS)
         self._delay.timeout.connect(self._emit)
         self.slider.valueChanged.connect(self._slid)

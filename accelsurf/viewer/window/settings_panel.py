@@ -3,27 +3,34 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from PySide6.QtCore import QSignalBlocker, Qt, Signal
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
-    QCheckBox,
-    QComboBox,
     QFileDialog,
     QGridLayout,
     QLabel,
     QLineEdit,
-    QPushButton,
     QVBoxLayout,
     QWidget,
 )
 
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.settings import SettingsFeature
 from accelsurf.viewer.actions.settings_rows import Row
-from accelsurf.viewer.actions.workplace import Actions
-from accelsurf.viewer.window.section_panel import Amount, Section, button, choice, framed, in_row, show_choice, switch
+from accelsurf.viewer.window.section_panel import (
+    Amount,
+    Section,
+    button,
+    choice,
+    framed,
+    in_row,
+    show_choice,
+    show_switch,
+    switch,
+)
 
 #: Mark behind the name of a setting whose change begins another run.
 RESTARTS = "\N{ANTICLOCKWISE OPEN CIRCLE ARROW}"
@@ -31,14 +38,31 @@ STICKS = "\N{NO-BREAK SPACE}"
 
 
 class SettingRow(QWidget):
-    """A setting with its name; `changed` has the value that was chosen.
+    """A setting: its name, and the widgets of its kind, see `settings_rows`; those of other kinds are None.
 
     Parameters
     ----------
     row : dict
+
+    Attributes
+    ----------
+    amount : Amount or None
+        Of a number on a slider.
+    box : QCheckBox or None
+        Of a switch.
+    choice : QComboBox or None
+        Words, energies or files to choose from.
+    other : QPushButton or None
+        To choose a file that is not offered.
+    line : QLineEdit or None
+        To type a text in, or the expression of an energy.
+    error : QLabel or None
+        What is wrong with the expression that is typed.
+    changed, typing : Signal
+        With the value that was chosen; with each text on the way to an expression.
     """
 
-    changed = Signal(object)
+    changed, typing = Signal(object), Signal(str)
 
     def __init__(self, row: Row) -> None:
         super().__init__()
@@ -47,144 +71,91 @@ class SettingRow(QWidget):
         self.label = QLabel(titled(row))
         self.label.setWordWrap(True)
         self.label.setMinimumWidth(1)
-        self._grid = QGridLayout(self)
-        self._grid.setContentsMargins(0, 0, 0, 0)
-        self._grid.setSpacing(3)
-        self._grid.setColumnStretch(0, 4)
-        self._grid.setColumnStretch(1, 5)
-        self._grid.addWidget(self.label, 0, 0)
+        self._value, kind = "", row["kind"]
+        self.amount = Amount(row) if kind == "slider" else None
+        self.box = switch("") if kind == "switch" else None
+        self.choice = choice(row["label"]) if kind in ("list", "energy", "file") else None
+        self.other = button("...", "Another file") if kind == "file" else None
+        self.line = QLineEdit() if kind in ("text", "energy") else None
+        self.error = QLabel("") if kind == "energy" else None
+        self._lay_out()
+        self._connect(row["label"])
+
+    def _lay_out(self) -> None:
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 0)
+        grid.setSpacing(3)
+        grid.setColumnStretch(0, 4)
+        grid.setColumnStretch(1, 5)
+        grid.addWidget(self.label, 0, 0, 1, 1 if self.amount is None else 2)
+        if self.amount is not None:  # below the name
+            grid.addWidget(self.amount, 1, 0, 1, 2)
+        if self.box is not None:
+            grid.addWidget(self.box, 0, 1, Qt.AlignmentFlag.AlignRight)
+        if self.choice is not None:
+            grid.addWidget(self.choice, 0, 1)
+        if self.other is not None:
+            self.other.setFixedWidth(30)
+            grid.addWidget(self.other, 0, 2)
+        if self.line is not None and self.error is None:
+            grid.addWidget(self.line, 0, 1)
+        elif self.line is not None and self.error is not None:
+            self.error.setObjectName("message")
+            self.error.setProperty("failed", True)
+            self.error.setWordWrap(True)
+            grid.addWidget(self.line, 1, 0, 1, 2)
+            grid.addWidget(self.error, 2, 0, 1, 2)
+
+    def _connect(self, name: str) -> None:
+        if self.amount is not None:
+            self.amount.changed.connect(lambda value: self.changed.emit(value))
+        if self.box is not None:
+            self.box.setAccessibleName(name)
+            self.box.toggled.connect(lambda on: self.changed.emit(on))
+        if self.choice is not None:
+            self.choice.activated.connect(lambda _, made=self.choice: self.changed.emit(made.currentData()))
+        if self.line is not None and self.error is None:
+            self.line.setAccessibleName(name)
+            self.line.editingFinished.connect(functools.partial(self._typed, self.line))
+        elif self.line is not None:
+            self.line.setAccessibleName("energy expression")
+            self.line.setPlaceholderText("local-region:R=8 + 0.3*geodesic")
+            self.line.textEdited.connect(self.typing)
+            self.line.returnPressed.connect(lambda line=self.line: self.changed.emit(line.text()))
+        if self.line is not None:
+            self.line.returnPressed.connect(self.line.clearFocus)  # keys are the window's again
 
     def show_row(self, row: Row) -> None:
         """Show the value in force, except where the person is changing it."""
         self.setEnabled(row["enabled"])
-
-
-class SliderRow(SettingRow):
-    """A number on a slider, below its name."""
-
-    def __init__(self, row: Row) -> None:
-        super().__init__(row)
-        self.amount = Amount(row)
-        self.amount.changed.connect(lambda value: self.changed.emit(value))
-        self._grid.addWidget(self.label, 0, 0, 1, 2)
-        self._grid.addWidget(self.amount, 1, 0, 1, 2)
-
-    def show_row(self, row: Row) -> None:
-        super().show_row(row)
-        if not self.amount.is_being_moved:
-            self.amount.show_value(row["value"])
-
-
-class ListRow(SettingRow):
-    """Words to choose from, each with what it means."""
-
-    def __init__(self, row: Row) -> None:
-        super().__init__(row)
-        self.choice: QComboBox = choice(row["label"])
-        self.choice.activated.connect(lambda _: self.changed.emit(self.choice.currentData()))
-        self._grid.addWidget(self.choice, 0, 1)
-
-    def show_row(self, row: Row) -> None:
-        super().show_row(row)
-        show_choice(self.choice, {choice["name"]: choice["help"] for choice in row["names"]}, row["value"])
-
-
-class TextRow(SettingRow):
-    """A line to type in; what an empty line means is shown in it."""
-
-    def __init__(self, row: Row) -> None:
-        super().__init__(row)
-        self.line = QLineEdit()
-        self.line.setAccessibleName(row["label"])
-        self.line.editingFinished.connect(self._typed)
-        self.line.returnPressed.connect(self.line.clearFocus)  # keys are the window's again
-        self._value = ""
-        self._grid.addWidget(self.line, 0, 1)
-
-    def show_row(self, row: Row) -> None:
-        super().show_row(row)
-        self.line.setPlaceholderText(row["now"])
-        if not self.line.hasFocus() or self._value != row["value"]:
-            self._value = row["value"]
-            self.line.setText(row["value"])
-
-    def _typed(self) -> None:
-        if self.line.text().strip() != self._value:
-            self.changed.emit(self.line.text().strip())
-            self.line.setText(self._value)  # until the session has taken it
-
-
-class SwitchRow(SettingRow):
-    """A box to check."""
-
-    def __init__(self, row: Row) -> None:
-        super().__init__(row)
-        self.box: QCheckBox = switch("")
-        self.box.setAccessibleName(row["label"])
-        self.box.toggled.connect(lambda on: self.changed.emit(on))
-        self._grid.addWidget(self.box, 0, 1, Qt.AlignmentFlag.AlignRight)
-
-    def show_row(self, row: Row) -> None:
-        super().show_row(row)
-        with QSignalBlocker(self.box):
-            self.box.setChecked(row["value"])
-
-
-class EnergyRow(ListRow):
-    """Named energies, a line to type an expression in, and what is wrong with what is typed."""
-
-    typing = Signal(str)
-
-    def __init__(self, row: Row) -> None:
-        super().__init__(row)
-        self.line = QLineEdit()
-        self.line.setAccessibleName("energy expression")
-        self.line.setPlaceholderText("local-region:R=8 + 0.3*geodesic")
-        self.line.textEdited.connect(self.typing)
-        self.line.returnPressed.connect(self._entered)
-        self.error = QLabel("")
-        self.error.setObjectName("message")
-        self.error.setProperty("failed", True)
-        self.error.setWordWrap(True)
-        self._grid.addWidget(self.line, 1, 0, 1, 2)
-        self._grid.addWidget(self.error, 2, 0, 1, 2)
-
-    def show_row(self, row: Row) -> None:
-        super().show_row(row)
-        if not self.line.hasFocus():
-            self.line.setText(row["value"])
+        value = row["value"]
+        if self.amount is not None and not self.amount.is_being_moved:
+            self.amount.show_value(value)
+        if self.box is not None:
+            show_switch(self.box, value)
+        if self.choice is not None:
+            show_choice(self.choice, {choice["name"]: choice["help"] for choice in row["names"]}, value)
+        if self.line is not None:
+            if self.error is None:
+                self.line.setPlaceholderText(row["now"])  # what an empty line means
+            if not self.line.hasFocus() or (self.error is None and self._value != value):
+                self._value = value
+                self.line.setText(value)
 
     def show_error(self, text: str) -> None:
-        """Show what is wrong with what is typed; nothing for an empty text."""
-        self.error.setText(text)
-        self.error.setVisible(bool(text))
+        """Show what is wrong with the expression that is typed; nothing for an empty text."""
+        if self.error is not None:
+            self.error.setText(text)
+            self.error.setVisible(bool(text))
 
-    def _entered(self) -> None:
-        self.changed.emit(self.line.text())
-        self.line.clearFocus()
-
-
-class FileRow(ListRow):
-    """Files that are offered, and a button to choose another."""
-
-    def __init__(self, row: Row) -> None:
-        super().__init__(row)
-        self.other: QPushButton = button("...", "Another file")
-        self.other.setFixedWidth(30)
-        self._grid.addWidget(self.other, 0, 2)
-
-
-def row_widget(row: Row) -> SettingRow:
-    """Return the widget of a row."""
-    kinds: dict[str, Callable[[Row], SettingRow]] = {
-        "slider": SliderRow, "list": ListRow, "text": TextRow, "switch": SwitchRow, "energy": EnergyRow,
-        "file": FileRow,
-    }
-    return kinds[row["kind"]](row)
+    def _typed(self, line: QLineEdit) -> None:
+        if line.text().strip() != self._value:
+            self.changed.emit(line.text().strip())
+            line.setText(self._value)  # until the session has taken it
 
 
 def titled(row: Row) -> str:
-    """The name of a row, with its unit and the mark of what begins another run."""
+    """Return the name of a row, with its unit and the mark of what begins another run."""
     unit = f" ({row['unit']})" if row["unit"] else ""
     # The mark never stands alone in a second line.
     return f"{row['label']}{unit}{f'{STICKS}{RESTARTS}' if row['restarts'] else ''}"
@@ -225,8 +196,7 @@ class SettingsPanel(Section):
             for row in rows:
                 self.rows[row["key"]].show_row(row)
         for widget in self.rows.values():
-            if isinstance(widget, EnergyRow):
-                widget.show_error(state["energy_error"])
+            widget.show_error(state["energy_error"])
         self.no_box.setEnabled(state["has_box"])
 
     def _build(self, rows: list[Row]) -> None:
@@ -258,16 +228,15 @@ class SettingsPanel(Section):
         return layout
 
     def _made(self, row: Row) -> SettingRow:
-        widget = row_widget(row)
+        widget = SettingRow(row)
         if row["term"]:
             widget.changed.connect(lambda value, term=row["term"]: self.ask("set_term", *term, value))
-        elif isinstance(widget, FileRow):
+        elif widget.other is not None:
             widget.changed.connect(lambda value: self.ask("mask", value))
             widget.other.clicked.connect(self._choose_mask)
         else:
             widget.changed.connect(functools.partial(self.ask, "set", row["key"]))
-        if isinstance(widget, EnergyRow):
-            widget.typing.connect(lambda text: self.ask("type_energy", text))
+        widget.typing.connect(lambda text: self.ask("type_energy", text))
         return widget
 
     def _choose_mask(self) -> None:

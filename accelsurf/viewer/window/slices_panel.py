@@ -8,10 +8,10 @@ from typing import Any
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QDoubleSpinBox, QFormLayout, QGridLayout, QLabel
 
+from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.slices import MAX_GREY
-from accelsurf.viewer.actions.workplace import Actions
 from accelsurf.viewer.scene.colors import THEMES
-from accelsurf.viewer.window.section_panel import Section, WheelGuard, choice, framed, in_row, show_choice, show_switch
+from accelsurf.viewer.window.section_panel import ScrollGuard, Section, choice, framed, in_row, show_choice, show_switch
 
 #: What the list of windows shows where level and width were set by hand.
 BY_HAND = "by hand"
@@ -70,7 +70,7 @@ class SlicesPanel(Section):
 
 def _number(low: float) -> QDoubleSpinBox:
     box = QDoubleSpinBox()
-    WheelGuard(box)
+    ScrollGuard(box)
     box.setRange(low, MAX_GREY)
     box.setKeyboardTracking(False)
     box.setMinimumWidth(70)

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.viewer.actions.box import BoxFeature
@@ -26,8 +26,8 @@ from accelsurf.viewer.actions.picture import PictureFeature
 from accelsurf.viewer.actions.run import HistoryFeature, RunFeature
 from accelsurf.viewer.actions.settings import SettingsFeature
 from accelsurf.viewer.actions.slices import SlicesFeature
-from accelsurf.viewer.actions.tool import Feature, Key, Tool, carry_out, first_radius
-from accelsurf.viewer.actions.tools import StrokesFeature
+from accelsurf.viewer.actions.tool import Feature, Key, P, Tool, carry_out, first_radius
+from accelsurf.viewer.actions.tools import CorrectionsFeature
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import View, error_line
@@ -41,7 +41,7 @@ FEATURES: tuple[type[Feature], ...] = (
     MouseFeature,
     TouchFeature,
     ObjectsFeature,
-    StrokesFeature,
+    CorrectionsFeature,
     HistoryFeature,
     SettingsFeature,
     HistogramFeature,
@@ -53,13 +53,11 @@ FEATURES: tuple[type[Feature], ...] = (
     FilesFeature,
 )
 #: Requests after which an earlier error stays in sight: the mouse moves all the time.
-KEEPING = ("hover", "move", "release", "cancel", "finger_move", "finger_up", "finger_cancel", "size")
+KEEPING = ("hover", "move", "release", "cancel", "touch_move", "touch_up", "touch_cancel", "size")
 #: Seconds without a change after which the picture is drawn in full.
 DELAY = 0.4
 #: Letters of a message at most.
 MAX_MESSAGE = 300
-
-P = TypeVar("P", bound=Feature)
 
 
 class Actions:
@@ -82,7 +80,7 @@ class Actions:
     message : str
         What went wrong last, in one line; empty when nothing did.
     object_id : int or None
-        Id of the object that clicks and strokes are for; None is the nearest.
+        Id of the object that corrections are for; None is the nearest.
     radius : float
         Of click, ball and brush, mm.
     features : tuple of Feature
