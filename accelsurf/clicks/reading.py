@@ -200,14 +200,19 @@ def read_clicks(
         kind, _, rest = text.strip().partition(":")
         if kind == "point":
             voxels = point_voxels([_point(text, rest)], text, side, window.geometry, rest.endswith("vox"))
-            out += window.clicks([click_of_voxels(side, voxels, id)])
+            out += _within(window, [click_of_voxels(side, voxels, id)])
         elif kind == "path":
-            out += window.clicks([_click_of_path(text, side, window.geometry, id)])
+            out += _within(window, [_click_of_path(text, side, window.geometry, id)])
         elif kind == "stroke":
             out += _stroke(text, rest, side, window, id)
         else:
             out += _of_start(text, side, volume, image, id, window)
     return out
+
+
+def _within(window: Window, clicks: Sequence[Click]) -> list[Click]:
+    """Return clicks of the whole grid counted from the window's first voxel; what lies beyond is left out."""
+    return list(Clicks(tuple(clicks), window.geometry.shape).on_box(window.box).clicks)
 
 
 class Clicked(Protocol):
@@ -382,7 +387,7 @@ def _of_start(
     try:
         start = starts.parse(text)
         if start.kind == "ball":
-            return window.clicks([_click_of_ball(side, *starts.ball_of(text, window.geometry), window.geometry, id)])
+            return _within(window, [_click_of_ball(side, *starts.ball_of(text, window.geometry), window.geometry, id)])
         return [click_of_mask(side, starts.build([text], volume, image, window) < 0, id)]
     except AccelsurfError as error:
         message = error.message.replace("start ", f"{side} ", 1)
@@ -395,7 +400,7 @@ def _stroke(text: str, file: str, side: Side, window: Window, id: int) -> list[C
     if not file:
         raise UsageError(f"click {shown(text)!r}: no file named", f"write {KINDS['stroke']}")
     if file.lower().endswith(".csv"):
-        return window.clicks(_stroke_of_points(file, side, window.geometry, id))
+        return _within(window, _stroke_of_points(file, side, window.geometry, id))
     labels = starts.label_box(file, window, f"stroke:{file}")
     found = [int(value) for value in np.unique(labels)]
     unknown = [value for value in found if value not in (0, *_LABELS)]

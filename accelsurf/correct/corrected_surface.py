@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.evolution.records import StepRecord, Stop
-from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of, counted_from, enclosing, shared
-from accelsurf.grid.clicks import Click
+from accelsurf.grid.boxes import Box, Corner, corner_of, counted_from
 from accelsurf.run.preprocessing import PreprocessedInput
 from accelsurf.run.result import Result, SegmentedObject
 from accelsurf.run.start import AROUND
@@ -70,25 +67,6 @@ def part_of_image(before: Box, corner: Corner, now: CorrectedSurface, prepared: 
         high = c + n + (AROUND if c + n == region.stop else 0)
         out.append(slice(max(min(low, old.start), 0), min(max(high, old.stop), whole)))
     return out[0], out[1], out[2]
-
-
-def wrong_part(click: Click, surface: CorrectedSurface) -> Click | None:
-    """The voxels of a click that are not on its side; None where there are none. Beyond its array nothing is inside."""
-    inside = np.zeros(click.mask.shape, np.bool_)
-    mine, theirs = shared(corner_of(click.box), inside.shape, surface.corner, surface.psi.shape)
-    if all(s.start < s.stop for s in mine):
-        inside[mine] = surface.psi[theirs] < 0
-    wrong = click.mask & (inside != (click.side == "inside"))
-    tight = bounding_box(wrong)
-    if tight is None:
-        return None
-    z, y, x = (slice(s.start + b.start, s.stop + b.start) for s, b in zip(tight, click.box, strict=True))
-    return click._replace(box=(z, y, x), mask=wrong[tight])
-
-
-def box_around(clicks: Sequence[Click]) -> Box:
-    """The box around clicks."""
-    return functools.reduce(enclosing, (click.box for click in clicks))
 
 
 def stop_of_whole(stop: Stop, inside: int, voxels: int) -> Stop:

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.clicks.reading import point_voxels
-from accelsurf.correct.corrected_surface import CorrectedSurface, box_around, count_inside, part_of_image, stop_of_whole
+from accelsurf.correct.corrected_surface import CorrectedSurface, count_inside, part_of_image, stop_of_whole
 from accelsurf.correct.local_evolution import LocalOutcome, Stepping, evolve_to_end, measures_of
 from accelsurf.correct.models import check_id, point_click
 from accelsurf.correct.objects import CorrectedObjects
-from accelsurf.correct.region import NearRegion
+from accelsurf.correct.region import NearRegion, box_around
 from accelsurf.energies.constraints.clicks import ClickConstraint
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import InputError, UsageError

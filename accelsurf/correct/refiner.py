@@ -15,22 +15,20 @@ from accelsurf.clicks.reading import check_left, clicks_of, on_image
 from accelsurf.correct import object_changes
 from accelsurf.correct.corrected_surface import (
     CorrectedSurface,
-    box_around,
     count_inside,
     frozen_settings,
     stop_of_whole,
-    wrong_part,
 )
 from accelsurf.correct.finished import OnObjectStep
 from accelsurf.correct.local_evolution import LocalProblem, Stepping, evolve_near
 from accelsurf.correct.local_model import basin_of
 from accelsurf.correct.models import check_object, clicks_on, placed_clicks, point_click, refuse_contradictions
 from accelsurf.correct.objects import CorrectedObjects
-from accelsurf.correct.region import NearRegion, around_clicks, automatic_near, rim_width
+from accelsurf.correct.region import NearRegion, around_clicks, automatic_near, box_around, rim_width
 from accelsurf.energies.constraints.mask import MaskConstraint
 from accelsurf.errors import UsageError
 from accelsurf.evolution.records import Stop
-from accelsurf.grid.boxes import Box, box_at, counted_from
+from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, counted_from, shared
 from accelsurf.grid.click_bounds import click_bounds
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.pyramid import Level
@@ -281,7 +279,7 @@ class Refiner:
                 change = model.add(click)
                 self._objects.note_click(model, change)
                 relabelled.append(basin_of(click, change, model, surface))
-        wrong = [wrong_part(click, surface) for click in relabelled]
+        wrong = [_wrong_part(click, surface) for click in relabelled]
         return [click for click in wrong if click is not None]
 
     def _region(
@@ -348,3 +346,17 @@ def _still_inside(
         if all(0 <= at < n for at, n in zip(index, segmented.psi.shape, strict=True)) and segmented.psi[index] < 0:
             return place
     return None
+
+
+def _wrong_part(click: Click, surface: CorrectedSurface) -> Click | None:
+    """Return the voxels of a click that are not on its side, or None; beyond its array nothing is inside."""
+    inside = np.zeros(click.mask.shape, np.bool_)
+    mine, theirs = shared(corner_of(click.box), inside.shape, surface.corner, surface.psi.shape)
+    if all(s.start < s.stop for s in mine):
+        inside[mine] = surface.psi[theirs] < 0
+    wrong = click.mask & (inside != (click.side == "inside"))
+    tight = bounding_box(wrong)
+    if tight is None:
+        return None
+    z, y, x = (slice(s.start + b.start, s.stop + b.start) for s, b in zip(tight, click.box, strict=True))
+    return click._replace(box=(z, y, x), mask=wrong[tight])

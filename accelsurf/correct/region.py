@@ -10,6 +10,7 @@ anything is too much.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.boxes import Box, box_at, corner_of, widened
+from accelsurf.grid.boxes import Box, box_at, corner_of, enclosing, widened
 from accelsurf.grid.click_bounds import ClickBounds
 from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import axis_steps
@@ -200,3 +201,8 @@ def united(near: ClickBounds, clicks: ClickBounds) -> ClickBounds:
     low[at] = np.minimum(np.maximum(before_low, clicks.low), np.maximum(clicks.high, clicks.low))
     high[at] = np.maximum(np.minimum(before_high, clicks.high), np.minimum(clicks.low, clicks.high))
     return ClickBounds(near.shape, cells, low, high)
+
+
+def box_around(clicks: Sequence[Click]) -> Box:
+    """Return the box around clicks."""
+    return functools.reduce(enclosing, (click.box for click in clicks))

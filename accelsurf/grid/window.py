@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.boxes import Box, Corner, corner_of, counted_from
-from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
 
 #: Nothing that a run looks at may come so near to an open face, voxels: stencils, smoothing of what lies there, and
@@ -92,10 +91,6 @@ class Window(NamedTuple):
         # Centres are at whole and half voxels, on all levels of a pyramid.
         x, y, z = (float(v) for v in self.geometry.index_to_world(np.rint(2.0 * index) / 2.0))
         return x, y, z
-
-    def clicks(self, clicks: Sequence[Click]) -> list[Click]:
-        """Clicks of the whole grid, counted from the window's first voxel; what lies beyond is left out."""
-        return list(Clicks(tuple(clicks), self.geometry.shape).on_box(self.box).clicks)
 
     def check(self, low: Sequence[int], high: Sequence[int], factors: Sequence[int] = (1, 1, 1)) -> None:
         """Refuse voxels that come near an open face.

@@ -102,30 +102,31 @@ def parse(text: str) -> Start:
     """
     budgets.EXPRESSION.check(len(text), "start", kind=UsageError)
     kind, colon, rest = text.strip().partition(":")
-    text = shown(text)  # as messages repeat it
     if kind not in KINDS:
         hint = f"{did_you_mean(kind, KINDS)}use one of {', '.join(KINDS.values())}"
-        raise UsageError(f"start {text!r}: unknown kind {shown(kind)!r}", hint)
+        raise UsageError(f"start {shown(text)!r}: unknown kind {shown(kind)!r}", hint)
     if kind in ("center", CLICKS):
         if colon:
-            raise UsageError(f"start {text!r}: {kind} takes no values", f"write --start {kind}, or a ball")
+            raise UsageError(f"start {shown(text)!r}: {kind} takes no values", f"write --start {kind}, or a ball")
         return Start(kind)
     if kind in ("label", "mesh"):
         return _parse_file(text, kind, rest)
     if kind == "otsu":
         if rest not in ("", "dark") or (colon and not rest):
-            raise UsageError(f"start {text!r}: otsu or otsu:dark expected", "otsu is for bright objects")
+            raise UsageError(f"start {shown(text)!r}: otsu or otsu:dark expected", "otsu is for bright objects")
         return Start(kind, word=rest)
     if kind == "largest" and rest in ("otsu", "otsu:dark"):
         return Start(kind, word=rest)
     vox = rest.endswith("vox") and kind in ("ball", "box", "seed")
     numbers = _numbers(text, rest[:-3] if vox else rest, KINDS[kind])
     if kind in ("ball", "seed") and numbers[3] <= 0:
-        raise UsageError(f"start {text!r}: radius {numbers[3]:g} given, expected above 0", f"as in {KINDS[kind]}")
+        what = f"start {shown(text)!r}: radius {numbers[3]:g} given, expected above 0"
+        raise UsageError(what, f"as in {KINDS[kind]}")
     if kind == "box" and any(a >= b for a, b in zip(numbers[:3], numbers[3:], strict=True)):
-        raise UsageError(f"start {text!r}: the first corner must lie below the second in x, y and z", KINDS[kind])
+        what = f"start {shown(text)!r}: the first corner must lie below the second in x, y and z"
+        raise UsageError(what, KINDS[kind])
     if kind in ("threshold", "largest") and numbers[0] > numbers[1]:
-        raise UsageError(f"start {text!r}: the low threshold is above the high one", f"as in {KINDS[kind]}")
+        raise UsageError(f"start {shown(text)!r}: the low threshold is above the high one", f"as in {KINDS[kind]}")
     return Start(kind, numbers, vox)
 
 
@@ -133,12 +134,12 @@ def _parse_file(text: str, kind: str, rest: str) -> Start:
     """Read FILE, FILE@IDS of a label map or FILE@ras of a mesh; the name itself may have an @ or a colon."""
     file, at, tail = rest.rpartition("@") if "@" in rest else (rest, "", "")
     if not file:
-        raise UsageError(f"start {text!r}: no file named", f"write {KINDS[kind]}")
+        raise UsageError(f"start {shown(text)!r}: no file named", f"write {KINDS[kind]}")
     if kind == "mesh":
         return Start(kind, file=file, word=tail) if tail in ("ras", "lps") else Start(kind, file=rest)
     if not at or split_name(rest)[1]:
         return Start(kind, file=rest)
-    ids = parse_ids(tail, f"start {text!r}", "label:FILE@2,41,251-255")
+    ids = parse_ids(tail, f"start {shown(text)!r}", "label:FILE@2,41,251-255")
     return Start(kind, file=file, ids=ids)
 
 
@@ -153,9 +154,9 @@ def _numbers(text: str, values: str, form: str) -> tuple[float, ...]:
     except ValueError:
         numbers = ()
     if len(numbers) != expected or any(math.isnan(v) for v in numbers):
-        raise UsageError(f"start {text!r}: {expected} numbers separated by commas expected", f"as in {form}")
+        raise UsageError(f"start {shown(text)!r}: {expected} numbers separated by commas expected", f"as in {form}")
     if not form.startswith(("threshold", "largest")) and any(abs(v) > MAX_LENGTH for v in numbers):
-        raise UsageError(f"start {text!r}: finite numbers of at most {MAX_LENGTH:g} expected", f"as in {form}")
+        raise UsageError(f"start {shown(text)!r}: finite numbers of at most {MAX_LENGTH:g} expected", f"as in {form}")
     return numbers
 
 

@@ -21,7 +21,7 @@ from accelsurf.run.result import BoxMask, Result
 from accelsurf.run.run import Run
 from accelsurf.settings.corrections import Correction
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame, histories_of_run
-from accelsurf.viewer.core.nearest_object import distance_of, place_of
+from accelsurf.viewer.core.nearest_object import distance_of, nearest_object, place_of
 from accelsurf.viewer.core.saving import repeating
 
 #: Voxels around an object that a frame has.
@@ -150,9 +150,15 @@ class Corrections:
         return None if self._refiner is None else tuple(surface.id for surface in self._refiner.surfaces)
 
     def nearest(self, run: Run, place: str) -> int | None:
-        """Return the object nearest to a place, or that contains it; None without corrections, or without ids."""
+        """Return the object nearest to a place, or that contains it; None where there is one without an id.
+
+        Raises
+        ------
+        UsageError, InputError
+            When there are ids and the place is none, or lies outside.
+        """
         if self._refiner is None or not self._refiner.has_ids:
-            return None
+            return nearest_object(run, place) if run.has_ids else None
         geometry = run.geometry
         centre = place_of(place, geometry)
         distances = {

@@ -25,7 +25,6 @@ from accelsurf.run.run import Run
 from accelsurf.settings.labels import colored, named
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.corrected_run import Corrections
-from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.restarted import FROM_CLICKS
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
 
@@ -120,21 +119,9 @@ class ObjectCommands:
             raise UsageError(f"object {object_id} is made again when the run ends", "let the run end first")
         return object_id
 
-    def whose(self, place: str, object_id: int | None) -> int | None:
-        """The object that a click is for: the one given, or the nearest; None where there is one without an id.
-
-        Raises
-        ------
-        UsageError, InputError
-            When the place is none, or lies outside.
-        """
-        timeline = self._timeline
-        if object_id is not None:
-            return None if not self.has_ids and self.ids == (object_id,) else object_id
-        nearest = timeline.corrections.nearest(timeline.run, place)
-        if nearest is not None or not timeline.run.has_ids:
-            return nearest
-        return nearest_object(timeline.run, place)
+    def named(self, object_id: int) -> int | None:
+        """Return the id of the object that was named; None where there is one without an id."""
+        return None if not self.has_ids and self.ids == (object_id,) else object_id
 
     def is_beside(self, object_id: int | None) -> bool:
         """Return True if an object is none of the run itself, but of its corrections."""

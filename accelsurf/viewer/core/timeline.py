@@ -17,7 +17,7 @@ from accelsurf.settings.corrections import Correction
 from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
-from accelsurf.viewer.core.change_log import ChangeLog, Moment, balls_in_words, clicks_in_words, edits_with, in_words
+from accelsurf.viewer.core.change_log import ChangeLog, Moment, edits_with, in_words
 from accelsurf.viewer.core.corrected_run import Corrections
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.object_commands import ObjectCommands
@@ -411,7 +411,7 @@ class Timeline:
         UsageError, InputError
             When one is no ball or lies outside, or there is no such object.
         """
-        object_id = self.objects.whose(balls[0], object_id)
+        object_id = self._whose(balls[0], object_id)
         if self.run.stop is not None and self.objects.is_beside(object_id):
             return self.add_click("inside" if kind == "add" else "outside", balls, object_id)
         rows = [{"step": self.step_number, kind: ball, "object": self.objects.of_run(object_id)} for ball in balls]
@@ -428,7 +428,7 @@ class Timeline:
         UsageError, InputError
             When one is no place or lies outside, or nothing would be left that is clicked inside.
         """
-        object_id = self.objects.whose(where[0], object_id)
+        object_id = self._whose(where[0], object_id)
         if object_id is not None and object_id not in self.objects.ids:
             return self.objects.begin_object(object_id, side, where)
         clicks: dict[str, Any] = {side: list(where), "object": object_id}
@@ -442,6 +442,10 @@ class Timeline:
         (edit,) = RunConfig(edit=[{"step": self.step_number, **clicks}]).edit
         self._replace_edits((*self._edits_so_far(), edit), said)
         self._message = said
+
+    def _whose(self, place: str, object_id: int | None) -> int | None:
+        """Return the object that a click is for, see `Session.add_click`; None where there is one without an id."""
+        return self.corrections.nearest(self.run, place) if object_id is None else self.objects.named(object_id)
 
     def refine(self, correction: dict[str, Any], said: str) -> None:
         """Make a correction of the run's end, all or nothing; while the run goes on, it goes on to its end first."""
@@ -553,3 +557,35 @@ class Timeline:
         self._written.update(written)
         self._message = f"saved {len(written)} files in {folder}"
         return written
+
+
+def clicks_in_words(side: Side, where: Sequence[str], object_id: int | None = None) -> str:
+    """Return the clicks of one stroke in words.
+
+    Examples
+    --------
+    >>> clicks_in_words("inside", ["ball:1,2,3,4"])
+    'inside: ball:1,2,3,4'
+    >>> clicks_in_words("outside", ["path:1,2,3,4;5,6,7,4"], 2)
+    'outside: stroke of 2 places, object 2'
+    """
+    whose = "" if object_id is None else f", object {object_id}"
+    if len(where) == 1 and where[0].startswith("path:"):
+        return f"{side}: stroke of {where[0].count(';') + 1} places{whose}"
+    more = f" and {len(where) - 1} more" if len(where) > 1 else ""
+    return f"{side}: {where[0]}{more}{whose}"
+
+
+def balls_in_words(kind: str, balls: Sequence[str], object_id: int | None = None) -> str:
+    """Return balls that were added or removed in words.
+
+    Examples
+    --------
+    >>> balls_in_words("add", ["ball:1,2,3,4"], 3)
+    'added ball:1,2,3,4 to object 3'
+    >>> balls_in_words("remove", ["ball:1,2,3,4", "ball:2,2,3,4"])
+    'removed a stroke of 2 balls'
+    """
+    whose = "" if object_id is None else f" {'to' if kind == 'add' else 'from'} object {object_id}"
+    what = balls[0] if len(balls) == 1 else f"a stroke of {len(balls)} balls"
+    return f"{'added' if kind == 'add' else 'removed'} {what}{whose}"
