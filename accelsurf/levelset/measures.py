@@ -33,7 +33,7 @@ class NarrowBand(Protocol):
 
     @property
     def smallest_spacing(self) -> float:
-        """Of the axes with more than one slice, mm."""
+        """Smallest spacing of the axes with more than one slice, mm."""
         ...
 
     @property

@@ -30,7 +30,7 @@ class MeasuredObject(Protocol):
 
     @property
     def geometry(self) -> Geometry:
-        """Of that part."""
+        """Geometry of that part."""
         ...
 
     @property

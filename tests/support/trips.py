@@ -194,7 +194,7 @@ def click_trip(clicked: bool, after_end: bool) -> Trip:
     after_end : bool
         Whether it has ended: the click is then a correction, else an edit of the run that is paused.
     """
-    from accelsurf.viewer.actions.workplace import Actions
+    from accelsurf.viewer.actions.actions import Actions
     from accelsurf.viewer.core.session import Session
     from accelsurf.viewer.scene.scene import Scene
 

@@ -26,7 +26,7 @@ MAX_BLOCKS = 25_000
 
 
 class Domain(NamedTuple):
-    """Where an object may be: a mask, None for everywhere; what the images are a part of, None where they are whole."""
+    """Voxels that may be the object: a mask, None for all; and the window of the images, None where they are whole."""
 
     mask: Mask | None
     window: Window | None
