@@ -17,7 +17,7 @@ from accelsurf.io.files import naming
 from accelsurf.io.headers import name_of
 from accelsurf.output.folder import FILE_KINDS, PLACES
 from accelsurf.settings import budgets
-from accelsurf.settings.output_fields import SettingFields
+from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.track_config import FRAME_SETTINGS, setting_entry
 from accelsurf.settings.track_fields import TrackFields
 from accelsurf.settings.wording import did_you_mean, shown

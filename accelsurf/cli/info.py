@@ -222,7 +222,7 @@ def _print_presets() -> None:
 
 def _print_settings() -> None:
     from accelsurf.settings.catalogue import help_of
-    from accelsurf.settings.output_fields import SettingFields
+    from accelsurf.settings.fields import SettingFields
 
     print("\nSettings (accelsurf segment --help has their defaults):")
     _print_table({key: help_of(key) for key in SettingFields.model_fields})

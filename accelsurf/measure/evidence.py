@@ -18,8 +18,9 @@ from accelsurf.grid.boxes import bounding_box, corner_of
 
 #: Voxels of a step; the surface is sampled at about so many places; sigma, voxels, that normals are smoothed with.
 STEP, SAMPLES, NORMAL_SIGMA = 1.5, 20_000, 1.0
-#: An edge counts as half from this many times the noise on; the outside counts as another thing half where it is so
-#: many deviations of the object's values farther from their middle than the inside there; below so many it is like it.
+#: HALF_EDGE: an edge of this many times the noise counts as half. HALF_MODEL: the outside counts half as another
+#: tissue where its values are farther from the object's median than the inside, by this many deviations of the object.
+#: LIKE: the outside counts as the same tissue within this many deviations.
 HALF_EDGE, HALF_MODEL, LIKE = 3.0, 1.5, 2.5
 #: A patch of the surface is a Gaussian of this part of the object's radius (that of the ball of its volume).
 PATCH = 0.3

@@ -2,8 +2,8 @@
 
 The probability that a result is good is a logistic model of a few measures, calibrated by ``scripts/study quality``.
 There are two: ``clicks`` for a result whose model of clicks says how sure it is, and ``image`` for all others. The
-study writes them into the file beside this one: of each feature the mean and the deviation that it is put on scale by,
-and its weight; the weight of none; and the probability below which a warning is given.
+study writes them into the file beside this one: for each feature its mean, standard deviation and weight; the constant
+term; and the probability below which a warning is given.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def apply_balls(psi: NDArray[np.float32], balls: Sequence[BallEdit], grid: Level
     ----------
     psi : ndarray (nz, ny, nx), float32
         mm, negative inside.
-    balls : sequence of Ball
+    balls : sequence of BallEdit
     grid : Level
         Of which psi is a box.
     corner : (z, y, x)

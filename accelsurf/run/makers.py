@@ -115,7 +115,7 @@ def _noise(config: RunConfig) -> Noise | None:
     if config.noise == 0:
         return None
     if config.seed is None:
-        raise ValueError("noise needs a seed: accelsurf.run.run.seeded draws one")
+        raise ValueError("noise needs a seed: accelsurf.run.setup.seeded draws one")
     return Noise(config.noise, _number(config.noise_length), config.seed, _number(config.noise_time))
 
 

@@ -6,8 +6,8 @@ from typing import Any, Literal
 
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.entry import SettingEntry, SettingGroup, entry_of, full_help
+from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.flow_specs import FLOWS
-from accelsurf.settings.output_fields import SettingFields
 
 #: Groups whose settings the viewer shows: the image has been read by then.
 VIEWER_GROUPS = (SettingGroup.RUN, SettingGroup.FLOW, SettingGroup.FILES)

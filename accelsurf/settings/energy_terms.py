@@ -98,7 +98,7 @@ class TermSpec:
     learns : callable
         Of the settings: whether it learns once from the start, unless it is given something else to learn from.
     uses_model : bool
-        Whether it is of the model of what a person has clicked, which then gives the start too.
+        True if it uses the model of the clicks, which then gives the start, too.
     needs_whole : bool
         Whether it looks at all of the image, beyond what lies near the surface and `WholeImage` tells.
     """

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ValidationError
 from accelsurf.errors import UsageError
 from accelsurf.settings.catalogue import enumerated
 from accelsurf.settings.entry import full_help
-from accelsurf.settings.output_fields import SettingFields
+from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.toml import INTERVAL, VOLUME, VOXELS
 from accelsurf.settings.track_fields import GAINS
 from accelsurf.settings.wording import did_you_mean, shown

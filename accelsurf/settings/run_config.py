@@ -1,7 +1,7 @@
 """Everything a run needs, validated once.
 
 One model serves the command line, Python, batches and reports: it is read from TOML, written back to TOML without
-loss, and described by a JSON schema. Its fields are in `accelsurf.settings.output_fields`.
+loss, and described by a JSON schema. Its fields are in `accelsurf.settings.fields`.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from accelsurf.settings import energy_expression, messages, toml
 from accelsurf.settings.catalogue import default_of, entry, help_of, is_switch
 from accelsurf.settings.corrections import refuse_unknown
 from accelsurf.settings.energy_terms import TERMS
+from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.flow_specs import FLOWS
-from accelsurf.settings.output_fields import SettingFields
 from accelsurf.settings.presets import PRESETS
 
 #: Largest whole number of TOML.

@@ -11,7 +11,7 @@ from pydantic import ConfigDict, ValidationError
 from accelsurf.errors import UsageError
 from accelsurf.settings import catalogue, energy_expression, messages, toml
 from accelsurf.settings.entry import SettingEntry, SettingGroup, entry_of
-from accelsurf.settings.output_fields import SettingFields
+from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_fields import TrackFields
 

@@ -1,7 +1,7 @@
 """The settings of tracking, one entry each: type, bounds, default, help and unit.
 
 The command line, TOML files, the report and the reference pages take them from here, and the formats of tracks. The
-settings of the run on each frame are in `accelsurf.settings.output_fields`.
+settings of the run on each frame are in `accelsurf.settings.fields`.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ MAX_LENGTH = 1e12
 #: The start that is made of the inside clicks of the run.
 CLICKS = "clicks"
 
-#: Starts that look at values everywhere.
+#: Starts that depend on the values of the whole image.
 BY_VALUES = ("seed", "threshold", "largest", "otsu")
 
 #: Kind -> the form in which it is written.

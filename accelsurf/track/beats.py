@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 #: The volume must change by this part of the largest, else there is no beat.
 MIN_CHANGE = 0.05
-#: A curve repeats after a lag at which it correlates with itself like this; closes where its ends differ by this part.
+#: Least autocorrelation of a periodic curve; largest difference of its two ends, as a part of its change.
 MIN_CORRELATION, MAX_GAP = 0.7, 0.25
 #: Frames of a beat at least.
 MIN_FRAMES = 5

@@ -22,7 +22,7 @@ CFL = 0.5
 #: Steps of a motion at most: speeds that run away, as where paths cross or a surface of constant density is folded, end
 #: it.
 MAX_STEPS = 200
-#: A remainder of the time below this part of it is rounding.
+#: A motion has ended when less than this part of its time is left: that is rounding.
 END = 1e-9
 #: Density of new surface.
 RHO = 1.0

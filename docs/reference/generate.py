@@ -18,11 +18,11 @@ from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry
 from accelsurf.settings.energy_expression import MAGNITUDES, MAX_TERMS
 from accelsurf.settings.energy_terms import TERMS, TermSpec
 from accelsurf.settings.entry import SettingGroup, entry_of
+from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, ImageFormat
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.mesh_formats import MESH_FORMATS, MeshFormat, Shape
 from accelsurf.settings.messages import expected
-from accelsurf.settings.output_fields import SettingFields
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.trace_columns import TRACE_COLUMNS
 from accelsurf.settings.track_fields import TRACK_FORMATS, TrackFields

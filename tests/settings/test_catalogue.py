@@ -7,10 +7,10 @@ import pytest
 from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of, is_switch
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.entry import entry_of
+from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.mesh_formats import MESH_FORMATS
-from accelsurf.settings.output_fields import SettingFields
 from accelsurf.settings.registry import Registry, load
 from accelsurf.settings.run_config import RunConfig
 

@@ -2,8 +2,8 @@
 
 Two labellings, each -1 at inside clicks and 1 at outside ones: geodesic, where a change of the values is what costs
 (Criminisi et al. 2008), and by random walks (Grady 2006). The first finds edges that leak little, the second closes
-gaps smoothly. The box reaches some depths around the inside clicks, a depth being twice a click's radius: so a person
-clicks. Its faces count as outside, but for those close to an inside click.
+gaps smoothly. The box is larger than the inside clicks by some multiples of their depth, twice a click's radius: people
+click deep inside. Its faces count as outside, but for those close to an inside click.
 
 Marches from inside and from outside give the arrival times, and which of them is earlier.
 """
@@ -30,9 +30,8 @@ from accelsurf.kernels.blocks import add_between, scaled_means
 from accelsurf.kernels.grid import Grid
 from accelsurf.kernels.walker import walk
 
-#: The box reaches so many depths around the inside clicks. The depth is twice a click's radius, for people click deep
-#: inside; or, where that is more, this part of the radius of the size that the first click proposed: clicks may be
-#: small.
+#: Margins of the box around the inside clicks for both labellings, in depths. The depth is twice a click's radius, for
+#: people click deep inside; or, where that is more, RADIUS_PART of the radius of the first click's size hypothesis.
 PATHS_REACH, WALKS_REACH, RADIUS_PART = 2.0, 4.0, 1.0
 #: Larger boxes are coarsened to so many voxels.
 PATHS_MOST, WALKS_MOST = 1_000_000, 120_000
