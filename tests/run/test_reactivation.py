@@ -20,7 +20,7 @@ class Converged:
 
     def __init__(self, depth):
         self.reactivations, self.depth = 0, depth
-        self.contact = SimpleNamespace(neighbours=[], overlap=lambda _: self.depth)
+        self.contact = SimpleNamespace(set_neighbours=list, overlap=lambda _: self.depth)
         self.evolution = SimpleNamespace(stop=Stop("converged", 5, 1.0, ""), max_steps=100)
 
     def reactivate(self):

@@ -85,8 +85,8 @@ def test_a_box_is_drawn_in_a_slice_and_its_sides_are_dragged(actions):
     other = actions.scene.slice_tiles["coronal"]
     across = other.index
     corner, target = [0.0, 0.0, 0.0], [2.0, 0.0, 0.0]
-    corner[other.axis] = target[other.axis] = across
-    free = 3 - other.axis  # the axis in the plane of both that is not z
+    corner[other.stack.axis] = target[other.stack.axis] = across
+    free = 3 - other.stack.axis  # the axis in the plane of both that is not z
     corner[0], corner[free] = -0.5, box_of(actions)[free][0] - 0.5
     target[free] = box_of(actions)[free][0] + 3
     before = box_of(actions)
