@@ -33,7 +33,7 @@ FUNCTIONS = {
     "kernels: numba's own": ("numba.core.base:BaseContext.refresh",),
     "kernels: from the disk": ("numba.core.caching:Cache.load_overload",),
     "image": (
-        "accelsurf.io.formats.nifti:import_nibabel_for", "accelsurf.io.channels:read", "accelsurf.io:sha256",
+        "accelsurf.io.formats.nifti:import_nibabel_for", "accelsurf.io.channels:read_channels", "accelsurf.io:sha256",
     ),
     "first surface": ("accelsurf.run.run:Run.__init__",),
     "steps": ("accelsurf.run.run:Run.step",),

@@ -194,7 +194,7 @@ def test_with_patience_a_run_ends_when_it_has_passed_its_lowest_energy():
     plain, patient = near_its_end(StopRule(6)), near_its_end(StopRule(6, patience=3))
     potential = run(patient)
     run(plain)
-    assert patient.stop.reason == "converged" and "in 3 steps" in patient.stop.message
+    assert patient.stop.reason == "converged" and "for 3 steps" in patient.stop.message
     low = int(np.argmin(potential[:-1]))
     assert patient.stop.steps == low + 3 and low > 0
     assert potential[-1] == pytest.approx(potential[low], rel=1e-9)

@@ -145,7 +145,7 @@ def _start(given: Input, path: Path) -> None:
 
 
 def _edit(given: Input, path: Path) -> None:
-    corrections.edits_of([_text(given)])
+    corrections.corrections_of([_text(given)], "edit")
     RunConfig(edit=[_text(given)])
 
 
