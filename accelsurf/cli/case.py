@@ -25,10 +25,9 @@ from accelsurf.io.files import write_bytes
 from accelsurf.output import document, label_files, layouts, result_sets
 from accelsurf.output import folder as output_folder
 from accelsurf.output import names as output_names
-from accelsurf.output import outputs as mesh_files
 from accelsurf.output.document import describe_input, describe_staged
 from accelsurf.output.folder import inputs_of
-from accelsurf.output.outputs import MeshNotes
+from accelsurf.output.mesh_files import MeshNotes, check_mesh_settings
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
@@ -403,7 +402,7 @@ def check_formats(place: Place, config: RunConfig, volume: Volume, log: Log) -> 
     labels = place.label_format(config)
     output_names.check_outputs(config, labels, volume.geometry)
     label_files.check_label_settings(config, volume, place.overwrite)
-    mesh_files.check_mesh_settings(config)
+    check_mesh_settings(config)
     if not images.stored_grid(volume.geometry, f".{labels}").matches(volume.geometry):
         keeps_size = IMAGE_FORMATS[labels].keeps != "none"
         what = "the size of a pixel but not" if keeps_size else "neither the size of a voxel nor"

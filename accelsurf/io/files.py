@@ -322,7 +322,8 @@ def read_table(
             columns = [name.strip() for name in next(table, [])]
             vox = set(voxels) <= set(columns)
             if not vox and not set(world) <= set(columns):
-                raise InputError(f"{','.join(columns) or 'no line'} was given as the first line, expected {form}", "")
+                given = ",".join(columns) or "no line"
+                raise InputError(f"{given} was given as the first line, expected {form}", f"as in {','.join(world)}")
             return [read_row(dict(zip(columns, row, strict=False)), table.line_num, vox) for row in table if row]
         except (UnicodeDecodeError, csv.Error) as error:
             raise InputError(f"not a table of text ({error})", f"expected {form}") from None

@@ -1,0 +1,91 @@
+"""Meshes of a result as its settings want them: smoother or coarser, and their statistics.
+
+Commands ask here what can be written before they load what writes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from accelsurf.errors import UsageError
+from accelsurf.settings.run_config import RunConfig
+from accelsurf.settings.toml import mesh_size
+
+if TYPE_CHECKING:
+    from accelsurf.measure.mesh_shaping import MeshOptions
+    from accelsurf.measure.surface_mesh import Surface
+
+
+@dataclass
+class MeshNotes:
+    """Statistics and warnings of meshes that were made smoother or coarser.
+
+    Attributes
+    ----------
+    statistics : dict of str to dict
+        Number of faces, largest distance to the surface, whether closed, smallest angle; by the name of the file.
+    warnings : list of str
+    """
+
+    statistics: dict[str, dict[str, Any]] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def warn(self, lines: Iterable[str]) -> None:
+        """Add warnings."""
+        self.warnings.extend(lines)
+
+
+def is_shaped(config: RunConfig) -> bool:
+    """Test if the settings want another mesh than the surface as it was extracted."""
+    return bool(config.mesh_smooth or config.mesh_faces or config.mesh_error)
+
+
+def check_mesh_settings(config: RunConfig) -> None:
+    """Refuse meshes that cannot be made coarser here, before anything is computed.
+
+    Raises
+    ------
+    InputError
+        When a package lacks.
+    """
+    if config.mesh_faces or config.mesh_error:
+        from accelsurf.measure.mesh_shaping import library
+
+        library("fast_simplification")
+
+
+def options_of(config: RunConfig) -> MeshOptions:
+    """Return what the settings want of meshes."""
+    from accelsurf.measure.mesh_shaping import MeshOptions
+
+    faces, side = (None, None) if config.mesh_faces is None else mesh_size(config.mesh_faces)
+    return MeshOptions(config.mesh_smooth, faces, side, config.mesh_error)
+
+
+def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any], tuple[str, ...]]:
+    """Return a surface as the settings want it, what the report says of it, and warnings.
+
+    Where they cannot be had together, the surface stays as it was extracted, and a warning says what can: a result is
+    not thrown away for its mesh.
+
+    Raises
+    ------
+    InputError
+        When a package lacks.
+    """
+    from accelsurf.measure.mesh_shaping import ShapedMesh, is_sound, shape, smallest_angles
+
+    try:
+        mesh = shape(surface, options_of(config))
+    except UsageError as error:
+        mesh = ShapedMesh(surface, 0.0, (f"{error.message}; the mesh is the surface as it is; {error.hint}",))
+    made = mesh.surface
+    statistics = {
+        "faces": len(made.faces),
+        "largest_distance_mm": mesh.distance_mm,
+        "closed": is_sound(made),
+        "smallest_angle_deg": float(smallest_angles(made.vertices[made.faces]).min()),
+    }
+    return made, statistics, mesh.warnings
