@@ -9,10 +9,9 @@ from pathlib import Path
 
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.io.headers import count_values, options_of
-from accelsurf.run.setup import FREE_SHARE, PROCESS_BYTES, bytes_text, memory_of, run_bytes
+from accelsurf.run.memory import FREE_SHARE, PROCESS_BYTES, bytes_text, memory_of, run_bytes
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.track.track import open_sequence
 
 #: Bytes by the values of a frame that is held beside the one that is run on: its voxels, as numbers and as labels.
 _HELD_BYTES = 8
@@ -136,6 +135,8 @@ def need_of_sequence(source: Path, config: TrackConfig) -> Need:
         A file with time, a folder of frames, or a pattern of their names; its headers are read.
     config : TrackConfig
     """
+    from accelsurf.track.track import open_sequence  # only here: it loads a run
+
     try:
         sequence = open_sequence(source, config)
         values = sequence.frame_values

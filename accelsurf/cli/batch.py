@@ -209,7 +209,7 @@ def _print_plan(work: Batch, scheduler: str | None) -> int:
     from accelsurf.batch.run import SOME_FAILED
     from accelsurf.cli.interrupts import MAX_ERROR, printable
     from accelsurf.cli.progress import table
-    from accelsurf.run.setup import bytes_text
+    from accelsurf.run.memory import bytes_text
 
     rows = plan_rows(work.needs, work.admission)
     cells = [tuple(printable(cell, MAX_ERROR) for cell in line) for line in rows]

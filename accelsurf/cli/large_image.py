@@ -40,7 +40,7 @@ class ImageParts:
     def allowed_bytes(self) -> int:
         """Memory that the run may take."""
         from accelsurf import io
-        from accelsurf.run.setup import allowed_bytes
+        from accelsurf.run.memory import allowed_bytes
 
         return allowed_bytes(self.max_memory, io.available_memory())
 
@@ -62,7 +62,7 @@ def choose_computation(place: Place, config: RunConfig, image: LargeImage | None
 
 def fits(image: LargeImage, config: RunConfig) -> bool:
     """Return True if a run on the whole image is within the memory that it may take."""
-    from accelsurf.run.setup import run_bytes
+    from accelsurf.run.memory import run_bytes
 
     values = math.prod(image.geometry.shape) * len(image.channels)
     return run_bytes(values, energy_expression.uses_model(config.energy), config.flow) <= image.max_bytes
@@ -82,7 +82,7 @@ def large_image(
     """
     from accelsurf.errors import InputError
     from accelsurf.io.headers import count_values, is_store, split_name
-    from accelsurf.run.setup import run_bytes
+    from accelsurf.run.memory import run_bytes
     from accelsurf.settings.file_formats import image_format
 
     form = image_format(split_name(source)[1])
@@ -121,7 +121,7 @@ def with_level(source: Path, config: RunConfig, parts: ImageParts, quiet: bool) 
     InputError
         When the image cannot be opened.
     """
-    from accelsurf.large.windowed import fitting_level
+    from accelsurf.large.fitting_level import fitting_level
 
     if config.level != "auto":
         return config

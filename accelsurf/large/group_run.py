@@ -18,10 +18,11 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import LeavesWindow, Window
 from accelsurf.large.first_window import MIN_MARGIN
 from accelsurf.large.windowed import LargeImage, LargeRun, larger
+from accelsurf.run.memory import PLAIN_BYTES, PROCESS_BYTES, bytes_text
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.run.result import SegmentedObject, plateaus_on_whole
 from accelsurf.run.run import Run
-from accelsurf.run.setup import PLAIN_BYTES, PROCESS_BYTES, bytes_text, window_reach
+from accelsurf.run.setup import window_reach
 from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_terms import TERMS
 from accelsurf.settings.run_config import RunConfig

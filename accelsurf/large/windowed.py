@@ -1,8 +1,7 @@
 """A run on an image that is not in memory: in a window that is made larger until the surface stays within it.
 
 The result has the bytes of a run on the whole image, whatever windows came before the last one: see
-`accelsurf.grid.window`. Of an image that is stored as a pyramid, `fitting_level` is the finest level whose run fits
-into the memory.
+`accelsurf.grid.window`.
 """
 
 from __future__ import annotations
@@ -21,17 +20,17 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import GUARD, LeavesWindow, NeedsLevels, Window, aligned, enlarged
 from accelsurf.image.volume import Volume
 from accelsurf.io import available_memory
-from accelsurf.io.headers import options_of
-from accelsurf.io.lazy_volume import LazyVolume, open_channels, open_with
+from accelsurf.io.lazy_volume import LazyVolume, open_with
 from accelsurf.large.first_window import first_box
 from accelsurf.large.whole_image import Numbers, WholeImage
 from accelsurf.run.arguments import split_given, with_options
 from accelsurf.run.checkpoint_file import CheckpointFile
+from accelsurf.run.memory import allowed_bytes, bytes_text, run_bytes, values_within
 from accelsurf.run.preprocessing import check_grids, filters_of, uses_model
 from accelsurf.run.region_of_interest import cropped, region_of_run
 from accelsurf.run.result import Result, plateaus_on_whole
 from accelsurf.run.run import Run
-from accelsurf.run.setup import allowed_bytes, bytes_text, run_bytes, seeded, values_within
+from accelsurf.run.setup import seeded
 from accelsurf.run.window_input import WindowInput, has_region
 from accelsurf.settings import energy_expression
 from accelsurf.settings.energy_terms import TERMS
@@ -331,57 +330,3 @@ def _check_settings(config: RunConfig) -> None:
             raise UsageError(f"energy: {term.name} looks at the whole image, which is read in parts", hint)
     if config.mask is not None and uses_model(config):
         raise UsageError("mask: it was given with clicks, whose model looks at all of it", "give --box, or --roi")
-
-
-@dataclass(frozen=True)
-class FittingLevel:
-    """A level that fits.
-
-    Attributes
-    ----------
-    level : int
-    levels : int
-        How many there are.
-    grid : Geometry
-        Of the level.
-    """
-
-    level: int
-    levels: int
-    grid: Geometry
-
-    @property
-    def text(self) -> str:
-        """A line about the level for the user."""
-        size = " x ".join(map(str, self.grid.size))
-        place = f"level {self.level} of 0 to {self.levels - 1}"
-        return f"{place} is read, the finest that fits into the memory: {size} voxels"
-
-
-def fitting_level(source: Path, config: RunConfig, allowed_bytes: int) -> FittingLevel | None:
-    """Return the finest level whose run fits into the memory, else the coarsest; None for a file without levels.
-
-    Parameters
-    ----------
-    source : Path
-    config : RunConfig
-        Of the run.
-    allowed_bytes : int
-        Memory that the run may take.
-
-    Raises
-    ------
-    InputError
-        When the image cannot be opened.
-    """
-    if "level" not in options_of(source):
-        return None
-    finest = open_channels(source, replace(config.reading, level=0))
-    grids, channels = finest[0].layout.levels, len(finest) + len(config.channel)
-    uses_model = energy_expression.uses_model(config.energy)
-    within = (
-        n for n, grid in enumerate(grids)
-        if run_bytes(channels * math.prod(grid.shape), uses_model, config.flow) <= allowed_bytes
-    )
-    level = next(within, len(grids) - 1)
-    return FittingLevel(level, len(grids), grids[level])

@@ -9,7 +9,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.headers import count_values
-from accelsurf.run.setup import PROCESS_BYTES, memory_of
+from accelsurf.run.memory import PROCESS_BYTES, memory_of
 
 GB = 10**9
 

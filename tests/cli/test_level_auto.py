@@ -10,7 +10,7 @@ from accelsurf import cli, io
 from accelsurf.cli.large_image import ImageParts, with_level
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.run.setup import run_bytes
+from accelsurf.run.memory import run_bytes
 from accelsurf.settings.run_config import RunConfig
 
 SHAPE = (96, 96, 96)

@@ -13,7 +13,7 @@ from accelsurf.large import group_run, many_objects
 from accelsurf.large.group_run import Boxes, MeetsOthers, VisitedBoxes, united
 from accelsurf.large.many_objects import Groups, segment_many_objects
 from accelsurf.large.windowed import LargeImage
-from accelsurf.run.setup import PROCESS_BYTES
+from accelsurf.run.memory import PROCESS_BYTES
 from tests.support.many_balls import BALLS, GEOMETRY, SHAPE, label_map, scene, write_table
 
 FAST = {"max_steps": 80, "threads": 1}

@@ -11,7 +11,7 @@ from accelsurf.image.volume import Volume
 from accelsurf.io import LazyVolume
 from accelsurf.large.windowed import LargeImage, segment_in_windows
 from accelsurf.run.arguments import with_options
-from accelsurf.run.setup import run_bytes
+from accelsurf.run.memory import run_bytes
 
 SPACING = (1.2, 1.0, 1.0)
 SHAPE = (97, 110, 123)

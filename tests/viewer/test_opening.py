@@ -13,7 +13,7 @@ from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.headers import outside_data_allowed
-from accelsurf.run.setup import run_bytes
+from accelsurf.run.memory import run_bytes
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.opening import Opening
 from accelsurf.viewer.core import opening as core

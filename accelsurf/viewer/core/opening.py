@@ -17,9 +17,9 @@ from accelsurf.image.volume import Volume
 from accelsurf.io import channels, headers
 from accelsurf.io.files import naming
 from accelsurf.io.headers import check_name, format_of, split_name
-from accelsurf.large.windowed import fitting_level
+from accelsurf.large.fitting_level import fitting_level
 from accelsurf.phantoms import recipe_files, recipes
-from accelsurf.run.setup import allowed_bytes
+from accelsurf.run.memory import allowed_bytes
 from accelsurf.settings import energy_expression
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
