@@ -50,7 +50,6 @@ WINDOW = 10.0
 #: A spread is at least this part of the range.
 MIN_RANGE = 1e-3
 Times = NDArray[np.float32]
-_Mask = NDArray[np.bool_]
 Order = NDArray[np.int64]
 _NO_CAP, _ALL_OPEN = np.zeros(0, np.float32), np.zeros(0, np.bool_)
 _NEVER_LATE = (0, np.inf)
