@@ -1,5 +1,5 @@
-"""How each preset does with 1 and 3 clicks of a simulated person: on public scans (the tuning half, and for ct-bone all
-bones of the abdominal CT of which enough is seen), and on phantoms.
+"""How each preset does with 1 and 3 clicks of a simulated person: on public scans (for ct-bone all bones of the
+abdominal CT of which enough is seen), and on phantoms.
 
     python -m benchmarks.presets [NAME ...] [--clicks 1 3] [--set KEY=VALUE ...] [-o FILE]
 
@@ -22,7 +22,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
 from accelsurf.phantoms import recipes, tissues
-from benchmarks.clicks.objects import ClickObject, chosen, load
+from benchmarks.clicks.objects import ClickObject, load, objects
 from benchmarks.clicks.person import next_click
 from benchmarks.peers.measure import scans_folder
 
@@ -34,7 +34,7 @@ BONES = (
         *((f"rib-left-{label - 91}", label) for label in (98, 99, 100, 101)),
         *((f"rib-right-{label - 103}", label) for label in (110, 111, 112, 113, 114)))),
 )  # fmt: skip
-#: Preset -> objects of the tuning half and bones, and phantoms.
+#: Preset -> objects of scans, and phantoms.
 TRIALS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "ct-organ": (("spleen", "liver", "stomach"), ()),
     "ct-bone": (tuple(one.name for one in BONES), ("bone",)),
@@ -104,15 +104,15 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=RESULTS)
     given = parser.parse_args()
     values = dict(text.split("=", 1) for text in given.values)
-    tuned = {one.name: one for one in (*chosen("tune"), *BONES)}
+    tuned = {one.name: one for one in (*objects(), *BONES)}
     found = json.loads(given.output.read_text()) if given.output.exists() else {}
     for name in given.names or TRIALS:
         options = {**({} if given.no_preset else {"preset": name}), **values}
         scans, phantoms = TRIALS[name]
         for what in scans:
             if what in tuned and (given.objects is None or what in given.objects):
-                volume, truth = load(tuned[what], given.volumes)
-                store(found, name, what, play(volume, truth, given.clicks, options), given.output)
+                scene = load(tuned[what], given.volumes)
+                store(found, name, what, play(scene.image, scene.truth, given.clicks, options), given.output)
         for what in phantoms:
             for seed in range(given.seeds):
                 volume, truth = phantom(what, seed)

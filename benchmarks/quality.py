@@ -2,7 +2,7 @@
 
 Results are made on phantoms (several energies, noises and starts) and on the objects of the clicks benchmark, by the
 simulated person's first clicks: an exact game and a jittered one of each object, ``accelsurf segment`` at the first
-click and ``accelsurf refine`` at each later one. By default only its tuning half; ``--half report`` measures the other
+click and ``accelsurf refine`` at each later one. By default only those to tune on; ``--half report`` measures the other
 half with the models as they are, and calibrates nothing. One call writes the features of each result and its Dice into
 benchmarks/results/quality.json, the models into accelsurf/measure/good_result.json, and the page's figure and table.
 """
@@ -29,7 +29,8 @@ from accelsurf.measure import quality
 from accelsurf.measure.metrics import dice
 from accelsurf.measure.quality import click_features, image_features
 from accelsurf.phantoms import recipes
-from benchmarks.clicks.objects import HALVES, chosen, load
+from benchmarks.clicks.games import Hints
+from benchmarks.clicks.objects import chosen, load
 from benchmarks.clicks.own import Refined
 from benchmarks.clicks.person import next_click
 from benchmarks.pages import head_of, put_table, row_of
@@ -37,6 +38,19 @@ from benchmarks.pages import head_of, put_table, row_of
 ROOT = Path(__file__).resolve().parent.parent
 FACTS, MODEL = ROOT / "benchmarks" / "results" / "quality.json", ROOT / "accelsurf" / "analysis" / quality.MODEL_FILE
 PAGE, PICTURE = ROOT / "docs" / "explanation" / "quality.md", ROOT / "docs" / "images" / "quality-reliability.png"
+#: Objects that the model is calibrated on, and those that it is reported on.
+HALVES = {
+    "tune": (
+        "spleen", "stomach", "vertebra-T11", "vena-cava", "cord-ct", "nucleus-17", "nucleus-19", "nucleus-27",
+        "ventricle-left", "thalamus-left", "putamen-left", "third-ventricle", "brain-stem", "cerebellum-right",
+        "caudate-right", "pallidum-right", "cord",
+    ),
+    "report": (
+        "liver", "vertebra-T12", "aorta", "humerus-left", "back-muscle-left", "nucleus-18", "nucleus-26", "nucleus-28",
+        "cerebellum-left", "caudate-left", "pallidum-left", "fourth-ventricle", "ventricle-right", "thalamus-right",
+        "putamen-right", "white-matter",
+    ),
+}
 #: A result is good from this Dice on. Silent failures are below the second without a warning, false alarms are above
 #: the third with one.
 GOOD, FAILED, FINE = 0.8, 0.7, 0.85
@@ -105,9 +119,10 @@ def results(half: str, folder: str | None, only: set[str]) -> Iterator[tuple[str
     if folder is None:
         print("ACCELSURF_VOLUMES is not set: phantoms only", file=sys.stderr)
         return
-    for one in chosen(half):
+    for one in chosen(names=HALVES[half]):
         if not only or one.name in only:
-            yield one.name, list(by_clicks(*load(one, Path(folder))))
+            scene = load(one, Path(folder))
+            yield one.name, list(by_clicks(scene.image, scene.truth))
 
 
 def on_phantom(name: str) -> Iterator[dict[str, Any]]:
@@ -135,7 +150,7 @@ def by_clicks(image: Volume, truth: NDArray[np.bool_]) -> Iterator[dict[str, Any
     """Results after each of the person's first clicks, game after game."""
     for seed in GAMES:
         random = None if seed is None else np.random.default_rng(seed)
-        player, labels = Refined(image, None), None
+        player, labels = Refined(image, Hints()), None
         for _ in range(CLICKS):
             click = next_click(truth, labels, image.geometry, random)
             if click is None:

@@ -3,7 +3,7 @@
 scripts/benchmark refine [--objects A,B] [--clicks N] [--size N] [--threads N] [--volumes DIR] [--results DIR]
 scripts/benchmark refine --render        the page again, from the JSON alone
 
-The simulated person of `benchmarks.clicks` clicks into phantoms and, where the scans are there, into the tuning half of
+The simulated person of `benchmarks.clicks` clicks into phantoms and, where the scans are there, into objects of
 the brain. Each click is made several times from the same state: with all threads, for the seconds that a person waits;
 and with one, for the processor seconds of each part. Both must give the same bytes. Kernels are compiled before.
 """
@@ -40,7 +40,11 @@ from benchmarks.peers.measure import scans_folder
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS, PAGE, NAME = ROOT / "benchmarks/results", ROOT / "docs/explanation/latency.md", "refine.json"
 #: The scan of 256^3 voxels whose objects are clicked.
-SCAN = "mri_brain256"
+#: Objects of one brain of that size.
+IN_BRAIN = (
+    "ventricle-left", "thalamus-left", "putamen-left", "third-ventricle", "brain-stem", "cerebellum-right",
+    "caudate-right", "pallidum-right",
+)
 #: Wanted of a correction, s: the median, and what 95 % take at most; of a first click, the median.
 WANTED = {"later": (0.5, 1.0), "first": (3.0, None)}
 #: How often a click is made; the fastest counts, as what disturbs only adds.
@@ -152,10 +156,11 @@ def phantoms(size: int) -> Iterator[Case]:
 
 
 def scans(folder: Path, names: Sequence[str]) -> Iterator[Case]:
-    """The objects of the tuning half in the brain."""
-    for one in chosen("tune"):
-        if one.volume == SCAN and (not names or one.name in names):
-            yield Case(one.name, "scan", *load(one, folder))
+    """The objects in the brain."""
+    for one in chosen(names=IN_BRAIN):
+        if not names or one.name in names:
+            scene = load(one, folder)
+            yield Case(one.name, "scan", scene.image, scene.truth)
 
 
 def play(case: Case, clicks: int, threads: int) -> Iterator[dict[str, Any]]:
@@ -259,7 +264,7 @@ def page_of(facts: dict[str, Any]) -> str:
         "",
         f"{facts['threads']} threads, {facts['cores']} cores, load {facts['load']:.1f} at the beginning. Where that is "
         "more than the cores, a person would wait less on an idle machine, and the processor's seconds, of the same "
-        "clicks with one thread, tell more. Scans: the tuning half of a T1 brain (niivue's demo images).",
+        "clicks with one thread, tell more. Scans: objects of a T1 brain (niivue's demo images).",
         "",
         "| clicks | number | median | 95 % | largest | first step shown, median | processor, median | 95 % | wanted |",
         "|---|---|---|---|---|---|---|---|---|",

@@ -1,9 +1,9 @@
 """How many clicks a segmentation takes: a simulated person on whole scans, accelsurf beside its peers.
 
-scripts/benchmark clicks [--half tune|report] [--methods A,B|peers] [--objects A,B] [--clicks N]
-                         [--variants plain,size,jitter]
-scripts/benchmark clicks --tune --methods peers     choose the peers' settings on the tuning half
-scripts/benchmark clicks --render                   table and picture again, from the games that are kept
+scripts/benchmark clicks [--folds 1,2|phantoms] [--methods A,B|peers] [--objects A,B] [--games plain,size,...]
+                         [--clicks N] [--default]
+scripts/benchmark clicks --grid --methods peers     play all settings of the peers, so that folds can choose
+scripts/benchmark clicks --render                   tables and picture again, from the games that are kept
 """
 
 from __future__ import annotations
@@ -11,18 +11,34 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from benchmarks.clicks.games import play, variants
-from benchmarks.clicks.methods import TUNED_CLICKS, Method, named, volume_shape
-from benchmarks.clicks.objects import HALVES, ClickObject, chosen, load, size_factor
+from benchmarks.clicks.folds import NAMES
+from benchmarks.clicks.games import KINDS, play, variants
+from benchmarks.clicks.methods import TUNED_CLICKS, Method, named
+from benchmarks.clicks.objects import ClickObject, chosen, load, size_factor
 from benchmarks.clicks.pictures import Album
 from benchmarks.clicks.store import Store, brief, key_of
 from benchmarks.peers.measure import MissingError, scans_folder, set_threads
 
 RESULTS = Path(__file__).resolve().parent.parent / "results"
-KINDS = ("plain", "size", "jitter")
+
+
+class Task(NamedTuple):
+    """A game to be played: an object, a variant, the method's settings, how many clicks, surfaces measured or not."""
+
+    object: ClickObject
+    variant: str
+    settings: dict[str, Any]
+    clicks: int
+    surface: bool = True
+
+    @property
+    def key(self) -> str:
+        """Key under which the game is kept."""
+        return key_of(self.object.name, self.variant, self.settings)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -50,29 +66,28 @@ def main(arguments: list[str] | None = None) -> int:
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(prog="scripts/benchmark clicks", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--half", choices=HALVES, default="tune", help="which objects (tune)")
-    parser.add_argument("--objects", type=_names, default=[], help="of that half, only these")
+    parser.add_argument("--folds", type=_names, default=[], help=f"only objects of these: {', '.join(NAMES)}")
+    parser.add_argument("--objects", type=_names, default=[], help="only these, chosen by the rule or not")
     parser.add_argument("--methods", type=_names, default=[], help="only these; peers: all but ours")
-    parser.add_argument("--variants", type=_names, default=["plain"], help=f"of {', '.join(KINDS)} (plain)")
-    parser.add_argument("--clicks", type=int, default=20, help="clicks on each object (20)")
+    parser.add_argument("--games", type=_names, default=["plain"], help=f"of {', '.join(KINDS)} (plain)")
+    parser.add_argument("--clicks", type=int, default=10, help="clicks on each object (10)")
     parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1))
     parser.add_argument("--volumes", type=Path, default=scans_folder(),
                         help="folder of the scans (default: ACCELSURF_VOLUMES)")
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of JSON and picture (benchmarks/results)")
-    parser.add_argument("--tune", action="store_true", help=f"all settings of the grids, {TUNED_CLICKS} clicks")
+    parser.add_argument("--grid", action="store_true", help=f"all settings of the methods, {TUNED_CLICKS} exact clicks")
+    parser.add_argument("--default", action="store_true", help="default settings where none are chosen yet")
     parser.add_argument("--again", action="store_true", help="play games again that are kept")
     parser.add_argument("--pictures", action="store_true", help="of the result after each click that is played")
     parser.add_argument("--render", action="store_true", help="play nothing")
     options = parser.parse_args(arguments)
     if options.clicks < 1 or options.threads < 1:
         parser.error("--clicks and --threads must be at least 1")
-    for kind in options.variants:
+    for kind in options.games:
         if kind not in KINDS:
-            parser.error(f"{kind}: no such variant; there are {', '.join(KINDS)}")
-    if options.tune and options.half != "tune":
-        parser.error("--tune is for the half to tune on")
+            parser.error(f"{kind}: no such game; there are {', '.join(KINDS)}")
     try:
-        options.methods, options.objects = named(options.methods), chosen(options.half, options.objects)
+        options.methods, options.objects = named(options.methods), chosen(options.folds, options.objects)
     except ValueError as wrong:
         parser.error(str(wrong))
     return options
@@ -82,42 +97,49 @@ def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
+def tasks(method: Method, store: Store, options: argparse.Namespace) -> Iterator[Task]:
+    """Games of a method, by the command line; folds without chosen settings are said and left out."""
+    kinds = [kind for kind in options.games if kind != "size" or method.takes_size]
+    chosen_by_fold: dict[str, dict[str, Any] | None] = {}
+    for which in options.objects:
+        if options.grid:
+            yield from (Task(which, "plain", settings, TUNED_CLICKS, False) for settings in method.grid)
+            continue
+        if which.fold not in chosen_by_fold:
+            found = method.settings(store, which.fold)
+            if found is None and not options.default:
+                print(f"{method.name}: fold {which.fold} skipped, no settings chosen yet: --grid --methods "
+                      f"{method.name}, or --default", flush=True)
+            chosen_by_fold[which.fold] = method.default if found is None and options.default else found
+        settings = chosen_by_fold[which.fold]
+        if settings is not None:
+            yield from (Task(which, variant, settings, options.clicks) for variant in variants(kinds))
+
+
 def run(method: Method, options: argparse.Namespace) -> None:
     """Play all games of one method that are not kept yet."""
     store = Store(options.results, method.name)
-    if options.tune:
-        grid: list[dict[str, Any]] = method.grid
-    else:
-        best = method.settings(store)
-        if best is None:
-            print(f"{method.name}: skipped, no settings chosen yet: --tune --methods {method.name}", flush=True)
-            return
-        grid = [best]
-    clicks = TUNED_CLICKS if options.tune else options.clicks
-    kinds = [kind for kind in options.variants if kind != "size" or method.takes_size]
-    tasks = [(one, kind, settings) for one in options.objects for kind in variants(kinds) for settings in grid]
+    every = list(tasks(method, store, options))
     if options.again:
-        store.forget({key_of(one.name, kind, settings) for one, kind, settings in tasks})
-    for one, kind, settings in tasks:
-        if store.get(key_of(one.name, kind, settings), clicks) is None:
-            album = Album(method.name, one.name, kind) if options.pictures else None
-            game = play_one(method, one, kind, settings, clicks, options.volumes, album)
+        store.forget({task.key for task in every})
+    for task in every:
+        if store.get(task.key, task.clicks) is None:
+            album = Album(method.name, task.object.name, task.variant) if options.pictures else None
+            game = play_task(method, task, options.volumes, album)
             if album is not None:
                 print(f"written: {album.write(options.results)}", flush=True)
-            store.put(key_of(one.name, kind, settings), brief(game) if options.tune else game)
+            store.put(task.key, brief(game) if options.grid else game)
 
 
-def play_one(
-    method: Method, one: ClickObject, kind: str, settings: dict[str, Any], clicks: int, folder: Path | None,
-    album: Album | None = None,
-) -> dict[str, Any]:
+def play_task(method: Method, task: Task, folder: Path | None, album: Album | None = None) -> dict[str, Any]:
     """Play a game and print it."""
-    image, truth = load(one, folder)
-    watch = None if album is None else album.watcher(image, truth)
-    game = play(method.segmenter(settings), image, truth, clicks, kind, size_factor(one), watch)
+    scene = load(task.object, folder)
+    watch = None if album is None else album.watcher(scene.image, scene.truth)
+    game = play(method.segmenter(task.settings), scene, task.clicks, task.variant, size_factor(task.object), watch,
+                task.surface)
     dices = " ".join(f"{click['dice']:.3f}" for click in game["clicks"])
     seconds = sum(click["wall_s"] for click in game["clicks"]) / max(len(game["clicks"]), 1)
-    print(f"{method.name} {one.name} {volume_shape(image)} {kind} {settings or ''}: {dices}; {seconds:.2f} s/click",
+    print(f"{method.name} {task.object.name} {task.variant} {task.settings or ''}: {dices}; {seconds:.2f} s/click",
           flush=True)
     return game
 

@@ -3,7 +3,8 @@
 One inside click says nothing about the outside, which all of the peers need. The rule for all of them: the crop reaches
 ``reach`` times the depth (twice the ball's radius) around the inside clicks; the crop's faces count as outside, but for
 those nearer than half that margin to an inside click: there the object may well run on. Where all faces are that near,
-the farthest counts. A person who uses such a program marks the outside, or draws a box.
+the farthest counts. A drawn box is the crop, and what lies outside of it is outside. A person who uses such a program
+marks the outside, or draws a box.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.energies.seeded.implied import implied
-from accelsurf.grid.boxes import Box, connected_to
+from accelsurf.grid.boxes import Box, connected_to, enclosing, whole_box, widened
 from accelsurf.grid.clicks import SIDES, Click, Clicks, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
@@ -26,6 +27,8 @@ from benchmarks.clicks.person import Mask, PersonClick, ball_voxels
 INSIDE, OUTSIDE = 1, 2
 #: Values are cut at so many spreads from the median of the inside clicks, as a person sets a window.
 WINDOW = 10.0
+#: A crop reaches at least so many of the smallest spacing beyond inside clicks: thin things get clicks of one voxel.
+LEAST_MARGIN = 12.0
 
 
 class Domain(NamedTuple):
@@ -58,10 +61,18 @@ class CroppedSession:
         around them (`accelsurf.energies.seeded.implied`) counts as said here too.
     cap : int
         Voxels above which the crop is coarsened.
+    drawn : Box, optional
+        The box that a person drew around the object: the crop is this box and a voxel more, and that voxel is outside.
+    whole : bool
+        Without a drawn box the crop is the whole scan: the clicks are points, which say nothing of a width.
     """
 
-    def __init__(self, image: Volume, solver: Solver, settings: Mapping[str, Any], cap: int) -> None:
+    def __init__(
+        self, image: Volume, solver: Solver, settings: Mapping[str, Any], cap: int, drawn: Box | None = None,
+        whole: bool = False,
+    ) -> None:
         self.image, self.solver, self.settings, self.cap = image, solver, settings, cap
+        self.drawn, self.whole = drawn, whole
         self.clicks: list[PersonClick] = []
 
     def click(self, click: PersonClick) -> Mask:
@@ -69,12 +80,22 @@ class CroppedSession:
         self.clicks.append(click)
         geometry = self.image.geometry
         box, margin = crop(self.clicks, geometry, self.settings["reach"])
+        if self.whole:
+            box = whole_box(geometry.shape)
+        if self.drawn is not None:
+            box = widened(self.drawn, geometry.shape, (1, 1, 1))
+        for click_box, _ in (ball_voxels(each, geometry) for each in self.clicks):
+            box = enclosing(box, click_box)
         steps = strides(box, geometry.spacing, self.cap)
         hints = self._hints(box) if self.settings.get("implied") else []
-        domain = made(self.image.array, geometry, self.clicks, box, steps, margin, hints)
+        domain = made(self.image.array, geometry, self.clicks, box, steps, margin, hints, self.drawn)
         field = np.asarray(self.solver(domain, self.settings), np.float32)
         labels = np.zeros(geometry.shape, bool)
         labels[box] = enlarged(field, steps, labels[box].shape) > 0
+        if self.drawn is not None:
+            inside = labels[self.drawn].copy()
+            labels[:] = False
+            labels[self.drawn] = inside
         for one in self.clicks:
             where, ball = ball_voxels(one, geometry)
             labels[where][ball] = one.side == "inside"
@@ -90,7 +111,8 @@ class CroppedSession:
 
 def crop(clicks: Sequence[PersonClick], geometry: Geometry, reach: float) -> tuple[Box, float]:
     """The box that a peer gets, and the margin (mm) around the inside clicks."""
-    margin = reach * 2 * max(one.radius for one in clicks if one.side == "inside")
+    margin = reach * 2 * max(each.radius for each in clicks if each.side == "inside")
+    margin = max(margin, LEAST_MARGIN * min(geometry.spacing))
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for one in clicks:
         width = margin if one.side == "inside" else 2 * one.radius
@@ -119,7 +141,7 @@ def strides(box: Box, spacing: Sequence[float], cap: int) -> tuple[int, int, int
 
 def made(
     image: NDArray[Any], geometry: Geometry, clicks: Sequence[PersonClick], box: Box, steps: tuple[int, int, int],
-    margin: float, hints: Sequence[Click] = (),
+    margin: float, hints: Sequence[Click] = (), drawn: Box | None = None,
 ) -> Domain:
     """Cut, coarsen, scale, and mark the seeds: clicks, and where none lies what they imply, unless two disagree."""
     part = image[box].astype(np.float32)
@@ -140,7 +162,8 @@ def made(
     spread = max(1.4826 * float(np.median(np.abs(inside - middle))), floor, 1e-3 * float(np.ptp(part)), 1e-20)
     values = np.clip((part - middle) / np.float32(spread), -WINDOW, WINDOW)
     coarse = coarsened_seeds(seeds, steps)
-    for axis, end in outer_faces(clicks, geometry, box, margin):
+    faces = outer_faces(clicks, geometry, box, margin) if drawn is None else faces_beyond(drawn, box)
+    for axis, end in faces:
         face = [slice(None)] * 3
         face[axis] = slice(0, 1) if end == 0 else slice(-1, None)
         layer = coarse[tuple(face)]
@@ -161,6 +184,19 @@ def outer_faces(
         at = box[axis].start if end == 0 else box[axis].stop - 1
         far[axis, end] = min(abs(index[axis] - at) for index in inside) * geometry.spacing[axis]
     return [face for face, mm in far.items() if mm >= 0.5 * margin] or [max(far, key=lambda face: far[face])]
+
+
+def faces_beyond(drawn: Box, box: Box) -> list[tuple[int, int]]:
+    """Faces (axis, end 0 or 1) of a crop that lie outside of the box that a person drew.
+
+    Examples
+    --------
+    >>> faces_beyond((slice(0, 4), slice(1, 4), slice(1, 5)), (slice(0, 5), slice(0, 5), slice(0, 5)))
+    [(0, 1), (1, 0), (1, 1), (2, 0)]
+    """
+    ends = [((axis, 0), box[axis].start < drawn[axis].start) for axis in range(3)]
+    ends += [((axis, 1), box[axis].stop > drawn[axis].stop) for axis in range(3)]
+    return sorted(face for face, beyond in ends if beyond)
 
 
 def block_mean(values: NDArray[np.float32], steps: tuple[int, int, int]) -> NDArray[np.float32]:

@@ -2,89 +2,166 @@
 
 from __future__ import annotations
 
+import math
 import os
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import AccelsurfError
+from accelsurf.grid.boxes import Box
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
-from benchmarks.clicks.person import PersonClick, next_click
+from benchmarks.clicks.measures import surfaces
+from benchmarks.clicks.objects import Scene
+from benchmarks.clicks.person import (
+    PersonClick,
+    click_in_box,
+    click_of_challenge,
+    drawn_box,
+    first_stroke,
+    next_click,
+)
 
 Mask = NDArray[np.bool_]
 #: Numbers of clicks at which the Dice is shown, and the Dice that must be reached for "number of clicks".
-BUDGETS, LEVELS = (1, 2, 3, 5, 10, 20), (0.80, 0.85, 0.90)
+BUDGETS, LEVELS = (1, 2, 3, 5, 10), (0.80, 0.85, 0.90)
 #: A click after which the Dice is lower by more than this did harm.
 FALL = 0.02
 #: Click k of the jittered game with seed s draws from the generator (BASE, s, k): the same for all methods.
 SEEDS, BASE = (0, 1, 2, 3, 4), 16
+#: Games: exact clicks; with a size; jittered clicks; first a box or a stroke; the protocol of the CVPR 2025 challenge
+#: from a click in the middle or from a box.
+KINDS = ("plain", "size", "jitter", "box", "stroke", "cvpr", "cvpr-box")
+#: Interactions of the challenge: the first, and five corrections.
+CHALLENGE = 6
+
+
+class Hints(NamedTuple):
+    """What a person gives before the first click: a size (mm3), a box (voxels z, y, x); None where not given.
+
+    ``points``: all clicks are single voxels, and say nothing of the object's width.
+    """
+
+    size_mm3: float | None = None
+    box: Box | None = None
+    points: bool = False
 
 
 class Session(Protocol):
-    """One object being segmented: knows the scan, takes clicks, gives the labels so far on the whole grid."""
+    """One object being segmented: knows the scan, takes clicks, gives the labels so far on the whole grid.
+
+    Its attribute ``sureness``, if it has one, is its probability (0 to 1) that the labels are good, or None.
+    """
 
     def click(self, click: PersonClick) -> Mask:
         """Labels (nz, ny, nx) after one more click."""
 
 
-#: Makes a session on a scan; the second argument is the size (mm3) that the person states, or None.
-Segmenter = Callable[[Volume, float | None], Session]
+#: Makes a session on a scan.
+Segmenter = Callable[[Volume, Hints], Session]
 
 
 def variants(names: Sequence[str]) -> list[str]:
-    """What is played on each object: "plain", "size" (a size beside the first click), "jitter" as one per seed.
+    """Games on each object, by the names of `KINDS`: "jitter" is one for each seed.
 
     Examples
     --------
     >>> variants(["plain", "jitter"])
     ['plain', 'jitter0', 'jitter1', 'jitter2', 'jitter3', 'jitter4']
     """
-    return [one for name in names for one in ([f"jitter{seed}" for seed in SEEDS] if name == "jitter" else [name])]
+    return [each for name in names for each in ([f"jitter{seed}" for seed in SEEDS] if name == "jitter" else [name])]
 
 
 def play(
-    segmenter: Segmenter, image: Volume, truth: Mask, clicks: int, variant: str = "plain", size_factor: float = 1.0,
-    watch: Callable[[PersonClick, Mask], None] | None = None,
+    segmenter: Segmenter, scene: Scene, clicks: int = 10, variant: str = "plain", size_factor: float = 1.0,
+    watch: Callable[[PersonClick, Mask], None] | None = None, surface: bool = True,
 ) -> dict[str, Any]:
-    """Play until ``clicks`` are spent or nothing is wrong; ``watch`` is called with each click and the labels after it.
+    """Play until ``clicks`` are spent or nothing is wrong.
+
+    Parameters
+    ----------
+    segmenter : callable
+    scene : Scene
+        Outside of its region nothing is compared.
+    clicks : int
+        The challenge's games end after `CHALLENGE`.
+    variant : str
+        See `variants`.
+    size_factor : float
+        The size that is stated, as a part of the true one.
+    watch : callable, optional
+        Called with each click and the labels after it.
+    surface : bool
+        Surface distances and surface Dice too, after the clicks of `BUDGETS` (all of the challenge's).
 
     Returns
     -------
     dict
-        ``clicks``: for each the side, the voxel, the radius (mm), ``dice`` after it, ``wall_s`` and ``cpu_s``, and
-        ``error`` where the segmenter refused it (the labels before stand). ``perfect``: nothing is wrong any more.
+        ``clicks``: for each the side, the voxel, the radius (mm), ``dice`` after it, the `surfaces`, ``sureness``,
+        ``wall_s`` and ``cpu_s``, and ``error`` where the segmenter refused it (the labels before stand). ``perfect``:
+        nothing is wrong any more.
     """
-    size = size_factor * float(np.count_nonzero(truth)) * image.geometry.voxel_volume if variant == "size" else None
+    image, truth = scene.image, scene.truth
+    hints = hints_of(scene, variant, size_factor)
     out: list[dict[str, Any]] = []
     labels: Mask | None = None
     session: Session | None = None
-    for number in range(clicks):
-        click = next_click(truth, labels, image.geometry, _random(variant, number))
+    for number in range(min(clicks, CHALLENGE) if variant.startswith("cvpr") else clicks):
+        click = click_of(scene, labels, variant, number)
         if click is None:
             break
         record: dict[str, Any] = {"side": click.side, "index": list(click.index), "radius": click.radius}
         wall, cpu = time.perf_counter(), _cpu_seconds()
         try:
-            session = session or segmenter(image, size)
-            labels = session.click(click)
+            session = session or segmenter(image, hints)
+            found = session.click(click)
         except AccelsurfError as refused:
             record["error"] = str(refused)
-            labels = np.zeros_like(truth) if labels is None else labels
-        record |= {"wall_s": time.perf_counter() - wall, "cpu_s": _cpu_seconds() - cpu, "dice": dice(labels, truth)}
+            found = np.zeros_like(truth) if labels is None else labels
+        record |= {"wall_s": time.perf_counter() - wall, "cpu_s": _cpu_seconds() - cpu}
+        labels = compared(found, scene.region)
+        record |= {"dice": dice(labels, truth), "sureness": getattr(session, "sureness", None)}
+        if surface and (variant.startswith("cvpr") or number + 1 in BUDGETS):
+            record |= surfaces(labels, truth, image.geometry.spacing)
         out.append(record)
         if watch is not None:
             watch(click, labels)
     return {"clicks": out, "perfect": bool(out) and out[-1]["dice"] == 1.0}
 
 
-def _random(variant: str, number: int) -> np.random.Generator | None:
-    """The generator of a jittered game's next click; None where the person is exact."""
-    return np.random.default_rng([BASE, int(variant[6:]), number]) if variant.startswith("jitter") else None
+def hints_of(scene: Scene, variant: str, size_factor: float = 1.0) -> Hints:
+    """Hints that a variant gives."""
+    if variant == "size":
+        return Hints(size_factor * float(np.count_nonzero(scene.truth)) * scene.image.geometry.voxel_volume)
+    box = drawn_box(scene.truth) if variant in ("box", "cvpr-box") else None
+    return Hints(box=box, points=variant.startswith("cvpr"))
+
+
+def click_of(scene: Scene, labels: Mask | None, variant: str, number: int) -> PersonClick | None:
+    """Next click of a variant; None where nothing is wrong."""
+    truth, geometry = scene.truth, scene.image.geometry
+    if number == 0 and variant == "stroke":
+        return first_stroke(truth, geometry)
+    if number == 0 and variant in ("box", "cvpr-box"):
+        return click_in_box(truth, geometry)
+    if variant.startswith("cvpr"):
+        return click_of_challenge(truth, labels, geometry)
+    random = np.random.default_rng([BASE, int(variant[6:]), number]) if variant.startswith("jitter") else None
+    return next_click(truth, labels, geometry, random)
+
+
+def compared(labels: Mask, region: Box | None) -> Mask:
+    """Labels without what lies outside of the region that is compared."""
+    if region is None:
+        return labels
+    out = np.zeros_like(labels)
+    out[region] = labels[region]
+    return out
 
 
 def _cpu_seconds() -> float:
@@ -141,7 +218,8 @@ def summary(games: Sequence[dict[str, Any]]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``dice``: by budget. ``noc``: by level, the median of the clicks needed, ``played`` + 1 where it was never
+        ``dice`` and ``mean``: medians and means by budget. ``surface``: medians of the `surfaces` by budget, where they
+        were measured. ``noc``: by level, the median of the clicks needed, ``played`` + 1 where it was never
         reached; ``never``: how many did not. ``within5``: share of the objects at .85 within five clicks. ``fell``:
         share of clicks. ``refused``: clicks that the segmenter refused. Seconds, medians: of first and later clicks.
     """
@@ -153,6 +231,8 @@ def summary(games: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "objects": len(games),
         "played": played,
         "dice": {n: statistics.median(_known(game, n) for game in games) for n in BUDGETS if n <= played},
+        "mean": {n: statistics.fmean(_known(game, n) for game in games) for n in BUDGETS if n <= played},
+        "surface": {n: found for n in BUDGETS if n <= played and (found := _surfaces_after(games, n))},
         "noc": {level: statistics.median(n or played + 1 for n in found) for level, found in needed.items()},
         "never": {level: found.count(None) for level, found in needed.items()},
         "within5": sum(n is not None and n <= 5 for n in needed[0.85]) / len(games) if played >= 5 else None,
@@ -160,6 +240,39 @@ def summary(games: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "refused": sum("error" in one for game in games for one in game["clicks"]),
         **seconds(games),
     }
+
+
+def _surfaces_after(games: Sequence[dict[str, Any]], budget: int) -> dict[str, float | None]:
+    """Medians of the surface measures after a click; an answer without a surface counts as infinitely far (None)."""
+    clicks = [game["clicks"][min(budget, len(game["clicks"])) - 1] for game in games]
+    measured = [click for click in clicks if "nsd" in click]
+    keys = ("nsd", "mean_mm", "p95_mm", "mean_voxels", "p95_voxels")
+    if not measured:
+        return {}
+    middle = {key: statistics.median(math.inf if click[key] is None else click[key] for click in measured)
+              for key in keys}
+    return {key: None if math.isinf(value) else value for key, value in middle.items()}
+
+
+def challenge(games: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Means over objects of the challenge's figures: areas under the curves of DSC and NSD, and their last values.
+
+    The area is by the trapezoid rule over `CHALLENGE` interactions, so that 5 is the most. Once nothing is wrong the
+    values stay at 1.
+
+    Examples
+    --------
+    >>> game = {"clicks": [{"dice": 0.5, "nsd": 0.0}, {"dice": 1.0, "nsd": 1.0}], "perfect": True}
+    >>> challenge([game])["dsc_auc"], challenge([game])["nsd_final"]
+    (4.75, 1.0)
+    """
+    out = {}
+    for name, key in (("dsc", "dice"), ("nsd", "nsd")):
+        courses = [[float(click[key]) for click in game["clicks"]] for game in games]
+        full = [course + [course[-1]] * (CHALLENGE - len(course)) for course in courses]
+        out[f"{name}_auc"] = statistics.fmean(sum(course) - 0.5 * (course[0] + course[-1]) for course in full)
+        out[f"{name}_final"] = statistics.fmean(course[-1] for course in full)
+    return out
 
 
 def _known(game: dict[str, Any], budget: int) -> float:

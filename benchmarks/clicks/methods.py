@@ -8,7 +8,8 @@ from typing import Any, cast
 
 from accelsurf.image.volume import Volume
 from benchmarks.clicks.domain import CroppedSession
-from benchmarks.clicks.games import Segmenter, Session, score
+from benchmarks.clicks.folds import tuned_on
+from benchmarks.clicks.games import Hints, Segmenter, Session, score
 from benchmarks.clicks.objects import ClickObject, chosen
 from benchmarks.clicks.peers import PEERS, ClickPeer
 from benchmarks.clicks.store import Store, key_of
@@ -30,28 +31,42 @@ class Method:
         """What makes sessions with these settings."""
         if self.peer is not None:
             peer = self.peer
-            return lambda image, size: cast(Session, CroppedSession(image, peer.solver, settings, peer.cap))
+
+            def made(image: Volume, hints: Hints) -> Session:
+                session = CroppedSession(image, peer.solver, settings, peer.cap, hints.box, hints.points)
+                return cast(Session, session)
+
+            return made
         # Compiled code is loaded only when it is asked for, after the number of threads is set.
         from benchmarks.clicks import own
 
         return own.segmenter(self.name)
 
-    def settings(self, store: Store) -> dict[str, Any] | None:
-        """The best settings on the tuning half; None while a game of the grid is missing."""
+    @property
+    def default(self) -> dict[str, Any]:
+        """Settings while none are chosen: the last of the grid."""
+        return self.grid[-1]
+
+    def settings(self, store: Store, fold: str) -> dict[str, Any] | None:
+        """Best settings on the other folds than ``fold``; None while a game of the grid on one of them is missing.
+
+        Games of a grid need `TUNED_CLICKS` clicks. Phantoms are never chosen on.
+        """
         if len(self.grid) == 1:
             return self.grid[0]
+        others = chosen(tuned_on(fold))
         scores: list[float] = []
-        for one in self.grid:
-            games = [game for o in chosen("tune") if (game := tuned(store, o, one)) is not None]
-            if len(games) < len(chosen("tune")):
+        for settings in self.grid:
+            games = [game for each in others if (game := tuned(store, each, settings)) is not None]
+            if len(games) < len(others):
                 return None
             scores.append(score(games))
         return self.grid[scores.index(max(scores))]
 
 
-def tuned(store: Store, one: ClickObject, settings: dict[str, Any]) -> dict[str, Any] | None:
+def tuned(store: Store, which: ClickObject, settings: dict[str, Any]) -> dict[str, Any] | None:
     """A game that settings are chosen by, if it was played."""
-    return store.get(key_of(one.name, "plain", settings), TUNED_CLICKS)
+    return store.get(key_of(which.name, "plain", settings), TUNED_CLICKS)
 
 
 OWN = ("accelsurf", "accelsurf-rerun", "accelsurf-start")

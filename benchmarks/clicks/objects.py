@@ -1,126 +1,144 @@
-"""The objects that are clicked at, in public scans, and their fixed split into a half to tune on and a half to report.
+"""The objects that are clicked at: of public scans by a fixed rule (`choice`), and a phantom of each kind (`phantoms`).
 
-The list names what a person would click: deep grey nuclei, ventricles, cerebellum and brain stem in an MRI of the head
-(FreeSurfer's table of colours numbers the labels), organs, vessels, bones and muscle of an abdominal CT
-(TotalSegmentator's table of classes), white matter, the cervical cord, single nuclei in fluorescence. It was fixed
-before anything was run (record 0023). The abdominal CT shows no kidney.
+A person would say each object's name. ``objects.json`` is what the rule gives; objects of the former list that it does
+not choose are in it too, and played only when they are named.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf import io
+from accelsurf.grid.boxes import Box
 from accelsurf.image.volume import Volume
+from benchmarks.clicks import phantoms
+from benchmarks.clicks.folds import NAMES, fold_of_scan
+from benchmarks.clicks.references import SLABS, THRESHOLDS, labelled
+from benchmarks.peers.measure import scans_folder
 from benchmarks.peers.work import scan
 
-HALVES = ("tune", "report")
+TABLE = Path(__file__).resolve().parent / "objects.json"
 #: What the size that a person states beside the first click is, as a part of the true one: 25 % too large, 20 % too
-#: small, in turn along each half.
+#: small, in turn along the list.
 SIZE_FACTORS = (1.25, 0.8)
+PHANTOM = "phantom"
 
 
 @dataclass(frozen=True)
 class ClickObject:
-    """One object: a short name, the scan's file without its ending, and the labels of the reference that make it."""
+    """One object: a short name, the scan's file without its ending, and the labels of the reference that make it.
+
+    ``labels``: none for all above 0, or for an object by thresholds or a phantom. ``part``: of the connected parts of
+    the labels the one of this rank by size, 0 for all together. ``chosen``: the rule took it.
+    """
 
     name: str
     volume: str
-    labels: tuple[int, ...]
+    labels: tuple[int, ...] = ()
+    family: str = "other"
+    part: int = 0
+    chosen: bool = True
+
+    @property
+    def fold(self) -> str:
+        """Name of its fold."""
+        return fold_of_scan(self.volume)
 
 
-_BRAIN, _CT, _NUCLEI = "mri_brain256", "ct_abdomen_hires", "fluo_nuclei1136"
-#: In any order: `OBJECTS` has them in the order that counts.
-_NAMED = (
-    ClickObject("spleen", _CT, (1,)),
-    ClickObject("liver", _CT, (5,)),
-    ClickObject("stomach", _CT, (6,)),
-    ClickObject("vertebra-T12", _CT, (32,)),
-    ClickObject("vertebra-T11", _CT, (33,)),
-    ClickObject("aorta", _CT, (52,)),
-    ClickObject("vena-cava", _CT, (63,)),
-    ClickObject("humerus-left", _CT, (69,)),
-    ClickObject("cord-ct", _CT, (79,)),
-    ClickObject("back-muscle-left", _CT, (86,)),
-    # Nuclei: the three that do not touch the border, and the three largest of those that do.
-    ClickObject("nucleus-17", _NUCLEI, (17,)),
-    ClickObject("nucleus-18", _NUCLEI, (18,)),
-    ClickObject("nucleus-19", _NUCLEI, (19,)),
-    ClickObject("nucleus-26", _NUCLEI, (26,)),
-    ClickObject("nucleus-27", _NUCLEI, (27,)),
-    ClickObject("nucleus-28", _NUCLEI, (28,)),
-    ClickObject("ventricle-left", _BRAIN, (4,)),
-    ClickObject("cerebellum-left", _BRAIN, (7, 8)),
-    ClickObject("thalamus-left", _BRAIN, (10,)),
-    ClickObject("caudate-left", _BRAIN, (11,)),
-    ClickObject("putamen-left", _BRAIN, (12,)),
-    ClickObject("pallidum-left", _BRAIN, (13,)),
-    ClickObject("third-ventricle", _BRAIN, (14,)),
-    ClickObject("fourth-ventricle", _BRAIN, (15,)),
-    ClickObject("brain-stem", _BRAIN, (16,)),
-    ClickObject("ventricle-right", _BRAIN, (43,)),
-    ClickObject("cerebellum-right", _BRAIN, (46, 47)),
-    ClickObject("thalamus-right", _BRAIN, (49,)),
-    ClickObject("caudate-right", _BRAIN, (50,)),
-    ClickObject("putamen-right", _BRAIN, (51,)),
-    ClickObject("pallidum-right", _BRAIN, (52,)),
-    ClickObject("white-matter", "mri_brain_oblique", (2,)),
-    ClickObject("cord", "mri_cord_iso", (1,)),
-)
-#: Sorted by the scan's name and the lowest label.
-OBJECTS = tuple(sorted(_NAMED, key=lambda one: (one.volume, min(one.labels))))
+@dataclass(frozen=True)
+class Scene:
+    """A scan, the object in it as a mask, and the box that is compared (None: all)."""
+
+    image: Volume
+    truth: NDArray[np.bool_]
+    region: Box | None = None
 
 
-def half_of(one: ClickObject) -> str:
-    """Which half an object is in: odd positions (from 1) are there to tune on, even ones to report."""
-    return HALVES[OBJECTS.index(one) % 2]
+@cache
+def objects() -> tuple[ClickObject, ...]:
+    """All objects, by fold: those of the table, then the phantoms."""
+    rows: list[dict[str, Any]] = json.loads(TABLE.read_text())
+    scans = [ClickObject(**{**row, "labels": tuple(row["labels"])}) for row in rows]
+    made = [ClickObject(name, PHANTOM, (), kind.family) for name, kind in phantoms.KINDS.items()]
+    return (*scans, *made)
 
 
-def size_factor(one: ClickObject) -> float:
-    """What a stated size is, as a part of the true one."""
-    return SIZE_FACTORS[OBJECTS.index(one) // 2 % 2]
+def written(found: Sequence[ClickObject]) -> str:
+    """Text of a table of objects, one a line."""
+    rows = [{"name": each.name, "volume": each.volume, "labels": list(each.labels), "family": each.family,
+             **({"part": each.part} if each.part else {}), **({} if each.chosen else {"chosen": False})}
+            for each in found]
+    return "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n"
 
 
-def chosen(half: str = "", names: Iterable[str] = ()) -> list[ClickObject]:
-    """The objects of a half (all for ""), and of those the ones that are named, in order.
+def size_factor(which: ClickObject) -> float:
+    """Stated size as a part of the true one."""
+    return SIZE_FACTORS[objects().index(which) % 2]
+
+
+def chosen(folds: Collection[str] = (), names: Iterable[str] = ()) -> list[ClickObject]:
+    """The objects of some folds (none: of all), or of those the ones that are named, in order.
 
     Raises
     ------
     ValueError
-        When a name is none of theirs.
+        When there is no such fold, or a name is none of theirs.
 
     Examples
     --------
-    >>> [one.name for one in chosen("tune", ["cord", "spleen"])]
-    ['spleen', 'cord']
+    >>> [each.name for each in chosen(["3"], ["aorta-mra"])]
+    ['aorta-mra']
     """
-    named, own = set(names), [one for one in OBJECTS if not half or half_of(one) == half]
-    unknown = named - {one.name for one in own}
+    for fold in folds:
+        if fold not in NAMES:
+            raise ValueError(f"{fold}: no such fold; there are {', '.join(NAMES)}")
+    held = [each for each in objects() if not folds or each.fold in folds]
+    named = set(names)
+    unknown = named - {each.name for each in held}
     if unknown:
-        raise ValueError(f"{min(unknown)}: no such object; there are {', '.join(one.name for one in own)}")
-    return [one for one in own if not named or one.name in named]
+        raise ValueError(f"{min(unknown)}: no such object; there are {', '.join(each.name for each in held)}")
+    return [each for each in held if (each.name in named if named else each.chosen)]
 
 
 @lru_cache(maxsize=2)
-def _read(folder: Path, name: str) -> tuple[Volume, NDArray[np.integer]]:
-    labels = io.read_labels(scan(folder, f"{name}_ref.nii.gz")).array
-    return io.read(scan(folder, f"{name}.nii.gz")), np.asarray(labels)
+def _image(path: Path) -> Volume:
+    return io.read(path)
+
+
+@lru_cache(maxsize=2)
+def _labels(path: Path) -> NDArray[np.integer]:
+    return np.asarray(io.read_labels(path).array)
 
 
 @lru_cache(maxsize=1)
-def load(one: ClickObject, folder: Path | None) -> tuple[Volume, NDArray[np.bool_]]:
-    """The whole scan, and the object in it as a mask; the last two scans, and the last object, are kept in memory.
+def load(which: ClickObject, folder: Path | None = None) -> Scene:
+    """The whole scan with the object; the last two scans, and the last object, are kept in memory.
+
+    Parameters
+    ----------
+    which : ClickObject
+    folder : Path, optional
+        Of the scans; by default the one that ``ACCELSURF_VOLUMES`` names. Phantoms need none.
 
     Raises
     ------
     MissingError
         When there is no folder, or not this scan in it.
     """
-    image, labels = _read(scan(folder, f"{one.volume}.nii.gz").parent, one.volume)
-    return image, np.isin(labels, one.labels)
+    if which.volume == PHANTOM:
+        return Scene(*phantoms.made(which.name))
+    path = scan(folder or scans_folder(), f"{which.volume}.nii.gz")
+    image = _image(path)
+    if which.name in THRESHOLDS:
+        return Scene(image, THRESHOLDS[which.name].mask(image.array))
+    reference = _labels(scan(path.parent, f"{which.volume}_ref.nii.gz"))
+    truth, region = labelled(reference, which.labels, which.part), SLABS.get(which.volume)
+    return Scene(image, truth, region)

@@ -10,7 +10,7 @@ from accelsurf.api.segment import segment
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
-from benchmarks.clicks.games import Segmenter
+from benchmarks.clicks.games import Hints, Segmenter
 from benchmarks.clicks.person import Mask, PersonClick, ball_voxels
 
 
@@ -30,32 +30,57 @@ def text_of(click: PersonClick, image: Volume) -> str:
     >>> text_of(PersonClick("inside", (2, 3, 4), (4.0, 3.0, 2.0), 0.5), image)
     'point:4.0,3.0,2.0'
     """
+    if click.line:
+        pen = click.radius / min(image.geometry.spacing)
+        return "path:" + ";".join(f"{x},{y},{z},{pen!r}" for z, y, x in click.line) + "vox"
     place = ",".join(repr(value) for value in click.centre)
     one_voxel = click.radius <= 0.5 * min(image.geometry.spacing)
     return f"point:{place}" if one_voxel else f"ball:{place},{click.radius!r}"
 
 
+def options_of(hints: Hints) -> dict[str, Any]:
+    """Settings of what a person gives before the first click.
+
+    Examples
+    --------
+    >>> options_of(Hints(12.5, (slice(1, 4), slice(2, 5), slice(3, 6))))
+    {'size': '12.500000mm3', 'box': '3,2,1,5,4,3vox'}
+    """
+    out = {} if hints.size_mm3 is None else {"size": f"{hints.size_mm3:.6f}mm3"}
+    if hints.box is not None:
+        ends = [side.start for side in hints.box[::-1]] + [side.stop - 1 for side in hints.box[::-1]]
+        out["box"] = ",".join(map(str, ends)) + "vox"
+    return out
+
+
 class Rerun:
     """`accelsurf segment` with all clicks so far, from the beginning at every click."""
 
-    def __init__(self, image: Volume, size_mm3: float | None) -> None:
-        self.image = image
-        self.options: dict[str, Any] = {} if size_mm3 is None else {"size": f"{size_mm3:.6f}mm3"}
+    def __init__(self, image: Volume, hints: Hints) -> None:
+        self.image, self.options = image, options_of(hints)
         self.texts: dict[str, list[str]] = {"inside": [], "outside": []}
+        self.sureness: float | None = None
 
     def click(self, click: PersonClick) -> Mask:
         """Labels after one click more."""
         self.texts[click.side].append(text_of(click, self.image))
         given = {side: tuple(texts) for side, texts in self.texts.items()}
-        return np.asarray(segment(self.image, config=RunConfig(**given, **self.options)).labels > 0)
+        result = segment(self.image, config=RunConfig(**given, **self.options))
+        self.sureness = sureness(result)
+        return np.asarray(result.labels > 0)
 
 
 class Refined:
     """`accelsurf segment` at the first click, `accelsurf refine` at every later one."""
 
-    def __init__(self, image: Volume, size_mm3: float | None) -> None:
-        self.image, self.size = image, size_mm3
+    def __init__(self, image: Volume, hints: Hints) -> None:
+        self.image, self.options = image, options_of(hints)
         self.result: Any = None
+
+    @property
+    def sureness(self) -> float | None:
+        """Probability, by the program, that the labels are good."""
+        return sureness(self.result)
 
     def click(self, click: PersonClick) -> Mask:
         """Labels after one click more."""
@@ -63,19 +88,23 @@ class Refined:
 
         given: dict[str, Any] = {click.side: (text_of(click, self.image),)}
         if self.result is None:
-            if self.size is not None:
-                given["size"] = f"{self.size:.6f}mm3"
-            self.result = segment(self.image, config=RunConfig(**given, keep_state="yes"))
+            self.result = segment(self.image, config=RunConfig(**given, **self.options, keep_state="yes"))
         else:
             self.result = refine(self.result, **given)
         return np.asarray(self.result.labels > 0)
 
 
+def sureness(result: Any) -> float | None:
+    """Probability, by the program, that a result is good; None without a result, or for several objects."""
+    quality = None if result is None else result.quality
+    return None if quality is None else float(quality.probability)
+
+
 class StartAlone:
     """The seeded model's own start, which the surface would begin from."""
 
-    def __init__(self, image: Volume, size_mm3: float | None) -> None:
-        self.image, self.size = image, size_mm3
+    def __init__(self, image: Volume, hints: Hints) -> None:
+        self.image, self.size = image, hints.size_mm3
         self.clicks = Clicks((), image.geometry.shape)
         self.model: Any = None
 

@@ -10,7 +10,10 @@ from typing import Any
 
 PREFIX = "clicks_"
 #: Digits that are kept of Dice and of seconds.
-DIGITS = {"dice": 5, "wall_s": 3, "cpu_s": 3, "radius": 4}
+DIGITS = {
+    "dice": 5, "wall_s": 3, "cpu_s": 3, "radius": 4, "sureness": 4, "nsd": 4, "mean_mm": 4, "p95_mm": 4,
+    "mean_voxels": 4, "p95_voxels": 4,
+}
 
 
 def key_of(name: str, variant: str, settings: Mapping[str, Any]) -> str:
@@ -72,5 +75,9 @@ def brief(game: Mapping[str, Any]) -> dict[str, Any]:
 
 def rounded(game: Mapping[str, Any]) -> dict[str, Any]:
     """A game with the digits that mean something."""
-    clicks = [{k: round(v, DIGITS[k]) if k in DIGITS else v for k, v in one.items()} for one in game["clicks"]]
+    clicks = [{k: _rounded(k, value) for k, value in click.items()} for click in game["clicks"]]
     return {**game, "clicks": clicks}
+
+
+def _rounded(name: str, value: Any) -> Any:
+    return round(value, DIGITS[name]) if name in DIGITS and value is not None else value

@@ -14,7 +14,8 @@ from accelsurf.image.volume import Volume
 from benchmarks.clicks import __main__ as program
 from benchmarks.clicks import games, methods, objects, peers, tables
 from benchmarks.clicks.domain import CroppedSession, block_mean, coarsened_seeds, crop, enlarged, outer_faces
-from benchmarks.clicks.games import play, summary
+from benchmarks.clicks.games import Hints, play, summary
+from benchmarks.clicks.objects import ClickObject, Scene
 from benchmarks.clicks.person import PersonClick, ball_voxels
 from benchmarks.clicks.store import Store
 
@@ -31,8 +32,8 @@ def ball_scan(noise: float = 0.0, spacing: Any = (2.0, 1.0, 1.0)) -> tuple[Volum
 class Painter:
     """A session that labels the clicked balls alone, and refuses the click whose number is given."""
 
-    def __init__(self, image: Volume, size: float | None, refused: int = 0) -> None:
-        self.image, self.size, self.refused, self.count = image, size, refused, 0
+    def __init__(self, image: Volume, hints: Hints, refused: int = 0) -> None:
+        self.image, self.hints, self.refused, self.count = image, hints, refused, 0
         self.labels = np.zeros(image.array.shape, bool)
 
     def click(self, click: PersonClick) -> np.ndarray:
@@ -51,7 +52,7 @@ def game_of(*dices: float, wall: float = 1.0) -> dict[str, Any]:
 
 def test_a_game_corrects_until_its_clicks_are_spent() -> None:
     image, truth = ball_scan()
-    game = play(lambda image, size: Painter(image, size), image, truth, 6)
+    game = play(Painter, Scene(image, truth), 6)
     dices = [one["dice"] for one in game["clicks"]]
     assert len(dices) == 6 and dices == sorted(dices) and dices[0] > 0.1 and not game["perfect"]
     assert all(one["side"] == "inside" and one["wall_s"] >= 0 and one["cpu_s"] >= 0 for one in game["clicks"])
@@ -67,14 +68,14 @@ def test_a_game_ends_when_nothing_is_wrong() -> None:
         def click(self, click: PersonClick) -> np.ndarray:
             return truth.copy()
 
-    game = play(lambda image, size: Oracle(image, size), image, truth, 6)
+    game = play(Oracle, Scene(image, truth), 6)
     assert game["perfect"] and [one["dice"] for one in game["clicks"]] == [1.0]
-    assert [games.dice_after(game, n) for n in games.BUDGETS] == [1.0] * 6
+    assert [games.dice_after(game, n) for n in games.BUDGETS] == [1.0] * 5
 
 
 def test_a_refused_click_leaves_the_labels_before_and_says_why() -> None:
     image, truth = ball_scan()
-    game = play(lambda image, size: Painter(image, size, refused=2), image, truth, 3)
+    game = play(lambda image, hints: Painter(image, hints, refused=2), Scene(image, truth), 3)
     first, second, third = game["clicks"]
     assert "not this one" in second["error"] and second["dice"] == first["dice"] < third["dice"]
     assert summary([game])["refused"] == 1
@@ -84,21 +85,24 @@ def test_a_refused_click_leaves_the_labels_before_and_says_why() -> None:
 
 def test_the_stated_size_is_given_only_to_the_variant_with_a_size() -> None:
     image, truth = ball_scan()
-    given: list[float | None] = []
+    given: list[Hints] = []
 
-    def segmenter(image: Volume, size: float | None) -> Painter:
-        given.append(size)
-        return Painter(image, size)
+    def segmenter(image: Volume, hints: Hints) -> Painter:
+        given.append(hints)
+        return Painter(image, hints)
 
-    for variant in ("plain", "size", "jitter3"):
-        play(segmenter, image, truth, 1, variant, 1.25)
-    assert given == [None, pytest.approx(1.25 * truth.sum() * 2.0), None]
+    for variant in ("plain", "size", "jitter3", "box", "cvpr", "cvpr-box"):
+        play(segmenter, Scene(image, truth), 1, variant, 1.25)
+    assert [hints.size_mm3 for hints in given] == [None, pytest.approx(1.25 * truth.sum() * 2.0), *[None] * 4]
+    box = (slice(8, 15), slice(12, 27), slice(14, 29))
+    assert [hints.box for hints in given] == [None, None, None, box, None, box]
+    assert [hints.points for hints in given] == [False] * 4 + [True] * 2
 
 
 def test_jittered_games_differ_by_seed_and_repeat() -> None:
     image, truth = ball_scan()
     first, again, other = (
-        [one["index"] for one in play(lambda i, s: Painter(i, s), image, truth, 3, variant)["clicks"]]
+        [one["index"] for one in play(Painter, Scene(image, truth), 3, variant)["clicks"]]
         for variant in ("jitter0", "jitter0", "jitter1")
     )
     assert first == again != other
@@ -135,11 +139,12 @@ def test_settings_are_chosen_by_the_mean_over_the_first_clicks() -> None:
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Three objects on the ball's scan instead of the list; the calls of a peer that only paints."""
+    """Three objects of two folds on the ball's scan instead of the list; the calls of a peer that only paints."""
     image, truth = ball_scan()
-    three = tuple(objects.ClickObject(name, "scan", (1,)) for name in ("one", "two", "three"))
-    monkeypatch.setattr(objects, "OBJECTS", three)
-    monkeypatch.setattr(program, "load", lambda one, folder: (image, truth))
+    scans = ("mra_aorta", "mra_aorta", "ct_tooth")
+    three = tuple(ClickObject(name, scan, (1,)) for name, scan in zip(("a", "b", "c"), scans, strict=True))
+    monkeypatch.setattr(objects, "objects", lambda: three)
+    monkeypatch.setattr(program, "load", lambda which, folder: Scene(image, truth))
     played: list[str] = []
 
     def solver(domain: Any, settings: Any) -> np.ndarray:
@@ -154,28 +159,42 @@ def small(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def test_a_stopped_run_goes_on_where_it_was(small: list[str], tmp_path: Path) -> None:
-    call = ["--tune", "--results", str(tmp_path), "--threads", "1"]
-    assert program.main([*call, "--objects", "one"]) == 0
+    call = ["--grid", "--results", str(tmp_path), "--threads", "1"]
+    assert program.main([*call, "--objects", "a"]) == 0
     before, kept = len(small), json.loads((tmp_path / "clicks_made-up.json").read_text())["games"]
     assert len(kept) == 2 and before > 0
-    assert program.main([*call, "--objects", "one"]) == 0 and len(small) == before
+    assert program.main([*call, "--objects", "a"]) == 0 and len(small) == before
     assert program.main(call) == 0 and len(small) > before
     after = json.loads((tmp_path / "clicks_made-up.json").read_text())["games"]
-    assert len(after) == 4 and all(after[key] == kept[key] for key in kept)
-    assert program.main([*call, "--again", "--objects", "one"]) == 0
-    assert len(small) > before + 1 and len(json.loads((tmp_path / "clicks_made-up.json").read_text())["games"]) == 4
+    assert len(after) == 6 and all(after[key] == kept[key] for key in kept)
+    assert program.main([*call, "--again", "--objects", "a"]) == 0
+    assert len(small) > before + 1 and len(json.loads((tmp_path / "clicks_made-up.json").read_text())["games"]) == 6
 
 
-def test_the_half_to_report_is_played_with_the_best_settings_of_the_other(small: list[str], tmp_path: Path) -> None:
-    report = ["--half", "report", "--results", str(tmp_path), "--threads", "1", "--clicks", "2"]
-    assert program.main(report) == 0 and small == []  # nothing is chosen yet
-    program.main(["--tune", "--results", str(tmp_path), "--threads", "1"])
-    small.clear()
-    assert program.main(report) == 0
-    # The second setting, which finds nothing, is not played.
-    assert set(small) == {2.0}
-    names = {key.split("/")[0] for key in Store(tmp_path, "made-up").facts["games"]}
-    assert names == {"one", "two", "three"}
+def test_a_fold_is_played_with_the_best_settings_of_the_others(small: list[str], tmp_path: Path) -> None:
+    # Fold 3 has a and b, fold 4 has c.
+    store = Store(tmp_path, "made-up")
+    for name, first, second in (("a", 0.9, 0.8), ("b", 0.9, 0.8), ("c", 0.1, 0.7)):
+        for reach, cut, level in ((2.0, 5.0, first), (3.0, -99.0, second)):
+            store.put(f"{name}/plain/cut={cut},reach={reach}", game_of(*[level] * 5))
+    method = methods.METHODS["made-up"]
+    assert method.settings(store, "3") == {"reach": 3.0, "cut": -99.0}
+    assert method.settings(store, "4") == {"reach": 2.0, "cut": 5.0}
+    # A fold that is left out is not asked; one that is not there is.
+    store.forget({"c/plain/cut=5.0,reach=2.0"})
+    assert method.settings(store, "4") == {"reach": 2.0, "cut": 5.0} and method.settings(store, "3") is None
+
+
+def test_folds_without_chosen_settings_are_left_out_or_played_with_the_default(
+    small: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call = ["--folds", "4", "--results", str(tmp_path), "--threads", "1", "--clicks", "2"]
+    assert program.main(call) == 0 and small == []
+    assert "fold 4 skipped" in capsys.readouterr().out
+    assert program.main([*call, "--default"]) == 0
+    # The default is the last of the grid.
+    assert set(small) == {3.0}
+    assert {key.split("/")[0] for key in Store(tmp_path, "made-up").facts["games"]} == {"c"}
 
 
 def test_a_game_with_more_clicks_serves_for_fewer_and_not_the_other_way(tmp_path: Path) -> None:
@@ -197,7 +216,7 @@ def test_methods_that_do_not_exist_are_refused(capsys: pytest.CaptureFixture[str
         program.main(["--methods", "magic"])
     assert "magic: no such method" in capsys.readouterr().err
     with pytest.raises(SystemExit):
-        program.main(["--tune", "--half", "report"])
+        program.main(["--folds", "7"])
 
 
 # -- the peers ---------------------------------------------------------------------------------------------
@@ -210,7 +229,8 @@ def test_peers_find_a_ball_in_some_noise(name: str) -> None:
     peer = peers.PEERS[name]
     dices = []
     for settings in (one for one in peer.grid if one["reach"] == 4.0):
-        game = play(lambda image, size, s=settings: CroppedSession(image, peer.solver, s, peer.cap), image, truth, 3)
+        made = lambda image, hints, s=settings: CroppedSession(image, peer.solver, s, peer.cap)  # noqa: E731
+        game = play(made, Scene(image, truth), 3)
         dices.append(game["clicks"][-1]["dice"])
     assert max(dices) > 0.93
 
@@ -269,31 +289,44 @@ def test_the_shortest_path_goes_around_a_wall() -> None:
 
 
 def test_tables_and_picture_are_made_of_the_games(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(objects, "OBJECTS", objects.OBJECTS[:4])
+    kinds = (("liver", "ct_abdomen_hires", "organs"), ("tumour", "mri_tumour_thick2", "lesions"),
+             ("phantom-blob", "phantom", "other"))
+    held = tuple(ClickObject(name, scan, (1,), family) for name, scan, family in kinds)
+    monkeypatch.setattr(objects, "objects", lambda: held)
     peer = peers.ClickPeer("watershed", peers.watershed, [{"reach": 2.0}])
     monkeypatch.setattr(tables, "METHODS", {
         "accelsurf": methods.Method("accelsurf", takes_size=True),
         "watershed": methods.Method("watershed", peer.grid, peer=peer),
     })
     for name, dices in (("accelsurf", (0.8, 0.9, 0.9, 0.9, 0.95)), ("watershed", (0.6, 0.7, 0.8, 0.86, 0.9))):
-        for one in objects.OBJECTS:
-            settings = "reach=2.0" if name == "watershed" else ""
-            Store(tmp_path, name).put(f"{one.name}/plain/{settings}", game_of(*dices))
+        for which in held:
+            settings, store = "reach=2.0" if name == "watershed" else "", Store(tmp_path, name)
+            more = 0.0 if which.name == "liver" else 0.1 if which.fold == "phantoms" else 0.04
+            store.put(f"{which.name}/plain/{settings}", game_of(*(dice - more for dice in dices)))
+            challenge = [{"dice": dice, "nsd": dice - 0.5, "wall_s": 1, "cpu_s": 1} for dice in (*dices, 0.95)]
+            store.put(f"{which.name}/cvpr/{settings}", {"clicks": challenge, "perfect": False})
     page = tmp_path / "page.md"
     comments = "<!-- scripts/benchmark clicks writes this table -->", "<!-- end of the table -->"
-    page.write_text(f"before\n{comments[0]}\n\nold\n{comments[1]}\nafter\n")
+    page.write_text(f"before\n{comments[0]}\n\nreplaced\n{comments[1]}\nafter\n")
     written = tables.write(tmp_path, page)
     text = page.read_text()
-    assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text
-    assert "| accelsurf | 0.800 | 0.900 | 0.900 | 0.950 |  |  | 1 | 2 | 2 | 100% | 0.0% | 1.00 | 3.50 | 1.75 |" in text
-    assert "| watershed | 0.600 | 0.700 | 0.800 | 0.900 |  |  | 3 | 4 | 5 | 100% | 0.0% |" in text
-    assert "| median Dice after one click, as the best peer's | at least 0.6 | 0.8 | yes |" in text
-    assert "| median Dice after one click and a size | at least 0.82 | - | not measured |" in text
+    assert text.startswith("before\n") and text.endswith("after\n") and "replaced" not in text
+    # Medians and means of the two objects of scans; phantoms are a fold of their own.
+    assert "| accelsurf | 0.780 (0.780) | 0.880 (0.880) | 0.880 (0.880) | 0.930 (0.930) |  | 1.5 | 2 | 3.5 |" in text
+    assert "| fold phantoms | 1 | accelsurf | 0.700 | 0.800 | 0.800 | 0.850 |  |" in text
+    assert "| lesions | 1 | watershed | 0.560 | 0.660 | 0.760 | 0.860 |  |" in text
+    assert "| median Dice after one click, as the best peer's | at least 0.58 | 0.78 | yes |" in text
+    # 5 intervals: half of the first and the last value, and all between.
+    assert "| accelsurf | 4.525 | 2.025 | 0.950 | 0.450 |" in text
+    assert "| liver | 1 | organs | 0.800 | 0.900 | 0.900 | 0.950 |  | 2 | 0.900 (watershed) |" in text
     assert (tmp_path / "clicks.md").read_text() in text
     facts = json.loads((tmp_path / "clicks.json").read_text())
-    assert facts["figures"]["report"]["plain"]["watershed"]["noc"]["0.85"] == 4
+    assert facts["figures"]["plain"]["watershed"]["all"]["noc"]["0.85"] == 4.5
     assert [path.name for path in written] == ["clicks.json", "clicks.md", "page.md", "clicks.png"]
     assert written[-1].stat().st_size > 5000
+    rows = tables.flat(tmp_path)
+    assert [(row["method"], row["object"], row["fold"], row["family"]) for row in rows[:2]] == [
+        ("accelsurf", "liver", "1", "organs"), ("accelsurf", "tumour", "6", "lesions")]
 
 
 def test_an_album_has_the_slice_through_each_click(tmp_path: Path) -> None:
@@ -301,7 +334,7 @@ def test_an_album_has_the_slice_through_each_click(tmp_path: Path) -> None:
 
     image, truth = ball_scan()
     album = Album("any", "ball", "plain")
-    game = play(lambda i, s: Painter(i, s), image, truth, 3, watch=album.watcher(image, truth))
+    game = play(Painter, Scene(image, truth), 3, watch=album.watcher(image, truth))
     assert len(album.frames) == 3
     for frame, one in zip(album.frames, game["clicks"], strict=True):
         # Slices are 2 mm thick: they are across z, and the click is where its value says.

@@ -8,6 +8,7 @@ import pytest
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from benchmarks.clicks import methods, own
+from benchmarks.clicks.games import Hints
 from benchmarks.clicks.person import PersonClick, next_click
 
 
@@ -35,7 +36,7 @@ def test_clicks_are_typed_in_the_worlds_coordinates() -> None:
 @pytest.mark.parametrize("name", ["accelsurf", "accelsurf-rerun", "accelsurf-start"])
 def test_every_one_of_ours_obeys_its_clicks(name: str) -> None:
     image, truth = two_balls()
-    session = methods.METHODS[name].segmenter({})(image, None)
+    session = methods.METHODS[name].segmenter({})(image, Hints())
     first = session.click(PersonClick("inside", (9, 11, 11), (11.0, 11.0, 9.0), 3.0))
     assert first.dtype == bool and first.shape == truth.shape and first[9, 11, 11]
     second = session.click(PersonClick("outside", (9, 11, 23), (23.0, 11.0, 9.0), 3.0))
@@ -52,7 +53,7 @@ def test_a_stated_size_reaches_the_program(monkeypatch: pytest.MonkeyPatch) -> N
 
     monkeypatch.setattr(own, "segment", watched)
     for name in ("accelsurf", "accelsurf-rerun"):
-        session = methods.METHODS[name].segmenter({})(two_balls()[0], 1234.5)
+        session = methods.METHODS[name].segmenter({})(two_balls()[0], Hints(1234.5))
         with pytest.raises(StopIteration):
             session.click(PersonClick("inside", (9, 11, 11), (11.0, 11.0, 9.0), 3.0))
     assert seen == ["1234.500000mm3"] * 2

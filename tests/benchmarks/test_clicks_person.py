@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
 
 from accelsurf.grid.geometry import Geometry
-from benchmarks.clicks import objects
 from benchmarks.clicks.person import PersonClick, ball_voxels, next_click
 
 UNIT = (1.0, 1.0, 1.0)
@@ -121,23 +119,3 @@ def test_jittered_clicks_fall_where_the_depth_is_above_half_and_repeat_with_thei
     assert at.min() >= 5 and at.max() <= 9 and len(set(map(tuple, at))) > 20
     depths = 6 - np.abs(at - 7).max(axis=1)
     assert [made.radius for made in seen] == [0.5 * depth for depth in depths]
-
-
-def test_the_split_is_fixed_and_the_list_long_enough() -> None:
-    assert len(objects.OBJECTS) >= 25
-    names = [one.name for one in objects.OBJECTS]
-    assert len(set(names)) == len(names)
-    keys = [(one.volume, min(one.labels)) for one in objects.OBJECTS]
-    assert keys == sorted(keys) and len(set(keys)) == len(keys)
-    tune, report = objects.chosen("tune"), objects.chosen("report")
-    assert names[::2] == [one.name for one in tune] and names[1::2] == [one.name for one in report]
-    assert abs(len(tune) - len(report)) <= 1
-    # Every half has sizes that are too large and too small, about as many.
-    for half in (tune, report):
-        factors = [objects.size_factor(one) for one in half]
-        assert abs(factors.count(1.25) - factors.count(0.8)) <= 1
-
-
-def test_an_object_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(ValueError, match="no such object"):
-        objects.chosen("tune", ["liver"])
