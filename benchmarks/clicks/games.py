@@ -26,6 +26,7 @@ from benchmarks.clicks.person import (
     first_stroke,
     next_click,
 )
+from benchmarks.clicks.references import within
 
 Mask = NDArray[np.bool_]
 #: Numbers of clicks at which the Dice is shown, and the Dice that must be reached for "number of clicks".
@@ -124,7 +125,7 @@ def play(
             record["error"] = str(refused)
             found = np.zeros_like(truth) if labels is None else labels
         record |= {"wall_s": time.perf_counter() - wall, "cpu_s": _cpu_seconds() - cpu}
-        labels = compared(found, scene.region)
+        labels = within(found, scene.region)
         record |= {"dice": dice(labels, truth), "sureness": getattr(session, "sureness", None)}
         if surface and (variant.startswith("cvpr") or number + 1 in BUDGETS):
             record |= surfaces(labels, truth, image.geometry.spacing)
@@ -153,15 +154,6 @@ def click_of(scene: Scene, labels: Mask | None, variant: str, number: int) -> Pe
         return click_of_challenge(truth, labels, geometry)
     random = np.random.default_rng([BASE, int(variant[6:]), number]) if variant.startswith("jitter") else None
     return next_click(truth, labels, geometry, random)
-
-
-def compared(labels: Mask, region: Box | None) -> Mask:
-    """Labels without what lies outside of the region that is compared."""
-    if region is None:
-        return labels
-    out = np.zeros_like(labels)
-    out[region] = labels[region]
-    return out
 
 
 def _cpu_seconds() -> float:

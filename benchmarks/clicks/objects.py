@@ -21,7 +21,7 @@ from accelsurf.grid.boxes import Box
 from accelsurf.image.volume import Volume
 from benchmarks.clicks import phantoms
 from benchmarks.clicks.folds import NAMES, fold_of_scan
-from benchmarks.clicks.references import SLABS, THRESHOLDS, labelled
+from benchmarks.clicks.references import SLABS, THRESHOLDS, labelled, within
 from benchmarks.peers.measure import scans_folder
 from benchmarks.peers.work import scan
 
@@ -140,5 +140,5 @@ def load(which: ClickObject, folder: Path | None = None) -> Scene:
     if which.name in THRESHOLDS:
         return Scene(image, THRESHOLDS[which.name].mask(image.array))
     reference = _labels(scan(path.parent, f"{which.volume}_ref.nii.gz"))
-    truth, region = labelled(reference, which.labels, which.part), SLABS.get(which.volume)
-    return Scene(image, truth, region)
+    region = SLABS.get(which.volume)
+    return Scene(image, within(labelled(reference, which.labels, which.part), region), region)

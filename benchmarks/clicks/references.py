@@ -96,6 +96,15 @@ def labelled(reference: NDArray[Any], labels: Sequence[int], part: int = 0) -> M
     return part_of(mask, part) if part else mask
 
 
+def within(mask: Mask, region: Box | None) -> Mask:
+    """Mask without what lies outside of the region that is compared; None is everywhere."""
+    if region is None:
+        return mask
+    out = np.zeros_like(mask)
+    out[region] = mask[region]
+    return out
+
+
 def edge(values: NDArray[Any], mask: Mask) -> float:
     """Strength of an object's edge, d': difference of the means within two voxels of it over the pooled deviation.
 

@@ -15,6 +15,7 @@ from benchmarks.clicks import __main__ as program
 from benchmarks.clicks import games, methods, objects, peers, tables
 from benchmarks.clicks.domain import CroppedSession, block_mean, coarsened_seeds, crop, enlarged, outer_faces
 from benchmarks.clicks.games import Hints, play, summary
+from benchmarks.clicks.measures import surfaces
 from benchmarks.clicks.objects import ClickObject, Scene
 from benchmarks.clicks.person import PersonClick, ball_voxels
 from benchmarks.clicks.store import Store
@@ -108,7 +109,54 @@ def test_jittered_games_differ_by_seed_and_repeat() -> None:
     assert first == again != other
 
 
-def test_figures_of_a_half() -> None:
+def test_outside_of_the_region_nothing_is_compared() -> None:
+    image, truth = ball_scan()
+    region = (slice(0, 24), slice(0, 40), slice(0, 30))
+
+    class Beyond(Painter):
+        def click(self, click: PersonClick) -> np.ndarray:
+            out = truth.copy()
+            out[:, :, 35:] = True
+            return out
+
+    assert play(Beyond, Scene(image, truth, region), 3)["perfect"]
+    found = play(Beyond, Scene(image, truth), 2)
+    assert [each["side"] for each in found["clicks"]] == ["inside", "outside"]
+
+
+def test_surfaces_are_measured_at_the_budgets_and_in_the_challenge_always() -> None:
+    image, truth = ball_scan()
+    exact = play(Painter, Scene(image, truth), 4)["clicks"]
+    assert ["nsd" in each for each in exact] == [True, True, True, False]
+    assert exact[2]["nsd"] > exact[0]["nsd"] and exact[2]["mean_mm"] < exact[0]["mean_mm"]
+    assert all("nsd" not in each for each in play(Painter, Scene(image, truth), 2, surface=False)["clicks"])
+    challenge = play(Painter, Scene(image, truth), 20, "cvpr")["clicks"]
+    assert len(challenge) == 6 and all("nsd" in each for each in challenge)
+
+
+def test_distances_are_in_mm_and_in_voxels_of_the_same_volume() -> None:
+    truth = np.zeros((12, 12, 20), bool)
+    truth[2:10, 2:10, 4:12] = True
+    moved = np.roll(truth, 2, axis=2)
+    found = surfaces(moved, truth, (4.0, 2.0, 1.0))
+    # A voxel is the cube root of 8 mm3; most of the surface is moved along itself.
+    assert found["p95_mm"] == 2.0 and found["p95_voxels"] == 1.0 and found["nsd"] == 1.0
+    assert found["mean_voxels"] == pytest.approx(0.5 * found["mean_mm"])
+    nothing = surfaces(np.zeros_like(truth), truth, (1.0, 1.0, 1.0))
+    assert nothing["nsd"] == 0.0 and nothing["p95_mm"] is None
+
+
+def test_the_probability_of_the_method_is_kept() -> None:
+    image, truth = ball_scan()
+
+    class Sure(Painter):
+        sureness = 0.75
+
+    assert play(Sure, Scene(image, truth), 1)["clicks"][0]["sureness"] == 0.75
+    assert play(Painter, Scene(image, truth), 1)["clicks"][0]["sureness"] is None
+
+
+def test_figures_of_games() -> None:
     falling = game_of(0.9, 0.88, 0.879, 0.87, 0.86)
     found = summary([game_of(0.5, 0.81, 0.86, 0.83, 0.91), falling, game_of(0.2, 0.3, 0.3, 0.3, 0.3)])
     assert found["played"] == 5 and found["objects"] == 3
@@ -254,6 +302,30 @@ def test_the_outside_is_the_faces_that_are_far_from_the_click() -> None:
     assert sorted(outer_faces([click], image.geometry, box, margin)) == [(0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]
     # Where the scan is small on all sides the farthest face counts.
     assert len(outer_faces([click], image.geometry, (slice(0, 5), slice(15, 22), slice(18, 24)), 99.0)) == 1
+
+
+def test_what_lies_beyond_a_drawn_box_is_outside() -> None:
+    image, truth = ball_scan(noise=10.0)
+    click = PersonClick("inside", (11, 19, 21), (21.0, 19.0, 22.0), 4.0)
+    peer = peers.PEERS["watershed"]
+    # Of the ball a half is in the box.
+    box = (slice(7, 16), slice(11, 28), slice(13, 22))
+    labels = CroppedSession(image, peer.solver, {"reach": 2.0, "sigma": 1.0}, peer.cap, box).click(
+        click._replace(index=(11, 19, 17), radius=3.0))
+    beyond = np.ones(labels.shape, bool)
+    beyond[box] = False
+    assert labels.any() and not labels[beyond].any()
+    assert (labels[box] & truth[box]).sum() > 0.6 * truth[box].sum()
+    # Points say nothing of a width: without a box all of the scan is the crop.
+    seen: list[tuple[int, ...]] = []
+
+    def solver(domain: Any, settings: Any) -> np.ndarray:
+        seen.append(domain.values.shape)
+        return domain.values
+
+    for points in (False, True):
+        CroppedSession(image, solver, {"reach": 2.0}, 10**6, None, points).click(click._replace(radius=0.5))
+    assert seen == [(13, 25, 25), (24, 40, 40)]
 
 
 def test_coarse_grids_lose_no_seed_and_keep_means() -> None:

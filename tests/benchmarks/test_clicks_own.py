@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from accelsurf.clicks.reading import read_clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from benchmarks.clicks import methods, own
 from benchmarks.clicks.games import Hints
-from benchmarks.clicks.person import PersonClick, next_click
+from benchmarks.clicks.person import PersonClick, ball_voxels, drawn_box, next_click
 
 
 def two_balls() -> tuple[Volume, np.ndarray]:
@@ -42,6 +43,21 @@ def test_every_one_of_ours_obeys_its_clicks(name: str) -> None:
     second = session.click(PersonClick("outside", (9, 11, 23), (23.0, 11.0, 9.0), 3.0))
     assert second[9, 11, 11] and not second[9, 11, 20:27].any()
     assert 2 * (second & truth).sum() / (second.sum() + truth.sum()) > 0.85
+
+
+def test_strokes_are_typed_as_paths_and_boxes_in_voxels() -> None:
+    image, truth = two_balls()
+    line = tuple((9, 11, x) for x in range(7, 16))
+    stroke = PersonClick("inside", (9, 11, 11), (11.0, 11.0, 9.0), 1.5, line)
+    assert own.text_of(stroke, image).startswith("path:7,11,9,1.5;8,11,9,1.5;")
+    (read,) = read_clicks([own.text_of(stroke, image)], "inside", image)
+    box, pen = ball_voxels(stroke, image.geometry)
+    assert read.box == box and (read.mask == pen).mean() > 0.9
+    # With the box the ball that touches is no part of the object.
+    session = own.Refined(image, Hints(box=drawn_box(truth)))
+    labels = session.click(PersonClick("inside", (9, 11, 11), (11.0, 11.0, 9.0), 3.0))
+    assert not (labels & (np.arange(36) > 17)).any() and (labels & truth).sum() > 0.9 * truth.sum()
+    assert session.sureness is not None and 0.0 <= session.sureness <= 1.0
 
 
 def test_a_stated_size_reaches_the_program(monkeypatch: pytest.MonkeyPatch) -> None:

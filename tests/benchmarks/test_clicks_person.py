@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 
 from accelsurf.grid.geometry import Geometry
-from benchmarks.clicks.person import PersonClick, ball_voxels, next_click
+from benchmarks.clicks.person import (
+    PersonClick,
+    ball_voxels,
+    click_in_box,
+    click_of_challenge,
+    drawn_box,
+    first_stroke,
+    next_click,
+)
 
 UNIT = (1.0, 1.0, 1.0)
 
@@ -119,3 +127,48 @@ def test_jittered_clicks_fall_where_the_depth_is_above_half_and_repeat_with_thei
     assert at.min() >= 5 and at.max() <= 9 and len(set(map(tuple, at))) > 20
     depths = 6 - np.abs(at - 7).max(axis=1)
     assert [made.radius for made in seen] == [0.5 * depth for depth in depths]
+
+
+# -- boxes, strokes, and the challenge ----------------------------------------------------------------------
+
+
+def test_a_stroke_runs_along_the_middle_of_the_slice_with_most_of_the_object() -> None:
+    # An arm of 5 x 5 voxels along x and one along y, in slices of 2 mm: the arm along x has more.
+    truth = block((9, 40, 60), ((2, 7), (18, 23), (4, 54)), ((4, 5), (18, 36), (4, 9)))
+    made = first_stroke(truth, Geometry(truth.shape, (2.0, 1.0, 1.0)))
+    assert made.side == "inside" and {z for z, _, _ in made.line} == {4}
+    along = [x for _, _, x in made.line]
+    assert max(along) - min(along) > 30 and 1 <= made.radius <= 1.5
+    box, pen = ball_voxels(made, Geometry(truth.shape, (2.0, 1.0, 1.0)))
+    assert truth[box][pen].all() and pen.sum() > 60
+
+
+def test_the_voxels_of_a_stroke_are_those_of_its_balls() -> None:
+    geometry = Geometry((9, 9, 20), UNIT)
+    made = PersonClick("inside", (4, 4, 6), (6.0, 4.0, 4.0), 1.0, ((4, 4, 5), (4, 4, 6), (4, 4, 7)))
+    box, pen = ball_voxels(made, geometry)
+    # Three balls of 7 voxels in a row share their middles.
+    assert box == (slice(3, 6), slice(3, 6), slice(4, 9)) and pen.sum() == 5 + 3 * 4
+
+
+def test_a_click_in_a_box_is_the_deep_place_nearest_to_its_middle() -> None:
+    # Two cubes in the corners: the middle of the box is in none of them, the larger cube is the deeper one.
+    truth = block((24, 24, 40), ((2, 11), (2, 11), (2, 11)), ((15, 20), (15, 20), (30, 35)))
+    made = click_in_box(truth, Geometry(truth.shape, UNIT))
+    assert drawn_box(truth) == (slice(2, 20), slice(2, 20), slice(2, 35))
+    # Deep are the places within two voxels of the cube's middle (6, 6, 6), 3 and more voxels deep.
+    assert made.side == "inside" and made.index == (8, 8, 8) and made.radius == 1.5
+
+
+def test_the_challenge_clicks_a_voxel_of_the_part_with_most_voxels() -> None:
+    geometry = Geometry((20, 20, 40), UNIT)
+    truth = block((20, 20, 40), ((2, 9), (2, 9), (2, 9)))
+    # Too much: a plate of 200 voxels; missing: a cube of 125, which is deeper.
+    labels = (truth & ~block(truth.shape, ((3, 8), (3, 8), (3, 8)))) | block(truth.shape, ((15, 17), (5, 15), (20, 30)))
+    assert click(truth, labels)[:2] == ("inside", (5, 5, 5))
+    made = click_of_challenge(truth, labels, geometry)
+    assert made is not None and made.side == "outside" and made.index[0] in (15, 16) and made.radius == 0.5
+    # Parts of either side are apart, even where they touch.
+    first = click_of_challenge(truth, None, geometry)
+    assert first is not None and first[:2] == ("inside", (5, 5, 5))
+    assert click_of_challenge(truth, truth.copy(), geometry) is None
