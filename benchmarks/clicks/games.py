@@ -33,6 +33,9 @@ Mask = NDArray[np.bool_]
 BUDGETS, LEVELS = (1, 2, 3, 5, 10), (0.80, 0.85, 0.90)
 #: A click after which the Dice is lower by more than this did harm.
 FALL = 0.02
+#: From this probability on a result is said to be good; it is good from the second, a Dice, on, and failed below the
+#: third.
+SAID, GOOD, FAILED = 0.7, 0.8, 0.6
 #: Click k of the jittered game with seed s draws from the generator (BASE, s, k): the same for all methods.
 SEEDS, BASE = (0, 1, 2, 3, 4), 16
 #: Games: exact clicks; with a size; jittered clicks; first a box or a stroke; the protocol of the CVPR 2025 challenge
@@ -211,9 +214,10 @@ def summary(games: Sequence[dict[str, Any]]) -> dict[str, Any]:
     -------
     dict
         ``dice`` and ``mean``: medians and means by budget. ``surface``: medians of the `surfaces` by budget, where they
-        were measured. ``noc``: by level, the median of the clicks needed, ``played`` + 1 where it was never
-        reached; ``never``: how many did not. ``within5``: share of the objects at .85 within five clicks. ``fell``:
-        share of clicks. ``refused``: clicks that the segmenter refused. Seconds, medians: of first and later clicks.
+        were measured. ``noc``: by level, the median of the clicks needed, ``played`` + 1 where it was never reached;
+        ``never``: how many did not. ``within5``: share of the objects at .85 within five clicks. ``fell``: share of
+        clicks. ``confidence``: see `confidence`. ``refused``: clicks that the segmenter refused. Seconds, medians: of
+        first and later clicks.
     """
     played = min((len(game["clicks"]) for game in games if not game["perfect"]), default=max(BUDGETS))
     games = [{**game, "clicks": game["clicks"][:played]} for game in games]
@@ -229,6 +233,7 @@ def summary(games: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "never": {level: found.count(None) for level, found in needed.items()},
         "within5": sum(n is not None and n <= 5 for n in needed[0.85]) / len(games) if played >= 5 else None,
         "fell": sum(n for n, _ in counts) / max(sum(n for _, n in counts), 1),
+        "confidence": confidence(games)._asdict(),
         "refused": sum("error" in one for game in games for one in game["clicks"]),
         **seconds(games),
     }
@@ -265,6 +270,40 @@ def challenge(games: Sequence[dict[str, Any]]) -> dict[str, float]:
         out[f"{name}_auc"] = statistics.fmean(sum(course) - 0.5 * (course[0] + course[-1]) for course in full)
         out[f"{name}_final"] = statistics.fmean(course[-1] for course in full)
     return out
+
+
+class Confidence(NamedTuple):
+    """How far a method's own probability can be trusted.
+
+    ``results`` that have one; of those said to be good the share that is; of those that failed the share that is said
+    to be good (None where there are none).
+    """
+
+    results: int
+    good_of_said: float | None
+    said_of_failed: float | None
+
+
+def confidence(games: Sequence[dict[str, Any]]) -> Confidence:
+    """Confidence over the results after all clicks.
+
+    A result is said to be good at a probability of `SAID`, is good at a Dice of `GOOD`, and failed below `FAILED`.
+
+    Examples
+    --------
+    >>> clicks = [{"dice": 0.5, "sureness": 0.9}, {"dice": 0.9, "sureness": 0.8}, {"dice": 0.9, "sureness": 0.1}]
+    >>> confidence([{"clicks": clicks, "perfect": False}])
+    Confidence(results=3, good_of_said=0.5, said_of_failed=1.0)
+    """
+    rows = [(click["dice"], click["sureness"]) for game in games for click in game["clicks"]
+            if click.get("sureness") is not None]
+    said = [dice_now for dice_now, sure in rows if sure >= SAID]
+    failed = [sure for dice_now, sure in rows if dice_now < FAILED]
+    return Confidence(
+        len(rows),
+        sum(value >= GOOD for value in said) / len(said) if said else None,
+        sum(sure >= SAID for sure in failed) / len(failed) if failed else None,
+    )
 
 
 def _known(game: dict[str, Any], budget: int) -> float:

@@ -10,7 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.clicks.folds import FAMILIES, NAMES, PHANTOMS
-from benchmarks.clicks.games import BUDGETS, LEVELS, challenge, clicks_to, dice_after, summary, variants
+from benchmarks.clicks.games import (
+    BUDGETS,
+    FAILED,
+    GOOD,
+    LEVELS,
+    SAID,
+    challenge,
+    clicks_to,
+    dice_after,
+    summary,
+    variants,
+)
 from benchmarks.clicks.methods import METHODS, OWN
 from benchmarks.clicks.objects import ClickObject, chosen
 from benchmarks.clicks.store import Store, key_of
@@ -120,6 +131,8 @@ def goals_of(methods: Mapping[str, Any]) -> list[dict[str, Any]]:
         goal("median number of clicks to .85", 4, every.get("noc", {}).get(0.85), "<=", ""),
         goal("objects at .85 within five clicks", 0.65, every.get("within5"), ">=", ""),
         goal("clicks after which the Dice fell by more than .02", 0.02, every.get("fell"), "<=", ""),
+        goal("results said to be good that are", 0.85, every.get("confidence", {}).get("good_of_said"), ">=", ""),
+        goal("failed results said to be good", 0.05, every.get("confidence", {}).get("said_of_failed"), "<=", ""),
     ]
     for n in BUDGETS:
         best = max((found["dice"][n] for found in peers.values() if n in found["dice"]), default=None)
@@ -146,6 +159,7 @@ def text_of(
         lines += ["", f"## Scans: {KINDS[kind]}", "", *method_rows(every)]
     if "plain" in figures:
         lines += ["", "## Surfaces: exact clicks", "", *surface_rows(figures["plain"])]
+        lines += ["", "## Probability that the program states", "", *confidence_rows(figures["plain"])]
         lines += ["", "## Each fold: median Dice, exact clicks", "",
                   *part_rows(figures["plain"], [f"fold {fold}" for fold in NAMES])]
         lines += ["", "## Each family: median Dice, exact clicks", "", *part_rows(figures["plain"], FAMILIES)]
@@ -185,6 +199,20 @@ def surface_rows(methods: Mapping[str, Mapping[str, Any]]) -> list[str]:
         for n, found in parts["all"]["surface"].items():
             cells = [_number(found[key]) for key in ("nsd", "mean_voxels", "p95_voxels")]
             lines.append(row_of((name, str(n), *cells)))
+    return lines
+
+
+def confidence_rows(methods: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """A row per method that states a probability, for all scans and each fold."""
+    lines = head_of(("method", "objects of", "results", f"said to be good ({SAID:.0%}): are (Dice {GOOD})",
+                     f"failed (below {FAILED}): said to be good"))
+    for name, parts in methods.items():
+        for part in ("all", *(f"fold {fold}" for fold in NAMES)):
+            found = parts.get(part, {}).get("confidence")
+            if found and found["results"]:
+                shares = ["-" if share is None else f"{share:.0%}"
+                          for share in (found["good_of_said"], found["said_of_failed"])]
+                lines.append(row_of((name, part, str(found["results"]), *shares)))
     return lines
 
 
