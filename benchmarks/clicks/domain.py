@@ -96,16 +96,16 @@ class CroppedSession:
             inside = labels[self.drawn].copy()
             labels[:] = False
             labels[self.drawn] = inside
-        for one in self.clicks:
-            where, ball = ball_voxels(one, geometry)
-            labels[where][ball] = one.side == "inside"
+        for each in self.clicks:
+            where, ball = ball_voxels(each, geometry)
+            labels[where][ball] = each.side == "inside"
         return labels
 
     def _hints(self, box: Box) -> list[Click]:
         """What the clicks imply in a box."""
         shape = self.image.geometry.shape
         side: dict[str, Side] = {"inside": "inside", "outside": "outside"}
-        clicks = [Click(side[one.side], *ball_voxels(one, self.image.geometry)) for one in self.clicks]
+        clicks = [Click(side[each.side], *ball_voxels(each, self.image.geometry)) for each in self.clicks]
         return implied([self.image.as_float32()], self.image.geometry.spacing, Clicks(tuple(clicks), shape), box)
 
 
@@ -114,10 +114,10 @@ def crop(clicks: Sequence[PersonClick], geometry: Geometry, reach: float) -> tup
     margin = reach * 2 * max(each.radius for each in clicks if each.side == "inside")
     margin = max(margin, LEAST_MARGIN * min(geometry.spacing))
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for one in clicks:
-        width = margin if one.side == "inside" else 2 * one.radius
+    for each in clicks:
+        width = margin if each.side == "inside" else 2 * each.radius
         extent = width / np.array(geometry.spacing)
-        low, high = np.minimum(low, one.index - extent), np.maximum(high, one.index + extent)
+        low, high = np.minimum(low, each.index - extent), np.maximum(high, each.index + extent)
     first = [max(math.floor(a), 0) for a in low]
     stop = [min(math.ceil(b) + 1, n) for b, n in zip(high, geometry.shape, strict=True)]
     return (slice(first[0], stop[0]), slice(first[1], stop[1]), slice(first[2], stop[2])), margin
@@ -145,20 +145,20 @@ def made(
 ) -> Domain:
     """Cut, coarsen, scale, and mark the seeds: clicks, and where none lies what they imply, unless two disagree."""
     part = image[box].astype(np.float32)
-    sides = [np.any([one.mask_on(box) for one in hints if one.side == side] or [False], axis=0) for side in SIDES]
+    sides = [np.any([each.mask_on(box) for each in hints if each.side == side] or [False], axis=0) for side in SIDES]
     seeds = np.zeros(part.shape, np.uint8)
     seeds += (sides[0] & ~sides[1]).astype(np.uint8) * INSIDE + (sides[1] & ~sides[0]).astype(np.uint8) * OUTSIDE
     balls: list[tuple[str, NDArray[np.float32]]] = []
-    for one in clicks:
-        where, ball = ball_voxels(one, geometry)
+    for each in clicks:
+        where, ball = ball_voxels(each, geometry)
         inner = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(where, box, strict=True))
-        seeds[inner][ball] = INSIDE if one.side == "inside" else OUTSIDE
-        balls.append((one.side, image[where][ball].astype(np.float32)))
+        seeds[inner][ball] = INSIDE if each.side == "inside" else OUTSIDE
+        balls.append((each.side, image[where][ball].astype(np.float32)))
     inside = np.concatenate([values for side, values in balls if side == "inside"])
     middle = np.median(inside)
     # The spread of a ball of very few voxels, or of a flat one, is that of its neighbourhood's gradient.
     gradient = [np.abs(np.diff(part, axis=axis)) for axis in range(3) if part.shape[axis] > 1]
-    floor = 0.5 * float(np.median(np.concatenate([one.ravel() for one in gradient])))
+    floor = 0.5 * float(np.median(np.concatenate([each.ravel() for each in gradient])))
     spread = max(1.4826 * float(np.median(np.abs(inside - middle))), floor, 1e-3 * float(np.ptp(part)), 1e-20)
     values = np.clip((part - middle) / np.float32(spread), -WINDOW, WINDOW)
     coarse = coarsened_seeds(seeds, steps)
@@ -178,7 +178,7 @@ def outer_faces(
     clicks: Sequence[PersonClick], geometry: Geometry, box: Box, margin: float
 ) -> list[tuple[int, int]]:
     """Faces (axis, end 0 or 1) of a crop that count as outside."""
-    inside = [one.index for one in clicks if one.side == "inside"]
+    inside = [each.index for each in clicks if each.side == "inside"]
     far: dict[tuple[int, int], float] = {}
     for axis, end in itertools.product(range(3), range(2)):
         at = box[axis].start if end == 0 else box[axis].stop - 1

@@ -26,7 +26,7 @@ def features(domain: Domain, position: bool) -> NDArray[np.float32]:
         shape = domain.values.shape
         bank += [np.broadcast_to(axis * h, shape) for axis, h in zip(np.ogrid[tuple(map(slice, shape))], domain.spacing,
                                                                      strict=True)]
-    return np.stack([one.ravel() for one in bank], axis=1).astype(np.float32)
+    return np.stack([each.ravel() for each in bank], axis=1).astype(np.float32)
 
 
 def learned(rows: NDArray[np.float32], inside: NDArray[np.bool_], seed: int) -> tuple[NDArray, NDArray, NDArray]:
@@ -38,18 +38,18 @@ def learned(rows: NDArray[np.float32], inside: NDArray[np.bool_], seed: int) -> 
     for tree in range(TREES):
         held: dict[int, NDArray[np.int64]] = {0: random.integers(0, len(rows), len(rows))}
         for node in range(nodes):
-            own = held.pop(node, None)
-            if own is None:
+            rows_held = held.pop(node, None)
+            if rows_held is None:
                 continue
-            share[tree, node] = inside[own].mean()
-            if 2 * node + 2 >= nodes or own.size < SPLIT or share[tree, node] in (0.0, 1.0):
+            share[tree, node] = inside[rows_held].mean()
+            if 2 * node + 2 >= nodes or rows_held.size < SPLIT or share[tree, node] in (0.0, 1.0):
                 continue
-            split = _best_split(rows[own], inside[own], random)
+            split = _best_split(rows[rows_held], inside[rows_held], random)
             if split is None:
                 continue
             feature[tree, node], threshold[tree, node] = split
-            left = rows[own, split[0]] <= np.float32(split[1])
-            held[2 * node + 1], held[2 * node + 2] = own[left], own[~left]
+            left = rows[rows_held, split[0]] <= np.float32(split[1])
+            held[2 * node + 1], held[2 * node + 2] = rows_held[left], rows_held[~left]
     return feature, threshold, share
 
 

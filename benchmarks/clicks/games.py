@@ -192,7 +192,7 @@ def clicks_to(game: dict[str, Any], level: float) -> int | None:
     >>> clicks_to({"clicks": [{"dice": 0.5}, {"dice": 0.9}], "perfect": False}, 0.85)
     2
     """
-    return next((k for k, one in enumerate(game["clicks"], 1) if one["dice"] >= level), None)
+    return next((k for k, click in enumerate(game["clicks"], 1) if click["dice"] >= level), None)
 
 
 def falls(game: dict[str, Any]) -> tuple[int, int]:
@@ -203,7 +203,7 @@ def falls(game: dict[str, Any]) -> tuple[int, int]:
     >>> falls({"clicks": [{"dice": 0.9}, {"dice": 0.87}, {"dice": 0.86}], "perfect": False})
     (1, 2)
     """
-    values = [one["dice"] for one in game["clicks"]]
+    values = [click["dice"] for click in game["clicks"]]
     return sum(after < before - FALL for before, after in zip(values, values[1:], strict=False)), len(values) - 1
 
 
@@ -234,7 +234,7 @@ def summary(games: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "within5": sum(n is not None and n <= 5 for n in needed[0.85]) / len(games) if played >= 5 else None,
         "fell": sum(n for n, _ in counts) / max(sum(n for _, n in counts), 1),
         "confidence": confidence(games)._asdict(),
-        "refused": sum("error" in one for game in games for one in game["clicks"]),
+        "refused": sum("error" in click for game in games for click in game["clicks"]),
         **seconds(games),
     }
 
@@ -316,9 +316,9 @@ def _known(game: dict[str, Any], budget: int) -> float:
 def seconds(games: Sequence[dict[str, Any]]) -> dict[str, float | None]:
     """Median seconds of first and of later clicks, by the wall clock and of the processor."""
     first = [game["clicks"][0] for game in games]
-    later = [one for game in games for one in game["clicks"][1:]]
+    later = [click for game in games for click in game["clicks"][1:]]
     return {
-        f"{key}_{unit}": statistics.median(one[unit] for one in clicks) if clicks else None
+        f"{key}_{unit}": statistics.median(click[unit] for click in clicks) if clicks else None
         for key, clicks in (("first", first), ("later", later)) for unit in ("wall_s", "cpu_s")
     }
 

@@ -86,10 +86,10 @@ def named(names: Sequence[str]) -> list[Method]:
 
     Examples
     --------
-    >>> [one.name for one in named(["watershed", "accelsurf"])]
+    >>> [each.name for each in named(["watershed", "accelsurf"])]
     ['accelsurf', 'watershed']
     """
-    wanted = {one for name in names for one in (PEERS if name == "peers" else [name])}
+    wanted = {each for name in names for each in (PEERS if name == "peers" else [name])}
     for name in sorted(wanted - set(METHODS)):
         raise ValueError(f"{name}: no such method; there are {', '.join(METHODS)}, peers")
     return [method for name, method in METHODS.items() if name in wanted or not names]

@@ -79,9 +79,9 @@ def graph_cut(domain: Domain, settings: Mapping[str, Any]) -> NDArray[Any]:
     """The cut of least cost: of values by the clicks' own histograms, of neighbours by their contrast in spreads."""
     values, seeds = smoothed(domain, 0.5), domain.seeds
     links = []
-    for (one, other), h in zip(pairs_of(values.shape), domain.spacing, strict=True):
-        apart = values.flat[one] - values.flat[other]
-        links.append((one, other, (UNIT * settings["weight"] * np.exp(-0.5 * apart**2) / h).astype(np.int32)))
+    for (first, other), h in zip(pairs_of(values.shape), domain.spacing, strict=True):
+        apart = values.flat[first] - values.flat[other]
+        links.append((first, other, (UNIT * settings["weight"] * np.exp(-0.5 * apart**2) / h).astype(np.int32)))
     inside, outside = unary(values, seeds)
     common = np.minimum(inside, outside)
     ends = ((UNIT * (cost - common)).ravel().astype(np.int32) for cost in (outside, inside))

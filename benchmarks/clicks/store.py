@@ -70,7 +70,7 @@ class Store:
 
 def brief(game: Mapping[str, Any]) -> dict[str, Any]:
     """A game without the places of its clicks, for the many of a grid."""
-    return {**game, "clicks": [{k: one[k] for k in ("dice", "wall_s", "cpu_s")} for one in game["clicks"]]}
+    return {**game, "clicks": [{k: click[k] for k in ("dice", "wall_s", "cpu_s")} for click in game["clicks"]]}
 
 
 def rounded(game: Mapping[str, Any]) -> dict[str, Any]:
