@@ -76,19 +76,19 @@ def settings_of(folder: Path) -> dict[str, dict[str, tuple[dict[str, Any], bool]
 
 def collected(folder: Path, kind: str) -> dict[str, dict[str, dict[str, Any]]]:
     """Method -> object and variant -> game, of the methods that played all objects of the scans' folds."""
-    out = {}
+    asked = {f"{which.name} {variant}" for which in chosen() if which.fold != PHANTOMS for variant in variants([kind])}
+    return {name: games for name, games in every_game(folder, kind).items() if asked <= set(games)}
+
+
+def every_game(folder: Path, kind: str) -> dict[str, dict[str, dict[str, Any]]]:
+    """Method -> object and variant -> game, as far as they were played with the settings of the fold."""
+    out: dict[str, dict[str, dict[str, Any]]] = {}
     settings = settings_of(folder)
     for name in METHODS:
         store = Store(folder, name)
-        games, missing = {}, 0
-        for which in chosen():
-            for variant in variants([kind]):
-                game = store.played(key_of(which.name, variant, settings[name][which.fold][0]))
-                if game is not None:
-                    games[f"{which.name} {variant}"] = game
-                missing += game is None and which.fold != PHANTOMS
-        if not missing:
-            out[name] = games
+        keys = {f"{which.name} {variant}": key_of(which.name, variant, settings[name][which.fold][0])
+                for which in chosen() for variant in variants([kind])}
+        out[name] = {shown: game for shown, key in keys.items() if (game := store.played(key)) is not None}
     return out
 
 
@@ -273,7 +273,7 @@ def _number(value: float | None) -> str:
 
 
 def flat(folder: Path) -> list[dict[str, Any]]:
-    """A row per method and object of exact clicks: fold, family, and the course of Dice, probability and seconds."""
+    """A row per method and object of exact clicks that was played: fold, family, and the course of Dice, probability and seconds."""
     return [
         {
             "method": name, "object": which.name, "fold": which.fold, "family": which.family,
@@ -281,7 +281,7 @@ def flat(folder: Path) -> list[dict[str, Any]]:
             "sureness": [click.get("sureness") for click in games[key]["clicks"]],
             "cpu_s": [click["cpu_s"] for click in games[key]["clicks"]],
         }
-        for name, games in collected(folder, "plain").items() for which in chosen()
+        for name, games in every_game(folder, "plain").items() for which in chosen()
         if (key := f"{which.name} plain") in games
     ]
 
