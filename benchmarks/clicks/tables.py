@@ -273,7 +273,7 @@ def _number(value: float | None) -> str:
 
 
 def flat(folder: Path) -> list[dict[str, Any]]:
-    """A row per method and object of exact clicks that was played: fold, family, and the course of Dice, probability and seconds."""
+    """A row per method and object of exact clicks: fold, family, the course of Dice, probability and seconds."""
     return [
         {
             "method": name, "object": which.name, "fold": which.fold, "family": which.family,
