@@ -62,10 +62,6 @@ TRACK_FORMATS: Registry[TrackFormat] = Registry(
         "accelsurf.track.output.surfaces:write_surfaces", mark="surfaces.json",
     ),
     TrackFormat(
-        "trackmate", "XML file of TrackMate", "trackmate.xml",
-        "accelsurf.track.output.trackmate_file:write_trackmate",
-    ),
-    TrackFormat(
         "mp4", "movie of slices, prediction beside correction", "movie.mp4",
         "accelsurf.track.output.slices:write_movie", "accelsurf.track.output.slices:check_mp4",
     ),
