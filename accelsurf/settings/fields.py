@@ -139,7 +139,7 @@ class SettingFields(BaseModel):
     mask: str | None = setting(
         None,
         "Label map on the image's grid: the surface never leaves the voxels above 0.",
-        entry=SettingEntry(RUN, viewer="first", metavar="FILE", fixed=True),
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="FILE", fixed=True),
     )
     box: str | None = setting(
         None,

@@ -1,9 +1,8 @@
-"""Settings by actions: rows from the catalogue, presets, energies as they are typed, bounds, the mask."""
+"""Settings by actions: rows from the catalogue, presets, energies as they are typed."""
 
 import json
 import re
 
-import numpy as np
 import pytest
 
 from accelsurf import io
@@ -19,7 +18,7 @@ from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
 
-COMMON = ["preset", "energy", "smoothness", "presmooth", "size", "max_volume", "levels", "roi", "mask"]
+COMMON = ["preset", "energy", "smoothness", "presmooth", "size", "max_volume", "levels", "roi"]
 
 
 def rows_of(actions):
@@ -185,9 +184,9 @@ BAD = [
     ("set", "preset", "ct-boone"), ("set", "levels", 0), ("set", "roi", "1,2"), ("set", "stop_at_rest", "yes"),
     ("set", "start", "label:/etc/passwd"), ("set", "start", "ball:1,2,3,4 mesh:/x.stl"), ("set", "mask", "/etc/passwd"),
     ("set", "foreground", "label:secret.nii"), ("set", "edit", "step=3"), ("set", "channel", "/etc/passwd"),
-    ("set", "smoothness", "x" * 500), ("set", "smoothness", True), ("mask", "/etc/passwd"), ("mask", "../x.nii.gz"),
-    ("set_term", 0, "R", 3), ("set_term", 5, "balance", 3), ("set_term", 0, "balance", "-3"), ("bound", 0, "LO", 3),
-    ("set_term", 0, "balance", "2,epsilon=1"), ("set_term", 0, "balance", "2 + geodesic"), ("bound", 0, "balance", 3),
+    ("set", "smoothness", "x" * 500), ("set", "smoothness", True), ("mask", "/etc/passwd"),
+    ("set_term", 0, "R", 3), ("set_term", 5, "balance", 3), ("set_term", 0, "balance", "-3"),
+    ("set_term", 0, "balance", "2,epsilon=1"), ("set_term", 0, "balance", "2 + geodesic"),
 ]  # fmt: skip
 
 
@@ -215,67 +214,6 @@ def test_an_energy_is_checked_as_it_is_typed(actions):
     assert rows["local-region-0-R"]["value"] == "9" and rows["geodesic-1-scale"]["now"] == "2"
     assert ask(actions, "set_term", 0, "R", "7.5").settings.energy == "local-region:R=7.5 + 0.1*geodesic"
     assert ask(actions, "set_term", 0, "R", "").settings.energy == "local-region + 0.1*geodesic"
-
-
-def test_only_masks_that_are_offered_are_read(actions, tmp_path):
-    volume = actions.session.volume
-    cut = np.zeros(volume.array.shape, np.uint8)
-    cut[:, :, :22] = 1
-    io.write_labels(volume.with_array(cut), tmp_path / "scan" / "left.nii.gz")
-    io.write_labels(volume.with_array(cut), tmp_path / "elsewhere.nii.gz")
-    (tmp_path / "scan" / "secret.txt").write_text("mine")
-    assert [one["name"] for one in rows_of(actions)["mask"]["names"]] == ["", "left.nii.gz"]
-    status = ask(actions, "mask", "left.nii.gz")
-    assert status.settings.mask == str(tmp_path / "scan" / "left.nii.gz") and not actions.message
-    assert rows_of(actions)["mask"]["value"] == "left.nii.gz"
-    for name in ("elsewhere.nii.gz", "secret.txt", str(tmp_path / "elsewhere.nii.gz")):
-        assert ask(actions, "mask", name).settings.mask == status.settings.mask and actions.message
-    assert ask(actions, "mask", "").settings.mask is None
-
-
-# ----------------------------------------------------------------------------------------------------------- histogram
-
-
-def draw(actions):
-    view = None
-    while view is None:
-        view = actions.session.next_view()
-    actions.update(view)
-
-
-def test_the_histogram_is_of_the_image_and_of_the_object(actions):
-    draw(actions)
-    said = actions.state()["histogram"]
-    assert said is actions.state()["histogram"], "counted once"
-    image = actions.session.volume.array
-    assert (said["low"], said["high"]) == (0.0, 100.0) and len(said["image"]) == len(said["object"]) == 96
-    share = np.mean(image > 50) / np.mean(image < 50)
-    assert said["image"][0] == 1.0 and said["image"][-1] == pytest.approx(np.sqrt(share), abs=0.02)
-    assert said["object"][-1] == 1.0 and max(said["object"][:-1]) == 0.0, "the start lies in the ball"
-
-
-def test_bounds_are_shown_where_they_are_in_force_and_moved(actions):
-    assert actions.state()["bounds"] == []
-    ask(actions, "set", "energy", "0.5*chan-vese + threshold:auto")
-    (low,) = actions.state()["bounds"]
-    assert (low["term"], low["key"], low["given"]) == (1, "LO", False) and 20 < low["value"] < 80
-    status = ask(actions, "bound", 1, "LO", 30.25)
-    assert status.settings.energy == "0.5*chan-vese + threshold:LO=30.25" and not actions.message
-    ask(actions, "set_term", 1, "HI", "120")
-    assert [(one["key"], one["value"], one["given"]) for one in actions.state()["bounds"]] == [
-        ("LO", pytest.approx(30.25), True), ("HI", pytest.approx(120.0), True),
-    ]
-    before = actions.session.status.settings.energy
-    assert ask(actions, "bound", 1, "LO", 130).settings.energy == before and "below" in actions.message
-
-
-def test_large_images_are_counted_on_a_coarser_grid():
-    from accelsurf.viewer.actions.histogram import SAMPLE, sample
-
-    image = np.broadcast_to(np.arange(512, dtype=np.int16), (300, 512, 512))
-    values = sample(image)
-    assert 0.3 * SAMPLE < values.size <= SAMPLE and abs(values.mean() - 255.5) < 8
-    assert sample(np.zeros((1, 30, 40))).size == 1200
 
 
 def test_no_key_is_taken_twice(actions):

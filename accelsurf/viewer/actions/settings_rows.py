@@ -174,7 +174,7 @@ def unit_read(key: str, of_file: str) -> tuple[str, float]:
 
 def _setting_row(key: str, settings: RunConfig, finest: float, is_first: bool, of_file: str) -> Row:
     said, value, (unit, per) = entry(key), getattr(settings, key), unit_read(key, of_file)
-    kind: str = {"energy": "energy", "mask": "file"}.get(key, kind_of(key))
+    kind = "energy" if key == "energy" else kind_of(key)
     restarts = said.fixed and said.group is not SettingGroup.FILES
     row: Row = DEFAULTS | {
         "key": key, "label": label_of(key), "unit": unit, "kind": kind,

@@ -277,8 +277,7 @@ class Page:
 
 #: The panels of the page, in their order, that of the window.
 PANELS = (
-    "head", "frames", "open", "tools", "objects", "history", "settings", "histogram", "slices", "picture", "measure",
-    "files", "help",
+    "head", "frames", "open", "tools", "objects", "history", "settings", "slices", "picture", "files", "help",
 )  # fmt: skip
 
 

@@ -29,7 +29,6 @@ from accelsurf.viewer.scene.chart import EnergyChart
 from accelsurf.viewer.scene.colors import ObjectStyle, ObjectStyles, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
 from accelsurf.viewer.scene.legend import Legend, caption, legend_lines, volume_line
-from accelsurf.viewer.scene.measure_marks import MeasureLayer
 from accelsurf.viewer.scene.redraw import Redraw, TileContext
 from accelsurf.viewer.scene.shapes import label_surface
 from accelsurf.viewer.scene.slices import SliceTile
@@ -77,7 +76,6 @@ class Scene:
         How the tiles lie, and what part of the image each shows.
     is_straight : bool
         Whether slices follow the world's axes, not the voxels; at first where the header names a patient's.
-    measures : MeasureLayer
     unit : str
         Of lengths in the file, and in read-outs.
     marks : Marks
@@ -124,10 +122,9 @@ class Scene:
         self._redraw = Redraw(plotter.render_window, plotter.renderers)
         self._build()
         self.tiles = Tiles(self._redraw, self.space, self.slice_tiles, self._chart_renderer)
-        self.measures = MeasureLayer(self.geometry, self.slice_tiles, self.space, self.unit, self._redraw)
         self.marks = Marks(self.geometry, self.slice_tiles.values(), self.space, self._redraw)
         self.paint(theme)
-        others = self._legend, self._chart, self.measures
+        others = self._legend, self._chart
         plotter.render_window.AddObserver("StartEvent", lambda *_: self.tiles.fit(*others))
 
     @staticmethod
@@ -321,7 +318,6 @@ class Scene:
                     tile.draw_reference(self._reference.contour_function)
                 if self.frame is not None:
                     tile.draw_objects(self.frame)
-        self.measures.move()
         self.marks.show_slices()
         if self.shows_planes:
             self.show_planes(True)
