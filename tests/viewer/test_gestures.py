@@ -294,20 +294,6 @@ def test_a_pinch_on_a_trackpad_zooms_as_far_as_the_fingers_spread(actions):
 # ------------------------------------------------------------------------------------------------------ other defects
 
 
-def test_the_slices_go_to_points_too(scene_of):
-    image = scan()
-    with Session(image, CONFIGS["seeded"]) as session:
-        session.ready.result(60)
-        actions = shown(Actions(session, scene_of(image, size=(960, 544))))
-        actions.request("cursor", 9.0, 8.0, 9.0)
-        actions.request("tool", "points")
-        for world in (FIRST, SECOND):
-            drag(actions, "axial", world)
-            actions.request("release")
-            np.testing.assert_allclose(actions.scene.cursor, world, atol=0.4)
-        assert len(settled(actions).settings.start) == 2
-
-
 def test_a_key_shows_the_tile_under_the_mouse_alone_with_any_tool(actions):
     tiles = actions.scene.tiles
     layout = tiles.layout

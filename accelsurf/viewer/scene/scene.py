@@ -142,7 +142,7 @@ class Scene:
         self.space: SpaceTile | None = None
         if flat is None:
             plotter.subplot(0, 0)
-            self.space = SpaceTile(plotter, self.geometry, image, self._window, context)
+            self.space = SpaceTile(plotter, self.geometry, context)
         self.slice_tiles: dict[str, SliceTile] = {}
         for plane, place in places.items():
             plotter.subplot(*place)
@@ -225,16 +225,6 @@ class Scene:
         self._show_frame()
         self._redraw.mark_all()
 
-    def show_volume(self, on: bool) -> None:
-        """Draw the image itself in 3D, translucent, or not; an image of one slice has no such picture."""
-        if self.space is not None:
-            self.space.show_volume(on)
-
-    @property
-    def shows_volume(self) -> bool:
-        """Test if the image is drawn in 3D."""
-        return self.space is not None and self.space.shows_volume
-
     def show_planes(self, on: bool) -> None:
         """Draw the three slices in 3D, or not."""
         if self.space is not None:
@@ -255,10 +245,8 @@ class Scene:
         self._window = window
         for tile in self.slice_tiles.values():
             tile.use_window(window)
-        if self.space is not None:
-            self.space.use_window(window)
-            if self.shows_planes:
-                self.show_planes(True)
+        if self.shows_planes:
+            self.show_planes(True)
 
     def interpolate(self, on: bool) -> None:
         """Draw slices smoothly between voxels, or each voxel as a rectangle."""
@@ -351,9 +339,7 @@ class Scene:
         self.volume = volume
         for tile in self.slice_tiles.values():
             tile.use_image(volume.array)
-        if self.space is not None:
-            self.space.use_image(volume.array)
-            self.show_planes(self.shows_planes)
+        self.show_planes(self.shows_planes)
         self._redraw.mark_all()
 
     # -- pictures -----------------------------------------------------------------------------------------
