@@ -9,8 +9,8 @@ from accelsurf.settings.entry import SettingEntry, SettingGroup, entry_of, full_
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.flow_specs import FLOWS
 
-#: Groups whose settings the viewer shows: the image has been read by then.
-VIEWER_GROUPS = (SettingGroup.RUN, SettingGroup.FLOW, SettingGroup.FILES)
+#: Groups whose settings the viewer shows: the image has been read by then, and files are not written yet.
+VIEWER_GROUPS = (SettingGroup.RUN, SettingGroup.FLOW)
 
 
 def entry(key: str) -> SettingEntry:

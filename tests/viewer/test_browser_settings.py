@@ -61,7 +61,7 @@ def test_the_page_has_the_rows_of_the_catalogue_and_no_others(server, element):
     assert shown == [row["label"] + unit + mark for row, unit, mark in zip(rows, units, marks, strict=True)]
     groups = browser.find_elements("css selector", "details.more > summary")
     names = [one.get_attribute("textContent") for one in groups]
-    assert names == ["More: what to run", "More: fine control of the flow", "More: files"]
+    assert names == ["More: what to run", "More: fine control of the flow"]
     for row in rows:
         if row["kind"] == "slider" and not row["words"]:
             assert float(value(element, row["key"])) == row["value"]

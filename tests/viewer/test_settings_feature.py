@@ -7,7 +7,6 @@ import pytest
 
 from accelsurf import io
 from accelsurf.cli import execute
-from accelsurf.errors import UsageError
 from accelsurf.settings.catalogue import default_shown, entry, help_of, names_of
 from accelsurf.settings.energy_terms import TERMS, Word
 from accelsurf.settings.presets import PRESETS
@@ -104,48 +103,6 @@ def test_the_settings_of_a_term_appear_when_the_energy_has_it(name):
         kind = TERMS[name].settings[row["term"][1]]
         assert row["label"] == f"{name} {row['term'][1]}" and kind.expected in row["help"]
         assert [one["name"] for one in row["names"]] == (["", *kind.words] if isinstance(kind, Word) else [])
-
-
-# --------------------------------------------------------------------------------------------------------------- files
-
-
-def test_which_files_are_written_is_said_at_any_time_and_no_run_begins_again(actions, tmp_path):
-    session = actions.session
-    session.play_to(4)
-    assert session.wait(60)
-    before, run = session.status, session.look(lambda run: run).result(60)
-    assert rows_of(actions)["mesh"]["value"] == "auto" and not rows_of(actions)["mesh"]["restarts"]
-    status = ask(actions, "set", "mesh", "stl,obj")
-    assert actions.message == "" and status.settings.mesh == ("stl", "obj")
-    assert status.step == before.step == 4 and session.look(lambda run: run).result(60) is run
-    assert rows_of(actions)["mesh"]["value"] == "stl,obj" and status.changes == before.changes
-    ask(actions, "set", "save_sdf", True)
-    ask(actions, "set", "also", "ctbl")
-    status = ask(actions, "set", "smoothness", "0.4")  # another run's settings do not undo it
-    assert status.settings.mesh == ("stl", "obj") and status.settings.smoothness == 0.4 and status.settings.save_sdf
-    ask(actions, "save")
-    names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"ball_surface.stl", "ball_surface.obj", "ball_sdf.nii.gz"} <= names and "ball_surface.ply" not in names
-    assert any("ctbl" in name for name in names)
-    written = (tmp_path / "out" / "run.toml").read_text()
-    assert 'mesh = ["stl", "obj"]' in written and "save_sdf = true" in written
-    ask(actions, "restart")
-    assert rows_of(actions)["mesh"]["value"] == "stl,obj"
-
-
-@pytest.mark.parametrize(("key", "value"), [("mesh", "step"), ("layout", "heap"), ("mesh_smooth", "-1"), ("also", "x")])
-def test_files_that_cannot_be_written_are_refused_and_nothing_changes(actions, key, value):
-    before = actions.session.status.settings
-    ask(actions, "set", key, value)
-    assert key in actions.message.replace("-", "_")
-    assert actions.session.status.settings is before
-
-
-def test_only_settings_of_files_change_beside_the_run(actions):
-    with pytest.raises(UsageError, match="energy: it says nothing of the files"):
-        actions.session.change_files(energy="area").result(60)
-    with pytest.raises(UsageError, match="heap: it says nothing"):
-        actions.session.change_files(heap=1).result(60)
 
 
 # ------------------------------------------------------------------------------------------------------------- changes

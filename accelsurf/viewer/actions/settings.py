@@ -8,7 +8,6 @@ from typing import Any
 from accelsurf.errors import UsageError
 from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import as_typed, default_of, entry, is_switch, viewer_settings
-from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import did_you_mean
 from accelsurf.viewer.actions.settings_rows import Row, from_read, settings_rows, unit_read
@@ -24,7 +23,7 @@ FILE_WORDS = ("label:", "mesh:", "stroke:")
 
 
 class SettingsFeature(Feature):
-    """Changes settings of the run; those that are fixed while it runs begin another, those of files touch no run."""
+    """Changes settings of the run; those that are fixed while it runs begin another."""
 
     def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
@@ -66,14 +65,8 @@ class SettingsFeature(Feature):
         return tuple(typed.split()) if entry(key).repeated else typed
 
     def _change(self, key: str, value: Any) -> None:
-        """Change a setting from here on, or begin another run where it is fixed; the same value changes nothing.
-
-        Which files are written may change at any time.
-        """
+        """Change a setting from here on, or begin another run where it is fixed; the same value changes nothing."""
         session = self.actions.session
-        if entry(key).group is SettingGroup.FILES:
-            self.actions.ask(session.change_files(**{key: value}))
-            return
         if entry(key).fixed:
             if key == "preset" or as_typed(value) != as_typed(getattr(session.status.settings, key)):
                 self.actions.ask(session.restart_with(**{key: value}))

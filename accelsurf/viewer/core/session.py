@@ -222,16 +222,6 @@ class Session:
         """
         return self._do(lambda timeline: timeline.change(settings))
 
-    def change_files(self, **settings: Any) -> Future[None]:
-        """Change settings of the files that are saved: formats of meshes and labels, names and layout; the run goes on.
-
-        Raises
-        ------
-        UsageError
-            From the Future, when one is no such setting or not valid; nothing is changed then.
-        """
-        return self._do(lambda timeline: timeline.files.change(settings))
-
     def edit_balls(
         self, kind: Literal["add", "remove"], balls: Sequence[str], object_id: int | None = None
     ) -> Future[None]:
