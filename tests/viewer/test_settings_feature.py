@@ -79,7 +79,7 @@ def test_rows_are_the_options_of_the_command_line_in_their_order(capsys):
 def test_each_kind_of_row_has_what_it_needs():
     rows = {row["key"]: row for row in settings_rows(RunConfig(flow="gradient"), (), 0.5)}
     assert json.loads(json.dumps(rows)) == rows
-    assert {row["kind"] for row in rows.values()} == {"slider", "list", "text", "switch", "energy", "file"}
+    assert {row["kind"] for row in rows.values()} == {"slider", "list", "text", "switch", "energy"}
     smooth, diffusion, flow = rows["smoothness"], rows["diffusion"], rows["flow"]
     assert (smooth["low"], smooth["high"], smooth["value"], smooth["words"]) == (0.0, 2.5, 0.0, [])
     assert (diffusion["high"], diffusion["value"], diffusion["words"]) == (5.0, "auto", ["auto", "free"])
