@@ -81,7 +81,7 @@ def test_slices_are_frames_without_tracks_too(stack: Path, seen) -> None:
         (("--frame-time", "2"), "frame_time: it was given without a sequence"),
         (("--frames-from-slices",), "frames_from_slices: it was given without a sequence"),
         (("IMAGE", "--frame-time", "2"), "frame_time: it was given for a single image"),
-        (("IMAGE", "--frame-time", "-1"), "frame_time: -1.0 was given, expected a number greater than 0"),
+        (("IMAGE", "--frame-time", "-1"), "frame_time: -1 was given, expected a number greater than 0"),
     ],
 )
 def test_times_without_frames_are_refused(words, message, stack: Path, tmp_path: Path, seen, capsys) -> None:
