@@ -29,7 +29,7 @@ from accelsurf.track.records import FrameResult
 from accelsurf.track.track import Tracking
 
 ROOT = Path(__file__).parents[1]
-MODELS = ("flowable-mass", "constant-density", "last-displacement", "none")
+MODELS = ("flowable-mass", "last-displacement", "none")
 SPEEDS = (0.5, 1.0, 2.0, 4.0)
 NOISE = (0.3, 1.0)
 #: Hidden frames: none, or three in a row.

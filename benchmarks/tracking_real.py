@@ -48,7 +48,7 @@ from benchmarks.tracking_peers import (
 )
 
 ROOT = Path(__file__).parents[1]
-MODELS = ("flowable-mass", "constant-density", "last-displacement", "none")
+MODELS = ("flowable-mass", "last-displacement", "none")
 PHANTOMS = ("ball_moving", "ball_gap", "ball_returning", "balls_passing", "balls_bouncing", "disc_dividing")
 #: Voxels that a peer looks around an object of a phantom; the fastest moves by 4.9 a frame.
 REACH = 15.0

@@ -58,14 +58,12 @@ app = App(
 )
 #: Commands and their help; each is the function of this name in the module of this name.
 _COMMANDS = {
-    "demo": "Segment a cube in noise with and without momentum.",
     "look": "Show slices of an image with a grid in mm, without a run.",
     "segment": "Segment one object in a volume.",
     "batch": "Segment many images, or track many sequences.",
     "refine": "Correct a result by clicks; the rest stays as it is.",
     "track": "Follow objects through a sequence of images.",
     "synth": "Make a synthetic volume and its truth from a recipe.",
-    "compare": "Run several flows on one volume side by side.",
     "movie": "Make a movie of a run, without a screen.",
     "evaluate": "Measure how well two label maps agree.",
     "view": "Watch and steer a segmentation in a window.",
@@ -73,7 +71,7 @@ _COMMANDS = {
     "info": "Show versions, names, exit codes and settings.",
 }
 for _name, _help in _COMMANDS.items():
-    app.command(f"accelsurf.cli.{'compare' if _name == 'demo' else _name}:{_name}", name=_name, help=_help)
+    app.command(f"accelsurf.cli.{_name}:{_name}", name=_name, help=_help)
 app.command(
     "accelsurf.cli.completion:install_completion",
     name="--install-completion",

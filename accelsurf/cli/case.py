@@ -1,4 +1,4 @@
-"""One segmentation from file to files: `segment` does it once, `demo` for each flow.
+"""One segmentation from file to files: `segment` does it once, `batch` for each case.
 
 Existing outputs are refused before anything is computed. The files of a run appear all at once or not at all. A report
 says how the case ended, also when it failed; a failed run leaves an earlier result as it was. ``--resume`` goes on from

@@ -67,9 +67,6 @@ class Look:
     hold: Annotated[float, Parameter(group=MOVIE)] = 2.0
     """Seconds for which the last frame stays."""
 
-    volume: Annotated[bool, Parameter(negative=(), show_default=False, group=MOVIE)] = False
-    """Show the image in 3D, translucent."""
-
     planes: Annotated[bool, Parameter(negative=(), show_default=False, group=MOVIE)] = False
     """Show the three slices in 3D."""
 
@@ -123,7 +120,7 @@ def movie(
     drawing = DrawingProcess(watcher.on_warning, 0.0 if preview else movie_settings.turn)
     try:
         volume, *more = channels.read_channels(image, run_settings.reading)
-        shown = look.theme, look.color, look.view, movie_settings.size, look.volume, look.planes
+        shown = look.theme, look.color, look.view, movie_settings.size, look.planes
         drawing.make_scene(SceneRecipe(volume, run_settings, reference, *shown))
         with watcher.watch(image.name, run_settings.max_steps):
             run = Run(volume, run_settings, None, more)

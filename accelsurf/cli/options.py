@@ -30,7 +30,6 @@ InputFile = Annotated[
     Path | None, Parameter(name=("--input", "-i"), group=FILES, help=f"The image: {input_help()}.")
 ]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)]
-OutputFolder = Annotated[Path, Parameter(name=("--output", "-o"), group=FILES)]
 File = Annotated[Path | None, Parameter(group=FILES)]
 Switch = Annotated[bool, Parameter(negative=(), show_default=False, group=SHOW)]
 Overwrite = Annotated[bool, Parameter(name="--overwrite", negative=(), show_default=False, group=FILES)]

@@ -15,7 +15,6 @@ from accelsurf.settings.file_formats import input_help
 
 if TYPE_CHECKING:
     from accelsurf.cli.track_case import TrackCase, Tracked
-    from accelsurf.cli.view import PageOptions
 
 SequenceFile = Annotated[
     Path | None,
@@ -36,7 +35,6 @@ def track(
     dump_config: Switch = False,
     overwrite: Overwrite = False,
     resume: Annotated[bool, Parameter(negative=(), show_default=False, group=FILES)] = False,
-    view: Switch = False,
     follow: TrackSettings | None = None,  # type: ignore[valid-type]
     settings: FrameSettings | None = None,  # type: ignore[valid-type]
     display: Display | None = None,
@@ -62,8 +60,6 @@ def track(
     resume
         Go on from the last frame that a killed or interrupted run has done, to the same bytes; begin where there is
         none.
-    view
-        After the last frame open the viewer on the sequence and its tracks, as accelsurf view SEQUENCE --tracks OUT.
     """
     wanted = track_config(follow, settings, config)
     if dump_config:
@@ -76,23 +72,11 @@ def track(
     display = display or Display()
     source = required(input, "SEQUENCE")
     folder = required(output, "-o DIR, the output folder,")
-    page = _front_end() if view else None
     case = TrackCase(replace(Place.for_image(source, folder, overwrite, config), resume=resume), wanted)
     done = run_track_case(case, Watcher(display))
     if not display.quiet:
         print("\n".join(_summary(case, done)))
-    if page is not None and done.code == 0:
-        from accelsurf.cli.view import show_tracks
-
-        return show_tracks(source, folder, wanted, page)
     return done.code
-
-
-def _front_end() -> PageOptions:
-    """A window, or a page where its packages are missing; refused before the tracking where neither can be shown."""
-    from accelsurf.cli.view import PageOptions, front_end
-
-    return front_end(PageOptions())
 
 
 def _summary(case: TrackCase, done: Tracked) -> list[str]:

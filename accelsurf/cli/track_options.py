@@ -57,15 +57,4 @@ def track_config(
     run, table = split_table(dict(toml.read_toml(file) if isinstance(file, Path) else file or {}))
     of_tracking = {key: value for key, value in forced.items() if key in TrackFields.model_fields}
     others = {key: value for key, value in forced.items() if key not in of_tracking}
-    typed = {key: _value(key, value) for key, value in {**given_options(track), **of_tracking}.items()}
-    return TrackConfig(run=run_config(frame, run, **others), **{**table, **typed})
-
-
-def _value(key: str, value: Any) -> Any:
-    """A number as it was typed; a text that is none stays for the message."""
-    if key in ("frame", "max_gap", "frame_time") or (key == "friction" and value != "auto"):
-        try:
-            return float(value) if key in ("frame_time", "friction") else int(value)
-        except ValueError:
-            return value
-    return value
+    return TrackConfig(run=run_config(frame, run, **others), **{**table, **given_options(track), **of_tracking})

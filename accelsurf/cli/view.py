@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -20,7 +20,6 @@ from cyclopts import Parameter
 from accelsurf.cli.options import FILES, SHOW, File, InputFile, Overwrite, Switch, run_config, settings_class
 from accelsurf.cli.track_options import SequenceSettings, track_config
 from accelsurf.errors import UsageError
-from accelsurf.settings.reading import ReadOptions
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
@@ -31,8 +30,6 @@ if TYPE_CHECKING:
     from accelsurf.viewer.core.opening import ImageWithSession, OpenedImage
 
 Settings = settings_class("Settings")
-#: Settings that say how a sequence is read.
-_OF_READING = {field.name for field in fields(ReadOptions)} - {"time_index", "channels_from_time"}
 
 
 @dataclass(frozen=True)
@@ -217,36 +214,9 @@ def view(
 
     with loading():
         page = front_end(page, start)
-    return _show(waiting[0]() if waiting else None, made, page, viewer, result, overwrite)
-
-
-def show_tracks(source: Path, tracks: Path, config: TrackConfig, page: PageOptions) -> int:
-    """Open a sequence with the tracks of ``accelsurf track``, until the user ends it.
-
-    Parameters
-    ----------
-    source : Path
-        The sequence.
-    tracks : Path
-        Folder of the tracking's files.
-    config : TrackConfig
-        Of the tracking: how the sequence is read, and the frame that is shown first.
-    page : PageOptions
-        From `front_end`.
-    """
-    run = config.run
-    made = RunConfig(time_index=config.frame, **{key: getattr(run, key) for key in _OF_READING})
-    image = FirstImage(source, made, None, tracks, config).start_reading()()
-    return _show(image, made, page, ViewerOptions(), None, False)
-
-
-def _show(
-    first: OpenedImage | None, made: RunConfig, page: PageOptions, viewer: ViewerOptions, result: Path | None,
-    overwrite: bool,
-) -> int:
-    """Open window or page, with an image or the start page, until the user ends it."""
     from accelsurf.cli.interrupts import default_handling
 
+    first = waiting[0]() if waiting else None
     # Ctrl-C is the documented way to end a page.
     with ExitStack() as stack:
         stack.enter_context(default_handling())
@@ -311,7 +281,7 @@ def _load_window() -> None:
     import accelsurf.viewer.window.main_window  # noqa: F401
 
 
-def front_end(page: PageOptions, begin: Callable[[], None] | None = None) -> PageOptions:
+def front_end(page: PageOptions, begin: Callable[[], None]) -> PageOptions:
     """Check that the window, or else the page, can be shown here.
 
     Where the packages of the window are missing, but not those of the page, the page opens.
@@ -319,7 +289,7 @@ def front_end(page: PageOptions, begin: Callable[[], None] | None = None) -> Pag
     Parameters
     ----------
     page : PageOptions
-    begin : callable, optional
+    begin : callable
         Begins to read what is to be shown at once, when nothing that is known at once is in the way. Then what draws it
         is loaded too, while another process tries whether it can.
 
@@ -334,9 +304,8 @@ def front_end(page: PageOptions, begin: Callable[[], None] | None = None) -> Pag
     from accelsurf.viewer.window import display
 
     def meanwhile() -> None:
-        if begin is not None:
-            begin()
-            _load()
+        begin()
+        _load()
 
     if not page.browser:
         asked = {"--host": page.host, "--port": page.port, "--no-open": not page.open_page or None}
@@ -346,8 +315,7 @@ def front_end(page: PageOptions, begin: Callable[[], None] | None = None) -> Pag
         lack = display.lacks_window_packages()
         if not lack or not display.has_page_packages():
             display.require_display(meanwhile)
-            if begin is not None:
-                _load_window()
+            _load_window()
             return page
         print(f"note: {lack} ({display.INSTALL}); a page in the browser opens instead", file=sys.stderr)
     elif not display.has_page_packages():

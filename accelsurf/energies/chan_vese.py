@@ -6,13 +6,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import check_shape
 from accelsurf.energies.image_energy import AreaTerm, RegionEnergy
 from accelsurf.energies.region_sums import Elsewhere, Interface, RegionMoments
-from accelsurf.grid.boxes import Box, runs
+from accelsurf.grid.boxes import runs
 from accelsurf.kernels import windows
 from accelsurf.levelset import BandChange, LevelSet
 
@@ -198,24 +197,6 @@ class LocalRegion(Energy):
         force: np.ndarray = (means[:, 1] - 2.0 * image * means[:, 0]).astype(np.float32)
         self._area.add_force(force, curvature)
         return force
-
-    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
-        """The force of each voxel's own value, between the means around it; NaN where windows miss the surface."""
-        nodes, known = self._near_nodes, np.ones((1, 1, 1), np.bool_)
-        fields = [field.reshape(nodes[:3]).astype(np.float32) for field in self._means]
-        for axis, part in enumerate(box):
-            n, distance, before = nodes[axis], nodes[3 + axis], nodes[6 + axis]
-            if n == 1:
-                continue
-            place = np.arange(part.start, part.stop) / distance + before
-            low = np.clip(np.floor(place).astype(int), 0, n - 2)
-            wide = [1, 1, 1]
-            wide[axis] = place.size
-            share = np.clip(place - low, 0.0, 1.0).astype(np.float32).reshape(wide)
-            fields = [(1 - share) * f.take(low, axis=axis) + share * f.take(low + 1, axis=axis) for f in fields]
-            known = known & ((place >= 0) & (place <= n - 1)).reshape(wide)
-        force = fields[1] - np.float32(2.0) * self._image.reshape(surface.shape)[box] * fields[0]
-        return np.where(known, force, np.float32(np.nan))
 
     def _scatter(self, surface: LevelSet, cells: np.ndarray, weight: np.ndarray, sums: np.ndarray) -> None:
         surface.workers.serial(

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.flows import Flow
-from accelsurf.grid.boxes import Box
 from accelsurf.levelset import NO_CELLS, BandChange, LevelSet
 
 
@@ -65,14 +64,6 @@ class Energy(ABC):
     def is_disturbed(self) -> bool:
         """True if more than the energy moves the surface, such as objects beside it; then a rise of U is no error."""
         return False
-
-    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
-        """Return f, without its part of the curvature, at each voxel of a box, as if the surface were there.
-
-        For pictures: called after `value`, and changes nothing. NaN where it is not known; None, the default, where the
-        energy does not tell.
-        """
-        return None
 
     @abstractmethod
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:

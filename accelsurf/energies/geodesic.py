@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from accelsurf.energies.front_samples import sample_at_front, slope_at_front
 from accelsurf.energies.image_energy import AreaTerm, ImageEnergy
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.levelset import LevelSet, dot
@@ -60,24 +58,6 @@ class Geodesic(ImageEnergy):
         phi, slope = slope_at_front(self.sums.image, surface, front)
         force: np.ndarray = phi * (curvature + np.float32(self.balloon)) + slope
         self._area.add_force(force, curvature)
-        return force
-
-    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
-        """Slope and balloon, grad phi . n + c phi, in the band, where the surface has a normal; NaN beyond it."""
-        phi, psi = self.sums.image.reshape(surface.shape), surface.psi
-        force = np.full(psi[box].shape, np.nan, np.float32)
-        at = np.nonzero(surface.dense.slot.reshape(surface.shape)[box] >= 0)
-        cells = [index + part.start for index, part in zip(at, box, strict=True)]
-        slope, length = np.zeros(at[0].size, np.float32), np.full(at[0].size, 1e-12, np.float32)
-        for axis, h in enumerate((surface.grid.hz, surface.grid.hy, surface.grid.hx)):
-            last = surface.shape[axis] - 1
-            ends = [[*cells[:axis], np.clip(cells[axis] + step, 0, last), *cells[axis + 1 :]] for step in (1, -1)]
-            apart = np.float32(h) * np.maximum(ends[0][axis] - ends[1][axis], 1).astype(np.float32)
-            (phi_up, psi_up), (phi_down, psi_down) = ((phi[tuple(end)], psi[tuple(end)]) for end in ends)
-            normal = (psi_up - psi_down) / apart
-            slope += (phi_up - phi_down) / apart * normal
-            length += normal**2
-        force[at] = slope / np.sqrt(length) + np.float32(self.balloon) * phi[tuple(cells)]
         return force
 
 

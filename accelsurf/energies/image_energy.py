@@ -6,12 +6,10 @@ from abc import abstractmethod
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import sample_at_front
-from accelsurf.energies.region_sums import Elsewhere, Interface, MomentTracker, RegionMoments, polynomial_of
-from accelsurf.grid.boxes import Box
+from accelsurf.energies.region_sums import Elsewhere, Interface, MomentTracker, RegionMoments
 from accelsurf.levelset import BandChange, LevelSet
 
 
@@ -112,10 +110,6 @@ class RegionEnergy(ImageEnergy):
         self._area.add_force(force, curvature)
         return force
 
-    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
-        """The force of each voxel's own value, after the last `value`."""
-        return polynomial_of(self.sums.image.reshape(surface.shape)[box], self.polynomial())
-
 
 class RegionField(ImageEnergy):
     """U = int_inside f(x) dx + alpha A: the surface shrinks where f > 0 and grows where f < 0.
@@ -136,10 +130,6 @@ class RegionField(ImageEnergy):
     def value(self, surface: LevelSet, fraction: np.ndarray, area: np.ndarray) -> float:
         """U of the present surface."""
         return self.sums.inside(surface, fraction).total * surface.voxel_volume + self._area.value(area)
-
-    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
-        """The field."""
-        return np.array(self.sums.image.reshape(surface.shape)[box])
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """The field at each front cell's closest surface point, plus alpha H."""

@@ -6,7 +6,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import sample_at_front
@@ -19,7 +18,6 @@ from accelsurf.energies.region_sums import (
     sums_by_plane,
 )
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import Box
 from accelsurf.kernels import statistics
 from accelsurf.levelset import BandChange, LevelSet, dot
 
@@ -354,11 +352,6 @@ class HistogramLikelihood(Energy):
             force = self._interface.force(field, surface, front, curvature, (0.0, 1.0, 0.0))
         self._area.add_force(force, curvature)
         return force
-
-    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
-        """The force of each voxel's own value, by the densities of the last `value`."""
-        values = np.ascontiguousarray(self.sums.image.reshape(surface.shape)[box])
-        return self._looked_up(values.ravel(), surface).reshape(values.shape)
 
     def _looked_up(self, values: np.ndarray, surface: LevelSet) -> np.ndarray:
         out = np.empty(values.size, np.float32)

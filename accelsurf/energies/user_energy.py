@@ -6,11 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from accelsurf.energies.energy import Energy
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.boxes import Box
 from accelsurf.levelset import BandChange, LevelSet
 
 METHODS = ("start", "follow", "value", "force")
@@ -111,10 +109,6 @@ class CheckedEnergy(Energy):
                 f"{self._kind}.value returned {_described(value)}, expected one number", "return float(...)"
             )
         return float(value)
-
-    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
-        """The energy's own, if it has the method."""
-        return self._energy.image_force(surface, box) if self._has("image_force") else None
 
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """Force f (n,), float32; what is off the front does not count and becomes 0.

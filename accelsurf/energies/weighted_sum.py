@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from accelsurf.energies.energy import Energy
-from accelsurf.grid.boxes import Box
 from accelsurf.levelset import BandChange, LevelSet
 
 
@@ -77,17 +75,6 @@ class WeightedSum(Energy):
             force += np.float32(weight) * energy.force(surface, front, curvature)
         return force
 
-    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
-        """The sum, None where one of the terms does not tell."""
-        parts = [energy.image_force(surface, box) for _, energy in self._terms]
-        known = [part for part in parts if part is not None]
-        if len(known) < len(parts):
-            return None
-        total = np.zeros(known[0].shape, np.float32)
-        for (weight, _), part in zip(self._terms, known, strict=True):
-            total += np.float32(weight) * part
-        return total
-
 
 class Balloon(Energy):
     """U = Vol, f = 1: with a weight above 0 the surface shrinks everywhere, below 0 it grows."""
@@ -99,10 +86,6 @@ class Balloon(Energy):
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """1 at the front."""
         return front.astype(np.float32)
-
-    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
-        """1 everywhere."""
-        return np.ones(surface.psi[box].shape, np.float32)
 
 
 class Area(Energy):
@@ -117,10 +100,6 @@ class Area(Energy):
     def force(self, surface: LevelSet, front: np.ndarray, curvature: np.ndarray) -> np.ndarray:
         """The curvature."""
         return curvature.astype(np.float32)
-
-    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
-        """0: it is all of the curvature."""
-        return np.zeros(surface.psi[box].shape, np.float32)
 
 
 class BetweenFrames(WeightedSum):

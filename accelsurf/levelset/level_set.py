@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.kernels import band as band_kernels
-from accelsurf.kernels import components, differences, motion, region, residues, transport
+from accelsurf.kernels import components, differences, march, motion, region, residues, transport
 from accelsurf.kernels.grid import Band, DenseArrays, Grid
-from accelsurf.levelset.closest_points import find_closest_points, find_residues
 from accelsurf.levelset.extension import (
-    CLOSEST_POINT,
-    FAST_MARCHING,
     ExtensionTable,
     FrontRows,
     advected,
@@ -24,8 +22,7 @@ from accelsurf.levelset.extension import (
     front_rows,
     sampled,
 )
-from accelsurf.levelset.fast_marching import UpwindExtension, extension_from, march_outwards
-from accelsurf.levelset.measures import BandChange, Displacement, Measures, Motion, Snapshot, displacement
+from accelsurf.levelset.measures import BandChange, Displacement, Measures, Motion, NarrowBand, Snapshot, displacement
 from accelsurf.levelset.threads import Workers
 
 #: Distance from the surface, in voxels, within which cells count as the front: forces, curvature and kicks
@@ -35,6 +32,8 @@ FRONT_WIDTH = 2.0
 #: Components of at most this many voxels are below what the grid resolves (a ball of radius 1.5 voxels).
 MAX_UNRESOLVED = 14
 NO_CELLS = np.empty(0, np.int64)
+#: Rounds in which closest points are passed on: more than the cells of a path through the band.
+MAX_ROUNDS = 64
 
 
 class LevelSet:
@@ -53,8 +52,6 @@ class LevelSet:
         The threads to use.
     overwrite : bool
         ``psi`` is not needed any more: its memory is used instead of a copy's.
-    extension : {"closest-point", "fast-marching"}
-        How distances and fields get from the front to the cells further off, see `levelset.fast_marching`.
 
     Attributes
     ----------
@@ -76,7 +73,6 @@ class LevelSet:
         half_width: float = 3.0,
         workers: Workers | None = None,
         overwrite: bool = False,
-        extension: str = CLOSEST_POINT,
     ) -> None:
         shape = psi.shape
         self.shape: tuple[int, int, int] = (shape[0], shape[1], shape[2])
@@ -91,8 +87,7 @@ class LevelSet:
         self._slant = 0.5 * (max(spacings) / min(spacings) + min(spacings) / max(spacings))
         self._set_half_width(half_width)
         self.workers = workers or Workers(1)
-        self.extension = extension
-        self._extension: ExtensionTable | UpwindExtension | None = None
+        self._extension: ExtensionTable | None = None
         self._rows: FrontRows | None = None
         self._measured: Measures | None = None
         self._fronts: dict[float, np.ndarray] = {}
@@ -297,7 +292,7 @@ class LevelSet:
         """Overwrite ``values`` (n,) off the front by those of the front, constant along normals."""
         # Cached for the next field with the same mask.
         if self._extension is None or self._extension.front is not front:
-            self._extension = extension_from(self, front)
+            self._extension = extension_table(self, front, np.flatnonzero(~front))
         self._extension.extend(self.workers, values)
 
     def front_rows(self, front: np.ndarray, component: int = -1) -> FrontRows:
@@ -328,8 +323,7 @@ class LevelSet:
         BandChange
         """
         parallel, n = self.workers.parallel, self.size
-        marching = self.extension == FAST_MARCHING
-        cells, to_closest, state, total = (march_outwards if marching else find_closest_points)(self)
+        cells, to_closest, state, total = find_closest_points(self)
         keep = np.empty(total, np.bool_)
         parallel(band_kernels.keep_mask, total, self.grid, to_closest, state, self.half_width, keep)
         entered = n + np.flatnonzero(keep[n:])
@@ -353,7 +347,7 @@ class LevelSet:
         parallel(band_kernels.store_band, size, self.dense, new)
         self._replace_band(new)
         self._fronts = {FRONT_WIDTH: front}
-        if advection is None or marching:
+        if advection is None:
             for field in extended:
                 self.extend_outwards(field, front)
         return change
@@ -405,3 +399,75 @@ class LevelSet:
         self.dense.slot[self.band.cells] = -1
         self._set_half_width(half_width)
         self._build_band()
+
+
+class ClosestPoints(NamedTuple):
+    """Closest points of the first ``size`` rows, the slots of the band and then the cells that may enter.
+
+    ``cells`` (m,) int64 raveled; ``to_closest`` (m, 3) float32, see `kernels.grid.Band`; ``state`` (m,) int8, see
+    `kernels.march`. There is room for more than ``size``.
+    """
+
+    cells: np.ndarray
+    to_closest: np.ndarray
+    state: np.ndarray
+    size: int
+
+
+def find_closest_points(surface: NarrowBand) -> ClosestPoints:
+    """Find the closest points of the zero level of psi as it is; cells that may enter get a slot in ``dense.slot``.
+
+    Where ``surface.residues`` is None psi has been no distance yet: the interpolation is limited instead.
+    """
+    parallel, grid, dense, n = surface.workers.parallel, surface.grid, surface.dense, surface.size
+    # Room for the cells that enter in one step.
+    room = n + n // 4 + 1024
+    cells, to_closest, state = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int8)
+    cells[:n] = surface.band.cells
+    inner, found = float(surface.gamma - 1.5 * max(grid.hz, grid.hy, grid.hx)), np.empty(n, np.int8)
+    residue, known_residues = np.zeros(room, np.float32), surface.residues
+    limited = known_residues is None
+    if known_residues is not None:
+        residue[:n] = known_residues
+    parallel(march.find_feet, n, dense, grid, surface.band, (inner, residue, limited), to_closest, found)
+    parallel(march.classify_feet, n, dense, grid, surface.band.cells, to_closest, found, state)
+    open_slots, sources = np.flatnonzero(state[:n] == march.OPEN), np.flatnonzero(state[:n] == march.EDGE)
+    active, refined_later = np.zeros(room, np.bool_), np.zeros(room, np.bool_)
+    active[open_slots] = True
+    size = n
+    for _ in range(MAX_ROUNDS):
+        known, entering = (cells, to_closest, state, active), np.empty(sources.size, np.uint8)
+        around = grid, known, sources, surface.half_width
+        parallel(march.wake_neighbours, sources.size, dense.slot, *around, entering)
+        (cells, to_closest, state, active), size = surface.workers.serial(
+            march.enter_neighbours, dense.slot, grid, known, size, sources, entering
+        )
+        if cells.size > residue.size:
+            more = cells.size - residue.size
+            residue, refined_later = np.pad(residue, (0, more)), np.pad(refined_later, (0, more))
+        active_slots = surface.workers.serial(march.take_active, open_slots, n, size, active)
+        if active_slots.size == 0:
+            break
+        changed, was_open = np.empty(active_slots.size, np.bool_), state[active_slots] == march.OPEN
+        nearer = np.empty((active_slots.size, 3), np.float32), changed, np.empty(active_slots.size, np.float32)
+        rows = cells, to_closest, state, residue
+        parallel(march.propagate_feet, active_slots.size, dense, grid, rows, active_slots, nearer)
+        parallel(march.update_feet, active_slots.size, active_slots, nearer, (to_closest, state, residue))
+        # The first closest point of a cell is refined at once, as neighbours take it over; the others at the end.
+        sources, first = surface.workers.serial(march.sort_changes, active_slots, changed, was_open, refined_later)
+        parallel(march.refine_feet, first.size, dense.psi, grid, cells, first, to_closest, (residue, limited))
+    later = np.flatnonzero(refined_later[:size])
+    parallel(march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest, (residue, limited))
+    return ClosestPoints(cells, to_closest, state, size)
+
+
+def find_residues(surface: NarrowBand, moved: Motion) -> np.ndarray:
+    """Residues (n,) float32 of psi at the closest points of the band, ``moved`` since."""
+    parallel, psi, slot = surface.workers.parallel, surface.dense.psi, surface.dense.slot
+    motion = np.ascontiguousarray(moved.velocity, np.float32), float(moved.dt)
+    out, near = np.empty(surface.size, np.float32), np.empty(surface.size, np.bool_)
+    parallel(residues.own_residues, surface.size, psi, surface.grid, surface.band, motion, (out, near))
+    # A smooth surface has none that count.
+    if out.any():
+        parallel(residues.distant_residues, surface.size, slot, surface.grid, surface.band, motion, (out, near))
+    return out

@@ -22,7 +22,6 @@ class NarrowBand(Protocol):
     dense: DenseArrays
     band: Band
     workers: Workers
-    extension: str
     half_width: float
     gamma: np.float32
 

@@ -215,7 +215,7 @@ def outcome_title(name: str, result: Result) -> str:
     return f"{name}: {size}, {result.config.flow} flow, {result.stop.steps} steps, {result.stop.reason}"
 
 
-def preview_content(result: Result, title: str, reference: Any = None) -> PreviewContent:
+def preview_content(result: Result, title: str) -> PreviewContent:
     """Return what a picture of a result shows.
 
     Parameters
@@ -223,8 +223,6 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
     result : Result
     title : str
         Its heading.
-    reference : ndarray, optional
-        Labels to draw as a second contour.
     """
     is_2d = result.geometry.slice_axis is not None
     return PreviewContent(
@@ -237,7 +235,6 @@ def preview_content(result: Result, title: str, reference: Any = None) -> Previe
         start=result.start,
         title=title,
         anatomical=is_anatomical(result.volume.metadata),
-        reference=reference,
         objects=_object_shapes(result) if result.has_ids else (),
         late_growth=result.late_leakage,
         next_clicks=_next_clicks(result),

@@ -22,7 +22,7 @@ FAILED = "_failed"
 #: What follows the name of a case in the names of its files.
 _KINDS = re.compile(
     r"(seg|labels|segmentation|labelmap|rtstruct|dseg|rest\d+_seg|sdf|surface|contour|objects|state|run|trace|preview|"
-    r"statistics|report|case|tracks|curves|surfaces|geff|trackmate|res|movie|film)([._].*)?", re.IGNORECASE
+    r"statistics|report|case|tracks|curves|surfaces|geff|res|movie|film)([._].*)?", re.IGNORECASE
 )
 #: Settings that change nothing of what a run leaves, and those that it may set itself.
 _WITHOUT_EFFECT, _OPEN = ("threads", "checkpoint"), ("seed", "energy")

@@ -130,9 +130,6 @@ ZARR_LEVELS = Budget("the levels of an OME-Zarr", 64, "levels", "is it damaged? 
 MESH_FILE = Budget(
     "a mesh in memory while it is read", 1, "bytes", "simplify the mesh first", "byte of free memory"
 )
-UPLOAD = Budget(
-    "a file that is dropped on the page", 1 << 31, "bytes", "open it from the folder of the page"
-)
 MESH_COPIES = Budget(
     "the points and triangles that a glTF builds", 1, "points and triangles",
     "export it as one mesh", "byte of the file (and 1048576)",
@@ -162,5 +159,4 @@ BUDGETS = (
     LZW, PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, DICOM_FRAMES, DICOM_DEFLATED, DICOM_PACKED,
     DICOM_ARCHIVE_FILES, DICOM_ARCHIVE_BYTES, DICOM_ARCHIVE, ZARR_CHUNK, ZARR_METADATA, ZARR_LEVELS, MESH_FILE,
     MESH_COPIES, MESH_ROWS, OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED,
-    UPLOAD,
 )

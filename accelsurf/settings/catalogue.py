@@ -9,8 +9,8 @@ from accelsurf.settings.entry import SettingEntry, SettingGroup, entry_of, full_
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.flow_specs import FLOWS
 
-#: Groups whose settings the viewer shows: the image has been read by then.
-VIEWER_GROUPS = (SettingGroup.RUN, SettingGroup.FLOW, SettingGroup.FILES)
+#: Groups whose settings the viewer shows: the image has been read by then, and files are not written yet.
+VIEWER_GROUPS = (SettingGroup.RUN, SettingGroup.FLOW)
 
 
 def entry(key: str) -> SettingEntry:
@@ -67,7 +67,7 @@ def viewer_settings(where: Literal["first", "more"]) -> tuple[str, ...]:
     Examples
     --------
     >>> viewer_settings("first")
-    ('preset', 'energy', 'smoothness', 'presmooth', 'size', 'max_volume', 'levels', 'roi', 'mask')
+    ('preset', 'energy', 'smoothness', 'presmooth', 'size', 'max_volume', 'levels', 'roi')
     """
     shown = [key for key in SettingFields.model_fields if entry(key).viewer == where]
     return tuple(key for group in VIEWER_GROUPS for key in shown if entry(key).group is group)

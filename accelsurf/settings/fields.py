@@ -139,7 +139,7 @@ class SettingFields(BaseModel):
     mask: str | None = setting(
         None,
         "Label map on the image's grid: the surface never leaves the voxels above 0.",
-        entry=SettingEntry(RUN, viewer="first", metavar="FILE", fixed=True),
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="FILE", fixed=True),
     )
     box: str | None = setting(
         None,
@@ -366,12 +366,6 @@ class SettingFields(BaseModel):
         "accelsurf refine adds them.",
         entry=SettingEntry(RUN, viewer="elsewhere", metavar="CLICKS", repeated=True, fixed=True),
     )
-    extension: Literal["closest-point", "fast-marching"] = setting(
-        "closest-point",
-        "How distances and speeds get from the surface to the band: by the closest point of each voxel, or by fast "
-        "marching, from the voxels beside the surface outwards in order of distance.",
-        entry=SettingEntry(RUN, choice=True, metavar="NAME", fixed=True),
-    )
     end: Literal["lowest", "present"] = setting(
         "lowest",
         "Which state a run that has used up its steps ends with: that of the lowest energy so far, or the present one, "
@@ -468,7 +462,7 @@ class SettingFields(BaseModel):
     keep_state: Literal["auto", "yes", "no"] = setting(
         "auto",
         "Also write the state of the run, from which accelsurf refine goes on; auto does with clicks.",
-        entry=SettingEntry(FILES, metavar="auto|yes|no", fixed=True, viewer="elsewhere"),
+        entry=SettingEntry(FILES, metavar="auto|yes|no", fixed=True),
     )
     checkpoint: Annotated[
         Annotated[str, Field(pattern=INTERVAL)] | None, BeforeValidator(checked(interval_of, INTERVAL, int))
@@ -476,23 +470,23 @@ class SettingFields(BaseModel):
         None,
         "How often the state of the run is written while it goes on: 50 (steps), 30s, 5min. A killed run goes on from "
         "it with --resume, and ends with the same bytes; it is removed when the run has ended.",
-        entry=SettingEntry(FILES, metavar="STEPS|TIME", fixed=True, viewer="elsewhere"),
+        entry=SettingEntry(FILES, metavar="STEPS|TIME", fixed=True),
     )
     name: Annotated[tuple[str, ...], BeforeValidator(checked_names)] = setting(
         (),
         "Name of an object in files: ID=NAME, or NAME where there is one object.",
-        entry=SettingEntry(FILES, metavar="ID=NAME", repeated=True, fixed=True, viewer="elsewhere"),
+        entry=SettingEntry(FILES, metavar="ID=NAME", repeated=True, fixed=True),
     )
     color: Annotated[tuple[str, ...], BeforeValidator(checked_colors)] = setting(
         (),
         "Colour of an object in files: ID=#rrggbb or ID=R,G,B.",
-        entry=SettingEntry(FILES, metavar="ID=COLOUR", repeated=True, fixed=True, viewer="elsewhere"),
+        entry=SettingEntry(FILES, metavar="ID=COLOUR", repeated=True, fixed=True),
     )
     label_table: str | None = setting(
         None,
         "Names and colours of objects: a file of ITK-SNAP (.txt), 3D Slicer (.ctbl, .seg.nrrd), BIDS (.tsv) or DICOM "
         "(a segmentation, .dcm), or a .csv with columns id, name and color.",
-        entry=SettingEntry(FILES, metavar="FILE", fixed=True, viewer="elsewhere"),
+        entry=SettingEntry(FILES, metavar="FILE", fixed=True),
     )
     also: Annotated[tuple[Annotated[str, OneOf(also_names)], ...], BeforeValidator(all_split)] = setting(
         (),
@@ -503,13 +497,13 @@ class SettingFields(BaseModel):
         None,
         "Also write the label map into the labels of the image, an OME-Zarr 0.5, under this name; the image is not "
         "touched.",
-        entry=SettingEntry(FILES, metavar="NAME", fixed=True, viewer="elsewhere"),
+        entry=SettingEntry(FILES, metavar="NAME", fixed=True),
     )
     window: Annotated[str, BeforeValidator(checked_window)] = setting(
         AUTO,
         "Values of the image that pictures draw black to white: LEVEL,WIDTH, as 40,400; of a CT soft-tissue, bone, "
         "lung or brain; auto follows from the object and what is around it.",
-        entry=SettingEntry(FILES, metavar="NAME|LEVEL,WIDTH", fixed=True, viewer="elsewhere"),
+        entry=SettingEntry(FILES, metavar="NAME|LEVEL,WIDTH", fixed=True),
     )
     layout: Layout = setting(
         "plain",

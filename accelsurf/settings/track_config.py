@@ -103,7 +103,7 @@ class TrackConfig(TrackFields):
         """Friction per unit of time for a sequence with these times of its frames."""
         if self.friction != "auto":
             return self.friction
-        if self.model != "flowable-mass" or len(times) < 2:
+        if len(times) < 2:
             return 0.0
         return AUTO_FRICTION * (len(times) - 1) / (times[-1] - times[0])
 

@@ -62,10 +62,6 @@ TRACK_FORMATS: Registry[TrackFormat] = Registry(
         "accelsurf.track.output.surfaces:write_surfaces", mark="surfaces.json",
     ),
     TrackFormat(
-        "trackmate", "XML file of TrackMate", "trackmate.xml",
-        "accelsurf.track.output.trackmate_file:write_trackmate",
-    ),
-    TrackFormat(
         "mp4", "movie of slices, prediction beside correction", "movie.mp4",
         "accelsurf.track.output.slices:write_movie", "accelsurf.track.output.slices:check_mp4",
     ),
@@ -117,11 +113,10 @@ class TrackFields(BaseModel):
         "From that frame to the last one, back to the first, or both.",
         entry=SettingEntry(TRACK, metavar="WAY"),
     )
-    model: Literal["flowable-mass", "constant-density", "last-displacement", "none"] = setting(
+    model: Literal["flowable-mass", "last-displacement", "none"] = setting(
         "flowable-mass",
-        "What carries a surface from frame to frame: its momentum as flowable mass (it may travel, turn and deform) or "
-        "as constant density; the last displacement of its centroid; or nothing, each frame begins where the last one "
-        "ended.",
+        "What carries a surface from frame to frame: its momentum as flowable mass (it may travel, turn and "
+        "deform); the last displacement of its centroid; or nothing, each frame begins where the last one ended.",
         entry=SettingEntry(TRACK, metavar="NAME"),
     )
     observer: Annotated[Annotated[str, Field(pattern=GAINS)], BeforeValidator(_gains_text)] = setting(
@@ -132,8 +127,8 @@ class TrackFields(BaseModel):
     )
     friction: Annotated[float, Field(ge=0)] | Literal["auto"] = setting(
         "auto",
-        "Friction between frames, per unit of the sequence's time: relative motion within the surface (flowable-mass), "
-        "or all of it (constant-density), falls by exp(-A) in a unit. auto is 0.5 per frame for flowable-mass, else 0.",
+        "Friction between frames, per unit of the sequence's time: relative motion within the surface falls by "
+        "exp(-A) in a unit. auto is 0.5 per frame.",
         entry=SettingEntry(TRACK, unit="1/time", metavar="A|auto"),
     )
     next_energy: Annotated[str, BeforeValidator(_energy_or_auto)] = setting(

@@ -14,7 +14,7 @@ from accelsurf.grid.boxes import Corner
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet, SurfaceState, Workers, checkpoint_surface, restore_surface
 from accelsurf.track.boxed_surface import BoxedSurface, Floats, boxed_surface, on_larger_box, sample_fields
-from accelsurf.track.observer import Displacement, Fit, between, displacement, measured_surface
+from accelsurf.track.observer import Displacement, between, displacement, measured_surface
 from accelsurf.track.records import SurfacePiece
 
 Triple = tuple[float, float, float]
@@ -45,13 +45,11 @@ class SurfaceMomentum(ABC):
 
     Attributes
     ----------
-    fit : {"shift", "none"}
-        What the observer fits of a displacement before the rest goes along the normal, see `tracking.observer`.
+    half_width : float
+        Of the narrow band, voxels.
     """
 
-    #: Half width of the narrow band, voxels.
-    half_width: ClassVar[float] = 3.0
-    fit: ClassVar[Fit] = "shift"
+    half_width: ClassVar[float] = 4.0
 
     def __init__(self, friction: float = 0.0, workers: Workers | None = None) -> None:
         self.friction, self.workers = float(friction), workers or Workers(1)
@@ -136,7 +134,7 @@ class SurfaceMomentum(ABC):
             self._boxed = measured
             self._fields = self._fields_at_start(np.zeros(3))
             return self.piece
-        found = displacement(predicted, measured, self.fit)
+        found = displacement(predicted, measured)
         fields = self._corrected_fields(found, duration, gains.velocity)
         new = between(predicted, measured, found, gains.psi)
         way = gains.psi * found.shift

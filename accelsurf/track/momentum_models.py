@@ -1,4 +1,4 @@
-"""Models of momentum between frames: flowable mass, constant density, and two baselines; and how a surface coasts."""
+"""Models of momentum between frames: flowable mass, and two baselines; and how a surface coasts."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.flows import ConstantDensity, FlowableMass, StepInput, StepLimits, StepPlan
-from accelsurf.flows.accelerated import Accelerated
-from accelsurf.flows.protocol import voxel_rates
+from accelsurf.flows import FlowableMass, StepInput, StepLimits
 from accelsurf.levelset import Motion, Workers
 from accelsurf.track.boxed_surface import BoxedSurface, Floats, sample_fields, transferred
 from accelsurf.track.momentum import Gains, SurfaceMomentum
@@ -19,8 +17,7 @@ from accelsurf.track.records import SurfacePiece
 
 #: Voxels that a surface may move in a step.
 CFL = 0.5
-#: Steps of a motion at most: speeds that run away, as where paths cross or a surface of constant density is folded, end
-#: it.
+#: Steps of a motion at most: speeds that run away, as where paths cross, end it.
 MAX_STEPS = 200
 #: A motion has ended when less than this part of its time is left: that is rounding.
 END = 1e-9
@@ -31,18 +28,16 @@ MAX_RELATIVE = 32.0
 
 
 def coast(
-    boxed: BoxedSurface, flow: Accelerated, fields: list[np.ndarray], duration: float, points: Floats
+    boxed: BoxedSurface, fields: list[np.ndarray], duration: float, points: Floats
 ) -> tuple[BoxedSurface, list[np.ndarray], Floats]:
-    """Move a surface for ``duration`` > 0 by a flow without any force.
+    """Move a surface for ``duration`` > 0 as flowable mass, without any force or friction.
 
     Parameters
     ----------
     boxed : BoxedSurface
         Moved in place where its box has room enough.
-    flow : Accelerated
-        With a constant friction.
     fields : list of ndarray (n,)
-        Of the flow, now.
+        Velocity and density, now.
     duration : float
     points : ndarray (m, 3)
         Material points near the surface, mm along the grid's axes.
@@ -52,6 +47,7 @@ def coast(
     BoxedSurface, list of ndarray, ndarray
         The surface, its fields and the points, all of the same moment.
     """
+    flow = FlowableMass(rho=RHO, friction=0.0, diffusion=0.0)
     flow.start_moving(boxed.surface, fields)
     left, points = duration, points.copy()
     for _ in range(MAX_STEPS):
@@ -63,24 +59,21 @@ def coast(
         # The step follows the speed now; its curvature may speed a surface up, which must not be clipped.
         step = min(left, CFL / max(_fastest(now, flow), CFL / duration))
         plan = flow.move(now, StepLimits(2.0 * CFL, 100.0, step))
-        if not plan.dt > 0:
+        if not plan.dt > 0 or plan.velocity is None:
             break
         if len(points):
-            points += plan.dt * _velocity_at(boxed, plan, points)
+            columns = [np.ascontiguousarray(plan.velocity[:, c]) for c in range(3)]
+            points += plan.dt * sample_fields(boxed, columns, points)[0]
         surface = boxed.surface
-        if plan.velocity is None:
-            surface.advance(plan.speed, plan.dt)
-            flow.set_fields(surface.redistance(flow.fields).fields)
-        else:
-            surface.advect(plan.velocity, plan.dt)
-            flow.set_fields(surface.redistance(flow.fields, Motion(plan.velocity, plan.dt)).fields)
+        surface.advect(plan.velocity, plan.dt)
+        flow.set_fields(surface.redistance(flow.fields, Motion(plan.velocity, plan.dt)).fields)
         left -= plan.dt
     if boxed.surface.size:
         flow.synchronize(_now(boxed, flow))
     return boxed, flow.fields, points
 
 
-def _now(boxed: BoxedSurface, flow: Accelerated) -> StepInput:
+def _now(boxed: BoxedSurface, flow: FlowableMass) -> StepInput:
     """The surface without any force."""
     surface = boxed.surface
     front = surface.front(flow.stencil_width(surface))
@@ -88,31 +81,19 @@ def _now(boxed: BoxedSurface, flow: Accelerated) -> StepInput:
     return StepInput(surface, front, none, surface.curvature(front), surface.fraction_and_area()[1], 0.0)
 
 
-def _fastest(now: StepInput, flow: Accelerated) -> float:
+def _fastest(now: StepInput, flow: FlowableMass) -> float:
     """The largest speed of the front, voxels per unit of time."""
-    surface, velocity = now.surface, flow.fields[:3]
-    if len(velocity) < 3:
-        rates = voxel_rates(surface, now.front, velocity[0])
-    else:
-        h = surface.grid.hz, surface.grid.hy, surface.grid.hx
-        rates = np.sqrt(sum((field / step) ** 2 for field, step in zip(velocity, h, strict=True)))
+    grid = now.surface.grid
+    squares = ((field / h) ** 2 for field, h in zip(flow.fields[:3], (grid.hz, grid.hy, grid.hx), strict=True))
+    rates = np.sqrt(sum(squares))
     return float(rates[now.front].max(initial=0.0))
 
 
-def _relaid(boxed: BoxedSurface, flow: Accelerated) -> BoxedSurface:
+def _relaid(boxed: BoxedSurface, flow: FlowableMass) -> BoxedSurface:
     """The surface on a box with more room, and the fields of the flow there."""
     larger = boxed.with_room([max(8, n // 4) for n in boxed.surface.shape])
     flow.set_fields(transferred(boxed, flow.fields, larger))
     return larger
-
-
-def _velocity_at(boxed: BoxedSurface, plan: StepPlan, points: Floats) -> NDArray[np.float64]:
-    """Velocity (m, 3) of material points near the surface."""
-    velocity = plan.velocity
-    if velocity is None:
-        velocity = plan.speed[:, None] * boxed.surface.normals()
-    values, _ = sample_fields(boxed, [np.ascontiguousarray(velocity[:, c]) for c in range(3)], points)
-    return np.asarray(values)
 
 
 class FlowableMomentum(SurfaceMomentum):
@@ -124,8 +105,6 @@ class FlowableMomentum(SurfaceMomentum):
 
     The fields are V (z, y, x, mm per unit of time) and the density rho.
     """
-
-    half_width = 4.0
 
     def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
         size = self._boxed.surface.size
@@ -149,8 +128,7 @@ class FlowableMomentum(SurfaceMomentum):
         fields = [np.asarray(field, np.float32) for field in (*relative, self._fields[3])]
         boxed = self._with_room(fields[:3], free)
         fields = transferred(self._boxed, fields, boxed)
-        flow = FlowableMass(rho=RHO, friction=0.0, diffusion=0.0)
-        boxed, fields, points = coast(boxed, flow, fields, free, self._points)
+        boxed, fields, points = coast(boxed, fields, free, self._points)
         shift = [int(n) for n in voxels]
         self._boxed, self._points = boxed.shifted(shift), points + voxels * h
         moving = [sign * slowed * (field - v) + m for field, m, v in zip(fields[:3], mean, left, strict=True)]
@@ -180,40 +158,6 @@ def _clipped(velocity: Floats, most: float) -> Floats:
     return np.asarray(velocity * np.minimum(1.0, most / np.maximum(speed, 1e-300))[:, None])
 
 
-class ConstantDensityMomentum(SurfaceMomentum):
-    """Constant density (Niethammer & Tannenbaum): beta_t = 1/2 beta^2 H - a beta, psi_t = beta |grad psi|.
-
-    Not Galilean invariant: a ball that coasts is deformed. The field is beta, the speed along the inward normal.
-    """
-
-    half_width = 3.0
-
-    def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
-        return [np.asarray(self._boxed.surface.normals() @ velocity, np.float32)]
-
-    def _mean_velocity(self) -> Floats:
-        """Velocity of the centroid: 1/Vol int (x - x_c) (V . n) dA."""
-        boxed = self._boxed
-        fraction, area = boxed.surface.fraction_and_area()
-        arm = boxed.closest_points() - boxed.centroid()
-        # The area of a single slice counts its thickness, as the volume does.
-        outward = -area * self._fields[0]
-        moved = (outward[:, None] * arm).sum(axis=0) / max(boxed.surface.volume(fraction), 1e-300)
-        return np.where(boxed.wide, moved, 0.0)
-
-    def _coast(self, duration: float) -> None:
-        sign = math.copysign(1.0, duration)
-        flow = ConstantDensity(rho=RHO, friction=self.friction, diffusion=0.0)
-        fields = [np.asarray(sign * self._fields[0], np.float32)]
-        self._boxed, (beta,), self._points = coast(self._boxed, flow, fields, abs(duration), self._points)
-        self._fields = [np.asarray(sign * beta, np.float32)]
-
-    def _corrected_fields(self, found: Displacement, duration: float, gain: float) -> list[np.ndarray]:
-        normal = self._boxed.surface.normals()
-        along = (missing_velocity(self._boxed, found, duration) * normal).sum(axis=1)
-        return [np.asarray(self._fields[0] + gain * along, np.float32)]
-
-
 class LastDisplacement(SurfaceMomentum):
     """Restart with the last displacement added: the surface moves rigidly as its centroid moved last. A baseline.
 
@@ -238,11 +182,10 @@ class LastDisplacement(SurfaceMomentum):
         voxels = np.rint(way / self._boxed.spacing)
         left = np.asarray(way - voxels * self._boxed.spacing, np.float32)
         mean = self._mean_velocity()
-        flow = FlowableMass(rho=RHO, friction=0.0, diffusion=0.0)
         boxed = self._boxed.with_room((0, 0, 0))
         size = boxed.surface.size
         fields = [np.full(size, value, np.float32) for value in (*left, RHO)]
-        boxed, _, points = coast(boxed, flow, fields, 1.0, self._points)
+        boxed, _, points = coast(boxed, fields, 1.0, self._points)
         self._boxed, self._points = boxed.shifted([int(n) for n in voxels]), points + voxels * self._boxed.spacing
         self._fields = self._fields_at_start(mean)
 
@@ -274,7 +217,6 @@ class NoMomentum(LastDisplacement):
 
 MODELS: dict[str, type[SurfaceMomentum]] = {
     "flowable-mass": FlowableMomentum,
-    "constant-density": ConstantDensityMomentum,
     "last-displacement": LastDisplacement,
     "none": NoMomentum,
 }
@@ -285,7 +227,7 @@ def make_momentum(model: str, friction: float = 0.0, workers: Workers | None = N
 
     Parameters
     ----------
-    model : {"flowable-mass", "constant-density", "last-displacement", "none"}
+    model : {"flowable-mass", "last-displacement", "none"}
     friction : float
         a, per unit of the sequence's time; of no meaning to the two baselines.
     workers : Workers, optional

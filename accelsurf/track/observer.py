@@ -10,7 +10,7 @@ becomes velocity as far as it is smooth over the surface and more than what the 
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,6 @@ from accelsurf.kernels import point_sampling
 from accelsurf.track.boxed_surface import BoxedSurface, Floats, boxed_surface
 from accelsurf.track.records import SurfacePiece
 
-#: What is fitted: the shift of the whole, or nothing, so that all goes along the normal.
-Fit = Literal["shift", "none"]
 #: Damping of a round of the fit, in parts of a surface that looks all ways: along a plane no shift is determined.
 DAMPING = 1e-4
 #: Rounds of the fit; it ends when a round moves by no more than this part of a voxel.
@@ -45,18 +43,17 @@ class Displacement(NamedTuple):
     remainder: NDArray[np.float64]
 
 
-def displacement(predicted: BoxedSurface, measured: BoxedSurface, fit: Fit = "shift") -> Displacement:
+def displacement(predicted: BoxedSurface, measured: BoxedSurface) -> Displacement:
     """Find how the ``predicted`` surface must move to be the ``measured`` one.
 
     Parameters
     ----------
     predicted, measured : BoxedSurface
         On the same frames' grid; neither empty.
-    fit : {"shift", "none"}
     """
     wide = measured.widened(FIT_WIDTH)
     points = predicted.closest_points()
-    shift = np.zeros(3) if fit == "none" else _fitted_shift(predicted, points, wide)
+    shift = _fitted_shift(predicted, points, wide)
     # Further off than the band nothing is known but that it is far.
     return Displacement(shift, -_psi_at(wide, points + shift)[:, 0])
 

@@ -460,17 +460,14 @@ def track(
 
 def small_runs() -> dict[str, Callable[[], Any]]:
     """Return runs by name of the kernels that only a tracking calls, for ``accelsurf warmup``."""
-    return {
-        "tracking": lambda: _warm_up("flowable-mass"),
-        "tracking by constant density": lambda: _warm_up("constant-density"),
-    }
+    return {"tracking": _warm_up}
 
 
-def _warm_up(model: str) -> None:
+def _warm_up() -> None:
     """A ball through three frames, with a mesh that is moved along, the way of the observer gone in part."""
     frames = [_warmup_frame(x) for x in (-1.0, 0.0, 1.0)]
     start = frames[0].with_array((frames[0].array > 0.5).astype(np.uint8))
-    config = TrackConfig(model=model, observer="0.7,0.5", levels=1, max_steps=12)
+    config = TrackConfig(observer="0.7,0.5", levels=1, max_steps=12)
     for _ in Tracking(VolumeSequence(frames), config, objects=start, meshes=True):
         pass
 

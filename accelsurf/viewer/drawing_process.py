@@ -50,7 +50,7 @@ class SceneRecipe:
     theme, color, view : str
     size : (int, int)
         Pixels.
-    shows_volume, shows_planes : bool
+    shows_planes : bool
     """
 
     volume: Volume
@@ -60,7 +60,6 @@ class SceneRecipe:
     color: str = "plain"
     view: str = "corner"
     size: tuple[int, int] = (1280, 720)
-    shows_volume: bool = False
     shows_planes: bool = False
 
     def scene(self) -> Scene:
@@ -83,7 +82,6 @@ class SceneRecipe:
         scene.restyle(styles)
         scene.color_by(self.color)
         scene.tiles.look_from(self.view)
-        scene.show_volume(self.shows_volume)
         scene.show_planes(self.shows_planes)
         scene.render()
         return scene

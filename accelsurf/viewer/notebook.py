@@ -12,18 +12,15 @@ from typing import Any
 import pyvista as pv
 
 from accelsurf.api.segment import Result
-from accelsurf.errors import UsageError, check_known
+from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.output.pictures.movies import png_bytes
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.export import html_page, write_html
 from accelsurf.viewer.scene.colors import given_styles
-from accelsurf.viewer.scene.headless import GraphicsError, require_graphics
+from accelsurf.viewer.scene.headless import GraphicsError
 from accelsurf.viewer.scene.scene import SIZE, Scene
-
-#: PyVista's backends for notebooks.
-BACKENDS = ("static", "client", "server", "trame", "html", "none")
 
 
 def show(
@@ -31,12 +28,10 @@ def show(
     *,
     reference: Volume | None = None,
     theme: str = "light",
-    volume: bool = False,
     planes: bool = False,
     size: tuple[int, int] = SIZE,
     to: str | Path | None = None,
     title: str | None = None,
-    backend: str | None = None,
 ) -> Any:
     """Show a result, or an image, as `accelsurf view` does: the surfaces in mm, three slices, the energies.
 
@@ -48,8 +43,8 @@ def show(
         Labels on the same grid (above 0 is the object) to compare with, with Dice.
     theme : str, optional
         "light" or "dark".
-    volume, planes : bool, optional
-        Draw the image itself, translucent, or the three slices in 3D as well.
+    planes : bool, optional
+        Draw the three slices in 3D as well.
     size : (int, int), optional
         Width and height, pixels.
     to : str or Path, optional
@@ -57,8 +52,6 @@ def show(
         the internet (.html).
     title : str, optional
         First line over the picture, and of the window; the name of the image's file unless given.
-    backend : str, optional
-        In a notebook: one of PyVista's Jupyter backends instead of a page without a server.
 
     Returns
     -------
@@ -68,24 +61,23 @@ def show(
     Raises
     ------
     UsageError
-        For another type, an unknown theme, backend or suffix.
+        For another type, an unknown theme or suffix.
     InputError
         When the reference is on another grid.
     GraphicsError
         When nothing can be drawn here.
     """
-    suffix = _check(what, to, backend)
+    suffix = _check(what, to)
     image = what.volume if isinstance(what, Result) else what
     title = title or (image.source.name if image.source else "accelsurf")
-    plotter = None if to is not None else _plotter(image.geometry, size, backend, title)
+    plotter = None if to is not None else _plotter(image.geometry, size, title)
     scene = Scene(image, theme=theme, reference=reference, plotter=plotter, size=size, title=title)
     if isinstance(what, Result):
         scene.restyle(given_styles(what.config))
         scene.update(Frame.of_result(what), [segmented.history for segmented in what.objects])
-    scene.show_volume(volume)
     scene.show_planes(planes)
     if plotter is not None:
-        return _show_in_pyvista(scene, backend)
+        return scene.plotter.show()
     try:
         if to is None:
             return SceneOutput(scene)
@@ -98,38 +90,23 @@ def show(
         scene.close()
 
 
-def _plotter(geometry: Geometry, size: tuple[int, int], backend: str | None, title: str) -> pv.Plotter | None:
-    """A plotter for a window or for a backend of PyVista; None in a notebook that gets a page of our own."""
-    notebook = in_notebook()
-    if not notebook and not _has_screen():
-        raise GraphicsError("no screen was found for a window", "write a picture or a page: to='a.png', to='a.html'")
-    if notebook and backend is None:
+def _plotter(geometry: Geometry, size: tuple[int, int], title: str) -> pv.Plotter | None:
+    """A plotter for a window; None in a notebook, which gets a page of our own."""
+    if in_notebook():
         return None
-    if notebook:
-        require_graphics()
-    layout = Scene.layout(geometry)
-    return pv.Plotter(off_screen=notebook, notebook=notebook, window_size=list(size), title=title, **layout)
+    if not _has_screen():
+        raise GraphicsError("no screen was found for a window", "write a picture or a page: to='a.png', to='a.html'")
+    return pv.Plotter(window_size=list(size), title=title, **Scene.layout(geometry))
 
 
-def _check(what: Result | Volume, to: str | Path | None, backend: str | None) -> str:
+def _check(what: Result | Volume, to: str | Path | None) -> str:
     """Refuse what cannot be shown; returns the suffix of the file to be written."""
     if not isinstance(what, (Result, Volume)):
         raise UsageError(f"show: a {type(what).__name__} was given, expected a Result or a Volume")
-    if backend is not None:
-        check_known("backend", backend, BACKENDS)
     suffix = "" if to is None else Path(to).suffix.lower()
     if to is not None and suffix not in (".png", ".html", ".htm"):
         raise UsageError(f"{Path(to).name}: {suffix or 'no suffix'} was given, expected .png or .html")
     return suffix
-
-
-def _show_in_pyvista(scene: Scene, backend: str | None) -> Any:
-    """Show a scene in a window of PyVista, or by one of its backends."""
-    try:
-        return scene.plotter.show(jupyter_backend=backend) if backend is not None else scene.plotter.show()
-    except ImportError as error:
-        raise UsageError(f"backend: {backend} needs what is not installed ({error})", 'pip install "pyvista[jupyter]"'
-                         ) from None
 
 
 class SceneOutput:

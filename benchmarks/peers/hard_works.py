@@ -14,8 +14,8 @@ from scipy import ndimage
 
 from accelsurf.measure.metrics import dice
 from accelsurf.phantoms.recipes import Recipe, make
-from accelsurf.phantoms.tissues import membrane_cells
 from benchmarks.peers.objects import mean_dice
+from tests.support.tissues import membrane_cells
 
 Ball = tuple[float, float, float, float]
 

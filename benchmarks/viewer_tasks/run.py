@@ -6,8 +6,8 @@ Usage: python -m benchmarks.viewer_tasks.run VOLUMES_FOLDER [TASK ...] [-o bench
 The command is ``accelsurf view`` and nothing else. A simulated person opens the scan by the dialog, knows the object
 from a reference, as somebody does who knows anatomy, and acts as one could: clicks to bring its thickest place into
 sight, a press there and a drag until the outline has the right size, strokes (five for each object at most) where the
-object that fits least is wrong most. Then *stl* is typed under *More: files*, *Measure* says the volume in ml, Ctrl+S
-asks for a folder, *CSV* writes the volumes. Then run.toml is run by ``accelsurf segment``, which must make the same
+object that fits least is wrong most. Then *stl* is typed under *More: files*, and Ctrl+S asks for a folder, in
+which the table of statistics has the volumes. Then run.toml is run by ``accelsurf segment``, which must make the same
 bytes. Scans are public: see benchmarks/README.md; the three nuclei that touch are a phantom.
 """
 
@@ -104,31 +104,25 @@ def do_task(
     if pictures:
         pictures.mkdir(parents=True, exist_ok=True)
         person.picture(pictures / f"task-{name}.png")
-    shown = save_stl_and_ml(person, folder / "out")
+    save_stl(person, folder / "out")
     seconds, actions = time.monotonic() - person.began - judged_s, person.actions
     person.close()
     return {
         "actions": actions, "seconds": round(seconds, 1), "opened_s": round(person.opened_s, 1),
         "first_result_s": round(first_s, 1), "dice": dice, "strokes": len(obeyed),
-        "obeyed_s": obeyed, "ml": saved_ml(folder / "out"), "ml_shown": shown,
+        "obeyed_s": obeyed, "ml": saved_ml(folder / "out"),
         "ml_reference": [round(float(one.sum()) * voxel / 1000, 6) for one in objects],
         "files": sorted(path.name for path in (folder / "out").iterdir()), "same_bytes": same_bytes(scan, folder),
     }
 
 
-def save_stl_and_ml(person: Person, folder: Path) -> list[str]:
-    """Choose STL, measure, save all in a folder, and the volumes as a table; returns the volumes that were shown."""
+def save_stl(person: Person, folder: Path) -> None:
+    """Choose STL, and save all in a folder."""
     folder.mkdir()
     person.click_widget("More: files")
     person.fill("mesh", "stl")
     person.until(lambda now: list(now["settings"]["mesh"]) == ["stl"], 20)
-    person.click_widget("Measures")
-    person.click_widget("Measure")
-    now = person.until(lambda now: now["state"]["figures"] and not now["state"]["measuring"], 60)
     person.save_in(folder)
-    person.click_widget("CSV")
-    person.until(lambda now: any(name.endswith("_figures.csv") for name in now["state"]["saved"]), 20)
-    return list(next(line for line in now["state"]["figures"] if line[0] == "Volume")[1:])
 
 
 def three_neighbours(labels: np.ndarray) -> str:
@@ -211,7 +205,7 @@ def answered(now: dict[str, Any], before: dict[str, Any]) -> bool:
 
 def saved_ml(folder: Path) -> list[float]:
     """The volume of each object that the saved table says."""
-    (table,) = folder.glob("*_figures.csv")
+    (table,) = folder.glob("*_statistics.csv")
     with open(table, newline="") as lines:
         return [round(float(line["volume_mm3"]) / 1000.0, 6) for line in csv.DictReader(lines)]
 

@@ -196,7 +196,7 @@ def test_every_setting_is_an_option(capsys):
         **dict(blend=0.6, reproducible=True, levels=2, mask="m.nii", roi="1,2,3,4,5,6", max_volume=1e4),
         **dict(foreground=("center", "ball:-1,2,-3,4"), background=("otsu:dark", "label:b.nii@2"), channel=("a", "b")),
         **dict(outside=("point:1,2,3", "stroke:s.csv"), box="0,0,0,9,9,9", size="250ml", keep_state="yes"),
-        **dict(stop_at_rest=True, end="present", extension="fast-marching", refine=["merge=1,3"]),
+        **dict(stop_at_rest=True, end="present", refine=["merge=1,3"]),
         **dict(level=2, channel_index=1, time_index=3, channels_from_time=True, series="4", spacing="1,2,3um"),
         **dict(resample=True, name=["2=liver"], color=["2=#102030"], label_table="t.csv", also=["tsv", "rtstruct"]),
         layout="nnunet", label_group="cells", window="bone",
@@ -514,31 +514,6 @@ def test_evaluate_refuses_other_grids(scans, tmp_path, capsys):
     assert "hint: " in capsys.readouterr().err
 
 
-def test_compare(scans, tmp_path, capsys):
-    words = ("compare", scans / "ball.nii.gz", *START, "-o", tmp_path, "--max-steps", 15)
-    assert run(*words, "--reference", scans / "truth.nii.gz") == 0
-    out = capsys.readouterr().out
-    assert out.splitlines()[0].split() == ["flow", "steps", "seconds", "energy", "Dice", "stop"]
-    document = json.loads((tmp_path / "compare.json").read_text())
-    assert [entry["flow"] for entry in document["runs"]] == ["gradient", "constant-density"]
-    assert all(0.3 < entry["metrics"]["dice"] <= 1 for entry in document["runs"])
-    assert 0.3 < document["agreement_dice"]["gradient / constant-density"] <= 1
-    assert (tmp_path / "compare.png").read_bytes().startswith(b"\x89PNG")
-    assert run(*words) == 7
-    assert run(*words, "--overwrite", "--flows", "gradient", "--quiet") == 0
-    document = json.loads((tmp_path / "compare.json").read_text())
-    assert len(document["runs"]) == 1 and document["runs"][0]["metrics"] is None
-    assert run(*words, "--overwrite", "--flows", "gradient,sobolov") == 2
-    assert run(*words, "--overwrite", "--flows", ",") == 2
-
-
-def test_compare_refuses_a_reference_on_another_grid(scans, tmp_path, capsys):
-    io.write_labels(recipes.make(recipes.load_recipe("ball_small")).truth, tmp_path / "other.nii.gz")
-    words = ("compare", scans / "ball.nii.gz", *START, "-o", tmp_path / "out")
-    assert run(*words, "--reference", tmp_path / "other.nii.gz") == 3
-    assert "different grids" in capsys.readouterr().err
-
-
 def test_info(capsys):
     assert run("info", "--json") == 0
     facts = json.loads(capsys.readouterr().out)
@@ -549,34 +524,6 @@ def test_info(capsys):
     assert facts["versions"]["numpy"] == np.__version__
     assert run("info") == 0
     assert "max_steps" in capsys.readouterr().out
-
-
-def test_demo_on_a_small_cube(tmp_path, capsys, monkeypatch):
-    small = recipes.load_recipe("cube_noisy").changed(shape=(32, 32, 32), side=16.0, noise=0.3)
-    monkeypatch.setattr(recipes, "load_recipe", lambda name: small)
-    monkeypatch.setattr("accelsurf.cli.compare.DEMO_START", "ball:2,1,-1,5")
-    monkeypatch.setattr("accelsurf.cli.compare.DEMO_STEPS", 40)
-    monkeypatch.chdir(tmp_path)
-    assert run("demo") == 0
-    out = capsys.readouterr().out
-    assert "gradient" in out and "constant-density" in out and str(tmp_path / "accelsurf-demo") in out
-    folder = tmp_path / "accelsurf-demo"
-    names = {path.name for path in folder.iterdir()}
-    assert {"demo.png", "demo.json", "cube.nii.gz", "cube_truth.nii.gz"} <= names
-    for flow in ("gradient", "constant-density"):
-        assert {f"cube_{flow}_{rest}" for rest in ("seg.nii.gz", "surface.ply", "report.json", "trace.csv")} <= names
-    configs = [report_of(folder, f"cube_{flow}")["config"] for flow in ("gradient", "constant-density")]
-    assert {key for key in configs[0] if configs[0][key] != configs[1][key]} == {"flow"}
-    assert run("demo") == 7
-    assert run("demo", "--overwrite", "--quiet") == 0
-
-
-@pytest.mark.slow
-def test_demo_shows_what_it_promises(tmp_path):
-    assert run("demo", "-o", tmp_path) == 0
-    runs = {entry["flow"]: entry for entry in json.loads((tmp_path / "demo.json").read_text())["runs"]}
-    # Not by a lower energy: without an area weight the energy rewards fitting the noise, and descent does.
-    assert runs["constant-density"]["metrics"]["dice"] >= max(0.95, runs["gradient"]["metrics"]["dice"] + 0.05)
 
 
 # ------------------------------------------------------------------------------------------- the program itself
@@ -605,7 +552,7 @@ def test_program_version_and_exit_codes(scans, tmp_path):
 
 
 def test_every_command_has_help(capsys):
-    for name in ("demo", "segment", "synth", "compare", "evaluate", "info"):
+    for name in ("segment", "synth", "batch", "evaluate", "info"):
         assert run(name, "--help") == 0
         assert f"Usage: accelsurf {name}" in capsys.readouterr().out
 

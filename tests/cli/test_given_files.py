@@ -26,7 +26,6 @@ COMMANDS = {
     "look": ["look", "{image}", "-o", "{out}"],
     "segment": ["segment", "{image}", "-o", "{out}", "--start", "center"],
     "track": ["track", "{image}", "-o", "{out}", "--start", "center"],
-    "compare": ["compare", "{image}", "-o", "{out}", "--start", "center"],
     "movie": ["movie", "{image}", "-o", "{out}.gif", "--start", "center"],
     "evaluate": ["evaluate", "{image}", "{image}"],
     "batch": ["batch", "{image}", "-o", "{out}", "--start", "center"],

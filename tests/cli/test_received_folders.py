@@ -187,8 +187,7 @@ def test_an_output_that_is_an_input_is_refused(option, how, tmp_path, monkeypatc
 def test_pictures_tables_and_movies_do_not_replace_what_they_show(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     plane = Volume.from_array(np.random.default_rng(0).integers(0, 255, (1, 24, 26)).astype(np.uint8))
-    for name in ("a.png", "compare.png"):
-        io.write(plane, tmp_path / name)
+    io.write(plane, tmp_path / "a.png")
     labels(tmp_path / "a.nii")
     (tmp_path / "pairs.csv").write_text("pred,ref\na.nii,a.nii\n")
     (tmp_path / "batch.csv").write_text("image\na.png\n")
@@ -196,7 +195,6 @@ def test_pictures_tables_and_movies_do_not_replace_what_they_show(tmp_path, monk
     for words in (
         ("look", "a.png", "-o", "a.png"),
         ("movie", "a.png", "--preview", "-o", "a.png", "--start", "ball:12,12,0,5"),
-        ("compare", "compare.png", "-o", ".", "--max-steps", "2"),
         ("evaluate", "--pairs", "pairs.csv", "--csv", "pairs.csv"),
         ("evaluate", "a.nii", "a.nii", "--csv", "a.nii"),
         ("batch", "batch.csv", "-o", ".", "--jobs", "1", "--max-steps", "2"),

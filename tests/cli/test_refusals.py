@@ -177,8 +177,6 @@ def test_keys_of_a_configuration_that_are_garbage(capsys, image, tmp_path):
 
 #: Other commands: words, what is said.
 COMMANDS = [
-    (("compare", "IMAGE", "-o", "OUT", "--flows", "gradient,sobolov"), "did you mean sobolev?"),
-    (("compare", "IMAGE", "-o", "OUT", "--flows", ","), "names no flow"),
     (("movie", "IMAGE", "-o", "OUT/a.xyz"), "expected .mp4"),
     (("movie", "IMAGE", "-o", "OUT/a.mp4", "--size", GARBAGE), "expected WIDTHxHEIGHT"),
     (("movie", "IMAGE", "-o", "OUT/a.mp4", "--preview"), "expected .png"),

@@ -122,9 +122,6 @@ def test_bad_words_are_one_clear_line(words, code, told, called, tmp_path):
         (("segment", "nowhere.nii.gz", "-o", "{out}", *START), 3, "no such file"),
         (("evaluate", "truth.nii.gz", "wider.nii.gz"), 3, "grid"),
         (("evaluate", "truth.nii.gz", "nowhere.nii.gz"), 3, "no such file"),
-        (("compare", "ball.nii.gz", "-o", "{out}", *START, "--reference", "shorter.nii.gz"), 3, "grid"),
-        (("compare", "ball.nii.gz", "-o", "{out}", *START, "--channel", "wider.nii.gz"), 3, "grid"),
-        (("compare", "ball.nii.gz", "-o", "{out}", *START, "--flows", "fast"), 2, "fast"),
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, tuple) else None,
 )

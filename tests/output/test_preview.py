@@ -84,16 +84,6 @@ def test_preview_without_a_single_step_and_of_a_constant_slice():
     assert share_of(picture[len(picture) // 2 :], canvas.BLUE) < 1e-3  # no curve of the energy, only its axis' label
 
 
-def test_comparison_has_a_column_for_each_run_and_the_reference():
-    psi, geometry = ball_on_grid()
-    first = content(psi, geometry, reference=(psi < 1).astype(np.uint8))
-    png = preview.comparison_png({"gradient": first, "constant-density": content(psi + 1, geometry)}, "two flows")
-    picture = pixels(png)
-    middle = picture.shape[1] // 2
-    assert share_of(picture[:, :middle], canvas.SKY) > share_of(picture[:, middle:], canvas.SKY)
-    assert share_of(picture[:, middle:], canvas.ORANGE) > 1e-4
-
-
 def test_content_can_be_changed_for_another_picture():
     made = content(*ball_on_grid())
     assert dataclasses.replace(made, title="other").title == "other"

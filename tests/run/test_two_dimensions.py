@@ -238,15 +238,6 @@ def test_preview_of_any_shape_is_of_a_sane_size(shape):
     assert preview.preview_png(content).startswith(b"\x89PNG")
 
 
-def test_comparison_of_flows(doors, tmp_path):
-    io.write_labels(Volume.from_array(TRUTH), tmp_path / "truth.png")
-    words = ("compare", doors / "disc.png", "-o", tmp_path, *START, "--max-steps", 20)
-    assert run(*words, "--reference", tmp_path / "truth.png") == 0
-    assert colours_of(tmp_path / "compare.png", canvas.SKY).sum() > 50
-    runs = json.loads((tmp_path / "compare.json").read_text())["runs"]
-    assert all(entry["length_mm"] > 0 and entry["metrics"]["dice"] > 0.3 for entry in runs)
-
-
 def test_mesh_of_the_settings():
     assert RunConfig().mesh == "auto" and RunConfig(mesh="auto").mesh == "auto"
     assert RunConfig(mesh="VTP, csv").mesh == ("vtp", "csv")

@@ -10,9 +10,9 @@ from accelsurf import cli
 from accelsurf.api.segment import segment, segment_objects
 from accelsurf.errors import UsageError
 from accelsurf.measure.metrics import dice
-from accelsurf.phantoms import tissues
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
+from tests.support import tissues
 
 
 def run(*words):

@@ -70,7 +70,7 @@ def places(window: Window) -> dict[str, Any]:
     """Where buttons, sliders and tiles are on the screen, pixels."""
     side, canvas, bar = window.side, window.canvas, window.bar
     tools, settings = side.panels["ToolsPanel"], side.panels["SettingsPanel"]
-    measure, objects, slices = side.panels["MeasurePanel"], side.panels["ObjectsPanel"], side.panels["SlicesPanel"]
+    objects, slices = side.panels["ObjectsPanel"], side.panels["SlicesPanel"]
     corner = canvas.mapToGlobal(QPoint(0, 0))
     tiles = {}
     for name, tile in {"space": window.scene.space, **window.scene.slice_tiles}.items():
@@ -84,8 +84,7 @@ def places(window: Window) -> dict[str, Any]:
         "buttons": {name: middle(getattr(bar, name)) for name in ("restart", "back", "play", "forward")}
         | {"undo": middle(side.changes.undo), "save": middle(side.changes.save), "timeline": ends(bar.timeline)}
         | {name: middle(button) for name, button in tools.tools.items()}
-        | {f"measure_{name}": middle(getattr(measure, name)) for name in ("title", "measure", "diameters", "copy")}
-        | {"measure_clear": middle(measure.clear), "opacity": ends(objects.opacity)}
+        | {"opacity": ends(objects.opacity)}
         | {f"object_{name}": middle(getattr(objects, name)) for name in ("add", "merge", "remove", "nearest")}
         | {"grey values": middle(slices.window_word), "layout": middle(slices.layout_), "level": middle(slices.level)}
         | {"straight": middle(slices.straight)}
@@ -97,7 +96,6 @@ def places(window: Window) -> dict[str, Any]:
         | {name: ends(row.amount.slider) for name, row in settings.rows.items() if row.amount is not None},
         "tiles": tiles, "dialog": dialog(), "hidden_width": hidden_width(side),
         "rows": {key: [row.label.text(), middle(line_of(row))] for key, row in settings.rows.items()},
-        "histogram": ends(side.panels["HistogramPanel"].view),
         "energy_error": settings.rows["energy"].error.text() if settings.rows else "",
     }
 

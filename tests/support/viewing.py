@@ -74,3 +74,8 @@ def settle(actions):
         time.sleep(0.002)
     assert actions.session.wait(60)
     actions.collect_results()
+
+
+def look(session, work):
+    """Future of what a function finds in the run, between two steps in the session's thread."""
+    return session._do(lambda timeline: work(timeline.run))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,16 +11,9 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import Workers
 from accelsurf.track.momentum import Gains, SurfaceMomentum
 from accelsurf.track.momentum_models import MODELS, FlowableMomentum, make_momentum
-from accelsurf.track.observer import Fit
 from tests.support.travelling import CUBE, ball, ellipsoid, off_ellipsoid, whole
 
 ROOM = Geometry((20, 22, 36), (1.0, 1.0, 1.0))
-
-
-class AlongTheNormal(FlowableMomentum):
-    """The observer without the shift of the whole."""
-
-    fit: ClassVar[Fit] = "none"
 
 
 @pytest.mark.parametrize("gain", [0.5, 0.3])
@@ -47,13 +40,6 @@ def prediction_error(momentum: SurfaceMomentum, gains: Gains, speed: float = 1.7
         off = off_ellipsoid(momentum, (9.5, 10.5, 9.0 + speed * frame), axes)
         momentum.correct(whole(ellipsoid(ROOM, (9.5, 10.5, 9.0 + speed * frame), axes)), 1.0, gains)
     return off
-
-
-def test_the_shift_of_the_whole_tells_what_the_normal_does_not() -> None:
-    """The normal alone leaves .4 voxels after four frames, with the shift fitted it is .02."""
-    fitted, normal = prediction_error(FlowableMomentum(), Gains()), prediction_error(AlongTheNormal(), Gains())
-    print(f"\nshift fitted {fitted:.3f} h, along the normal only {normal:.3f} h")
-    assert fitted < 0.04 and normal > 0.3
 
 
 def test_the_velocity_is_learned_by_its_gain() -> None:
@@ -107,8 +93,7 @@ def test_points_move_with_the_surface(model: str) -> None:
     momentum.correct(whole(ball(ROOM, (9.5, 10.5, 11.0), 5.0)), 1.0, Gains())
     centre = np.array([11.0, 10.5, 9.5])
     assert np.linalg.norm(momentum.points - centre, axis=1) == pytest.approx(5.0, abs=0.02)
-    if model != "constant-density":
-        assert np.abs(momentum.points - centre - ways).max() < 0.05
+    assert np.abs(momentum.points - centre - ways).max() < 0.05
 
 
 @pytest.mark.parametrize("model", MODELS)

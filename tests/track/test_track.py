@@ -65,7 +65,7 @@ def test_of_a_prediction_that_lies_in_another_object_nothing_is_run() -> None:
 
 
 @pytest.mark.sampled(2)
-@pytest.mark.parametrize("model", ["flowable-mass", "constant-density", "last-displacement", "none"])
+@pytest.mark.parametrize("model", ["flowable-mass", "last-displacement", "none"])
 def test_a_disc_is_followed_by_each_model(model: str) -> None:
     results, lineage = followed(sequence(lambda n: [(12 + 3 * n, 20, 7)], 6), "ball:12,20,0,5", model=model)
     assert [result.frame for result in results] == list(range(6))

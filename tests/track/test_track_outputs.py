@@ -20,7 +20,7 @@ from accelsurf.track.records import CarriedMesh
 from tests.support.trackings import dividing_cells, flat_cells
 
 PLAIN = TrackFiles(labels="nrrd", per_frame=True)
-EVERY = TrackFiles(labels="nrrd", per_frame=True, mesh=("ply", "obj"), also=("ctc", "geff", "trackmate"))
+EVERY = TrackFiles(labels="nrrd", per_frame=True, mesh=("ply", "obj"), also=("ctc", "geff"))
 
 
 def written(folder, made, files=PLAIN, order=1, name="cells", **more):

@@ -1,5 +1,4 @@
 import io as streams
-import json
 
 import numpy as np
 import pytest
@@ -8,9 +7,7 @@ from PIL import Image, ImageColor
 from accelsurf.grid.geometry import Geometry
 from accelsurf.output.pictures.canvas import GREEN, ORANGE, SKY
 from accelsurf.track.output import slices
-from accelsurf.track.output.files import TrackFiles
 from accelsurf.track.output.frames import FrameStore, TrackSet
-from accelsurf.track.output.outputs import TrackOutputs
 from tests.support.trackings import Ball, dividing_cells, flat_cells, tracking
 
 
@@ -115,20 +112,6 @@ def test_curves_have_a_gap_where_the_object_is_not_seen(tmp_path):
     gap = inner[round(3.2 / 9 * 780) : round(5.8 / 9 * 780)]
     assert not gap.any()
     assert inner[: round(2.9 / 9 * 780)].mean() > 0.95
-
-
-def test_report_has_the_beat(tmp_path):
-    geometry = Geometry((1, 24, 24), (1.0, 1.0, 1.0))
-    radii = 6 + 2 * np.cos(2 * np.pi * np.arange(20) / 8)
-    frames = [{1: Ball((0.0, 12.0, 12.0), float(radius))} for radius in radii]
-    made = tracking(geometry, frames, (), [0.1 * n for n in range(20)], "s")
-    with TrackOutputs(tmp_path, "heart", made.sequence, TrackFiles(labels="nii")) as outputs:
-        for result in made.results:
-            outputs.add(result)
-        outputs.finish(made.lineage)
-    (track,) = json.loads((tmp_path / "heart_report.json").read_text())["tracks"]
-    assert (track["beat"]["kind"], track["beat"]["period"]) == ("repeats", pytest.approx(0.8, rel=0.02))
-    assert track["beat"]["ejection_fraction"] == pytest.approx(1 - 16 / 64, rel=1e-6)
 
 
 @pytest.mark.parametrize("suffix", ["gif", "mp4"])

@@ -1,4 +1,4 @@
-"""Settings, histogram, force and box in the page, driven by a real browser."""
+"""Settings and box in the page, driven by a real browser."""
 
 import time
 
@@ -61,7 +61,7 @@ def test_the_page_has_the_rows_of_the_catalogue_and_no_others(server, element):
     assert shown == [row["label"] + unit + mark for row, unit, mark in zip(rows, units, marks, strict=True)]
     groups = browser.find_elements("css selector", "details.more > summary")
     names = [one.get_attribute("textContent") for one in groups]
-    assert names == ["More: what to run", "More: fine control of the flow", "More: files"]
+    assert names == ["More: what to run", "More: fine control of the flow"]
     for row in rows:
         if row["kind"] == "slider" and not row["words"]:
             assert float(value(element, row["key"])) == row["value"]
@@ -93,26 +93,11 @@ def test_what_is_typed_stays_until_it_is_left_and_keys_stay_in_a_slider(server, 
     until(lambda: value(element, "smoothness") == "0.375")
 
 
-def test_a_bound_is_dragged_a_box_laid_and_what_is_saved_repeats(server, element, tmp_path):
-    from selenium.webdriver import ActionChains
-
+def test_a_box_is_laid_and_what_is_saved_repeats(server, element, tmp_path):
     served, browser = server
-    histogram = element("histogram")
-    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", histogram)
-    bars = len(browser.find_elements("css selector", ".of-image"))
-    assert bars == len(browser.find_elements("css selector", ".of-object")) == 96
-    width, line = histogram.size["width"], element("bound-0-LO")
-    place = round((float(line.get_attribute("x1")) / bars - 0.5) * width)
-    drag = ActionChains(browser).move_to_element_with_offset(histogram, place, 0).click_and_hold()
-    drag.move_by_offset(10, 0).move_by_offset(10, 2).release().perform()
-    until(lambda: float(value(element, "threshold-0-LO")) > 45)
     low = float(value(element, "threshold-0-LO"))
     fill(browser, element, "set-presmooth", "0.5vox")
     until(lambda: "presmooth 0.5vox" in element("message").text)
-    before = element("picture").get_attribute("src")
-    browser.execute_script("arguments[0].click()", element("force"))
-    until(lambda: browser.find_elements("id", "force-note") and "purple grows" in element("force-note").text)
-    until(lambda: element("picture").get_attribute("src") != before)
     assert not element("box-none").is_enabled()
     browser.execute_script("arguments[0].click()", element("box-around"))
     until(lambda: value(element, "roi").endswith("vox") and element("box-none").is_enabled())
@@ -122,7 +107,7 @@ def test_a_bound_is_dragged_a_box_laid_and_what_is_saved_repeats(server, element
     browser.execute_script("arguments[0].click()", element("save"))
     until(lambda: (served.results / "ball_view.png").exists())
     config = RunConfig.from_toml(served.results / "run.toml")
-    assert config.at(3).energy == f"threshold:LO={low:g},HI=160" and config.presmooth == "0.5vox"
+    assert config.at(3).energy == f"threshold:{low:g},160" and config.presmooth == "0.5vox"
     assert config.roi == value(element, "roi")
     again = tmp_path / "again"
     words = ["segment", str(served.image), "--config", str(served.results / "run.toml"), "-o", str(again), "--quiet"]

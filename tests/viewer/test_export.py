@@ -111,13 +111,12 @@ def test_notebooks_get_a_page_and_a_picture(result, monkeypatch):
 
 
 def test_pictures_and_what_cannot_be_shown(result, tmp_path):
-    result.plot(to=tmp_path / "a.png", theme="dark", volume=True, planes=True, size=(640, 360))
+    result.plot(to=tmp_path / "a.png", theme="dark", planes=True, size=(640, 360))
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.size == (640, 360)
     accelsurf.show(result.volume, to=tmp_path / "b.png")
     for given, message in (
         (dict(to="a.jpg"), "a.jpg: .jpg was given"), (dict(theme="pink"), "theme: pink"),
-        (dict(backend="magic"), "backend: magic"),
     ):  # fmt: skip
         with pytest.raises(UsageError, match=message):
             result.plot(**({"to": tmp_path / "c.png"} | given))

@@ -176,19 +176,13 @@ def test_two_fingers_in_3d_zoom_about_their_middle(actions):
 
 def test_a_second_finger_takes_back_what_the_first_has_placed(actions):
     """Each tool: nothing is changed by the beginning of a pinch, what was there before stays."""
-    actions.request("tool", "distance")
-    drag(actions, "axial", FIRST, SECOND)
-    actions.request("release")
-    (line,) = actions.state()["measurements"]
     for name in actions.tools:
-        if name != "distance":
-            actions.request("tool", name)
+        actions.request("tool", name)
         for first in (FIRST, SECOND, (17.0, 8.0, 9.0)):  # at its ends, and beside it
             begin_pinch(actions, first, (29.0, 8.0, 9.0))
             actions.request("touch_up", 8)
             actions.request("touch_up", 7)
         assert made(actions) == [] and not actions.message, name
-        assert actions.state()["measurements"] == [line], name
 
 
 def test_fingers_that_were_lost_and_hands_beside_a_pen(actions):
@@ -300,24 +294,10 @@ def test_a_pinch_on_a_trackpad_zooms_as_far_as_the_fingers_spread(actions):
 # ------------------------------------------------------------------------------------------------------ other defects
 
 
-def test_the_slices_go_to_points_too(scene_of):
-    image = scan()
-    with Session(image, CONFIGS["seeded"]) as session:
-        session.ready.result(60)
-        actions = shown(Actions(session, scene_of(image, size=(960, 544))))
-        actions.request("cursor", 9.0, 8.0, 9.0)
-        actions.request("tool", "points")
-        for world in (FIRST, SECOND):
-            drag(actions, "axial", world)
-            actions.request("release")
-            np.testing.assert_allclose(actions.scene.cursor, world, atol=0.4)
-        assert len(settled(actions).settings.start) == 2
-
-
 def test_a_key_shows_the_tile_under_the_mouse_alone_with_any_tool(actions):
     tiles = actions.scene.tiles
     layout = tiles.layout
-    for tool in ("inside", "look", "distance"):
+    for tool in ("inside", "look"):
         actions.request("tool", tool)
         actions.request("hover", *place_of(actions, "coronal", (17.0, 8.0, 9.0)))
         actions.request("key", "1")
@@ -328,7 +308,7 @@ def test_a_key_shows_the_tile_under_the_mouse_alone_with_any_tool(actions):
 
 
 def test_whatever_page_and_picture_ask_for_can_be_asked(actions):
-    text = document(("head", "tools", "slices", "measure"))
+    text = document(("head", "tools", "slices"))
     sent = set(re.findall(r"\['([a-z_]+)', ", text[text.index("<main>") :])) | {"copy_failed", "cancel"}
     assert {"touch_down", "scroll_delta", "press"} <= sent <= set(actions.names)
     actions.request("copy_point")

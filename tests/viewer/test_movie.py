@@ -101,7 +101,7 @@ def test_the_camera_turns(image, tmp_path):
 @pytest.mark.slow
 def test_a_preview_is_the_last_frame(image, tmp_path, capsys):
     path, options = image
-    look = ["--theme", "light", "--color", "force", "--size", "640x360", "--volume", "--planes"]
+    look = ["--theme", "light", "--color", "force", "--size", "640x360", "--planes"]
     out = tmp_path / "last.png"
     assert cli.execute(["movie", str(path), "--preview", "-o", str(out), *options, *look]) == 0
     assert "picture" in capsys.readouterr().out

@@ -1,15 +1,11 @@
 """The start page and the opening of images in the page: what is sent to it, and a real browser that uses it."""
 
-import asyncio
-import base64
 import json
 import os
 import subprocess
 import sys
 import time
-from pathlib import Path
-from types import SimpleNamespace
-from urllib.parse import quote, urlsplit
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -17,10 +13,8 @@ import pytest
 from accelsurf import io
 from accelsurf.cli import execute as command
 from accelsurf.image.volume import Volume
-from accelsurf.settings.budgets import UPLOAD, Budget
-from accelsurf.viewer.page import uploads as page_uploads
 from tests.support import viewing
-from tests.viewer.test_browser import Served, aiohttp, ask, call_of, driven, packed, state, talk, until
+from tests.viewer.test_browser import Served, ask, call_of, driven, packed, state, talk, until
 
 WIDTHS = (700, 1280, 1920)
 
@@ -62,17 +56,6 @@ def served(tmp_path):
     assert server.process.poll() is None, server.log_text()
     assert server.close() == 0, server.log_text()
     assert "Traceback" not in server.log_text()
-
-
-def post(served, query, body, headers=None):
-    """The answer's status to an upload."""
-
-    async def send():
-        async with aiohttp.ClientSession() as client:
-            async with client.post(f"{served.origin}/upload?{query}", data=body, headers=headers or {}) as answer:
-                return answer.status
-
-    return asyncio.run(send())
 
 
 def open_name(served):
@@ -117,105 +100,10 @@ def test_the_folder_and_nothing_else_can_be_opened(served):
     assert recent == [str(served.folder / "ball.nii.gz")]
 
 
-def test_nobody_without_the_token_opens_or_sends(served):
-    body = (served.folder / "ball.nii.gz").read_bytes()
-    for query in ("", "secret=&", "secret=wrong&", f"token={served.token}&"):
-        assert post(served, f"{query}name=a.nii.gz", body) == 403
-    evil = {"Origin": "http://evil.example"}
-    assert post(served, f"secret={served.token}&name=a.nii.gz", body, evil) == 403
+def test_nobody_without_the_token_opens(served):
     answers = talk(served, packed(call_of("trame.trigger", "ask", ["open", "ball.nii.gz"], {})))
     assert all("error" in answer for answer in answers)
     assert not state(served)["is_open"] and not state(served)["opening"]
-
-
-BAD_NAMES = [
-    "", ".", "..", "../a.nii", "a/b.nii", "..\\a.nii", "/etc/cron.d/x", "C:x.nii", "a\0.nii", "a\n.nii", "\x1b[2J.nii",
-    ".bashrc", "x" * 300, "a\u202e.nii", "con|.nii",
-]  # fmt: skip
-
-
-def test_names_of_what_is_sent_are_plain(served):
-    for name in BAD_NAMES:
-        assert post(served, f"secret={served.token}&name={quote(name)}", b"x" * 100) == 400, name
-        now = until(lambda: (one := state(served))["opening_failed"] and one)
-        assert "is no name of a file" in now["opening_message"]
-        assert now["opening_message"].isprintable() and len(now["opening_message"]) < 300
-    assert post(served, f"secret={served.token}&name=%ff%fe.nii", b"x") in (200, 400)
-    assert sorted(path.name for path in served.folder.iterdir()) == ["ball.nii.gz", "broken.nii", "inner"]
-    assert not served.results.exists()
-
-
-def test_what_is_sent_is_opened_and_deleted_at_the_end(served):
-    body = (served.folder / "ball.nii.gz").read_bytes()
-    assert post(served, f"secret={served.token}&name=sent.nii.gz", body) == 200
-    until(lambda: open_name(served) == "sent.nii.gz")
-    held = [path for path in Path("/tmp").glob("accelsurf-*/uploads/*/sent.nii.gz") if path.read_bytes() == body]
-    assert len(held) == 1
-    assert post(served, f"secret={served.token}&name=other.nii.gz", body) == 200
-    assert "Open other.nii.gz" in until(lambda: state(served)["question"])
-    ask(served, "answer", "open")
-    until(lambda: open_name(served) == "other.nii.gz")
-    assert not held[0].exists()  # no longer open
-    assert not (served.state_home / "accelsurf").exists()  # a temporary file is not listed
-    home = held[0].parents[2]
-    assert served.close() == 0 and not home.exists()
-    served.process.poll = lambda: None  # ended on purpose; the fixture ends it once more
-    served.close = lambda: 0
-    served.log_text = lambda: ""
-
-
-class Waiting:
-    """Takes the place of the opening: what was said, what was opened."""
-
-    def __init__(self):
-        self.lines, self.opened, self.is_busy = [], [], False
-
-    def refuse(self, line):
-        self.lines.append(line)
-
-    def say(self, line, failed=False):
-        pass
-
-    def open_path(self, path, dropped, temporary):
-        assert dropped and temporary
-        self.opened.append(path.read_bytes())
-
-
-async def _sent(tmp_path, monkeypatch, blocks, length, limit=1000, pause=0.0):
-    """Send blocks to an uploader with a small limit; the status, the opening, what is left in the folder."""
-    monkeypatch.setattr(page_uploads, "UPLOAD", Budget(UPLOAD.what, limit, UPLOAD.unit, UPLOAD.hint))
-    opening = Waiting()
-    uploads = page_uploads.PageUploads(tmp_path, SimpleNamespace(has_token=lambda request: True), opening)
-
-    async def iterate(_):
-        for block in blocks:
-            await asyncio.sleep(pause)
-            if isinstance(block, Exception):
-                raise block
-            yield block
-
-    request = SimpleNamespace(
-        query={"name": "a.nii"}, content_length=length, content=SimpleNamespace(iter_chunked=iterate), transport=None
-    )
-    answers = await asyncio.gather(uploads._upload(request), uploads._upload(request) if pause else asyncio.sleep(0))
-    return answers, opening, [path.name for path in tmp_path.rglob("*") if path.is_file()]
-
-
-@pytest.mark.parametrize("blocks, length", [
-    ([], 1001), ([b"x" * 600] * 2, None), ([b"x" * 600] * 2, 100), ([b"x"], 500), ([b"x", ConnectionResetError()], 2),
-    ([OSError(28, "No space left on device")], 5),
-])  # fmt: skip
-def test_what_is_too_large_or_ends_early_leaves_nothing(tmp_path, monkeypatch, blocks, length):
-    answers, opening, left = asyncio.run(_sent(tmp_path, monkeypatch, blocks, length))
-    assert answers[0].status == 413 and len(opening.lines) == 1 and not opening.opened and not left
-    assert opening.lines[0].startswith("a.nii") and "\n" not in opening.lines[0]
-
-
-def test_one_file_at_a_time_is_received(tmp_path, monkeypatch):
-    answers, opening, left = asyncio.run(_sent(tmp_path, monkeypatch, [b"ab", b"cd"], 4, pause=0.05))
-    assert sorted(answer.status for answer in answers) == [200, 400]
-    assert opening.opened == [b"abcd"] and opening.lines == ["something else is being opened (wait until it is open)"]
-    assert left == ["a.nii"]
 
 
 def test_options_that_have_no_place(tmp_path, capsys):
@@ -314,14 +202,6 @@ def test_from_the_start_page_to_a_saved_result_by_keys_and_mouse(served, tmp_pat
         _fold_and_touch(browser)
         order, unseen = walk(browser)
         assert order == sorted(order) and len(order) > 15 and not unseen
-        # A file of one's own, with a question.
-        browser.find_element("id", "upload").send_keys(str(served.folder / "inner" / "labels.nrrd"))
-        until(lambda: browser.find_elements("id", "answer-reference"))[0].click()
-        until(lambda: not browser.find_elements("id", "question"))
-        until(lambda: "as reference" in browser.find_element("id", "panel-open").text)
-        until(browser.find_element("id", "phantom-disc").is_enabled)
-        time.sleep(0.5)
-        assert "failed" not in browser.find_element("id", "message").get_attribute("class")
         browser.save_screenshot(str(tmp_path / "narrow.png"))
         browser.find_element("id", "phantom-disc").click()
         until(lambda: said(browser, "h1") == "disc")
@@ -354,24 +234,6 @@ def _fold_and_touch(browser):
     until(lambda: source() != shown)
     ActionChains(browser).click(browser.find_element("id", "fold")).perform()
     until(lambda: browser.find_element("id", "step").is_displayed())
-
-
-def test_a_file_that_is_dropped_is_sent(served, tmp_path):
-    drop = """
-      const bytes = Uint8Array.from(atob(arguments[0]), letter => letter.charCodeAt(0)), data = new DataTransfer();
-      for (const name of arguments[1]) { data.items.add(new File([bytes], name)); }
-      const event = new DragEvent('drop', {dataTransfer: data, bubbles: true, cancelable: true});
-      document.querySelector('.page').dispatchEvent(event);
-    """
-    packed_image = base64.b64encode((served.folder / "ball.nii.gz").read_bytes()).decode()
-    with driven(tmp_path) as browser:
-        browser.get(served.address)
-        until(lambda: browser.find_elements("id", "phantoms"))
-        browser.execute_script(drop, packed_image, ["a.nii.gz", "b.nii.gz"])
-        until(lambda: "drop one file" in browser.find_element("id", "message").text)
-        browser.execute_script(drop, packed_image, ["mine.nii.gz"])
-        until(lambda: browser.find_elements("id", "picture"))
-        assert said(browser, "h1") == "mine.nii.gz"
 
 
 def test_an_image_of_another_size_takes_the_place_of_the_first(served):

@@ -33,13 +33,13 @@ const press = (event) => tree.props.onKeydown(event);
 #: As much of the state as the panels below need.
 STATE = {
     "picture": "data:,", "theme": "dark", "rests": [], "keys": ["Ctrl+C", "Ctrl+Shift+C", "/"], "choices": [],
-    "tables": "a\tb", "figures": [], "measurements": [], "as_point": "point:1,2,3", "as_ball": "ball:1,2,3,4",
+    "as_point": "point:1,2,3", "as_ball": "ball:1,2,3,4",
     "as_correction": "",
 }
 
 
 def rendered(script, **state):
-    return run_in_node(document(("head", "measure")), {**STATE, **state}, script)
+    return run_in_node(document(("head",)), {**STATE, **state}, script)
 
 
 def test_pointers_are_sent_as_what_they_are():
@@ -77,17 +77,16 @@ def test_the_wheel_is_sent_as_the_browser_counts_it():
 
 
 @pytest.mark.parametrize("secure", [True, False])
-def test_places_and_tables_are_copied_with_and_without_a_clipboard(secure):
+def test_places_are_copied_with_and_without_a_clipboard(secure):
     script = WINDOW + """
     press(key('c', {ctrlKey: true}));
     press(key('C', {ctrlKey: true, shiftKey: true}));
     press(key('/'));
-    fire('measure-copy', 'onClick', {view, target: {}});
     say(copied); say(asked); say(view.document.activeElement === page);
     """
     copied, asked, has_keys = rendered(script, secure=secure, works=True, as_correction="--correct")
-    assert copied == ["point:1,2,3", "ball:1,2,3,4", "--correct", "a\tb"] and has_keys
-    assert asked == [["key", "Ctrl+C"], ["key", "Ctrl+Shift+C"], ["key", "/"], ["measure_copy"]]
+    assert copied == ["point:1,2,3", "ball:1,2,3,4", "--correct"] and has_keys
+    assert asked == [["key", "Ctrl+C"], ["key", "Ctrl+Shift+C"], ["key", "/"]]
 
 
 def test_a_copy_that_fails_is_said():

@@ -6,11 +6,11 @@ import pytest
 from accelsurf.api.segment import segment
 from accelsurf.errors import InputError, UsageError
 from accelsurf.image.volume import Volume
-from accelsurf.run.image_force import image_forces
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from tests.support.steering import at, labels_of
+from tests.support.viewing import look
 
 START = "ball:17,15,16,6"
 
@@ -72,13 +72,13 @@ BAD = [
 def test_what_is_wrong_changes_nothing(session, settings, kind, named):
     at(session, 3)
     session.add_click("inside" if "energy" not in settings else "outside", "point:3,3,16").result(60)
-    before, frame = session.status, session.look(lambda run: run.objects[0].surface.psi.copy()).result(60)
+    before, frame = session.status, look(session, lambda run: run.objects[0].surface.psi.copy()).result(60)
     with pytest.raises(kind, match=named):
         session.restart_with(**settings).result(60)
     after = session.status
     assert after.failed and named in after.message
     assert after._replace(message="", failed=False) == before._replace(message="", failed=False)
-    assert np.array_equal(session.look(lambda run: run.objects[0].surface.psi.copy()).result(60), frame)
+    assert np.array_equal(look(session, lambda run: run.objects[0].surface.psi.copy()).result(60), frame)
 
 
 def test_a_preset_overrides_what_was_chosen_and_gives_way_to_the_next(session):
@@ -128,17 +128,6 @@ def test_corrections_after_the_end_are_clicks_from_the_start_then(session):
     assert session.status.refinements
     session.restart_with(presmooth=0.5).result(60)
     assert session.status.refinements == () and session.status.edits[0].outside == ("ball:17,6,16,2",)
-
-
-def test_who_looks_gets_no_new_view(session):
-    session.wait(60)
-    while session.next_view() is not None or session.has_unseen_state:
-        pass
-    (force,) = session.look(lambda run: image_forces(run, [(0, 11)])).result(60)
-    assert force.shape == (30, 34) and not session.has_unseen_state
-    with pytest.raises(ZeroDivisionError):
-        session.look(lambda run: 1 / 0).result(60)
-    assert not session.status.failed
 
 
 def test_the_status_has_the_terms_with_every_setting_resolved(session):

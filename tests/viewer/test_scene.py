@@ -180,11 +180,10 @@ def test_switches_change_the_picture(scene_of):
     scene = scene_of(volume, size=(640, 360))
     scene.update(frames[-1], (history,))
     plain = scene.screenshot()
-    for switch in (scene.show_volume, scene.show_planes):
-        switch(True)
-        assert (scene.screenshot() != plain).mean() > 0.002, switch.__name__
-        switch(False)
-        assert np.array_equal(scene.screenshot(), plain)
+    scene.show_planes(True)
+    assert (scene.screenshot() != plain).mean() > 0.002
+    scene.show_planes(False)
+    assert np.array_equal(scene.screenshot(), plain)
     scene.mark_ball(center, 9.0)
     assert (scene.screenshot() != plain).any()
     scene.mark_ball(None)
@@ -238,7 +237,7 @@ def test_one_slice_is_a_scene_too(scene_of, axis):
     scene.update(frames[-1], (history,))
     assert (scene.screenshot() != empty).mean() > 0.01
     assert scene.dice > 0.97
-    scene.show_volume(True)
+    scene.show_planes(True)
     scene.color_by("speed")
     assert scene.pick(200, 225).world is not None
 
@@ -344,26 +343,6 @@ def test_the_page_has_the_accent_of_the_window_and_of_the_surface():
 
 
 # -- what is written and drawn over it ----------------------------------------------------------------------
-
-
-def test_the_image_in_3d_does_not_hide_the_surface(scene_of):
-    volume, center = viewing.ball_image(radius=11.0)
-    bright = volume.with_array(volume.array * 0 + 90 + 10 * np.random.default_rng(0).random(volume.array.shape))
-    frames, history = viewing.run_frames(volume, center, levels=1)
-    scene = scene_of(bright.with_array(bright.array.astype(np.float32)), size=(1280, 720))
-    scene.update(frames[-1], [history])
-
-    def orange():
-        tile = scene.screenshot()[:, :640].astype(int)
-        return (tile[..., 0] > tile[..., 2] + 60) & (tile[..., 0] > tile[..., 1] + 20)
-
-    for view in ("corner", "front", "top"):
-        scene.tiles.look_from(view)
-        scene.show_volume(False)
-        alone = orange()
-        scene.show_volume(True)
-        assert alone.sum() > 5000 and (orange() & alone).sum() > 0.9 * alone.sum(), view
-    scene.screenshot()
 
 
 def test_the_chart_says_what_will_be_there_and_has_room_for_its_ticks(scene_of):

@@ -1,14 +1,12 @@
-"""Settings by actions: rows from the catalogue, presets, energies as they are typed, bounds, the mask."""
+"""Settings by actions: rows from the catalogue, presets, energies as they are typed."""
 
 import json
 import re
 
-import numpy as np
 import pytest
 
 from accelsurf import io
 from accelsurf.cli import execute
-from accelsurf.errors import UsageError
 from accelsurf.settings.catalogue import default_shown, entry, help_of, names_of
 from accelsurf.settings.energy_terms import TERMS, Word
 from accelsurf.settings.presets import PRESETS
@@ -19,7 +17,7 @@ from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
 
-COMMON = ["preset", "energy", "smoothness", "presmooth", "size", "max_volume", "levels", "roi", "mask"]
+COMMON = ["preset", "energy", "smoothness", "presmooth", "size", "max_volume", "levels", "roi"]
 
 
 def rows_of(actions):
@@ -81,7 +79,7 @@ def test_rows_are_the_options_of_the_command_line_in_their_order(capsys):
 def test_each_kind_of_row_has_what_it_needs():
     rows = {row["key"]: row for row in settings_rows(RunConfig(flow="gradient"), (), 0.5)}
     assert json.loads(json.dumps(rows)) == rows
-    assert {row["kind"] for row in rows.values()} == {"slider", "list", "text", "switch", "energy", "file"}
+    assert {row["kind"] for row in rows.values()} == {"slider", "list", "text", "switch", "energy"}
     smooth, diffusion, flow = rows["smoothness"], rows["diffusion"], rows["flow"]
     assert (smooth["low"], smooth["high"], smooth["value"], smooth["words"]) == (0.0, 2.5, 0.0, [])
     assert (diffusion["high"], diffusion["value"], diffusion["words"]) == (5.0, "auto", ["auto", "free"])
@@ -105,48 +103,6 @@ def test_the_settings_of_a_term_appear_when_the_energy_has_it(name):
         kind = TERMS[name].settings[row["term"][1]]
         assert row["label"] == f"{name} {row['term'][1]}" and kind.expected in row["help"]
         assert [one["name"] for one in row["names"]] == (["", *kind.words] if isinstance(kind, Word) else [])
-
-
-# --------------------------------------------------------------------------------------------------------------- files
-
-
-def test_which_files_are_written_is_said_at_any_time_and_no_run_begins_again(actions, tmp_path):
-    session = actions.session
-    session.play_to(4)
-    assert session.wait(60)
-    before, run = session.status, session.look(lambda run: run).result(60)
-    assert rows_of(actions)["mesh"]["value"] == "auto" and not rows_of(actions)["mesh"]["restarts"]
-    status = ask(actions, "set", "mesh", "stl,obj")
-    assert actions.message == "" and status.settings.mesh == ("stl", "obj")
-    assert status.step == before.step == 4 and session.look(lambda run: run).result(60) is run
-    assert rows_of(actions)["mesh"]["value"] == "stl,obj" and status.changes == before.changes
-    ask(actions, "set", "save_sdf", True)
-    ask(actions, "set", "also", "ctbl")
-    status = ask(actions, "set", "smoothness", "0.4")  # another run's settings do not undo it
-    assert status.settings.mesh == ("stl", "obj") and status.settings.smoothness == 0.4 and status.settings.save_sdf
-    ask(actions, "save")
-    names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"ball_surface.stl", "ball_surface.obj", "ball_sdf.nii.gz"} <= names and "ball_surface.ply" not in names
-    assert any("ctbl" in name for name in names)
-    written = (tmp_path / "out" / "run.toml").read_text()
-    assert 'mesh = ["stl", "obj"]' in written and "save_sdf = true" in written
-    ask(actions, "restart")
-    assert rows_of(actions)["mesh"]["value"] == "stl,obj"
-
-
-@pytest.mark.parametrize(("key", "value"), [("mesh", "step"), ("layout", "heap"), ("mesh_smooth", "-1"), ("also", "x")])
-def test_files_that_cannot_be_written_are_refused_and_nothing_changes(actions, key, value):
-    before = actions.session.status.settings
-    ask(actions, "set", key, value)
-    assert key in actions.message.replace("-", "_")
-    assert actions.session.status.settings is before
-
-
-def test_only_settings_of_files_change_beside_the_run(actions):
-    with pytest.raises(UsageError, match="energy: it says nothing of the files"):
-        actions.session.change_files(energy="area").result(60)
-    with pytest.raises(UsageError, match="heap: it says nothing"):
-        actions.session.change_files(heap=1).result(60)
 
 
 # ------------------------------------------------------------------------------------------------------------- changes
@@ -185,9 +141,9 @@ BAD = [
     ("set", "preset", "ct-boone"), ("set", "levels", 0), ("set", "roi", "1,2"), ("set", "stop_at_rest", "yes"),
     ("set", "start", "label:/etc/passwd"), ("set", "start", "ball:1,2,3,4 mesh:/x.stl"), ("set", "mask", "/etc/passwd"),
     ("set", "foreground", "label:secret.nii"), ("set", "edit", "step=3"), ("set", "channel", "/etc/passwd"),
-    ("set", "smoothness", "x" * 500), ("set", "smoothness", True), ("mask", "/etc/passwd"), ("mask", "../x.nii.gz"),
-    ("set_term", 0, "R", 3), ("set_term", 5, "balance", 3), ("set_term", 0, "balance", "-3"), ("bound", 0, "LO", 3),
-    ("set_term", 0, "balance", "2,epsilon=1"), ("set_term", 0, "balance", "2 + geodesic"), ("bound", 0, "balance", 3),
+    ("set", "smoothness", "x" * 500), ("set", "smoothness", True), ("mask", "/etc/passwd"),
+    ("set_term", 0, "R", 3), ("set_term", 5, "balance", 3), ("set_term", 0, "balance", "-3"),
+    ("set_term", 0, "balance", "2,epsilon=1"), ("set_term", 0, "balance", "2 + geodesic"),
 ]  # fmt: skip
 
 
@@ -215,67 +171,6 @@ def test_an_energy_is_checked_as_it_is_typed(actions):
     assert rows["local-region-0-R"]["value"] == "9" and rows["geodesic-1-scale"]["now"] == "2"
     assert ask(actions, "set_term", 0, "R", "7.5").settings.energy == "local-region:R=7.5 + 0.1*geodesic"
     assert ask(actions, "set_term", 0, "R", "").settings.energy == "local-region + 0.1*geodesic"
-
-
-def test_only_masks_that_are_offered_are_read(actions, tmp_path):
-    volume = actions.session.volume
-    cut = np.zeros(volume.array.shape, np.uint8)
-    cut[:, :, :22] = 1
-    io.write_labels(volume.with_array(cut), tmp_path / "scan" / "left.nii.gz")
-    io.write_labels(volume.with_array(cut), tmp_path / "elsewhere.nii.gz")
-    (tmp_path / "scan" / "secret.txt").write_text("mine")
-    assert [one["name"] for one in rows_of(actions)["mask"]["names"]] == ["", "left.nii.gz"]
-    status = ask(actions, "mask", "left.nii.gz")
-    assert status.settings.mask == str(tmp_path / "scan" / "left.nii.gz") and not actions.message
-    assert rows_of(actions)["mask"]["value"] == "left.nii.gz"
-    for name in ("elsewhere.nii.gz", "secret.txt", str(tmp_path / "elsewhere.nii.gz")):
-        assert ask(actions, "mask", name).settings.mask == status.settings.mask and actions.message
-    assert ask(actions, "mask", "").settings.mask is None
-
-
-# ----------------------------------------------------------------------------------------------------------- histogram
-
-
-def draw(actions):
-    view = None
-    while view is None:
-        view = actions.session.next_view()
-    actions.update(view)
-
-
-def test_the_histogram_is_of_the_image_and_of_the_object(actions):
-    draw(actions)
-    said = actions.state()["histogram"]
-    assert said is actions.state()["histogram"], "counted once"
-    image = actions.session.volume.array
-    assert (said["low"], said["high"]) == (0.0, 100.0) and len(said["image"]) == len(said["object"]) == 96
-    share = np.mean(image > 50) / np.mean(image < 50)
-    assert said["image"][0] == 1.0 and said["image"][-1] == pytest.approx(np.sqrt(share), abs=0.02)
-    assert said["object"][-1] == 1.0 and max(said["object"][:-1]) == 0.0, "the start lies in the ball"
-
-
-def test_bounds_are_shown_where_they_are_in_force_and_moved(actions):
-    assert actions.state()["bounds"] == []
-    ask(actions, "set", "energy", "0.5*chan-vese + threshold:auto")
-    (low,) = actions.state()["bounds"]
-    assert (low["term"], low["key"], low["given"]) == (1, "LO", False) and 20 < low["value"] < 80
-    status = ask(actions, "bound", 1, "LO", 30.25)
-    assert status.settings.energy == "0.5*chan-vese + threshold:LO=30.25" and not actions.message
-    ask(actions, "set_term", 1, "HI", "120")
-    assert [(one["key"], one["value"], one["given"]) for one in actions.state()["bounds"]] == [
-        ("LO", pytest.approx(30.25), True), ("HI", pytest.approx(120.0), True),
-    ]
-    before = actions.session.status.settings.energy
-    assert ask(actions, "bound", 1, "LO", 130).settings.energy == before and "below" in actions.message
-
-
-def test_large_images_are_counted_on_a_coarser_grid():
-    from accelsurf.viewer.actions.histogram import SAMPLE, sample
-
-    image = np.broadcast_to(np.arange(512, dtype=np.int16), (300, 512, 512))
-    values = sample(image)
-    assert 0.3 * SAMPLE < values.size <= SAMPLE and abs(values.mean() - 255.5) < 8
-    assert sample(np.zeros((1, 30, 40))).size == 1200
 
 
 def test_no_key_is_taken_twice(actions):

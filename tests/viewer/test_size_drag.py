@@ -16,6 +16,7 @@ from accelsurf.viewer.core.size_drag import Dragging, SizeDrag
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.scene.shapes import contour
 from tests.support import viewing
+from tests.support.viewing import look
 
 SHAPE, SPACING = (20, 36, 40), (2.0, 1.0, 1.0)
 PRESS = "ball:18,18,20,3"
@@ -109,7 +110,7 @@ def test_letting_go_plays_the_run_to_its_end_and_is_one_change():
         assert session.wait(120)
         status = session.status
         assert status.step > 0 and status.stop is not None and len(status.changes) == status.undoable == 1
-        inside = session.look(lambda run: run.objects[0].surface.psi < 0).result()
+        inside = look(session, lambda run: run.objects[0].surface.psi < 0).result()
         assert 2 * (inside & own).sum() / (inside.sum() + own.sum()) > 0.95
         session.undo().result()
         assert session.wait(60) and session.status.undoable == session.status.step == 0

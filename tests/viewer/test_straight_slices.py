@@ -10,13 +10,10 @@ from accelsurf.clicks.reading import read_clicks
 from accelsurf.image.grey_window import GreyWindow
 from accelsurf.image.volume import Volume
 from accelsurf.io.headers import DICOM_KEY
-from accelsurf.run.image_force import image_forces
 from accelsurf.run.region_of_interest import region_of_interest
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.box import BoxFeature
-from accelsurf.viewer.actions.force import ForceFeature
-from accelsurf.viewer.core.measurements import Measurement
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.scene.scene import Scene
@@ -198,21 +195,6 @@ def test_the_outline_of_a_size_is_that_of_the_times(placed):
             assert np.abs(away - circle).max() < 0.35 and len(lines) > 20
 
 
-def test_a_measured_line_is_seen_in_the_straight_slice_that_has_it(placed):
-    scene, center = placed
-    scene.cursor = center
-    tile = scene.slice_tiles["axial"]
-    ends = np.array([center, center + [8.0, -5.0, 0.0]])
-    ends[:, 2] = tile.across
-    scene.measures.show([Measurement(1, "distance", tuple(map(tuple, ends)))])
-    assert scene.measures.marks["axial"].texts == ("9.434 mm",)
-    assert scene.measures.marks["coronal"].texts == ()
-    scene.step_slice("axial", 1)
-    assert scene.measures.marks["axial"].texts == ()
-    scene.straighten(False)
-    assert scene.measures.marks["axial"].texts == ()  # it lies aslant to the voxels
-
-
 def test_slices_in_3d_are_those_of_the_tiles(placed):
     scene, center = placed
     scene.tiles.lay_out("four", chart=False)
@@ -379,23 +361,3 @@ def test_a_box_is_cut_aslant_and_its_sides_are_dragged(actions):
     settle(actions)
     z, y, x = region_of_interest(actions.session.status.settings.roi, scene.geometry)
     assert (z.start, z.stop, y.start, y.stop, x.start, x.stop) == (5, 23, 5, 39, 4, 36), actions.message
-
-
-def test_the_force_in_a_straight_slice_is_that_of_the_voxels(actions):
-    actions, _ = actions
-    overlay = actions.feature(ForceFeature).overlay
-    actions.request("force", True)
-    settle(actions)
-    assert set(overlay.shown) == set(HANGS)
-    planes = [(0, index) for index in range(SHAPE[0])]
-    whole = np.stack(actions.session.look(lambda run: image_forces(run, planes)).result(60))
-    for name, tile in actions.scene.slice_tiles.items():
-        at = np.rint(np.stack(np.broadcast_arrays(*tile.stack.patch(tile.index).places), axis=-1)).astype(int)
-        inside = ((at >= 0) & (at < SHAPE)).all(axis=-1)
-        want = np.full(inside.shape, np.nan, np.float32)
-        want[inside] = whole[tuple(at[inside].T)]
-        np.testing.assert_allclose(overlay._slices[name].values, want, rtol=1e-5, atol=1e-6)
-    actions.request("straight", False)
-    assert overlay.shown == (), "that of a slice aslant is not shown over one along the voxels"
-    settle(actions)
-    assert set(overlay.shown) == set(HANGS)

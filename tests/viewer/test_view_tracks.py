@@ -1,4 +1,4 @@
-"""From a tracking to the viewer: ``accelsurf track --view``, ``view --frame-time`` and ``--frames-from-slices``."""
+"""From a tracking to the viewer: ``view --frame-time`` and ``--frames-from-slices``."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +13,6 @@ from accelsurf.image.volume import Volume
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.core.opening import OpenedImage
 from accelsurf.viewer.core.session import Session
-from accelsurf.viewer.scene.headless import GraphicsError
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
 
@@ -61,35 +60,19 @@ def track(stack: Path, out: Path, *options: str) -> int:
     return cli.execute([*words, "--frames-from-slices", "--frame-time", "0.5", *options])
 
 
-def test_a_tracking_opens_the_viewer_on_its_sequence_and_tracks(stack: Path, tmp_path: Path, seen) -> None:
+def test_a_tracking_is_opened_on_its_sequence(stack: Path, tmp_path: Path, seen) -> None:
     out = tmp_path / "out"
-    assert track(stack, out, "--view", "--also", "surfaces", "--frame", "1", "--direction", "both") == 0
-    assert [one["words"] for one in seen] == [f"frame {n} of 0 to 2, {0.5 * n:.4g} s" for n in range(FRAMES)]
-    assert [one["ids"] for one in seen] == [[1]] * FRAMES and {one["begun"] for one in seen} == {1}
-    assert "predicted" in seen[0]["lines"]
-    said, seen[:] = list(seen), []
+    assert track(stack, out, "--also", "surfaces", "--frame", "1", "--direction", "both") == 0
     words = ("view", str(stack), "--tracks", str(out), "--frames-from-slices", "--frame-time", "0.5", "--no-recent")
-    assert cli.execute(list(words)) == 0  # the same by itself, from the first frame on
-    assert [one | {"begun": 1} for one in seen] == said
+    assert cli.execute(list(words)) == 0
+    assert [one["words"] for one in seen] == [f"frame {n} of 0 to 2, {0.5 * n:.4g} s" for n in range(FRAMES)]
+    assert [one["ids"] for one in seen] == [[1]] * FRAMES
+    assert "predicted" in seen[0]["lines"]
 
 
 def test_slices_are_frames_without_tracks_too(stack: Path, seen) -> None:
     assert cli.execute(["view", str(stack), "--frames-from-slices", "--no-recent"]) == 0
     assert [one["words"] for one in seen] == [f"frame {n} of 0 to 2" for n in range(FRAMES)]
-
-
-def test_without_a_screen_nothing_is_tracked(stack: Path, tmp_path: Path, monkeypatch, capsys) -> None:
-    def lacks(page, begin=None):
-        raise GraphicsError("no screen was found", "use --browser")
-
-    monkeypatch.setattr(view, "front_end", lacks)
-    assert track(stack, tmp_path / "out", "--view") == 8
-    assert "no screen was found" in capsys.readouterr().err and not (tmp_path / "out").exists()
-
-
-def test_a_failed_tracking_opens_nothing(stack: Path, tmp_path: Path, seen) -> None:
-    assert track(stack, tmp_path / "out", "--view", "--frame", "7") == 2
-    assert not seen
 
 
 @pytest.mark.parametrize(
@@ -98,7 +81,7 @@ def test_a_failed_tracking_opens_nothing(stack: Path, tmp_path: Path, seen) -> N
         (("--frame-time", "2"), "frame_time: it was given without a sequence"),
         (("--frames-from-slices",), "frames_from_slices: it was given without a sequence"),
         (("IMAGE", "--frame-time", "2"), "frame_time: it was given for a single image"),
-        (("IMAGE", "--frame-time", "-1"), "frame_time: -1.0 was given, expected a number greater than 0"),
+        (("IMAGE", "--frame-time", "-1"), "frame_time: -1 was given, expected a number greater than 0"),
     ],
 )
 def test_times_without_frames_are_refused(words, message, stack: Path, tmp_path: Path, seen, capsys) -> None:

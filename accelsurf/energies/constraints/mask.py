@@ -11,7 +11,6 @@ from scipy import ndimage
 from accelsurf.energies.energy import Energy
 from accelsurf.energies.front_samples import sample_at_front
 from accelsurf.flows import Flow
-from accelsurf.grid.boxes import Box
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.levelset import BandChange, LevelSet
 
@@ -85,10 +84,6 @@ class ConstrainedEnergy(Energy):
         """U of the present surface."""
         return self._energy.value(surface, fraction, area)
 
-    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
-        """The energy's own."""
-        return self._energy.image_force(surface, box)
-
 
 class MaskConstraint(ConstrainedEnergy):
     """An energy that is infinite beyond a mask: `project` cuts the surface there, and no force acts across it.
@@ -111,12 +106,6 @@ class MaskConstraint(ConstrainedEnergy):
         near = -CONTACT_DISTANCE * min(surface.grid.hz, surface.grid.hy, surface.grid.hx)
         stopped = front & (sample_at_front(self._distance, surface, front) > near) & (force < 0)
         return np.where(stopped, np.float32(0.0), force)
-
-    def image_force(self, surface: LevelSet, box: Box) -> NDArray[np.float32] | None:
-        """The energy's own within the mask; NaN beyond it, where the surface never is."""
-        force = super().image_force(surface, box)
-        beyond = self._distance.reshape(surface.shape)[box] > 0
-        return None if force is None else np.where(beyond, np.float32(np.nan), force)
 
     def project(self, surface: LevelSet) -> None:
         """Cut off what has crossed the boundary; between the surface's motion and its redistancing."""

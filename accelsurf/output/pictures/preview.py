@@ -5,8 +5,8 @@ Pure functions from arrays to PNG bytes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from accelsurf.output.pictures.canvas import (
     INK,
     LABEL_SIZE,
     PALE,
-    RUN_COLORS,
     RUN_DASHES,
     TICK_SIZE,
     VERMILION,
@@ -144,63 +143,6 @@ def _length(geometry: Geometry, axis: int) -> float:
     return geometry.shape[axis] * geometry.spacing[axis]
 
 
-def comparison_png(runs: Mapping[str, PreviewContent], title: str) -> bytes:
-    """Draw several runs on the same image side by side: a slice and the surface of each, then all energies.
-
-    All have the same slice, crop and window, those of the first.
-
-    Parameters
-    ----------
-    runs : mapping of str to PreviewContent
-        Name of each run (the heading of its column) and what it shows; at least one.
-    title : str
-        One line above the picture.
-
-    Returns
-    -------
-    bytes
-        A PNG file.
-    """
-    contents = list(runs.values())
-    geometry = contents[0].geometry
-    axis = geometry.slice_axis
-    width, column_width, top, tall = max(450 * len(runs), 900), 450, 124, 360
-    rows = 2 if axis is None else 1  # of one slice there is no surface
-    canvas = Canvas(width, top + rows * (tall + BELOW) + 300 + BELOW, title)
-    vertices = [content.surface.vertices for content in contents if content.surface is not None]
-    box = np.concatenate(vertices) if vertices else None
-    ranges = [shown_ranges(content) for content in contents]
-    common = tuple((min(r[a][0] for r in ranges), max(r[a][1] for r in ranges)) for a in range(3))
-    shown: Ranges = (common[0], common[1], common[2])
-    plane = 0 if axis is None else DisplayOrientation.of(geometry).order.index(axis)
-    view, window = main_views(contents[0])[plane], content_window(contents[0], shown)
-    for column, (name, content) in enumerate(runs.items()):
-        left = column * column_width + LEFT + (width - column_width * len(runs)) / 2
-        panel = Box(left, top, left + column_width - LEFT - 20, top + tall)
-        axes = draw_slice(canvas, panel, content, view, shown, window).axes
-        write_title(axes, f"{name}\n{content.title}\n{axes.get_title()}")
-        if axis is None:
-            below = panel._replace(top=panel.bottom + BELOW, bottom=panel.bottom + BELOW + tall)
-            draw_surface(canvas, below, content, box=box, color=RUN_COLORS[column % len(RUN_COLORS)])
-    low = top + rows * (tall + BELOW)
-    _draw_curves(canvas, Box(LEFT + 20, low, width - 40, low + 300), runs)
-    write_window(canvas, window)
-    return canvas.png()
-
-
-def _draw_curves(canvas: Canvas, panel: Box, runs: Mapping[str, PreviewContent]) -> None:
-    """Draw the energies of several runs with a legend."""
-    curves = [energy_curve(content.history) for content in runs.values()]
-    last = max([1, *(step for steps, _ in curves for step in steps)])
-    axes = canvas.axes(panel, (0.0, float(last)), range_of([v for _, values in curves for v in values]))
-    write_scales(axes, "step", "energy", grid=True)
-    lines = []
-    for number, curve in enumerate(curves):
-        color, dashes = RUN_COLORS[number % len(RUN_COLORS)], RUN_DASHES[number % len(RUN_DASHES)]
-        lines += axes.plot(*curve, color=color, linestyle=dashes, linewidth=2.5)
-    write_legend(axes, lines, list(runs), "upper right")
-
-
 def draw_energies(canvas: Canvas, panel: Box, history: Sequence[StepRecord], left_out: int = 0) -> None:
     """Draw the energy of a run and, on a second scale, its kinetic energy; triangles mark restarts.
 
@@ -247,25 +189,20 @@ def energy_curve(history: Sequence[StepRecord]) -> tuple[list[int], list[float]]
     return steps, values
 
 
-def draw_surface(
-    canvas: Canvas, panel: Box, content: PreviewContent, box: NDArray[Any] | None = None, color: str = ""
-) -> None:
-    """Draw the surface with the directions of the world's axes, in its own colour unless one is given.
-
-    ``box``, points (k, 3) in mm that the picture has to show, gives several runs one scale.
-    """
+def draw_surface(canvas: Canvas, panel: Box, content: PreviewContent) -> None:
+    """Draw the surface with the directions of the world's axes."""
     if content.surface is None or not len(content.surface.faces):
         canvas.text(panel.middle, "no surface", LABEL_SIZE, anchor="mm")
         return
     # Not with the module: a picture of slices alone needs no compiled code.
     from accelsurf.output.pictures.rasterizer import render
 
-    paint: NDArray[np.float64] = _light(color or content.color())
+    paint: NDArray[np.float64] = _light(content.color())
     counts = [shape.vertices for shape in content.objects]
     if sum(counts) == len(content.surface.vertices):
         paint = np.repeat([_light(content.color(place)) for place in range(len(counts))], counts, axis=0)
     size = int(min(panel.width, panel.height - BELOW_SURFACE))
-    picture = render(content.surface.vertices, content.surface.faces, size=size, color=paint, box=box)
+    picture = render(content.surface.vertices, content.surface.faces, size=size, color=paint)
     left, mm = round(panel.middle[0] - size / 2), picture.mm_per_pixel
     square = Box(left, panel.top, left + size, panel.top + size + BELOW_SURFACE)
     axes = canvas.axes(square, (0, size * mm), (-BELOW_SURFACE * mm, size * mm), frame=False)

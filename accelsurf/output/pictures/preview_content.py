@@ -97,8 +97,6 @@ class PreviewContent:
         One line above the picture.
     anatomical : bool
         Whether the world axes are known to be a patient's, so that letters (R L A P I S) may be written.
-    reference : ndarray, shape (nz, ny, nx), optional
-        Labels to compare with (> 0 is the object), drawn as a second contour.
     start : ndarray, shape (nz, ny, nx), optional
         psi of the start, drawn for an image of one slice.
     objects : sequence of ObjectShape
@@ -126,7 +124,6 @@ class PreviewContent:
     surface: Surface | None
     title: str
     anatomical: bool = False
-    reference: NDArray[Any] | None = None
     start: NDArray[Any] | None = None
     objects: Sequence[ObjectShape] = ()
     clicks: Sequence[ClickMark] = ()

@@ -23,7 +23,6 @@ from accelsurf.output.pictures.canvas import (
     DARK,
     GREEN,
     LABEL_SIZE,
-    REFERENCE,
     SOLID,
     TICK_SIZE,
     VERMILION,
@@ -199,16 +198,13 @@ def draw_slice(
 
 
 def _draw_contours(shown: Slice, content: PreviewContent) -> list[NamedLine]:
-    """Draw the contours of result, reference and start; returns those that need a legend."""
+    """Draw the contours of result and start; returns those that need a legend."""
     lines: list[NamedLine] = []
     if not content.objects:
         draw_contour(shown, shown.section(content.psi), content.color())
         lines.append(NamedLine(content.name() or "result", content.color()))
     else:
         _draw_objects(shown, content)
-    if content.reference is not None:
-        draw_contour(shown, np.where(shown.section(content.reference) > 0, -0.5, 0.5), REFERENCE, REFERENCE_DASHES)
-        lines.append(NamedLine("reference", REFERENCE, REFERENCE_DASHES))
     if content.start is not None:
         draw_contour(shown, shown.section(content.start), GREEN, START_DASHES)
         lines.append(NamedLine("start", GREEN, START_DASHES))

@@ -11,7 +11,6 @@ from accelsurf.output import document
 from accelsurf.output.document import SCHEMA_VERSION, Status, describe_input, peak_rss_mb, to_json, versions
 from accelsurf.output.tables import csv_text
 from accelsurf.track.output.frames import TrackSet
-from accelsurf.track.output.slices import beats_of
 
 __all__ = ["Status", "build", "to_json"]
 #: A line for each object in each frame. Velocities are mm per unit of time.
@@ -113,7 +112,7 @@ def _checksum(source: Path) -> str | None:
 
 def describe_tracks(tracks: TrackSet) -> list[dict[str, Any]]:
     """Return an entry for each identity: its life, where it came from, and how large it was."""
-    entries, beats = [], beats_of(tracks)
+    entries = []
     for track in tracks.lineage.tracks:
         seen = [tracked for _, tracked in tracks.by_object.get(track.id, ()) if tracked.seen]
         volumes = [tracked.volume_mm3 * ML for tracked in seen]
@@ -128,7 +127,6 @@ def describe_tracks(tracks: TrackSet) -> list[dict[str, Any]]:
             "frames_seen": len(seen),
             "volume_ml_smallest": min(volumes, default=None),
             "volume_ml_largest": max(volumes, default=None),
-            "beat": beats[track.id]._asdict() if track.id in beats else None,
             "quality_lowest": min((tracked.quality for tracked in seen), default=None),
         })
     return entries

@@ -6,17 +6,19 @@ writes by default, and uncompressed: the arrays are small, and any reader opens 
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
 
 from accelsurf.grid.geometry import Geometry
 from accelsurf.io.formats.zarr_voxels import library
 from accelsurf.track.output.document import ML
-from accelsurf.track.output.frames import TrackSet
-from accelsurf.track.output.trackmate_file import SpotGraph, spots_of
+from accelsurf.track.output.frames import FrameRow, ObjectRow, TrackSet
 
 VERSION = "1.1"
 #: Unit and meaning of what is known of a node.
@@ -61,11 +63,13 @@ def write_geff(tracks: TrackSet, folder: Path) -> None:
     OSError
         When it cannot be written.
     """
-    graph = spots_of(tracks)
-    nodes, edges = _node_values(graph), _edge_values(graph)
+    spots = spots_of(tracks)
+    links = links_of(tracks, spots)
+    ends = np.array([[link.source, link.target] for link in links], np.uint64).reshape(-1, 2)
+    nodes = _node_values(tracks, spots, ends)
+    edges = {kind: np.array([link.kind == kind for link in links], np.bool_) for kind in _EDGES}
     root = library().create_group(folder, zarr_format=2, attributes={"geff": _metadata(tracks, nodes, edges)})
-    _put(root, "nodes/ids", np.arange(len(graph.spots), dtype=np.uint64))
-    ends = np.array([[link.source, link.target] for link in graph.links], np.uint64).reshape(-1, 2)
+    _put(root, "nodes/ids", np.arange(len(spots), dtype=np.uint64))
     _put(root, "edges/ids", ends)
     for group, values in (("nodes", nodes), ("edges", edges)):
         for name, array in values.items():
@@ -79,29 +83,72 @@ def _put(root: Any, path: str, array: NDArray[Any]) -> None:
         made[...] = array
 
 
-def _node_values(graph: SpotGraph) -> dict[str, NDArray[Any]]:
-    lineage = np.zeros(len(graph.spots), np.int64)
-    for number, members in enumerate(graph.components()):
-        lineage[list(members)] = number
-    objects = [spot.tracked for spot in graph.spots]
+class Spot(NamedTuple):
+    """An object in a frame that shows it."""
+
+    row: FrameRow
+    tracked: ObjectRow
+
+
+class SpotLink(NamedTuple):
+    """From a spot, by its number, to one in a later frame; ``kind`` is motion, division or merging."""
+
+    source: int
+    target: int
+    kind: str
+
+
+def spots_of(tracks: TrackSet) -> list[Spot]:
+    """Return the spots of a tracking, by frame and id."""
+    return [Spot(row, tracked) for row in tracks.rows for tracked in row.objects if tracked.seen]
+
+
+def links_of(tracks: TrackSet, spots: list[Spot]) -> list[SpotLink]:
+    """Return the links between spots.
+
+    An object that is not seen for some frames has a link over the gap. A child is linked to where its parent was last
+    seen before.
+    """
+    of_object: dict[int, list[int]] = {}
+    for number, spot in enumerate(spots):
+        of_object.setdefault(spot.tracked.id, []).append(number)
+    links = [
+        SpotLink(source, target, "motion")
+        for line in of_object.values()
+        for source, target in zip(line[:-1], line[1:], strict=True)
+    ]
+    for link in tracks.lineage.links:
+        line = of_object.get(link.child, [])
+        before = [n for n in of_object.get(link.parent, []) if line and spots[n].row.frame < spots[line[0]].row.frame]
+        if before:
+            links.append(SpotLink(before[-1], line[0], link.kind))
+    return sorted(links)
+
+
+def _node_values(tracks: TrackSet, spots: list[Spot], ends: NDArray[np.uint64]) -> dict[str, NDArray[Any]]:
+    matrix = sparse.coo_matrix((np.ones(len(ends)), ends.T.astype(np.int64)), (len(spots), len(spots)))
+    objects = [spot.tracked for spot in spots]
     place = np.array([tracked.centroid for tracked in objects], np.float64).reshape(-1, 3)
     velocity = np.array([tracked.velocity for tracked in objects], np.float64).reshape(-1, 3)
     return {
-        "t": np.array([spot.row.frame for spot in graph.spots], np.int64),
-        "time": np.array([spot.row.time for spot in graph.spots], np.float64),
+        "t": np.array([spot.row.frame for spot in spots], np.int64),
+        "time": np.array([spot.row.time for spot in spots], np.float64),
         **{axis: place[:, column] for axis, column in (("z", 2), ("y", 1), ("x", 0))},
         **{f"v{axis}": velocity[:, column] for axis, column in (("z", 2), ("y", 1), ("x", 0))},
         "id": np.array([tracked.id for tracked in objects], np.int64),
-        "lineage": lineage,
-        "radius": np.array([spot.radius for spot in graph.spots], np.float64),
+        "lineage": csgraph.connected_components(matrix, False)[1].astype(np.int64),
+        "radius": np.array([_radius(tracks, tracked) for tracked in objects], np.float64),
         "volume_ml": np.array([tracked.volume_mm3 * ML for tracked in objects], np.float64),
         "area_mm2": np.array([tracked.area_mm2 for tracked in objects], np.float64),
         "quality": np.array([tracked.quality for tracked in objects], np.float64),
     }
 
 
-def _edge_values(graph: SpotGraph) -> dict[str, NDArray[Any]]:
-    return {kind: np.array([link.kind == kind for link in graph.links], np.bool_) for kind in _EDGES}
+def _radius(tracks: TrackSet, tracked: ObjectRow) -> float:
+    axis = tracks.geometry.slice_axis
+    if axis is None:
+        return math.cbrt(3 * tracked.volume_mm3 / (4 * math.pi))
+    return math.sqrt(tracked.volume_mm3 / tracks.geometry.spacing[axis] / math.pi)
 
 
 def _metadata(

@@ -49,7 +49,6 @@ from accelsurf.output.pictures.slices import (
     name_section,
     write_line_names,
 )
-from accelsurf.track.beats import Beat, find_beat
 from accelsurf.track.output.frames import DrawnObject, FrameRow, TrackSet
 from accelsurf.track.records import SurfacePiece
 
@@ -301,17 +300,6 @@ def movie_frames(tracks: TrackSet) -> Iterator[Picture]:
         yield canvas.pixels()
 
 
-def beats_of(tracks: TrackSet) -> dict[int, Beat]:
-    """Return the beat of each object that has one, over the frames in which it is seen."""
-    found = {}
-    for number, life in tracks.by_object.items():
-        seen = [(row.time, shape.volume_mm3) for row, shape in life if shape.seen]
-        beat = find_beat(*zip(*seen, strict=True)) if len(seen) > 1 else None
-        if beat is not None:
-            found[number] = beat
-    return found
-
-
 def curves_png(tracks: TrackSet) -> bytes:
     """Draw the volume of each object against time, with a gap where it is not seen.
 
@@ -327,7 +315,7 @@ def curves_png(tracks: TrackSet) -> bytes:
         for number, life in list(tracks.by_object.items())[:MAX_CURVES]
     }
     width, height = CURVES_SIZE
-    canvas = Canvas(width, height, _curves_title(tracks))
+    canvas = Canvas(width, height, f"{tracks.name}: volume")
     times = [row.time for row in tracks.rows] or [0.0]
     first, last = (min(times), max(times)) if max(times) > min(times) else (min(times) - 0.5, min(times) + 0.5)
     low, high = range_of([value for curve in curves.values() for _, value in curve])
@@ -344,13 +332,3 @@ def curves_png(tracks: TrackSet) -> bytes:
         names = [f"object {number}" for number in curves][:MAX_NAMED_CURVES]
         write_legend(axes, lines[:MAX_NAMED_CURVES], names, "upper left", bbox_to_anchor=(1.0, 1.0))
     return canvas.png()
-
-
-def _curves_title(tracks: TrackSet) -> str:
-    words, beats = [f"{tracks.name}: volume"], list(beats_of(tracks).values())
-    if len(beats) == 1:
-        words.append(f"ejection fraction {beats[0].ejection_fraction:.0%}")
-        if beats[0].period is not None:
-            unit = " s" if tracks.sequence.time_unit == "s" else " frames"
-            words.append(f"period {beats[0].period:.3g}{unit}")
-    return ", ".join(words)

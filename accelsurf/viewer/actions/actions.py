@@ -16,10 +16,7 @@ from typing import Any
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.viewer.actions.box import BoxFeature
 from accelsurf.viewer.actions.files import FilesFeature
-from accelsurf.viewer.actions.force import ForceFeature
 from accelsurf.viewer.actions.frames import FramesFeature
-from accelsurf.viewer.actions.histogram import HistogramFeature
-from accelsurf.viewer.actions.measure import MeasureFeature
 from accelsurf.viewer.actions.mouse import MouseFeature, TouchFeature
 from accelsurf.viewer.actions.objects import ObjectsFeature
 from accelsurf.viewer.actions.picture import PictureFeature
@@ -44,12 +41,9 @@ FEATURES: tuple[type[Feature], ...] = (
     CorrectionsFeature,
     HistoryFeature,
     SettingsFeature,
-    HistogramFeature,
-    ForceFeature,
     BoxFeature,
     SlicesFeature,
     PictureFeature,
-    MeasureFeature,
     FilesFeature,
 )
 #: Requests after which an earlier error stays in sight: the mouse moves all the time.
@@ -142,12 +136,11 @@ class Actions:
         if does is not None:
             self.request(does.request, *does.values)
 
-    def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None, keeps_message: bool = False) -> None:
+    def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None) -> None:
         """Wait for a command of the session, without blocking: `collect_results` reports its error, or passes its
-        result to ``then``. With ``keeps_message`` the message stays that is shown now.
+        result to ``then``.
         """
-        if not keeps_message:
-            self.message = ""
+        self.message = ""
         self._waiting.append((future, then))
 
     def note(self, line: str, seconds: float = 8.0) -> None:

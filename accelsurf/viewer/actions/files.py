@@ -44,10 +44,6 @@ class FilesFeature(Feature):
     def state(self, status: Status) -> dict[str, Any]:
         return {"saved": sorted(self.files), "saving": self.is_saving}
 
-    def add(self, *paths: Path) -> None:
-        """These have been saved too."""
-        self.files |= {path.name: path for path in paths}
-
     def _save(self, *what: Any) -> None:
         actions = self.actions
         kinds = [word(kind, SAVED_KINDS) for kind in what] or list(SAVED_KINDS)
@@ -72,7 +68,7 @@ class FilesFeature(Feature):
             picture = folder / f"{self.actions.session.name}_view.png"
             self.actions.scene.screenshot(picture)
             self.actions.scene.tiles.redraw.mark_all()  # a page has not got this picture
-            self.add(picture, *(path for feature in self.actions.features for path in feature.save_beside(folder)))
+            self.files[picture.name] = picture
 
 
 def _content(status: Status) -> tuple[Any, ...]:

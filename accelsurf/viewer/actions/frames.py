@@ -8,7 +8,6 @@ from typing import Any
 
 from accelsurf.errors import UsageError
 from accelsurf.output.pictures.canvas import object_color
-from accelsurf.viewer.actions.force import ForceFeature
 from accelsurf.viewer.actions.slices import SlicesFeature
 from accelsurf.viewer.actions.tool import AllActions, Feature, Key, whole
 from accelsurf.viewer.core.sequence_view import SequenceView
@@ -21,8 +20,7 @@ RATE = 8.0
 OF_A_RUN = (
     "play", "toggle", "step", "back", "go_to", "restart", "undo", "redo", "change", "next_uncertain", "uncertain",
     "save", "object_add", "object_remove", "object_merge", "object_split", "object_name", "object_color",
-    "object_visible", "object_opacity", "set", "set_term", "type_energy", "mask", "bound", "force", "next_force",
-    "box_around", "box_none",
+    "object_visible", "object_opacity", "set", "set_term", "type_energy", "box_around", "box_none",
 )
 
 
@@ -117,7 +115,7 @@ class FramesFeature(Feature):
         ------
         UsageError
         """
-        if not self.shows_run and name not in ("look", "distance", "angle"):
+        if not self.shows_run and name != "look":
             self.refuse_elsewhere(OF_A_RUN[0])
 
     # -- to go ----------------------------------------------------------------------------------------------
@@ -150,8 +148,6 @@ class FramesFeature(Feature):
 
     def _show(self, number: int) -> None:
         """Show a frame; what was shown stays where it cannot be read."""
-        if number != self.number and self.actions.feature(ForceFeature).is_on:
-            self.actions.request("force", False)  # it is that of the frame that is left
         before, self.number = self.number, number
         try:
             self._draw()

@@ -95,7 +95,6 @@ class Opening:
         self._work: Future[Any] | None = None
         self._began, self._doing = 0.0, ""
         self._path: Path | None = None
-        self._is_listed = True
         self._choices: list[Choice] = []
         #: What is done when the question is answered with yes, and with "reference"; its words.
         self._asked: dict[str, Callable[[], None]] = {}
@@ -121,7 +120,6 @@ class Opening:
             "choose": self._choose,
             "answer": self._answer,
             "list_folder": self._list_folder,
-            "drop_failed": self._drop_failed,
             **({} if self._served is not None else {"drop": self._open_dropped}),
         }
 
@@ -137,7 +135,7 @@ class Opening:
         except Exception as error:
             self._fail(error)
 
-    def open_path(self, path: Path, dropped: bool = False, temporary: bool = False) -> None:
+    def open_path(self, path: Path, dropped: bool = False) -> None:
         """Open an image, after questions where there are some: whether it is one that was dropped, which of several.
 
         Parameters
@@ -145,8 +143,6 @@ class Opening:
         path : Path
         dropped : bool
             It may be meant as a reference, too.
-        temporary : bool
-            It is not listed among the recent files.
 
         Raises
         ------
@@ -154,7 +150,7 @@ class Opening:
             When something is being opened already.
         """
         self._check_free()
-        then: dict[str, Callable[[], None]] = {"open": partial(self._look_into, path, not temporary)}
+        then: dict[str, Callable[[], None]] = {"open": partial(self._look_into, path)}
         if dropped and self.actions is not None:
             then["reference"] = partial(self.open_reference, path)
         self._ask_first(path.name or str(path), then)
@@ -219,13 +215,10 @@ class Opening:
         self.say("")
 
     def _open_dropped(self, *names: Any) -> None:
-        """Open what was dropped on the window; on a page things are uploaded first."""
+        """Open what was dropped on the window."""
         if len(names) != 1:
             raise UsageError(f"{len(names)} files were dropped, one expected", "drop the folder of a scan")
         self.open_path(self._named(names[0]), dropped=True)
-
-    def _drop_failed(self) -> None:
-        raise UsageError("this cannot be uploaded: drop one file; of a folder of DICOM a zip archive of it")
 
     def refuse(self, line: str) -> None:
         """Say that something could not be opened."""
@@ -249,10 +242,10 @@ class Opening:
         self._asked, self._question = then, f"Open {name}{loss}?"
         self.say("")
 
-    def _look_into(self, path: Path, is_listed: bool) -> None:
+    def _look_into(self, path: Path) -> None:
         """Open a path, or find out what can be chosen in it."""
         config = self._config
-        self._path, self._is_listed = path, is_listed
+        self._path = path
 
         def work() -> OpenedImage | list[Choice]:
             return choices_of(path, config) or read_image(path, config)
@@ -310,7 +303,7 @@ class Opening:
             self._end(self.actions)
         self.actions, self._path = actions, None
         self._config = for_another_image(self._config)
-        if opened.source is not None and self._is_listed:
+        if opened.source is not None:
             self._recent.add(opened.source)
         self._renew_lists()
         if opened.note:

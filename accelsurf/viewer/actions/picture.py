@@ -1,4 +1,4 @@
-"""Look of the scene: colours, theme, volume and slices in 3D, size of the picture."""
+"""Look of the scene: colours, theme, slices in 3D, size of the picture."""
 
 from __future__ import annotations
 
@@ -34,9 +34,7 @@ class PictureFeature(Feature):
             "next_color": lambda: scene.color_by(COLORS[(COLORS.index(scene.color) + 1) % len(COLORS)]),
             "theme": lambda name: scene.paint(word(name, tuple(THEMES))),
             "next_theme": lambda: scene.paint("light" if scene.theme_name == "dark" else "dark"),
-            "volume": lambda on: scene.show_volume(bool(on)),
             "planes": lambda on: scene.show_planes(bool(on)),
-            "next_volume": lambda: scene.show_volume(not scene.shows_volume),
             "next_planes": lambda: scene.show_planes(not scene.shows_planes),
             "view": lambda name: scene.tiles.look_from(word(name, tuple(VIEWS))),
             "size": self._size,
@@ -45,7 +43,6 @@ class PictureFeature(Feature):
     def keys(self) -> Mapping[str, Key]:
         return {
             "C": Key("next_color", (), "colour by the next quantity"),
-            "Y": Key("next_volume", (), "the image in 3D"),
             "L": Key("next_planes", (), "slices in 3D"),
             "T": Key("next_theme", (), "dark, light"),
         }
@@ -53,7 +50,7 @@ class PictureFeature(Feature):
     def state(self, status: Status) -> dict[str, Any]:
         scene = self.actions.scene
         return {
-            "color": scene.color, "colors": list(COLORS), "theme": scene.theme_name, "volume": scene.shows_volume,
+            "color": scene.color, "colors": list(COLORS), "theme": scene.theme_name,
             "planes": scene.shows_planes, "is_flat": scene.space is None,
         }
 

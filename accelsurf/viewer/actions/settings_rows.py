@@ -12,7 +12,6 @@ from typing import Any
 from accelsurf.settings import energy_expression
 from accelsurf.settings.catalogue import as_typed, entry, help_of, kind_of, label_of, names_of, viewer_settings
 from accelsurf.settings.energy_terms import TERMS, Word, examples
-from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.wording import in_unit
@@ -174,13 +173,12 @@ def unit_read(key: str, of_file: str) -> tuple[str, float]:
 
 def _setting_row(key: str, settings: RunConfig, finest: float, is_first: bool, of_file: str) -> Row:
     said, value, (unit, per) = entry(key), getattr(settings, key), unit_read(key, of_file)
-    kind: str = {"energy": "energy", "mask": "file"}.get(key, kind_of(key))
-    restarts = said.fixed and said.group is not SettingGroup.FILES
+    kind = "energy" if key == "energy" else kind_of(key)
     row: Row = DEFAULTS | {
         "key": key, "label": label_of(key), "unit": unit, "kind": kind,
         "help": help_of(key) + ("" if per == 1.0 else f" Here in {unit}."),
         "group": "" if is_first else str(said.group), "value": shown_value(key, value, per),
-        "enabled": settings.matters(key), "restarts": restarts, "names": _names(key, settings),
+        "enabled": settings.matters(key), "restarts": said.fixed, "names": _names(key, settings),
     }
     if said.slider is not None:
         scale, slider = finest**said.slider.voxel_power, said.slider

@@ -41,7 +41,7 @@ class AllActions(Protocol):
     def request(self, name: Any, *values: Any) -> None:
         """Carry out a request."""
 
-    def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None, keeps_message: bool = False) -> None:
+    def ask(self, future: Future[Any], then: Callable[[Any], None] | None = None) -> None:
         """Wait for a command of the session, without blocking."""
 
     def note(self, line: str, seconds: float = 8.0) -> None:
@@ -90,12 +90,7 @@ class Feature:
     def update(self, view: View) -> None:
         """Take a view that has been drawn."""
 
-    def save_beside(self, folder: Path) -> list[Path]:
-        """Write what belongs beside the files of the run, which have been saved; return the paths."""
-        return []
 
-
-F = TypeVar("F", bound=Feature)
 #: The largest number of letters of a value.
 MAX_LETTERS = 40
 

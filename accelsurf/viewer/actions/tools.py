@@ -67,37 +67,12 @@ class Ball(Tool):
     def release(self) -> None:
         if self.center is not None:
             self.actions.scene.cursor = self.center
-            self.actions.ask(self.actions.session.start_from(self.start(ball_text(self.center, self.radius))))
+            self.actions.ask(self.actions.session.start_from([ball_text(self.center, self.radius)]))
         # The mark stays until the surface is drawn that it has led to.
         self.center = None
 
     def leave(self) -> None:
         self.center = None
-
-    def start(self, ball: str) -> list[str]:
-        """Return the balls from which the run starts, with the new one."""
-        return [ball]
-
-
-class Points(Ball):
-    """Places a small ball at each click; the run starts from all."""
-
-    name, key, text = "points", "P", "Points"
-    tip = "Click in a slice: small balls to start from, one for each point"
-
-    def __init__(self, actions: AllActions) -> None:
-        super().__init__(actions)
-        self._balls: list[str] = []
-
-    def start(self, ball: str) -> list[str]:
-        self._balls.append(ball)
-        return self._balls
-
-    def cancel(self) -> None:
-        self.center = None  # those placed before stay
-
-    def leave(self) -> None:
-        self._balls, self.center = [], None
 
 
 class Size(Tool):
@@ -141,7 +116,7 @@ class Size(Tool):
 
 
 #: In the order of their buttons; those that paint follow.
-TOOLS: tuple[type[Tool], ...] = (Look, Size, Ball, Points)
+TOOLS: tuple[type[Tool], ...] = (Look, Size, Ball)
 
 
 #: A stroke has a place each time it has moved by this part of its radius, and at least by a voxel.

@@ -11,11 +11,10 @@ from typing import Any, NamedTuple, TypeVar
 
 
 class Command(NamedTuple):
-    """A function to be called by the thread, the Future that gets its result, and whether it may change something."""
+    """A function to be called by the thread, and the Future that gets its result."""
 
     work: Callable[..., Any]
     future: Future[Any]
-    changes: bool = True
 
 
 class CommandQueue:
@@ -45,12 +44,12 @@ class CommandQueue:
         """True if `close` was called and all commands before that were taken out."""
         return self._closing and self._queue.empty()
 
-    def put(self, work: Callable[..., Any], changes: bool = True) -> Future[Any]:
+    def put(self, work: Callable[..., Any]) -> Future[Any]:
         """Add a command; the Future gets its result or its error."""
         future: Future[Any] = Future()
         with self._condition:
             self._pending += 1
-        self._queue.put(Command(work, future, changes))
+        self._queue.put(Command(work, future))
         return future
 
     def wake(self) -> None:

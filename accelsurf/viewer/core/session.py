@@ -20,7 +20,6 @@ import numpy as np
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
 from accelsurf.image.volume import Volume
-from accelsurf.measure.diameters import Diameters
 from accelsurf.measure.evidence import gather, uncertain_places
 from accelsurf.run.result import Result, SegmentedObject
 from accelsurf.settings.run_config import RunConfig
@@ -30,7 +29,6 @@ from accelsurf.viewer.core.status import SAVED_KINDS, Status, UncertainLocation,
 
 if TYPE_CHECKING:
     from accelsurf.run.run import Run
-    from accelsurf.viewer.core.measurements import Figures
     from accelsurf.viewer.core.object_commands import ObjectCommands
     from accelsurf.viewer.core.timeline import Timeline
 
@@ -177,13 +175,13 @@ class Session:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _do(self, work: Callable[[Timeline], T], changes: bool = True) -> Future[T]:
+    def _do(self, work: Callable[[Timeline], T]) -> Future[T]:
         """Have a command carried out on the timeline."""
         if not self.is_alive:
             future: Future[T] = Future()
             future.set_exception(UsageError("the session has been closed"))
             return future
-        return self._commands.put(work, changes)
+        return self._commands.put(work)
 
     def _is_idle(self) -> bool:
         return not self._status.playing and self._commands.pending == 0 and self.ready.done()
@@ -223,16 +221,6 @@ class Session:
             From the Future, when a setting is not valid; nothing is changed then.
         """
         return self._do(lambda timeline: timeline.change(settings))
-
-    def change_files(self, **settings: Any) -> Future[None]:
-        """Change settings of the files that are saved: formats of meshes and labels, names and layout; the run goes on.
-
-        Raises
-        ------
-        UsageError
-            From the Future, when one is no such setting or not valid; nothing is changed then.
-        """
-        return self._do(lambda timeline: timeline.files.change(settings))
 
     def edit_balls(
         self, kind: Literal["add", "remove"], balls: Sequence[str], object_id: int | None = None
@@ -291,10 +279,6 @@ class Session:
         """
         return self._do(lambda timeline: timeline.restart_with(settings))
 
-    def look(self, work: Callable[[Run], T]) -> Future[T]:
-        """Have a function read the run between two steps; it must change nothing, and no new view follows."""
-        return self._do(lambda timeline: work(timeline.run), changes=False)
-
     def undo(self) -> Future[None]:
         """Undo the last change, and go to the step where it was made."""
         return self._do(lambda timeline: timeline.undo())
@@ -302,14 +286,6 @@ class Session:
     def redo(self) -> Future[None]:
         """Make the change again that was undone last."""
         return self._do(lambda timeline: timeline.redo())
-
-    def figures(self) -> Future[Figures]:
-        """Compute the figures of the objects as they are now: volume, surface, intensities, diameters."""
-        return self._do(_figures)
-
-    def diameters(self, object_id: int) -> Future[Diameters]:
-        """Compute the longest lines of an object as it is now; fails when it has no voxel."""
-        return self._do(lambda timeline: _diameters(timeline, object_id))
 
     def go_to_change(self, count: int) -> Future[None]:
         """Undo changes, or make them again, until the first ``count`` of `Status.changes` are in force; in one go."""
@@ -393,15 +369,12 @@ class Session:
         """Carry out a command; its error is reported and does not end the session."""
         try:
             answer = command.work(timeline)
-            if command.changes:
-                timeline.apply_edits()
+            timeline.apply_edits()
         except Exception as error:
-            if command.changes:
-                self._report(timeline, error)
+            self._report(timeline, error)
             command.future.set_exception(error)
         else:
-            if command.changes:
-                self._report(timeline)
+            self._report(timeline)
             command.future.set_result(answer)
         self._commands.done()
 
@@ -458,24 +431,9 @@ def _solver() -> type[Timeline]:
     All that the thread will need is loaded here: nothing is then loaded while a person waits, and no other thread loads
     a part of it meanwhile. Two sessions that begin at once wait for one another, as both begin with the same module.
     """
-    import accelsurf.run.image_force
-    import accelsurf.viewer.core.measurements  # noqa: F401
     from accelsurf.viewer.core.timeline import Timeline
 
     return Timeline
-
-
-# Both are called in the session's thread, which has loaded the solver; who asks may do so before.
-def _figures(timeline: Timeline) -> Figures:
-    from accelsurf.viewer.core.measurements import figures_of
-
-    return figures_of(timeline)
-
-
-def _diameters(timeline: Timeline, object_id: int) -> Diameters:
-    from accelsurf.viewer.core.measurements import diameters_of
-
-    return diameters_of(timeline, object_id)
 
 
 #: Places that are offered, of all objects together.

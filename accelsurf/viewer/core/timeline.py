@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,9 +12,7 @@ from accelsurf.grid.clicks import Side
 from accelsurf.image.volume import Volume
 from accelsurf.run.checkpoint import RunCheckpoint
 from accelsurf.run.run import Run
-from accelsurf.settings.catalogue import entry
 from accelsurf.settings.corrections import Correction
-from accelsurf.settings.entry import SettingGroup
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.change_log import ChangeLog, Moment, edits_with, in_words
@@ -23,49 +21,6 @@ from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.object_commands import ObjectCommands
 from accelsurf.viewer.core.restarted import restart_message, restarted
 from accelsurf.viewer.core.status import Status
-
-
-class FileSettings:
-    """The settings of the files of a timeline, in place of those of its run.
-
-    Parameters
-    ----------
-    timeline : Timeline
-
-    Attributes
-    ----------
-    changed : dict
-        Those that were given.
-    """
-
-    def __init__(self, timeline: Timeline) -> None:
-        self._timeline = timeline
-        self.changed: dict[str, Any] = {}
-        self._last: tuple[RunConfig, RunConfig] | None = None
-
-    def change(self, settings: Mapping[str, Any]) -> None:
-        """Write other files from now on.
-
-        Raises
-        ------
-        UsageError
-            When one is no setting of files, or is not valid; nothing is changed then.
-        """
-        for key in settings:
-            if key not in RunConfig.model_fields or entry(key).group is not SettingGroup.FILES:
-                raise UsageError(f"{key}: it says nothing of the files that are written")
-        now = self._timeline.run.settings.replace(**{**self.changed, **settings})
-        self.changed |= {key: getattr(now, key) for key in settings}
-        self._last = None
-        self._timeline.say(in_words({key: self.changed[key] for key in settings}))
-
-    def in_force(self, settings: RunConfig) -> RunConfig:
-        """Settings of the run with those of the files; the same object while both stay the same."""
-        if not self.changed:
-            return settings
-        if self._last is None or self._last[0] is not settings:
-            self._last = settings, settings.replace(**self.changed)
-        return self._last[1]
 
 
 class CheckpointHistory:
@@ -172,7 +127,6 @@ class Timeline:
     corrections : Corrections
     log : ChangeLog
     objects : ObjectCommands
-    files : FileSettings
     """
 
     def __init__(
@@ -188,7 +142,7 @@ class Timeline:
         self._playing, self._last_step, self._message = False, -1, ""
         self.log, self.corrections = ChangeLog(), Corrections(config.refine, on_progress)
         self._written: set[Path] = set()
-        self.objects, self.files = ObjectCommands(self, config), FileSettings(self)
+        self.objects = ObjectCommands(self, config)
         self.run = Run(volume, config.replace(refine=()), None, self._channels)
         self._present = self.run.checkpoint()
         self.checkpoints.add(self._present)
@@ -230,7 +184,7 @@ class Timeline:
             playing=self.is_playing,
             step=self.step_number,
             checkpoints=self.checkpoints.steps,
-            settings=self.files.in_force(self.run.settings),
+            settings=self.run.settings,
             edits=self.run.config.edit,
             stop=self.stop,
             message=message,
@@ -552,7 +506,7 @@ class Timeline:
         """Write files, see `saving.save`; those written before may be replaced."""
         self.run.apply_edits()
         known, corrected = None if overwrite else self._written, self.corrections.result()
-        others = self.objects.named_settings(self.run.config) | self.files.changed
+        others = self.objects.named_settings(self.run.config)
         written = saving.save(self.run, folder, name, source, what, known, corrected, others)
         self._written.update(written)
         self._message = f"saved {len(written)} files in {folder}"

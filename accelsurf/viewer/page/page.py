@@ -1,8 +1,8 @@
 """The scene in a page: a session steered from a browser on this machine, served by trame; before that the start page.
 
 The page shows pictures of the same scene as the window, drawn here, and sends requests; each is checked. Its document
-has panels, the picture, keys, and takes files that are dropped on it; it loads nothing from elsewhere. Whoever has the
-token of the address can change the run; nobody else is answered.
+has panels, the picture and keys; it loads nothing from elsewhere. Whoever has the token of the address can change the
+run; nobody else is answered.
 """
 
 from __future__ import annotations
@@ -40,7 +40,6 @@ from accelsurf.viewer.core.opening import ImageWithSession, OpenedImage
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.core.status import error_line
 from accelsurf.viewer.page.guard import LOCAL, PageGuard
-from accelsurf.viewer.page.uploads import PageUploads
 from accelsurf.viewer.scene.colors import ALARM, EDGE, MARK, ON_SURFACE, SURFACE
 from accelsurf.viewer.scene.scene import Scene
 from accelsurf.viewer.window.display import INSTALL
@@ -59,7 +58,7 @@ class Page:
     opening : Opening
     settings : ViewerSettings
     temporary : Path
-        An empty folder: for uploads, and for what is saved where the settings name no folder.
+        An empty folder, for what is saved where the settings name no folder.
     host : str, optional
         Address to listen on; by default of this machine alone.
     port : int, optional
@@ -85,13 +84,11 @@ class Page:
     ) -> None:
         self.opening, self._settings = opening, settings
         self.actions: Actions | None = None
-        self._folder, uploads = settings.folder or temporary, temporary / "uploads"
-        uploads.mkdir()
+        self._folder = settings.folder or temporary
         #: The room that the page has said the picture has, and its pixels; nothing before.
         self._room: tuple[Any, ...] = ()
         self.token, self.address = secrets.token_hex(24), ""
         self._guard = PageGuard(host, self.token, self._saved_files)
-        self._uploads = PageUploads(uploads, self._guard, opening)
         self._host, self._port = host, port
         #: Seconds of the last pictures; the shortest counts: the first of a size takes long.
         self._drawing: deque[float] = deque([0.0], maxlen=3)
@@ -109,11 +106,9 @@ class Page:
         server = get_server(f"accelsurf-{self.token[:8]}", client_type="vue3")
         first = {"trame__title": "accelsurf", "theme": self._settings.theme, "picture": ""}
         server.state.update(first | self._state())
-        server.state.upload_to = f"upload?secret={self.token}&name="
         server.trigger("ask")(self._ask)
         server.trigger("shown")(self._was_shown)
         server.controller.on_server_bind.add(self._guard.install)
-        server.controller.on_server_bind.add(self._uploads.install)
         self._layout, self._style = layout(server), style
         self._lay_out()
         return server
@@ -185,7 +180,6 @@ class Page:
         self._drawing.extend((0.0,) * 3)
         self._is_shown = True
         self.opening.show(self.actions, opened)
-        self._uploads.discard(opened.source)
         tools, keys = self.actions.tools.values(), self.actions.keys
         with self._server.state as state:
             state.update(self._state() | {
@@ -277,8 +271,7 @@ class Page:
 
 #: The panels of the page, in their order, that of the window.
 PANELS = (
-    "head", "frames", "open", "tools", "objects", "history", "settings", "histogram", "slices", "picture", "measure",
-    "files", "help",
+    "head", "frames", "open", "tools", "objects", "history", "settings", "slices", "picture", "files", "help",
 )  # fmt: skip
 
 
@@ -393,15 +386,9 @@ _PLACE = ", ".join(
     for axis, side in (("X", "Width"), ("Y", "Height"))
 )
 
-#: A file that is dropped, or chosen in a field, is sent to the address for uploads.
-_SEND = """
-  const files = FILES;
-  const view = $event.target.ownerDocument.defaultView;
-  if (files.length === 1) {
-    const place = upload_to + encodeURIComponent(files[0].name);
-    view.fetch(place, {method: 'POST', body: files[0]}).catch(() => trigger('ask', ['drop_failed']));
-  } else if (files.length) { trigger('ask', ['drop_failed']); }
-"""
+
+#: A file that is dropped on the page would take its place.
+_NO_DROP = '@dragover.prevent="0" @drop.prevent="0"'
 
 
 def document(panels: Sequence[str]) -> str:
@@ -412,15 +399,14 @@ def document(panels: Sequence[str]) -> str:
     panels : sequence of str
         Names of their files, in their order.
     """
-    drop = f'@dragover.prevent="0" @drop.prevent="{_inline(_SEND.replace("FILES", "$event.dataTransfer.files"))}"'
     asked = page_text("opening.html")
     if not panels:
         begin = f'<div class="begin">{_with_lists("start.html")}{asked}</div>'
-        return f'<div class="page" :class="theme" {drop}>{begin}</div>'
+        return f'<div class="page" :class="theme" {_NO_DROP}>{begin}</div>'
     inner = "\n".join(_with_lists(f"{name}.html") for name in panels)
     on_key = _inline(_ON_KEY.replace("COPY", _COPY))
     canvas = page_text("canvas.html").replace("PLACE", _inline(_PLACE))
-    return f"""<div class="page" :class="theme" tabindex="0" autofocus @keydown="{on_key}" {drop}>
+    return f"""<div class="page" :class="theme" tabindex="0" autofocus @keydown="{on_key}" {_NO_DROP}>
 <details class="panels" open><summary id="fold">Panels</summary>
 <aside aria-label="panels">{asked}{inner}</aside></details>{canvas}
 <textarea id="copied" class="aside" readonly tabindex="-1" aria-hidden="true"></textarea></div>"""
@@ -444,10 +430,8 @@ def _inline(script: str) -> str:
 
 
 def _with_lists(name: str) -> str:
-    """A file of the page, with the lists of what can be opened, and what copies, where it has them."""
-    send = _inline(_SEND.replace("FILES", "$event.target.files"))
-    text = page_text(name).replace("LISTS", page_text("lists.html"))
-    return text.replace("UPLOAD", send).replace("COPY", _inline(_COPY))
+    """A file of the page, with the lists of what can be opened where it has them."""
+    return page_text(name).replace("LISTS", page_text("lists.html"))
 
 
 def page_text(name: str) -> str:

@@ -41,8 +41,6 @@ ON_SURFACE, EDGE = "#101010", {"dark": SURFACE, "light": "#8F5F00"}
 ALARM = {"dark": "#FF9A7A", "light": "#B03A00"}
 #: The cursor's lines; a ball that is being placed.
 CURSOR, MARK = YELLOW, PURPLE
-#: Measurements, and the rim around their lines.
-MEASURE, RIM = YELLOW, "#101010"
 #: Clicks.
 INSIDE, OUTSIDE = GREEN, VERMILION
 

@@ -53,12 +53,12 @@ class Label:
     ----------
     renderer : pyvista.Renderer
     color : str
-    place : (float, float) or (float, float, float)
+    place : (float, float)
         Of the text's left end in the left part of the renderer, of its centre in the middle, of its right end in the
-        right part. With three numbers a place in the renderer's space, to the upper right of which it stands.
+        right part.
     text : str, optional
     boxed : bool, optional
-        Bold on a dark ground, to be read on any image; a place of two numbers is that of its middle.
+        Bold on a dark ground, to be read on any image; the place is that of its middle.
     top : bool, optional
         The place is that of the text's upper edge.
     """
@@ -67,30 +67,25 @@ class Label:
         self,
         renderer: pv.Renderer,
         color: str,
-        place: tuple[float, ...],
+        place: tuple[float, float],
         text: str = "",
         boxed: bool = False,
         top: bool = False,
     ) -> None:
         self._renderer = renderer
         self._actor = actor = vtkTextActor()
-        in_space = len(place) == 3
-        if in_space:
-            actor.GetPositionCoordinate().SetCoordinateSystemToWorld()
-        else:
-            actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
+        actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
         self.move(*place)
         style = actor.GetTextProperty()
         style.SetFontFamilyToArial()
         style.SetBold(boxed)
-        side = 0 if in_space else (place[0] >= 0.4) + (place[0] > 0.6)
+        side = (place[0] >= 0.4) + (place[0] > 0.6)
         (style.SetJustificationToLeft, style.SetJustificationToCentered, style.SetJustificationToRight)[side]()
         if top:
             style.SetVerticalJustificationToTop()
         if boxed:
             style.SetBackgroundColor(0.0, 0.0, 0.0)
             style.SetBackgroundOpacity(0.65)
-        if boxed and not in_space:
             style.SetJustificationToCentered()
             style.SetVerticalJustificationToCentered()
         renderer.AddViewProp(actor)
@@ -111,9 +106,9 @@ class Label:
         """Make the text readable."""
         self._actor.GetTextProperty().SetFontSize(pixels.text)
 
-    def move(self, right: float, up: float, depth: float = 0.0) -> None:
+    def move(self, right: float, up: float) -> None:
         """Change the place."""
-        self._actor.GetPositionCoordinate().SetValue(right, up, depth)
+        self._actor.GetPositionCoordinate().SetValue(right, up)
 
     def paint(self, color: str) -> None:
         """Change the colour."""

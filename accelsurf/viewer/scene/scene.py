@@ -29,7 +29,6 @@ from accelsurf.viewer.scene.chart import EnergyChart
 from accelsurf.viewer.scene.colors import ObjectStyle, ObjectStyles, theme_named
 from accelsurf.viewer.scene.headless import require_graphics
 from accelsurf.viewer.scene.legend import Legend, caption, legend_lines, volume_line
-from accelsurf.viewer.scene.measure_marks import MeasureLayer
 from accelsurf.viewer.scene.redraw import Redraw, TileContext
 from accelsurf.viewer.scene.shapes import label_surface
 from accelsurf.viewer.scene.slices import SliceTile
@@ -77,7 +76,6 @@ class Scene:
         How the tiles lie, and what part of the image each shows.
     is_straight : bool
         Whether slices follow the world's axes, not the voxels; at first where the header names a patient's.
-    measures : MeasureLayer
     unit : str
         Of lengths in the file, and in read-outs.
     marks : Marks
@@ -124,10 +122,9 @@ class Scene:
         self._redraw = Redraw(plotter.render_window, plotter.renderers)
         self._build()
         self.tiles = Tiles(self._redraw, self.space, self.slice_tiles, self._chart_renderer)
-        self.measures = MeasureLayer(self.geometry, self.slice_tiles, self.space, self.unit, self._redraw)
         self.marks = Marks(self.geometry, self.slice_tiles.values(), self.space, self._redraw)
         self.paint(theme)
-        others = self._legend, self._chart, self.measures
+        others = self._legend, self._chart
         plotter.render_window.AddObserver("StartEvent", lambda *_: self.tiles.fit(*others))
 
     @staticmethod
@@ -145,7 +142,7 @@ class Scene:
         self.space: SpaceTile | None = None
         if flat is None:
             plotter.subplot(0, 0)
-            self.space = SpaceTile(plotter, self.geometry, image, self._window, context)
+            self.space = SpaceTile(plotter, self.geometry, context)
         self.slice_tiles: dict[str, SliceTile] = {}
         for plane, place in places.items():
             plotter.subplot(*place)
@@ -228,16 +225,6 @@ class Scene:
         self._show_frame()
         self._redraw.mark_all()
 
-    def show_volume(self, on: bool) -> None:
-        """Draw the image itself in 3D, translucent, or not; an image of one slice has no such picture."""
-        if self.space is not None:
-            self.space.show_volume(on)
-
-    @property
-    def shows_volume(self) -> bool:
-        """Test if the image is drawn in 3D."""
-        return self.space is not None and self.space.shows_volume
-
     def show_planes(self, on: bool) -> None:
         """Draw the three slices in 3D, or not."""
         if self.space is not None:
@@ -258,10 +245,8 @@ class Scene:
         self._window = window
         for tile in self.slice_tiles.values():
             tile.use_window(window)
-        if self.space is not None:
-            self.space.use_window(window)
-            if self.shows_planes:
-                self.show_planes(True)
+        if self.shows_planes:
+            self.show_planes(True)
 
     def interpolate(self, on: bool) -> None:
         """Draw slices smoothly between voxels, or each voxel as a rectangle."""
@@ -321,7 +306,6 @@ class Scene:
                     tile.draw_reference(self._reference.contour_function)
                 if self.frame is not None:
                     tile.draw_objects(self.frame)
-        self.measures.move()
         self.marks.show_slices()
         if self.shows_planes:
             self.show_planes(True)
@@ -355,9 +339,7 @@ class Scene:
         self.volume = volume
         for tile in self.slice_tiles.values():
             tile.use_image(volume.array)
-        if self.space is not None:
-            self.space.use_image(volume.array)
-            self.show_planes(self.shows_planes)
+        self.show_planes(self.shows_planes)
         self._redraw.mark_all()
 
     # -- pictures -----------------------------------------------------------------------------------------

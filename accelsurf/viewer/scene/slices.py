@@ -208,10 +208,6 @@ class SliceTile:
         index = self.stack.to_index([right, up, self.across])
         return np.clip(index, 0.0, np.array(self._image.shape) - 1.0) if self.stack.contains(index) else None
 
-    def is_near(self, indices: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Test which of the indices (z, y, x), (n, 3), lie in this slice, within half of its thickness."""
-        return np.asarray(np.abs(self.stack.place_number(indices) - self.index) <= 0.5 + 1e-6)
-
     def to_plane(self, right: float, up: float) -> tuple[float, float]:
         """Place in the tile's plane, mm, of a place in its renderer, each from 0 to 1."""
         width, height = self.renderer.GetSize()

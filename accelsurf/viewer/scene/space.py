@@ -1,4 +1,4 @@
-"""The tile in 3D: the surfaces in world mm, the image around them on request, the scale, the directions; picking.
+"""The tile in 3D: the surfaces in world mm, slices on request, the scale, the directions; picking.
 
 A pick reads psi along the line of sight: a cell picker looks at each triangle, 35 ms on half a million with each motion
 of the mouse.
@@ -6,16 +6,14 @@ of the mouse.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.vtkCommonDataModel import vtkPlane
 
 from accelsurf.grid.geometry import Geometry
-from accelsurf.image.grey_window import GreyWindow
 from accelsurf.viewer.core.frame import Frame, SurfaceFrame
 from accelsurf.viewer.scene.colors import CURSOR, MARK, REFERENCE, SHADES, SURFACE, Theme, color_range
 from accelsurf.viewer.scene.legend import color_scale
@@ -44,85 +42,6 @@ def place_in_renderer(renderer: pv.Renderer, x: float, y: float, beside: bool = 
         return None
     place = ((x / width - left) / (right - left), (y / height - bottom) / (top - bottom))
     return place if beside or all(0 <= part < 1 for part in place) else None
-
-
-#: Most voxels along an axis that are drawn; more take too long.
-MAX_ALONG = 160
-
-
-class VolumePicture:
-    """The image in 3D, made when it is shown first.
-
-    Parameters
-    ----------
-    plotter : pyvista.Plotter
-    renderer : pyvista.Renderer
-        The plotter's first, in which it is drawn.
-    geometry : Geometry
-    image : ndarray (nz, ny, nx)
-    """
-
-    def __init__(self, plotter: pv.Plotter, renderer: pv.Renderer, geometry: Geometry, image: NDArray[Any]) -> None:
-        self._plotter, self._renderer = plotter, renderer
-        self._geometry, self._image = geometry, image
-        self._volume: pv.Volume | None = None
-        self._cut = vtkPlane()
-
-    @property
-    def is_shown(self) -> bool:
-        """Test if it is drawn."""
-        return self._volume is not None and bool(self._volume.GetVisibility())
-
-    def show(self, on: bool, window: GreyWindow) -> None:
-        """Draw it, or not."""
-        if on and self._volume is None:
-            self._volume = self._make(window)
-        if self._volume is not None:
-            self._volume.SetVisibility(on)
-
-    def use_image(self, image: NDArray[Any], window: GreyWindow) -> None:
-        """Draw another image (nz, ny, nx) on the same grid."""
-        self._image = image
-        self.use_window(window)
-
-    def use_window(self, window: GreyWindow) -> None:
-        """Draw other values black and white."""
-        if self._volume is not None:
-            shown = self.is_shown
-            self._renderer.remove_actor(self._volume, reset_camera=False, render=False)
-            self._volume = self._make(window) if shown else None
-
-    def cut_away(self, meshes: Sequence[pv.PolyData]) -> None:
-        """Leave out what is nearer than the middle of the surfaces, so that it does not hide them."""
-        if not self.is_shown:
-            return
-        bounds = np.array([mesh.bounds for mesh in meshes if mesh.n_points])
-        camera = self._renderer.camera
-        if len(bounds):
-            middle = 0.5 * (bounds[:, ::2].min(axis=0) + bounds[:, 1::2].max(axis=0))
-        else:  # no surface: all of it
-            middle = np.array(camera.position)
-        self._cut.SetOrigin(*middle)
-        self._cut.SetNormal(*camera.direction)
-
-    def _make(self, window: GreyWindow) -> pv.Volume:
-        stride = [max(1, -(-n // MAX_ALONG)) for n in self._image.shape]
-        grey = window.grey(self._image[tuple(slice(None, None, s) for s in stride)])
-        steps = [h * s for h, s in zip(self._geometry.spacing, stride, strict=True)]
-        image = pv.ImageData(dimensions=grey.shape[::-1], spacing=steps[::-1])
-        image.point_data["grey"] = grey.ravel()
-        self._plotter.subplot(0, 0)
-        # Nothing below a fifth of the range: noise in the air would hide everything.
-        opacity = np.concatenate([np.zeros(51), np.linspace(0.0, 110.0, 205)]).astype(np.uint8)
-        volume = self._plotter.add_volume(
-            image, scalars="grey", cmap="gray", clim=(0, 255), opacity=opacity, shade=False,
-            opacity_unit_distance=4.0 * max(steps), show_scalar_bar=False, reset_camera=False, render=False,
-        )
-        turn = np.eye(4)
-        turn[:3, :3], turn[:3, 3] = self._geometry.direction, self._geometry.origin
-        volume.user_matrix = turn
-        volume.mapper.AddClippingPlane(self._cut)
-        return volume
 
 
 #: Places along the line for each voxel of psi.
@@ -212,22 +131,12 @@ class SpaceTile:
         Its active renderer is the tile's.
     geometry : Geometry
         Of the image.
-    image : ndarray (nz, ny, nx)
-    window : GreyWindow
-        Which of its values are black and white.
     context : TileContext
     """
 
-    def __init__(
-        self,
-        plotter: pv.Plotter,
-        geometry: Geometry,
-        image: NDArray[Any],
-        window: GreyWindow,
-        context: TileContext,
-    ) -> None:
+    def __init__(self, plotter: pv.Plotter, geometry: Geometry, context: TileContext) -> None:
         self.renderer, self._context, theme = plotter.renderer, context, context.theme
-        self._geometry, self._window = geometry, window
+        self._geometry = geometry
         #: The surfaces drawn now, of each object, world mm.
         self.meshes: list[pv.PolyData] = []
         self._frame: Frame | None = None
@@ -243,7 +152,6 @@ class SpaceTile:
         self._places: pv.Actor | None = None
         #: What draws the predictions and the ways of tracked objects.
         self._tracks: tuple[pv.Actor, pv.Actor] | None = None
-        self._volume = VolumePicture(plotter, self.renderer, geometry, image)
         self._planes: list[tuple[pv.Actor, Texture]] = []
         #: Whether the three slices are drawn.
         self.shows_planes = False
@@ -375,28 +283,6 @@ class SpaceTile:
 
     # -- the image ----------------------------------------------------------------------------------------
 
-    def show_volume(self, on: bool) -> None:
-        """Draw the image translucent, bright parts denser, cut away in front of the surfaces; or not."""
-        self._volume.show(on, self._window)
-        self.mark()
-
-    def use_image(self, image: NDArray[Any]) -> None:
-        """Show another image (nz, ny, nx) on the same grid."""
-        self._volume.use_image(image, self._window)
-        self.mark()
-
-    def use_window(self, window: GreyWindow) -> None:
-        """Draw other values black and white."""
-        self._window = window
-        self._volume.use_window(window)
-        if self.shows_volume:
-            self.mark()
-
-    @property
-    def shows_volume(self) -> bool:
-        """Test if the image is drawn."""
-        return self._volume.is_shown
-
     def show_planes(self, slices: Iterable[PlanePicture] | None) -> None:
         """Draw slices, each a polygon in world mm and its picture, in place of those before; None: no slices."""
         self.shows_planes = slices is not None
@@ -512,7 +398,6 @@ class SpaceTile:
         """Make text readable, and the bar as long as the camera's scale asks for."""
         self.title.fit(pixels)
         self._bar.fit(pixels)
-        self._volume.cut_away(self.meshes)
         self._box.prop.line_width = BOX * pixels.ratio
         self._cube.GetTextEdgesProperty().SetLineWidth(EDGE * pixels.ratio)
         if self._tracks is not None:

@@ -40,8 +40,6 @@ from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import SIZE, Scene
 from accelsurf.viewer.window.appearance import page_of_help, palette, sheet
 from accelsurf.viewer.window.canvas_events import CanvasEvents
-from accelsurf.viewer.window.histogram_panel import HistogramPanel
-from accelsurf.viewer.window.measure_panel import MeasurePanel
 from accelsurf.viewer.window.objects_panel import ObjectsPanel
 from accelsurf.viewer.window.playback_bar import FrameBar, PlaybackBar
 from accelsurf.viewer.window.section_panel import Amount, OneLine, Section, button, framed, in_row
@@ -396,10 +394,8 @@ PANELS: tuple[Callable[[Actions], Section], ...] = (
     ObjectsPanel,
     HistoryPanel,
     SettingsPanel,
-    HistogramPanel,
     SlicesPanel,
     PicturePanel,
-    MeasurePanel,
 )
 WIDTH = 318
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from PySide6.QtCore import QModelIndex, QPersistentModelIndex, QPoint, QSignalBlocker, Qt
+from PySide6.QtCore import QModelIndex, QPersistentModelIndex, QSignalBlocker, Qt
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import (
     QAbstractItemView,
@@ -13,7 +13,6 @@ from PySide6.QtWidgets import (
     QGridLayout,
     QHeaderView,
     QLabel,
-    QMenu,
     QSlider,
     QStyle,
     QStyledItemDelegate,
@@ -65,8 +64,6 @@ class ObjectsPanel(Section):
         table.itemChanged.connect(self._edited)
         table.cellClicked.connect(lambda row, _: self.ask("object_active", self._id(row)))
         table.cellDoubleClicked.connect(self._double_clicked)
-        table.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
-        table.customContextMenuRequested.connect(self._menu)
         self.add = self.button("Add", "A further object: the next press or click inside begins it (U)", "object_add")
         self.merge = button("Merge", "Make the chosen objects the first of them (choose several with Ctrl)")
         self.merge.clicked.connect(lambda: self.ask("object_merge", *self._selected()))
@@ -160,12 +157,9 @@ class ObjectsPanel(Section):
 
     def _double_clicked(self, row: int, column: int) -> None:
         if column == _COLOR:
-            self._ask_color(self._id(row), self._rows[row]["color"])
-
-    def _ask_color(self, object_id: int, now: str) -> None:
-        color = QColorDialog.getColor(QColor(now), self, "Colour of the object")
-        if color.isValid():
-            self.ask("object_color", object_id, color.name())
+            color = QColorDialog.getColor(QColor(self._rows[row]["color"]), self, "Colour of the object")
+            if color.isValid():
+                self.ask("object_color", self._id(row), color.name())
 
     def _set_opacity(self, percent: int) -> None:
         if self._rows:
@@ -174,17 +168,3 @@ class ObjectsPanel(Section):
     def _remove(self) -> None:
         for object_id in self._selected():
             self.ask("object_remove", object_id)
-
-    def _menu(self, at: QPoint) -> None:
-        """Show a menu for the object under the mouse."""
-        row = self.table.rowAt(at.y())
-        if not 0 <= row < len(self._rows):
-            return
-        object_id, menu = self._id(row), QMenu(self)
-        menu.addAction("Rename", lambda: self.table.editItem(self.table.item(row, _NAME)))
-        menu.addAction("Colour ...", lambda: self._ask_color(object_id, self._rows[row]["color"]))
-        for other in (known for known in self._rows if known["id"] != object_id):
-            text = f"Merge into {other['name']}"
-            menu.addAction(text, lambda first=other["id"]: self.ask("object_merge", first, object_id))
-        menu.addAction("Remove", lambda: self.ask("object_remove", object_id))
-        menu.popup(self.table.viewport().mapToGlobal(at))

@@ -5,70 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
-from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen
-from PySide6.QtWidgets import QLabel, QPushButton, QSlider, QStyle, QWidget
+from PySide6.QtWidgets import QLabel, QPushButton, QSlider, QWidget
 
 from accelsurf.viewer.actions.actions import Actions
-from accelsurf.viewer.scene.colors import CURSOR
 from accelsurf.viewer.window.section_panel import button, in_row
-
-#: Half the width in which a tick is hit, and its height, pixels.
-HIT, HEIGHT = 5, 5
-
-
-class RestSlider(QSlider):
-    """A slider with ticks where the surface rested; a click on a tick goes to its step.
-
-    Attributes
-    ----------
-    tick_clicked : Signal(int)
-        The tick of this step was clicked.
-    """
-
-    tick_clicked = Signal(int)
-
-    def __init__(self) -> None:
-        super().__init__(Qt.Orientation.Horizontal)
-        self._ticks: list[tuple[float, int]] = []
-
-    def show_ticks(self, places: Sequence[float], steps: Sequence[int]) -> None:
-        """Show ticks of these steps at these places of the slider's range."""
-        ticks = list(zip(places, steps, strict=True))
-        if ticks != self._ticks:
-            self._ticks = ticks
-            words = ", ".join(str(step) for step in steps)
-            self.setToolTip("Stored steps: drag to go back and forward" + (f"; it rested at {words}" if words else ""))
-            self.update()
-
-    def tick_at(self, place: float) -> int:
-        """Pixel of a place of the slider's range, from its left end."""
-        margin = self.style().pixelMetric(QStyle.PixelMetric.PM_SliderLength, None, self) / 2
-        share = place / self.maximum() if self.maximum() else 0.0
-        return round(margin + share * (self.width() - 2 * margin))
-
-    def paintEvent(self, event: QPaintEvent) -> None:
-        """Draw the ticks over the slider."""
-        super().paintEvent(event)
-        painter = QPainter(self)
-        painter.setPen(QPen(QColor(CURSOR), 2))
-        for place, _ in self._ticks:
-            x = self.tick_at(place)
-            painter.drawLine(x, 0, x, HEIGHT)
-            painter.drawLine(x, self.height() - HEIGHT, x, self.height())
-        painter.end()
-
-    def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Go to a tick that is clicked, unless the handle is there."""
-        handle = self.tick_at(float(self.value()))
-        x = event.position().x()
-        for place, step in self._ticks:
-            if abs(x - self.tick_at(place)) <= HIT and abs(x - handle) > HIT:
-                self.tick_clicked.emit(step)
-                event.accept()
-                return
-        super().mousePressEvent(event)
 
 
 class _Bar(QWidget):
@@ -109,7 +50,7 @@ class PlaybackBar(_Bar):
     help_wanted = Signal()
 
     def __init__(self, actions: Actions) -> None:
-        self.timeline = RestSlider()
+        self.timeline = QSlider(Qt.Orientation.Horizontal)
         super().__init__(actions, self.timeline, "stored steps")
         self._steps: list[int] = []
         self.restart = self._button("|<", "Restart: from the start, with the settings in force (Home)", "restart")
@@ -117,14 +58,12 @@ class PlaybackBar(_Bar):
         self.play = self._button("Run", "Run or pause (Space)", "toggle", width=84)
         self.forward = self._button(">", "One step (Right)", "step")
         self.play.setObjectName("play")
-        self.timeline.setToolTip("Stored steps: drag to go back and forward")
         self.where.setMinimumWidth(170)
         self.help = self._button("?", "Keys and mouse (F1)")
         buttons = self.restart, self.back, self.play, self.forward
         self._lay_out(buttons, self.timeline, (self.where, self.help), 5)
         self.help.clicked.connect(self.help_wanted)
         self.timeline.valueChanged.connect(self._slid)
-        self.timeline.tick_clicked.connect(lambda step: actions.request("go_to", step))
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show the state."""
@@ -133,9 +72,8 @@ class PlaybackBar(_Bar):
         for part in (self.play, self.forward, self.restart):
             part.setEnabled(state["ready"])
         self.back.setEnabled(state["step"] > 0)
-        # The slider counts the stored steps; a step between two of them is between their places.
-        places = np.interp(state["rests"], self._steps or [0], range(len(self._steps) or 1))
-        self.timeline.show_ticks(list(map(float, places)), state["rests"])
+        rests = f"; it rested at {', '.join(map(str, state['rests']))}" if state["rests"] else ""
+        self.timeline.setToolTip(f"Stored steps: drag to go back and forward{rests}")
         with QSignalBlocker(self.timeline):
             self.timeline.setRange(0, max(len(self._steps) - 1, 0))
             if not self.timeline.isSliderDown() and state["step"] in self._steps:

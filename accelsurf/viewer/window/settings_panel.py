@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
-    QFileDialog,
     QGridLayout,
     QLabel,
     QLineEdit,
@@ -18,12 +16,10 @@ from PySide6.QtWidgets import (
 )
 
 from accelsurf.viewer.actions.actions import Actions
-from accelsurf.viewer.actions.settings import SettingsFeature
 from accelsurf.viewer.actions.settings_rows import Row
 from accelsurf.viewer.window.section_panel import (
     Amount,
     Section,
-    button,
     choice,
     framed,
     in_row,
@@ -74,8 +70,7 @@ class SettingRow(QWidget):
         self._value, kind = "", row["kind"]
         self.amount = Amount(row) if kind == "slider" else None
         self.box = switch("") if kind == "switch" else None
-        self.choice = choice(row["label"]) if kind in ("list", "energy", "file") else None
-        self.other = button("...", "Another file") if kind == "file" else None
+        self.choice = choice(row["label"]) if kind in ("list", "energy") else None
         self.line = QLineEdit() if kind in ("text", "energy") else None
         self.error = QLabel("") if kind == "energy" else None
         self._lay_out()
@@ -94,9 +89,6 @@ class SettingRow(QWidget):
             grid.addWidget(self.box, 0, 1, Qt.AlignmentFlag.AlignRight)
         if self.choice is not None:
             grid.addWidget(self.choice, 0, 1)
-        if self.other is not None:
-            self.other.setFixedWidth(30)
-            grid.addWidget(self.other, 0, 2)
         if self.line is not None and self.error is None:
             grid.addWidget(self.line, 0, 1)
         elif self.line is not None and self.error is not None:
@@ -231,15 +223,7 @@ class SettingsPanel(Section):
         widget = SettingRow(row)
         if row["term"]:
             widget.changed.connect(lambda value, term=row["term"]: self.ask("set_term", *term, value))
-        elif widget.other is not None:
-            widget.changed.connect(lambda value: self.ask("mask", value))
-            widget.other.clicked.connect(self._choose_mask)
         else:
             widget.changed.connect(functools.partial(self.ask, "set", row["key"]))
         widget.typing.connect(lambda text: self.ask("type_energy", text))
         return widget
-
-    def _choose_mask(self) -> None:
-        name, _ = QFileDialog.getOpenFileName(self, "Label map on the grid of the image")
-        if name:
-            self.user_actions.feature(SettingsFeature).use_mask(Path(name))

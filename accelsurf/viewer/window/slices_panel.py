@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QDoubleSpinBox, QFormLayout, QGridLayout, QLabel
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.slices import MAX_GREY
 from accelsurf.viewer.scene.colors import THEMES
-from accelsurf.viewer.window.section_panel import ScrollGuard, Section, choice, framed, in_row, show_choice, show_switch
+from accelsurf.viewer.window.section_panel import ScrollGuard, Section, choice, framed, show_choice, show_switch
 
 #: What the list of windows shows where level and width were set by hand.
 BY_HAND = "by hand"
@@ -84,16 +84,15 @@ class PicturePanel(Section):
         super().__init__("Picture", actions)
         form = framed(QFormLayout(self.body), 5)
         self.color, self.theme = self.choice("colour", "color"), self.choice("theme", "theme")
-        self.volume, self.planes = self.switch("Image in 3D", "volume"), self.switch("Slices in 3D", "planes")
+        self.planes = self.switch("Slices in 3D", "planes")
         form.addRow("Colour by", self.color)
-        form.addRow(in_row(self.volume, self.planes))
+        form.addRow(self.planes)
         form.addRow("Theme", self.theme)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
         """Show how the scene is drawn."""
         show_choice(self.color, state["colors"], state["color"])
         show_choice(self.theme, tuple(THEMES), state["theme"])
-        for box, key in ((self.volume, "volume"), (self.planes, "planes")):
-            show_switch(box, state[key])
-            box.setEnabled(not state["is_flat"])
+        show_switch(self.planes, state["planes"])
+        self.planes.setEnabled(not state["is_flat"])
         self.color.setEnabled(not state["is_flat"])

@@ -7,7 +7,7 @@ from accelsurf.energies.seeded.contest import arrival
 from accelsurf.energies.seeded.partition import BasinsOnce, partition_model
 from accelsurf.grid.boxes import box_at
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.phantoms.tissues import membrane_cells
+from tests.support.tissues import membrane_cells
 
 SHAPE, SPACING = (16, 30, 30), (1.0, 1.0, 1.0)
 

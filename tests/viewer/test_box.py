@@ -1,4 +1,4 @@
-"""The box of a run, drawn and dragged in slices; the force of the image over the slices."""
+"""The box of a run, drawn and dragged in slices."""
 
 import numpy as np
 import pytest
@@ -8,14 +8,12 @@ from accelsurf.run.region_of_interest import region_of_interest
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.actions.box import BoxFeature
-from accelsurf.viewer.actions.force import ForceFeature
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.box import BoxOverlay, VoxelBox
 from accelsurf.viewer.scene.colors import MARK
-from accelsurf.viewer.scene.force_overlay import OPACITY, force_colors
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
-from tests.support.viewing import settle
+from tests.support.viewing import look, settle
 
 SIZE = (1000, 600)
 
@@ -135,7 +133,7 @@ def test_a_box_is_laid_around_the_object_and_taken_away(actions):
     actions.request("box_around")
     settle(actions)
     box = box_of(actions)
-    psi = actions.session.look(lambda run: run.objects[0].surface.psi.shape).result(60)
+    psi = look(actions.session, lambda run: run.objects[0].surface.psi.shape).result(60)
     assert psi == tuple(high - low + 1 for low, high in box) and np.prod(psi) < 0.8 * 20 * 40 * 44
     actions.request("box_none")
     settle(actions)
@@ -174,70 +172,4 @@ def test_an_image_of_one_slice_has_a_box_too():
         settle(actions)
         assert not actions.message
         assert box_of(actions) == [(0, 0), (3, 36), (5, 44)] and not actions.message
-        actions.request("force", True)
-        settle(actions)
-        assert len(actions.feature(ForceFeature).overlay.shown) == 1
     scene.close()
-
-
-# ------------------------------------------------------------------------------------------------------------ the force
-
-
-def test_colours_say_the_sign_and_the_size():
-    table = np.linspace([0, 0, 0, 255], [250, 0, 250, 255], 256).astype(np.uint8)
-    picture = force_colors(np.array([[-2.0, -0.5, 0.0, 0.5, 1.0, np.nan]], np.float32), 1.0, table)
-    assert picture[0, :, 3].tolist() == [round(255 * OPACITY * v) for v in (1, 0.5**0.5, 0, 0.5**0.5, 1, 0)]
-    assert (picture[0, :2, 0] < 60).all() and (picture[0, 3:5, 0] > 190).all()
-
-
-def picture_of(actions, name):
-    picture = actions.scene.screenshot().astype(int)
-    left, bottom, right, top = actions.scene.tiles.renderer(name).GetViewport()
-    return picture[
-        round(SIZE[1] * (1 - top)) : round(SIZE[1] * (1 - bottom)), round(SIZE[0] * left) : round(SIZE[0] * right)
-    ]
-
-
-def test_the_force_lies_over_the_slices_where_it_belongs(actions):
-    """In the bright ball the surface grows: purple, bluer than before; beyond it shrinks: orange, redder."""
-    overlay = actions.feature(ForceFeature).overlay
-    before = picture_of(actions, "axial")
-    assert overlay.shown == ()
-    actions.request("force", True)
-    settle(actions)
-    assert set(overlay.shown) == set(actions.scene.slice_tiles) and "purple grows" in actions.state()["force_note"]
-    after = picture_of(actions, "axial")
-    bluer = (after - before)[..., 2] - (after - before)[..., 0]
-    tile = actions.scene.slice_tiles["axial"]
-    ball = actions.session.volume.array[tile.index]
-    for inside in (True, False):
-        row, column = np.argwhere((ball > 50) == inside)[[100, -100]][int(inside)]
-        x, y = pixel(actions, "axial", (tile.index, row, column))
-        left, _, right, top = tile.renderer.GetViewport()
-        at = bluer[round(SIZE[1] * y - SIZE[1] * (1 - top)), round(SIZE[0] * (x - left))]
-        assert (at > 15) if inside else (at < -15)
-    actions.request("next_force")
-    settle(actions)
-    assert overlay.shown == () and np.array_equal(picture_of(actions, "axial"), before)
-
-
-def test_the_force_follows_slices_and_the_run(actions):
-    feature = actions.feature(ForceFeature)
-    actions.request("force", True)
-    settle(actions)
-    actions.scene.step_slice("axial", 3)
-    assert "axial" not in feature.overlay.shown, "that of another slice is not shown"
-    settle(actions)
-    assert "axial" in feature.overlay.shown
-    before = picture_of(actions, "axial")
-    actions.request("set", "energy", "threshold:,20")
-    settle(actions)
-    assert np.abs(picture_of(actions, "axial") - before).max() > 60, "what was bright is outside now"
-    asked = feature._run
-    actions.state()
-    settle(actions)
-    assert feature._run is asked and not actions.session.has_unseen_state, "nothing new, nothing asked"
-    actions.request("step")
-    settle(actions)
-    assert feature._run != asked
-    actions.request("force", False)
