@@ -142,7 +142,6 @@ def settings_in_windows(place: Place, config: RunConfig) -> RunConfig:
         )
     keys = ("save_sdf", "also", "label_group", "mesh_smooth", "mesh_faces", "mesh_error")
     asked = {key: bool(getattr(config, key)) for key in keys} | {"keep_state": config.keep_state == "yes"}
-    asked["mesh_walls"] = config.mesh_walls == "shared"
     for name, given in asked.items():
         if given:
             raise UsageError(

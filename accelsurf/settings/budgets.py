@@ -133,10 +133,6 @@ MESH_FILE = Budget(
 UPLOAD = Budget(
     "a file that is dropped on the page", 1 << 31, "bytes", "open it from the folder of the page"
 )
-MESH_COPIES = Budget(
-    "the points and triangles that a glTF builds", 1, "points and triangles",
-    "export it as one mesh", "byte of the file (and 1048576)",
-)
 MESH_ROWS = Budget(
     "rows of voxels that the triangles of a mesh span, over all triangles", 1 << 27, "rows",
     "simplify the mesh, or split its long triangles",
@@ -161,6 +157,6 @@ BUDGETS = (
     CONFIG, EXPRESSION, PATH, PATH_VOXELS, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, AXIS, SLACK, DEFLATE,
     LZW, PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, DICOM_FRAMES, DICOM_DEFLATED, DICOM_PACKED,
     DICOM_ARCHIVE_FILES, DICOM_ARCHIVE_BYTES, DICOM_ARCHIVE, ZARR_CHUNK, ZARR_METADATA, ZARR_LEVELS, MESH_FILE,
-    MESH_COPIES, MESH_ROWS, OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED,
+    MESH_ROWS, OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED,
     UPLOAD,
 )

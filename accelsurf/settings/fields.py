@@ -442,12 +442,6 @@ class SettingFields(BaseModel):
         "Make the written mesh coarser, to a number of triangles: 20000; or remesh it with sides of a length: 2mm.",
         entry=SettingEntry(FILES, metavar="N|LENGTH", fixed=True),
     )
-    mesh_walls: Literal["own", "shared"] = setting(
-        "own",
-        "Walls between objects that touch: each mesh has its own, or both have the same triangles, without gap or "
-        "overlap.",
-        entry=SettingEntry(FILES, metavar="own|shared", fixed=True),
-    )
     mesh_error: float | None = setting(
         None,
         "Largest distance allowed between the written mesh and the surface, mm. Alone it makes the mesh as coarse as "

@@ -16,7 +16,7 @@ from pydicom.uid import RLELossless
 from accelsurf import io as files
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io.formats import glb, surface_files
+from accelsurf.io.formats import surface_files
 from accelsurf.settings.run_config import RunConfig
 from tests.fuzz import folders, mutators, runs
 from tests.fuzz.inputs import DATA_FILE, SHAPE, VALUES, Input
@@ -230,7 +230,6 @@ def _meshes():
     for name in ("ply", "stl", "obj"):
         content = getattr(surface_files, f"{name}_bytes")(points, triangles, "LPS")
         yield Input("mesh", f".{name}", {"obj": "text", "ply": "mixed"}.get(name, "binary"), content)
-    yield Input("mesh", ".glb", "mixed", glb.glb_bytes(points, triangles, "LPS"))
     import trimesh
 
     cube = trimesh.Trimesh(points, triangles, process=False)
