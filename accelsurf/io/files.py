@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import errno
 import hashlib
 import json
 import os
@@ -208,24 +207,6 @@ def check_bytes(staged: Path, content: bytes) -> None:
         for begin in range(0, len(content), _BLOCK):
             if file.read(_BLOCK) != meant[begin : begin + _BLOCK]:
                 raise OutputError(incomplete(staged, "other bytes are read than were written"), SPACE_HINT)
-
-
-def reserve(path: Path, size: int) -> None:
-    """Make a file of a size, so that a full disk is an error before a library writes and prints messages of its own.
-
-    Raises
-    ------
-    OSError
-        When there is no space, or a file may not be that large.
-    """
-    if not hasattr(os, "posix_fallocate"):
-        return
-    with path.open("wb") as file:
-        try:
-            os.posix_fallocate(file.fileno(), 0, size)
-        except OSError as error:
-            if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP):  # not known to this file system
-                raise
 
 
 def incomplete(staged: Path, reason: str) -> str:

@@ -121,15 +121,16 @@ _PARTS = ("channel_index", "time_index", "channels_from_time")
 #: Shared by formats that the same library reads.
 _NIFTI: dict[str, Any] = {
     "read": f"{_FORMATS}.nifti_volumes:read_nifti",
+    "write_frames": f"{_FORMATS}.nifti_volumes:write_frames",
     "options": _PARTS,
-    "sequence": f"{_SEQUENCES}.packed:NiftiFrames",
+    "sequence": f"{_SEQUENCES}.packed:PackedFrames",
     "read_channels": f"{_FORMATS}.nifti_volumes:read_nifti_channels",
     "is_anatomical": f"{_FORMATS}.nifti_grid:is_nifti_anatomical",
 }
 _ITK: dict[str, Any] = {
     "read": f"{_FORMATS}.itk_volumes:read_by_itk",
     "options": _PARTS,
-    "sequence": f"{_SEQUENCES}.packed:ItkFrames",
+    "sequence": f"{_SEQUENCES}.packed:PackedFrames",
     "read_channels": f"{_FORMATS}.itk_volumes:read_channels_by_itk",
     "open": f"{_FORMATS}.itk_volumes:open_raw",
 }
@@ -141,7 +142,6 @@ _NRRD: dict[str, Any] = {
 _METAIMAGE: dict[str, Any] = {
     "parse": f"{_FORMATS}.nrrd_metaimage:parse_metaimage",
     "write": f"{_FORMATS}.itk_volumes:write_metaimage",
-    "write_frames": f"{_SEQUENCES}.sequence_files:write_metaimage",
     **_ITK,
 }
 
@@ -153,7 +153,6 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         (".nii.gz",),
         parse=f"{_FORMATS}.nifti:read_compressed_header",
         write=f"{_FORMATS}.nifti_volumes:write_compressed",
-        write_frames=f"{_SEQUENCES}.sequence_files:write_packed_nifti",
         **_NIFTI,
     ),
     ImageFormat(
@@ -162,7 +161,6 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         (".nii",),
         parse=f"{_FORMATS}.nifti:read_plain_header",
         write=f"{_FORMATS}.nifti_volumes:write_nifti",
-        write_frames=f"{_SEQUENCES}.sequence_files:write_nifti",
         open=f"{_FORMATS}.nifti_volumes:open_nifti",
         store=f"{_FORMATS}.nifti_volumes:store_nifti",
         **_NIFTI,
@@ -172,7 +170,6 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         "NRRD; written compressed",
         (".nrrd",),
         write=f"{_FORMATS}.itk_volumes:write_nrrd",
-        write_frames=f"{_SEQUENCES}.sequence_files:write_nrrd",
         **_NRRD,
     ),
     ImageFormat("nhdr", "NRRD, a header that names its data file; read only", (".nhdr",), **_NRRD),

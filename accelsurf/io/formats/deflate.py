@@ -6,6 +6,7 @@ import gzip
 import math
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -133,9 +134,8 @@ def inflated_bytes(unpack: Any, piece: bytes) -> int:
     return count
 
 
-def gzip_file(source: Path, target: Path) -> None:
-    """Compress a file to the same bytes every time: no name and no date in the gzip header."""
-    with source.open("rb") as plain, target.open("wb") as out:
-        with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=out, mtime=0) as packed:
-            while chunk := plain.read(1 << 20):
-                packed.write(chunk)
+@contextmanager
+def gzip_writer(path: Path) -> Iterator[gzip.GzipFile]:
+    """A file that is compressed to the same bytes every time: no name and no date in the gzip header."""
+    with path.open("wb") as out, gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=out, mtime=0) as packed:
+        yield packed
