@@ -48,8 +48,6 @@ UNIT_KEY = "spatial_unit"
 """The unit in which the file gives lengths: nm or um; absent where it is mm, or none. All lengths here are mm."""
 FRAME_KEY = "frame_seconds"
 """Seconds from one time point of a sequence to the next; absent where the file does not say them."""
-#: Names of formats whose files may be zip archives, or are folders that somebody packed.
-_PACKED = ("dcm", "ome.zarr")
 _OUTSIDE_DATA = ContextVar("outside data", default=False)
 
 
@@ -74,7 +72,7 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any
     """
     form = format_of(path)
     header = _header(form, path, options)
-    if not path.is_file():  # a folder, a pattern, or an array in an archive
+    if not path.is_file():  # a folder, or a pattern
         return form, header
     data = getattr(header, "data", path)
     if data != path and not _OUTSIDE_DATA.get():
@@ -95,7 +93,7 @@ def _header(form: ImageFormat, path: Path, options: ReadOptions) -> Any:
 
 
 def format_of(path: Path) -> ImageFormat:
-    """The format of a file or folder, of slices by a pattern or an array in an archive: by name, else by content.
+    """The format of a file or folder, of slices by a pattern: by name, else by content.
 
     Raises
     ------
@@ -109,12 +107,14 @@ def format_of(path: Path) -> ImageFormat:
             raise InputError("this is a folder, an image file expected", "give an image file, or a folder of DICOM")
         return form
     if not path.exists():
-        return _absent_form(path)
+        if is_pattern(path):
+            return IMAGE_FORMATS["slices"]
+        raise InputError("there is no such file", hint="check the path")
     form = image_format(split_name(path)[1])
-    if (form is None or form.name in _PACKED) and path.is_file():
-        _check_no_packed_zarr(path)
     if form is None and path.is_file():
         form = next((kind for kind in IMAGE_FORMATS.values() if kind.is_file and load(kind.is_file)(path)), None)
+        if form is None and zipfile.is_zipfile(path):
+            raise InputError("a zip archive given, which is not read", "unpack it, and give what is in it")
     if form is None:
         raise InputError(
             f"unknown file type, one of {', '.join(image_suffixes())} expected",
@@ -124,45 +124,6 @@ def format_of(path: Path) -> ImageFormat:
     if path.stat().st_size == 0:
         raise InputError("the file is empty", hint="copy or export it again")
     return form
-
-
-def _absent_form(path: Path) -> ImageFormat:
-    """The format where no file has the path itself: slices by a pattern, or an array in an archive.
-
-    Raises
-    ------
-    InputError
-        When it is neither.
-    """
-    if is_pattern(path):
-        return IMAGE_FORMATS["slices"]
-    archive = path.name.lower().partition(".npz@")
-    if archive[2] and path.with_name(path.name[: len(archive[0]) + 4]).is_file():
-        return IMAGE_FORMATS["npz"]
-    raise InputError("there is no such file", hint="check the path")
-
-
-def _check_no_packed_zarr(path: Path) -> None:
-    """Refuse a zip archive of a Zarr, by name: chunks are read from a folder.
-
-    Raises
-    ------
-    InputError
-    """
-    if not zipfile.is_zipfile(path):
-        return
-    marks = {mark for form in IMAGE_FORMATS.values() if form.has_levels for mark in form.folder_marks}
-    try:
-        with zipfile.ZipFile(path) as archive:
-            found = next((name for name in archive.namelist() if name.rpartition("/")[2] in marks), None)
-    except (zipfile.BadZipFile, NotImplementedError, ValueError):
-        return  # who reads the archive says what is wrong with it
-    if found is not None:
-        below = found.split("/")[0] if "/" in found else f"{path.name.split('.')[0]}.zarr"
-        raise InputError(
-            f"a zipped Zarr given (it has {found[:80]}), the folder of an OME-Zarr expected",
-            f"unpack it, and give the folder: unzip {path.name}{'' if '/' in found else f' -d {below}'}",
-        )
 
 
 def _folder_format(path: Path) -> ImageFormat | None:

@@ -224,8 +224,8 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
     ),
     ImageFormat(
         "dcm",
-        "DICOM, a folder of slices, one of its files, or a zip archive; a segmentation as a label map; read only",
-        (".dcm", ".ima", ".zip"),
+        "DICOM, a folder of slices or one of its files; a segmentation as a label map; read only",
+        (".dcm", ".ima"),
         f"{_FORMATS}.dicom:parse_dicom",
         f"{_FORMATS}.dicom:read_dicom",
         options=("series", "resample", "spacing"),
@@ -240,17 +240,9 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         "mgz",
         "MGH and MGZ of FreeSurfer; read only",
         (".mgz", ".mgh"),
-        f"{_FORMATS}.other_volumes:parse_mgh",
-        f"{_FORMATS}.other_volumes:read_mgh",
-        is_anatomical=f"{_FORMATS}.other_volumes:is_mgh_anatomical",
-    ),
-    ImageFormat(
-        "gipl",
-        "GIPL; read only",
-        (".gipl",),
-        f"{_FORMATS}.other_volumes:parse_gipl",
-        f"{_FORMATS}.other_volumes:read_gipl",
-        keeps="spacing",
+        f"{_FORMATS}.mgh:parse_mgh",
+        f"{_FORMATS}.mgh:read_mgh",
+        is_anatomical=f"{_FORMATS}.mgh:is_mgh_anatomical",
     ),
     ImageFormat(
         "slices",
@@ -272,16 +264,6 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.numpy_arrays:write_npy",
         ("spacing", "time_index"),
         open=f"{_FORMATS}.numpy_arrays:open_npy",
-        keeps="none",
-    ),
-    ImageFormat(
-        "npz",
-        "an array in an archive of numpy, named as FILE.npz@NAME where it has several",
-        (".npz",),
-        f"{_FORMATS}.numpy_arrays:parse_archive",
-        f"{_FORMATS}.numpy_arrays:read_array",
-        None,
-        ("spacing",),
         keeps="none",
     ),
 )
@@ -328,7 +310,7 @@ def input_help() -> str:
     Examples
     --------
     >>> input_help()
-    '.nii.gz, .nii, .nrrd, .nhdr, .mha, .mhd, .ome.zarr, .png, .tif, .dcm, .mgz, .gipl, .npy or .npz'
+    '.nii.gz, .nii, .nrrd, .nhdr, .mha, .mhd, .ome.zarr, .png, .tif, .dcm, .mgz or .npy'
     """
     # .tiff is known where .tif is.
     *others, last = (form.suffixes[0] for form in IMAGE_FORMATS.values() if form.suffixes)

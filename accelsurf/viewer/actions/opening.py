@@ -225,7 +225,7 @@ class Opening:
         self.open_path(self._named(names[0]), dropped=True)
 
     def _drop_failed(self) -> None:
-        raise UsageError("this cannot be uploaded: drop one file; of a folder of DICOM a zip archive of it")
+        raise UsageError("this cannot be uploaded: drop one file")
 
     def refuse(self, line: str) -> None:
         """Say that something could not be opened."""

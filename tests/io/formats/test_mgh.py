@@ -1,28 +1,13 @@
-"""GIPL and MGH are read where another program has put them."""
+"""MGH is read where another program has put them."""
 
 import nibabel
 import numpy as np
 import pytest
-import SimpleITK as sitk
 
 from accelsurf import io
 from accelsurf.errors import InputError
 
 VALUES = np.random.default_rng(1).integers(-300, 300, (4, 5, 6)).astype(np.int16)
-
-
-def test_gipl(tmp_path):
-    image = sitk.GetImageFromArray(VALUES)
-    image.SetSpacing((0.5, 0.75, 2.0))
-    image.SetOrigin((10.0, -20.0, 30.0))
-    sitk.WriteImage(image, str(tmp_path / "a.gipl"))
-    volume = io.read(tmp_path / "a.gipl")
-    assert np.array_equal(volume.array, VALUES) and volume.geometry.spacing == (2.0, 0.75, 0.5)
-    content = (tmp_path / "a.gipl").read_bytes()
-    for name, bad in (("short", content[:-7]), ("none", b"x" * 300), ("head", content[:100])):
-        (tmp_path / f"{name}.gipl").write_bytes(bad)
-        with pytest.raises(InputError):
-            io.read(tmp_path / f"{name}.gipl")
 
 
 @pytest.mark.parametrize("suffix", ["mgz", "mgh"])
