@@ -10,12 +10,11 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock, Thread
-from typing import IO, Any, BinaryIO, TypeVar
+from typing import IO, Any, TypeVar
 
 import numpy as np
 import SimpleITK as sitk
@@ -64,17 +63,6 @@ def execute(reader: sitk.ImageFileReader) -> sitk.Image:
     """Read the voxels; a fourth axis of one is dropped."""
     image = listened(reader.Execute)
     return image[:, :, :, 0] if image.GetDimension() == 4 and image.GetSize()[3] == 1 else image
-
-
-@contextmanager
-def copied(suffix: str) -> Iterator[tuple[Path, BinaryIO]]:
-    """A file for what ITK is to read, and its name; gone afterwards."""
-    number, name = tempfile.mkstemp(suffix, "accelsurf-")
-    try:
-        with open(number, "wb") as out:
-            yield Path(name), out
-    finally:
-        os.unlink(name)
 
 
 def array_of(path: Path, itk_name: str) -> NDArray[Any]:

@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from accelsurf.errors import InputError
 from accelsurf.settings import budgets
@@ -104,34 +104,6 @@ def first_bytes(file: BinaryIO, count: int) -> bytes:
         if not start:
             raise
     return start[:count]
-
-
-def inflated_bytes(unpack: Any, piece: bytes) -> int:
-    """Count the bytes that a piece of a zlib stream unpacks to, without keeping them.
-
-    Parameters
-    ----------
-    unpack : zlib.decompressobj
-        The stream so far.
-    piece : bytes
-        What follows.
-
-    Raises
-    ------
-    InputError
-        When it is damaged.
-    """
-    count = 0
-    try:
-        while piece:
-            count += len(unpack.decompress(piece, 1 << 20))
-            piece = unpack.unconsumed_tail
-    except zlib.error as error:
-        raise InputError(
-            f"the compressed rows are damaged ({error})",
-            hint="the file is truncated or damaged: copy or export it again",
-        ) from error
-    return count
 
 
 @contextmanager

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.formats.png import STORED, TRUNCATED_HINT
+from accelsurf.io.formats.png import TRUNCATED_HINT
 from accelsurf.settings import budgets
 
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = 254, 256, 257, 258, 259, 262, 270
@@ -42,6 +42,11 @@ LZW, PACKBITS = 5, 32773
 _RATIOS = {LZW: budgets.LZW, PACKBITS: budgets.PACKBITS, **dict.fromkeys(DEFLATE, budgets.DEFLATE)}
 _NO_PREDICTOR = (1, PACKBITS)  # packings whose bytes are no differences
 _FIRST_BYTE = 8  # after which strips and directories begin
+#: Types of values that are written: bits and sample format (1 unsigned, 2 signed, 3 floating point).
+STORED = {
+    **{"uint8": (8, 1), "uint16": (16, 1), "uint32": (32, 1), "int8": (8, 2), "int16": (16, 2), "int32": (32, 2)},
+    "float32": (32, 3),
+}
 #: Types of values by bits and sample format.
 _KINDS = {kind: name for name, kind in STORED.items()} | {
     **{(1, 1): "uint8", (64, 1): "uint64", (64, 2): "int64", (16, 3): "float16", (64, 3): "float64"}
