@@ -215,7 +215,7 @@ def _file_formats() -> str:
         '`pip install "accelsurf[zarr]"`; `accelsurf info IMAGE` shows its levels and chunks. A chunk with more or',
         "fewer bytes than it announces is an error with exit code 3. One that is missing is the same in a store that",
         "accelsurf wrote; in others it has the fill value, and a warning counts those that are missing. Chunks may be",
-        "packed with Blosc, zstd, LZ4, gzip, zlib, bz2 or LZMA, in shards or not. Axes that point along lines of the",
+        "packed with Blosc, zstd, gzip or zlib, in shards or not. Axes that point along lines of the",
         "body are read and written in the words of RFC-4 (`left-to-right`); other directions are in an attribute of",
         "accelsurf, which other programs do not read.",
         "",

@@ -1,4 +1,3 @@
-import ctypes
 import hashlib
 import os
 import re
@@ -301,31 +300,6 @@ def huge(tmp_path, suffix):
 def test_available_memory_is_that_of_this_machine():
     physical = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     assert 2**20 < io.available_memory() <= physical
-
-
-def test_available_memory_without_proc(monkeypatch):
-    def no_file(self, *args, **kwargs):
-        raise FileNotFoundError(2, "No such file", str(self))
-
-    monkeypatch.setattr(images.Path, "read_text", no_file)
-    assert io.available_memory() == os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-
-
-def test_available_memory_on_windows(monkeypatch):
-    """It has no `os.sysconf`: no image could be read there."""
-
-    class Kernel:
-        def GlobalMemoryStatusEx(self, status):
-            assert status._obj.length == 64  # as Windows demands
-            status._obj.available = 123 << 30
-
-    def no_file(self, *args, **kwargs):
-        raise FileNotFoundError(2, "No such file", str(self))
-
-    monkeypatch.setattr(images.Path, "read_text", no_file)
-    monkeypatch.delattr(os, "sysconf")
-    monkeypatch.setattr(ctypes, "CDLL", lambda name: Kernel())
-    assert io.available_memory() == 123 << 30
 
 
 def test_memory_that_runs_out_all_the_same(tmp_path, monkeypatch):
