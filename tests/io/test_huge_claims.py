@@ -63,12 +63,12 @@ def files(folder):
     import struct
     import zlib
 
+    import nibabel
     import numpy as np
 
     from accelsurf import io
     from accelsurf.image.volume import Volume
     from accelsurf.io import channels, label_tables
-    from accelsurf.io.formats.nifti_volumes import _write_second_header
 
     small = Volume.from_array(np.arange(120, dtype="<i2").reshape(4, 5, 6))
     voxels = small.array.tobytes()
@@ -111,8 +111,7 @@ def files(folder):
 
     io.write(small, folder / "s.nii")
     first = (folder / "s.nii").read_bytes()
-    _write_second_header(folder / "s2.nii", small.geometry, small.array.dtype)
-    second = (folder / "s2.nii").read_bytes() + voxels
+    second = nibabel.Nifti2Image(small.array.T, np.diag([1.0, 2.0, 3.0, 1.0])).to_bytes()[:544] + voxels
     places1 = [("<h", 42 + 2 * n) for n in range(7)] + [("<f", 108)]
     places2 = [("<q", 24 + 8 * n) for n in range(7)] + [("<q", 168)]
     for kind, content, places in (("nii", first, places1), ("nii2", second, places2)):
