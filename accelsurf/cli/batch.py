@@ -138,7 +138,6 @@ def batch(
     from accelsurf.batch.cases import read_cases, shard_of
     from accelsurf.batch.outcome import CaseTask
     from accelsurf.batch.run import Batch, task_of
-    from accelsurf.io.headers import is_outside_data_allowed
 
     options, display = options or BatchOptions(), display or Display()
     limits = options.limits
@@ -150,7 +149,7 @@ def batch(
     found, words = read_cases(cases, options.layout, options.track)
     folder = Path() if options.plan else required(output, "-o DIR, the output folder,")
     configs = _configs(found, settings, config, options)
-    how = overwrite or options.resume, strict, is_outside_data_allowed(), options.resume
+    how = overwrite or options.resume, strict, options.resume
     pairs = zip(found, configs, strict=True)
     tasks = [task_of(CaseTask(case, folder.absolute(), settings_of_case, *how)) for case, settings_of_case in pairs]
     if shard is not None:

@@ -24,7 +24,6 @@ from accelsurf.cli.progress import Watcher
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
 from accelsurf.io import channels, read_labels
 from accelsurf.io.file_set import InputFiles
-from accelsurf.io.headers import outside_data_allowed
 from accelsurf.output.result_sets import load_report, outdated_inputs, report_name
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
@@ -64,7 +63,6 @@ def run_one(task: CaseTask) -> Outcome:
     with (
         redirect_stdout(silent),
         redirect_stderr(silent),
-        outside_data_allowed(task.outside_data),
         warnings.catch_warnings(record=True) as said,
     ):
         warnings.simplefilter("always", AccelsurfWarning)

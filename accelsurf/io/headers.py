@@ -1,6 +1,6 @@
 """Headers of images: the format of a file, by its name or its content, and what its header says before voxels are read.
 
-A header may name files in its own folder only (`outside_data_allowed`). Metadata have the keys given here. Times of
+A header may name files in its own folder only. Metadata have the keys given here. Times of
 frames are a step and its unit, or where these cannot say them, a line of text (`FrameTimes.text`).
 """
 
@@ -10,9 +10,7 @@ import math
 import os
 import re
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -48,7 +46,6 @@ UNIT_KEY = "spatial_unit"
 """The unit in which the file gives lengths: nm or um; absent where it is mm, or none. All lengths here are mm."""
 FRAME_KEY = "frame_seconds"
 """Seconds from one time point of a sequence to the next; absent where the file does not say them."""
-_OUTSIDE_DATA = ContextVar("outside data", default=False)
 
 
 def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any]:
@@ -75,7 +72,7 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any
     if not path.is_file():  # a folder, or a pattern
         return form, header
     data = getattr(header, "data", path)
-    if data != path and not _OUTSIDE_DATA.get():
+    if data != path:
         _check_data_folder(path, data)
     if hasattr(header, "check_claims"):
         header.check_claims()
@@ -272,30 +269,6 @@ def check_name(path: Path) -> None:
         raise InputError("the name of the file has a zero byte", "correct the name")
 
 
-@contextmanager
-def outside_data_allowed(allowed: bool = True) -> Iterator[None]:
-    """While it lasts, a header may name a data file in another folder than its own.
-
-    A header comes from elsewhere more often than a data file does: it could name any file of the computer, whose bytes
-    would then be shown as an image.
-
-    Parameters
-    ----------
-    allowed : bool
-        False leaves it as it is.
-    """
-    before = _OUTSIDE_DATA.set(allowed or _OUTSIDE_DATA.get())
-    try:
-        yield
-    finally:
-        _OUTSIDE_DATA.reset(before)
-
-
-def is_outside_data_allowed() -> bool:
-    """Test if a header may name a data file in another folder now; for processes that go on with this work."""
-    return _OUTSIDE_DATA.get()
-
-
 def check_data_file(path: Path, data: Path) -> None:
     """Refuse a further file that a header names where it is missing, or lies in another folder than its header.
 
@@ -304,8 +277,7 @@ def check_data_file(path: Path, data: Path) -> None:
     InputError
         With what to do.
     """
-    if not _OUTSIDE_DATA.get():
-        _check_data_folder(path, data)
+    _check_data_folder(path, data)
     if not data.is_file():
         raise InputError(
             f"the header names the file {data.name}, which is missing", f"copy {data.name} into the same folder"
@@ -313,29 +285,28 @@ def check_data_file(path: Path, data: Path) -> None:
 
 
 def _check_data_folder(path: Path, data: Path) -> None:
-    """Refuse a data file that lies, with links followed, in another folder than its header."""
+    """Refuse a data file that lies, with links followed, in another folder than its header.
+
+    A header comes from elsewhere more often than a data file does: it could name any file of the computer, whose bytes
+    would then be shown as an image.
+    """
     folders = {path.parent.resolve(), path.resolve().parent}
     if not any(data.resolve().is_relative_to(folder) for folder in folders):
-        raise _outside(f"the header names the data file {data}, outside of its own folder")
+        raise InputError(
+            f"the header names the data file {data}, outside of its own folder", "copy it into the folder of the header"
+        )
 
 
 def check_within_store(store: Path, path: Path) -> None:
-    """Refuse a file or folder of a store that lies, with links followed, outside of the store, if it is not allowed.
+    """Refuse a file or folder of a store that lies, with links followed, outside of the store.
 
     Raises
     ------
     InputError
     """
-    if not _OUTSIDE_DATA.get() and not path.resolve().is_relative_to(store.resolve()):
-        raise _outside(f"{path.relative_to(store).as_posix()} is a link to a place outside of the store")
-
-
-def _outside(message: str) -> InputError:
-    return InputError(
-        message,
-        "copy it into the folder of the header; or, if you trust the header, add --allow-outside-data "
-        "(in Python: accelsurf.read(path, outside_data=True))",
-    )
+    if not path.resolve().is_relative_to(store.resolve()):
+        name = path.relative_to(store).as_posix()
+        raise InputError(f"{name} is a link to a place outside of the store", "copy the store with its links: cp -rL")
 
 
 def is_anatomical(metadata: Mapping[str, str]) -> bool:

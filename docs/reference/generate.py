@@ -41,9 +41,8 @@ LIMITS_WHY = (
 )
 LIMITS_NAMES = (
     "Names of files are text in UTF-8. In a picture, a character that no installed font has is a box.",
-    "The header of an `.mhd` or `.nrrd` may name a data file in its own folder or below it, links followed. For one "
-    "elsewhere add `--allow-outside-data` to the command, or `outside_data=True` to `accelsurf.read`. Do so only for "
-    "headers that you trust: a header can name any file of the computer.",
+    "The header of an `.mhd` or `.nrrd` may name a data file in its own folder or below it, links followed: it "
+    "could name any file of the computer. The same holds for links in an OME-Zarr; `cp -rL` copies what they lead to.",
 )
 LIMITS_HELD = (
     "`scripts/fuzz --count 10000` gives mutated files and texts to every reader. None may crash, hang for more than "

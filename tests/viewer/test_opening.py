@@ -11,7 +11,6 @@ from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io.headers import outside_data_allowed
 from accelsurf.run.memory import run_bytes
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.opening import Opening
@@ -320,20 +319,6 @@ def test_one_of_several_is_asked_for(opening, study):
     finish(opening)
     opening.request("answer", "cancel")
     assert opening.state()["choices"] == []
-
-
-def test_the_thread_may_read_what_the_command_line_allows(opening, tmp_path):
-    header = tmp_path / "headers" / "a.mhd"
-    header.parent.mkdir()
-    io.write(image(), header)
-    data = next(header.parent.glob("a.*raw"))
-    data.rename(tmp_path / data.name)
-    header.write_text(header.read_text().replace(data.name, f"../{data.name}"))
-    opening.request("open", str(header))
-    assert finish(opening) is None and "outside of its own folder" in opening.message
-    with outside_data_allowed():
-        opening.request("open", str(header))
-    assert finish(opening).volume.geometry.shape == (6, 7, 8)
 
 
 BAD = [

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.headers import check_within_store, is_outside_data_allowed, outside_data_allowed
+from accelsurf.io.headers import check_within_store
 from accelsurf.io.lazy_volume import ChunkCache
 from accelsurf.settings import budgets
 
@@ -235,7 +235,7 @@ class ChunkFiles:
     """
 
     def __init__(self, folder: Path, name: str, array: Any) -> None:
-        self._folder, self._name, self._outside_allowed = folder, name, is_outside_data_allowed()
+        self._folder, self._name = folder, name
         self._metadata = array.metadata
         self.file_shape = tuple(map(int, array.shards or array.chunks))
         self.grid = tuple(-(-int(n) // width) for n, width in zip(array.shape, self.file_shape, strict=True))
@@ -286,8 +286,7 @@ class ChunkFiles:
             When the file is of another size than it announces.
         """
         path = self._path(self.file_of(place))
-        with outside_data_allowed(self._outside_allowed):
-            check_within_store(self._folder, path)
+        check_within_store(self._folder, path)
         found = path.stat()
         if not stat.S_ISREG(found.st_mode):
             raise ValueError("it is no file")

@@ -422,7 +422,7 @@ def test_without_the_package_the_message_says_what_to_install(tmp_path):
 
 @pytest.mark.parametrize("version", ["0.4", "0.5"])
 @pytest.mark.parametrize("what", ["metadata", "level", "chunk"])
-def test_links_out_of_a_store_are_not_followed_unless_it_is_allowed(tmp_path, what, version):
+def test_links_out_of_a_store_are_not_followed(tmp_path, what, version):
     """A store comes from elsewhere: a link in it could show any file of the computer as an image."""
     array = np.arange(64, dtype=np.uint8).reshape(4, 4, 4)
     path = make_store(tmp_path / "a store é.zarr", [array], "zyx", [((1, 1, 1),)], version)
@@ -436,8 +436,6 @@ def test_links_out_of_a_store_are_not_followed_unless_it_is_allowed(tmp_path, wh
     with pytest.raises(InputError, match="a link to a place outside of the store"):
         io.read(path)
     # The store itself may be a link, and a link in it may lead to another place of it.
-    allowed = io.open_volume(path, outside_data=True)
-    assert np.array_equal(allowed.read(whole_box(array.shape)), array)
     (tmp_path / "elsewhere").rename(path / "within")
     target.unlink()
     target.symlink_to(path / "within")
