@@ -121,7 +121,7 @@ _PARTS = ("channel_index", "time_index", "channels_from_time")
 #: Shared by formats that the same library reads.
 _NIFTI: dict[str, Any] = {
     "read": f"{_FORMATS}.nifti_volumes:read_nifti",
-    "write_frames": f"{_FORMATS}.nifti_volumes:write_frames",
+    "write_frames": "accelsurf.io.sequences.nifti_frames:write_frames",
     "options": _PARTS,
     "sequence": f"{_SEQUENCES}.packed:PackedFrames",
     "read_channels": f"{_FORMATS}.nifti_volumes:read_nifti_channels",

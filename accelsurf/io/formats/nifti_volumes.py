@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from gzip import GzipFile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -30,18 +30,13 @@ from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels, write_box
 from accelsurf.io.headers import (
     FRAME_KEY,
     LABELS_KEY,
-    TIMES_KEY,
     UNIT_KEY,
     FrameTimes,
-    single_precision,
     with_warnings,
 )
 from accelsurf.io.lazy_volume import LazyVolume, Opening, StoreLayout
 from accelsurf.io.memory import check_memory
 from accelsurf.settings.labels import LabelTable
-
-if TYPE_CHECKING:
-    from accelsurf.io.sequences.writing import FrameStack
 
 #: Voxels along an axis of a NIfTI-1: its sizes are 16-bit numbers.
 MAX_AXIS = 2**15 - 1
@@ -150,22 +145,11 @@ def write_compressed(volume: Volume, path: Path) -> None:
 def _write(volume: Volume, out: BinaryIO | GzipFile) -> None:
     labels = volume.metadata.get(LABELS_KEY)
     extension = b"" if labels is None else extension_of(LabelTable.from_json(labels))
-    out.write(_header(volume.geometry, volume.array.dtype, volume.metadata, extension))
+    out.write(header_of(volume.geometry, volume.array.dtype, volume.metadata, extension))
     out.write(np.ascontiguousarray(volume.array, volume.array.dtype.newbyteorder("<")).data)
 
 
-def write_frames(path: Path, frames: FrameStack) -> None:
-    """Write a sequence as a NIfTI of four axes, compressed where its name says so."""
-    times = frames.times
-    is_plain = times.is_count or (times.seconds is not None and single_precision(times.seconds) == times.seconds)
-    extension = b"" if is_plain else _extension(nifti.COMMENT_CODE, f"{TIMES_KEY}: {times.text}")
-    with gzip_writer(path) if path.suffix == ".gz" else path.open("wb") as out:
-        out.write(_header(frames.geometry, frames.dtype, {}, extension, times))
-        for array in frames:
-            out.write(array.data)
-
-
-def _header(
+def header_of(
     geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str], extension: bytes = b"",
     times: FrameTimes | None = None,
 ) -> bytes:
@@ -221,7 +205,7 @@ class NiftiBoxes:
     """
 
     def __init__(self, path: Path, geometry: Geometry, dtype: np.dtype[Any], metadata: Mapping[str, str]) -> None:
-        begin = _header(geometry, dtype, metadata)
+        begin = header_of(geometry, dtype, metadata)
         path.write_bytes(begin)
         self._layout = RawLayout(path, len(begin), dtype.newbyteorder("<"), geometry.shape)
         with path.open("r+b") as file:
@@ -251,10 +235,10 @@ def extension_of(table: LabelTable) -> bytes:
         f'<Label Key="0" Red="0" Green="0" Blue="0" Alpha="0">background</Label>\n{rows}'
         "</LabelTable>\n<VolumeType>Label</VolumeType>\n</VolumeInformation>\n</CaretExtension>\n"
     )
-    return _extension(_CODE, text)
+    return extension_with(_CODE, text)
 
 
-def _extension(code: int, text: str) -> bytes:
+def extension_with(code: int, text: str) -> bytes:
     """An extension: its size, a multiple of 16, its code, and a text."""
     content = text.encode()
     size = -(-(len(content) + 8) // 16) * 16
