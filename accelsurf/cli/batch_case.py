@@ -30,7 +30,7 @@ from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
     from accelsurf.batch.admission import Limits
-    from accelsurf.batch.pool import Pool
+    from accelsurf.batch.pool import LocalPool
     from accelsurf.batch.run import Batch
     from accelsurf.image.volume import Volume
 
@@ -123,7 +123,7 @@ def _outputs(place: Place, config: RunConfig | TrackConfig) -> Iterable[Path]:
     return place.paths(config).values()
 
 
-def make_pool(work: Batch, limits: Limits) -> Pool:
+def make_pool(work: Batch, limits: Limits) -> LocalPool:
     """Return the workers of this machine."""
     from accelsurf.batch.pool import LocalPool
 
