@@ -558,9 +558,7 @@ def _check_kind(page: Page) -> None:
         wrong = "rows and columns turned by its orientation tag"
     elif page.get(FILL_ORDER, (1,))[0] != 1:
         wrong = "the bits of each byte in the other order"
-    elif predictor not in (1, 2, 3) or predictor > 1 and (
-        compression in _NO_PREDICTOR or (predictor == 3 and form != 3)
-    ):
+    elif predictor not in (1, 2) or (predictor == 2 and compression in _NO_PREDICTOR):
         wrong = f"differences (predictor number {predictor}) of {bits[0]}-bit values, packed by number {compression},"
     elif page.get(PLANAR, (1,))[0] not in (1, 2):
         wrong = f"planes of kind {page[PLANAR][0]}"
