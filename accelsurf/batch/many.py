@@ -15,7 +15,7 @@ from accelsurf.batch.admission import Limits
 from accelsurf.batch.case import Case, check_id
 from accelsurf.batch.cases import checked_cases, read_cases
 from accelsurf.batch.outcome import CaseTask, Outcome
-from accelsurf.batch.pool import Pool
+from accelsurf.batch.pool import LocalPool
 from accelsurf.batch.run import Batch, refuse_results, task_of
 from accelsurf.batch.tables import Tables
 from accelsurf.errors import AccelsurfError, UsageError
@@ -39,7 +39,7 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
     with its reason. It raises only where the batch as a whole cannot go on.
     """
 
-    def __init__(self, work: Batch, pool: Pool, folder: Path, resume: bool) -> None:
+    def __init__(self, work: Batch, pool: LocalPool, folder: Path, resume: bool) -> None:
         self._work, self._pool, self._folder, self._resume = work, pool, folder, resume
         self._futures: dict[str, Future[Outcome]] = {task.case.id: Future() for task in work.tasks}
         self._closing = threading.Event()
@@ -141,7 +141,6 @@ def segment_many(
     *,
     config: RunConfig | None = None,
     jobs: int | None = None,
-    scheduler: str | None = None,
     case_timeout: float | None = None,
     max_memory: str | None = None,
     overwrite: bool = False,
@@ -160,7 +159,7 @@ def segment_many(
         Folder of all files; each case has its own in it.
     config : RunConfig, optional
         Settings of all cases; the defaults otherwise.
-    jobs, scheduler, case_timeout, max_memory, overwrite, resume, strict
+    jobs, case_timeout, max_memory, overwrite, resume, strict
         As the options of ``accelsurf batch``.
     **options
         Settings of all cases by name, over those of ``config``.
@@ -186,7 +185,7 @@ def segment_many(
     ...         for id, future in many.items():
     ...             print(id, future.result().ml)
     """
-    limits = Limits(jobs, case_timeout, max_memory, scheduler)
+    limits = Limits(jobs, case_timeout, max_memory)
     found, words = _cases(cases)
     common, folder = (config or RunConfig()).replace(**options), Path(output)
     base = CaseTask(found[0], folder.absolute(), common, overwrite or resume, strict, resume=resume)

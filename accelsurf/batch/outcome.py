@@ -34,8 +34,6 @@ class CaseTask:
         Whether files of an earlier run may be replaced.
     strict : bool
         Whether a run that did not converge, or whose result is doubtful, counts as failed.
-    outside_data : bool
-        Whether a header may name a data file in another folder.
     resume : bool
         Whether it goes on from the state that an earlier run has left.
     place : str
@@ -47,7 +45,6 @@ class CaseTask:
     config: RunConfig | TrackConfig
     overwrite: bool = False
     strict: bool = False
-    outside_data: bool = False
     resume: bool = False
     place: str = ""
 

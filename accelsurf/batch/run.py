@@ -10,10 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, Self
 
-from accelsurf.batch.admission import Admission, Limits, Need, admit, by_cluster, need_of, need_of_sequence
+from accelsurf.batch.admission import Admission, Limits, Need, admit, need_of, need_of_sequence
 from accelsurf.batch.cases import Shard
 from accelsurf.batch.outcome import COLUMNS, TRACK_COLUMNS, CaseTask, Outcome
-from accelsurf.batch.pool import Ended, Failure, Job, Pool, Started
+from accelsurf.batch.pool import Ended, Failure, Job, LocalPool, Started
 from accelsurf.batch.records import finished
 from accelsurf.batch.tables import TableNames, Tables
 from accelsurf.errors import OutputError, UsageError
@@ -139,13 +139,10 @@ class Batch:
         needs = {task.case.id: _need(task) for task in tasks}
         given = {task.run.threads for task in tasks} - {"auto"}
         threads = max((int(number) for number in given), default=None)
-        if limits.scheduler is not None:
-            admission = by_cluster(list(needs.values()), threads)
-        else:
-            admission = admit(
-                list(needs.values()), available_cores(), available_memory(),
-                jobs=limits.jobs, threads=threads, memory=limits.memory,
-            )
+        admission = admit(
+            list(needs.values()), available_cores(), available_memory(),
+            jobs=limits.jobs, threads=threads, memory=limits.memory,
+        )
         tasks = [task.with_threads(admission.threads) if task.run.threads == "auto" else task for task in tasks]
         return cls(tasks, needs, admission, shard, layout, argv)
 
@@ -161,12 +158,12 @@ class Batch:
         """True if its cases are sequences."""
         return any(isinstance(task.config, TrackConfig) for task in self.tasks)
 
-    def run(self, pool: Pool, tables: Tables, observer: Observer, lost: Lost, resume: bool) -> None:
+    def run(self, pool: LocalPool, tables: Tables, observer: Observer, lost: Lost, resume: bool) -> None:
         """Run the cases in a pool, record the outcome of each, and close the pool.
 
         Parameters
         ----------
-        pool : Pool
+        pool : LocalPool
             Its function makes an `Outcome` of a `CaseTask`.
         tables : Tables
         observer : Observer
@@ -193,7 +190,7 @@ class Batch:
         tables.write("failed" if failed else "ok", SOME_FAILED if failed else 0)
 
     def _run(
-        self, tasks: Sequence[CaseTask], pool: Pool, tables: Tables, observer: Observer, lost: Lost
+        self, tasks: Sequence[CaseTask], pool: LocalPool, tables: Tables, observer: Observer, lost: Lost
     ) -> None:
         by_id = {task.case.id: task for task in tasks}
         for id, task in by_id.items():
@@ -214,12 +211,12 @@ class Batch:
                         observer.warned(error.message)
                     observer.ended(outcome, left.after(id, time.monotonic() - began))
 
-    def end_early(self, pool: Pool, tables: Tables, exit_code: int) -> None:
+    def end_early(self, pool: LocalPool, tables: Tables, exit_code: int) -> None:
         """End what runs, remove its staging files, and write the tables as they are.
 
         Parameters
         ----------
-        pool : Pool
+        pool : LocalPool
         tables : Tables
         exit_code : int
             What the command returns.

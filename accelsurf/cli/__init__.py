@@ -9,7 +9,6 @@ import atexit
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from typing import NoReturn
 
 from cyclopts import App, CycloptsError, UnusedCliTokensError
@@ -45,13 +44,10 @@ EXIT_CODES = {
     143: "ended by SIGTERM; nothing is written, an earlier result stays",
 }
 
-_OF_EVERY_COMMAND = ("--debug", "--allow-outside-data")
-
 app = App(
     name="accelsurf",
     help="Surfaces of objects in 3D images, by level sets with momentum.",
-    help_epilogue="Every command takes --help, --debug to show the full traceback of an error, and "
-    "--allow-outside-data to read data files that a header (.mhd, .nhdr) names in other folders than its own.",
+    help_epilogue="Every command takes --help, and --debug to show the full traceback of an error.",
     version=__version__,
     help_format="plaintext",
     suppress_keyboard_interrupt=False,  # it would end the process without a line
@@ -132,13 +128,13 @@ def execute(argv: Sequence[str]) -> int:
     """
     arguments = list(argv)
     end = arguments.index("--") if "--" in arguments else len(arguments)
-    debug, outside = (word in arguments[:end] for word in _OF_EVERY_COMMAND)
-    arguments = [word for place, word in enumerate(arguments) if word not in _OF_EVERY_COMMAND or place >= end]
+    debug = "--debug" in arguments[:end]
+    arguments = [word for place, word in enumerate(arguments) if word != "--debug" or place >= end]
     interrupts = Interrupts.current()
     interrupts.install()
     try:
         with guarded() as output:
-            with _outside_data(outside), shown_warnings():
+            with shown_warnings():
                 code = _run(arguments, debug, interrupts)
             output.flush()
             code = interrupts.exit_code(code)
@@ -180,14 +176,6 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
         return _say(1, f"{type(error).__name__}: {error}", hint)
     interrupts.report()
     return code
-
-
-def _outside_data(allowed: bool) -> AbstractContextManager[None]:
-    if not allowed:
-        return nullcontext()
-    from accelsurf.io.headers import outside_data_allowed
-
-    return outside_data_allowed()
 
 
 def _say(code: int, message: str, hint: str) -> int:

@@ -24,14 +24,13 @@ from accelsurf.cli.progress import Watcher
 from accelsurf.errors import AccelsurfError, AccelsurfWarning, InputError
 from accelsurf.io import channels, read_labels
 from accelsurf.io.file_set import InputFiles
-from accelsurf.io.headers import outside_data_allowed
 from accelsurf.output.result_sets import load_report, outdated_inputs, report_name
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
     from accelsurf.batch.admission import Limits
-    from accelsurf.batch.pool import Pool
+    from accelsurf.batch.pool import LocalPool
     from accelsurf.batch.run import Batch
     from accelsurf.image.volume import Volume
 
@@ -64,7 +63,6 @@ def run_one(task: CaseTask) -> Outcome:
     with (
         redirect_stdout(silent),
         redirect_stderr(silent),
-        outside_data_allowed(task.outside_data),
         warnings.catch_warnings(record=True) as said,
     ):
         warnings.simplefilter("always", AccelsurfWarning)
@@ -76,19 +74,6 @@ def run_one(task: CaseTask) -> Outcome:
             outcome = _failed(task, error.message, error.hint, error.exit_code)
     texts = dict.fromkeys(str(warning.message) for warning in said if issubclass(warning.category, AccelsurfWarning))
     return replace(outcome, warnings=(*outcome.warnings, *texts))
-
-
-def run_on_cluster(task: CaseTask) -> Outcome:
-    """The same on a cluster, which runs a case again when its worker was lost: perhaps after its files were written.
-
-    Parameters
-    ----------
-    task : CaseTask
-    """
-    if task.overwrite:
-        return run_one(task)
-    done = records.finished(task)
-    return run_one(replace(task, resume=True)) if done is None else done
 
 
 def lost_outcome(task: CaseTask, failure: Failure) -> Outcome:
@@ -138,14 +123,10 @@ def _outputs(place: Place, config: RunConfig | TrackConfig) -> Iterable[Path]:
     return place.paths(config).values()
 
 
-def make_pool(work: Batch, limits: Limits) -> Pool:
-    """Return the workers of this machine, or those of a cluster."""
+def make_pool(work: Batch, limits: Limits) -> LocalPool:
+    """Return the workers of this machine."""
     from accelsurf.batch.pool import LocalPool
 
-    if limits.scheduler is not None:
-        from accelsurf.batch.dask_pool import DaskPool
-
-        return DaskPool(run_on_cluster, limits.scheduler)
     admission = work.admission
     return LocalPool(
         run_one, admission.jobs, bytes=admission.bytes, timeout=limits.case_timeout, limit=limits.memory, prepare=load

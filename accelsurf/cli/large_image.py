@@ -142,7 +142,6 @@ def settings_in_windows(place: Place, config: RunConfig) -> RunConfig:
         )
     keys = ("save_sdf", "also", "label_group", "mesh_smooth", "mesh_faces", "mesh_error")
     asked = {key: bool(getattr(config, key)) for key in keys} | {"keep_state": config.keep_state == "yes"}
-    asked["mesh_walls"] = config.mesh_walls == "shared"
     for name, given in asked.items():
         if given:
             raise UsageError(
@@ -200,14 +199,10 @@ class ObjectOptions:
     """With --objects: read the image in parts, and run so many groups of objects at the same time, each in a process of
     its own. They share --max-memory. The result is the same."""
 
-    scheduler: Annotated[str | None, Parameter(group=OBJECTS, metavar="ADDRESS")] = None
-    """With --objects: the same on a Dask cluster: the address of its scheduler, or its scheduler file. --max-memory is
-    that of each worker then. Image and outputs must have the same paths there."""
-
     @property
     def given(self) -> bool:
         """True if the image is to be read in parts even if it fits."""
-        return self.jobs is not None or self.scheduler is not None
+        return self.jobs is not None
 
     def check(self, config: RunConfig) -> None:
         """Refuse options that exclude each other.
@@ -221,5 +216,5 @@ class ObjectOptions:
         from accelsurf.batch.admission import Limits
 
         if config.objects is None:
-            raise UsageError("--jobs, --scheduler: were given without --objects", "accelsurf batch runs many images")
-        Limits(self.jobs, scheduler=self.scheduler)
+            raise UsageError("--jobs: it was given without --objects", "accelsurf batch runs many images")
+        Limits(self.jobs)

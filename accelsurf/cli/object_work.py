@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from accelsurf.batch.pool import Ended, Job, Pool
+from accelsurf.batch.pool import Ended, Job, LocalPool
 from accelsurf.cli import large_image
 from accelsurf.cli.case import Place, resumed_place
 from accelsurf.cli.interrupts import Interrupts
@@ -222,7 +222,7 @@ class _Work:
         records = [self._records[group] for group in sorted(self._records)]
         return ObjectsDone(records, failures, ids.tolist(), self._folder, self._notes)
 
-    def _round(self, pool: Pool, number: int, progress: BatchProgress) -> None:
+    def _round(self, pool: LocalPool, number: int, progress: BatchProgress) -> None:
         """Run the groups that wait, and record how they ended."""
         groups = {f"{number}-{place}": group for place, group in enumerate(self._groups.waiting)}
         for key, group in groups.items():
@@ -288,13 +288,9 @@ class _Work:
             {kind: name for kind, name in names.items() if kind.startswith(output_names.EACH)},
         )
 
-    def _pool(self) -> Pool:
+    def _pool(self) -> LocalPool:
         from accelsurf.batch.pool import InlinePool, LocalPool
 
-        if self._options.scheduler is not None:
-            from accelsurf.batch.dask_pool import DaskPool
-
-            return DaskPool(run_task, self._options.scheduler)
         jobs = self._options.jobs or 1
         return InlinePool(run_task) if jobs == 1 else LocalPool(run_task, jobs, prepare=load)
 
@@ -305,8 +301,7 @@ def _with_threads(config: RunConfig, options: ObjectOptions) -> RunConfig:
 
     if config.threads != "auto":
         return config
-    threads = 1 if options.scheduler is not None else max(1, available_cores() // (options.jobs or 1))
-    return config.model_copy(update={"threads": threads})
+    return config.model_copy(update={"threads": max(1, available_cores() // (options.jobs or 1))})
 
 
 def _key_of(config: RunConfig, image: LargeImage, numbers: Any) -> str:

@@ -118,7 +118,6 @@ def _refuse_switches(strict: bool, profile: bool, run: RunConfig) -> None:
     """
     also, layout, group = bool(run.also), run.layout != "plain", run.label_group is not None
     given = {"--strict": strict, "--profile": profile, "--also": also, "--layout": layout, "--label-group": group}
-    given["--mesh-walls"] = run.mesh_walls == "shared"
     for name in (name for name, is_given in given.items() if is_given):
         raise UsageError(
             f"{name}: was given with objects of an image that is read in parts", "leave it out; the table has all ends"

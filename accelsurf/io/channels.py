@@ -146,7 +146,7 @@ def to_grey(array: NDArray[Any]) -> tuple[NDArray[Any], str]:
 
 
 def read_channels(
-    path: str | os.PathLike[str], options: ReadOptions = AS_IT_IS, *, outside_data: bool = False
+    path: str | os.PathLike[str], options: ReadOptions = AS_IT_IS
 ) -> list[Volume]:
     """Read an image of one or more channels.
 
@@ -157,8 +157,6 @@ def read_channels(
         MetaImage of vectors.
     options : ReadOptions, optional
         As for `accelsurf.io.read`; a channel index leaves one channel.
-    outside_data : bool
-        Whether the header may name a data file in another folder than its own.
 
     Returns
     -------
@@ -171,7 +169,7 @@ def read_channels(
         As `accelsurf.io.read`, and for more than 16 channels.
     """
     path = Path(path)
-    with naming(path), headers.outside_data_allowed(outside_data):
+    with naming(path):
         form, header = headers.parse(path, options)
         return read_volumes(path, form, header, available_memory())
 

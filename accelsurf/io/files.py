@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import errno
 import hashlib
 import json
 import os
@@ -210,24 +209,6 @@ def check_bytes(staged: Path, content: bytes) -> None:
                 raise OutputError(incomplete(staged, "other bytes are read than were written"), SPACE_HINT)
 
 
-def reserve(path: Path, size: int) -> None:
-    """Make a file of a size, so that a full disk is an error before a library writes and prints messages of its own.
-
-    Raises
-    ------
-    OSError
-        When there is no space, or a file may not be that large.
-    """
-    if not hasattr(os, "posix_fallocate"):
-        return
-    with path.open("wb") as file:
-        try:
-            os.posix_fallocate(file.fileno(), 0, size)
-        except OSError as error:
-            if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP):  # not known to this file system
-                raise
-
-
 def incomplete(staged: Path, reason: str) -> str:
     """The message about a staging file that is not what was meant."""
     return f"{staged.name}: cannot be written ({reason})"
@@ -247,9 +228,9 @@ def sha256(path: str | os.PathLike[str]) -> str:
         if path.is_dir():
             return _folder_sha256(path)
         if not path.exists():
-            path, found = _files_named(path)
-            if found:
-                return _files_sha256(path, found)
+            names = os.listdir(path.parent) if path.parent.is_dir() else []
+            if found := sorted(name for name in names if fnmatchcase(name, path.name)):
+                return _files_sha256(path.parent, found)
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -259,15 +240,6 @@ def _folder_sha256(folder: Path) -> str:
     # What is written about an OME-Zarr image, in its labels, is not the image; in other folders all files count.
     besides = "labels/" if (folder / "zarr.json").is_file() else None
     return _files_sha256(folder, sorted(name for name in names if besides is None or not name.startswith(besides)))
-
-
-def _files_named(path: Path) -> tuple[Path, list[str]]:
-    """The folder and the names of the files that a pattern names; or the file whose part was named, and none."""
-    if ".npz@" in path.name.lower():
-        return path.with_name(path.name[: path.name.lower().index(".npz@") + 4]), []
-    names = os.listdir(path.parent) if path.parent.is_dir() else []
-    found = sorted(name for name in names if fnmatchcase(name, path.name))
-    return (path.parent if found else path), found
 
 
 def _files_sha256(folder: Path, names: Sequence[str]) -> str:

@@ -1,6 +1,6 @@
 """Headers of images: the format of a file, by its name or its content, and what its header says before voxels are read.
 
-A header may name files in its own folder only (`outside_data_allowed`). Metadata have the keys given here. Times of
+A header may name files in its own folder only. Metadata have the keys given here. Times of
 frames are a step and its unit, or where these cannot say them, a line of text (`FrameTimes.text`).
 """
 
@@ -10,9 +10,7 @@ import math
 import os
 import re
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -48,9 +46,6 @@ UNIT_KEY = "spatial_unit"
 """The unit in which the file gives lengths: nm or um; absent where it is mm, or none. All lengths here are mm."""
 FRAME_KEY = "frame_seconds"
 """Seconds from one time point of a sequence to the next; absent where the file does not say them."""
-#: Names of formats whose files may be zip archives, or are folders that somebody packed.
-_PACKED = ("dcm", "ome.zarr")
-_OUTSIDE_DATA = ContextVar("outside data", default=False)
 
 
 def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any]:
@@ -74,10 +69,10 @@ def parse(path: Path, options: ReadOptions = AS_IT_IS) -> tuple[ImageFormat, Any
     """
     form = format_of(path)
     header = _header(form, path, options)
-    if not path.is_file():  # a folder, a pattern, or an array in an archive
+    if not path.is_file():  # a folder, or a pattern
         return form, header
     data = getattr(header, "data", path)
-    if data != path and not _OUTSIDE_DATA.get():
+    if data != path:
         _check_data_folder(path, data)
     if hasattr(header, "check_claims"):
         header.check_claims()
@@ -95,7 +90,7 @@ def _header(form: ImageFormat, path: Path, options: ReadOptions) -> Any:
 
 
 def format_of(path: Path) -> ImageFormat:
-    """The format of a file or folder, of slices by a pattern or an array in an archive: by name, else by content.
+    """The format of a file or folder, of slices by a pattern: by name, else by content.
 
     Raises
     ------
@@ -109,12 +104,14 @@ def format_of(path: Path) -> ImageFormat:
             raise InputError("this is a folder, an image file expected", "give an image file, or a folder of DICOM")
         return form
     if not path.exists():
-        return _absent_form(path)
+        if is_pattern(path):
+            return IMAGE_FORMATS["slices"]
+        raise InputError("there is no such file", hint="check the path")
     form = image_format(split_name(path)[1])
-    if (form is None or form.name in _PACKED) and path.is_file():
-        _check_no_packed_zarr(path)
     if form is None and path.is_file():
         form = next((kind for kind in IMAGE_FORMATS.values() if kind.is_file and load(kind.is_file)(path)), None)
+        if form is None and zipfile.is_zipfile(path):
+            raise InputError("a zip archive given, which is not read", "unpack it, and give what is in it")
     if form is None:
         raise InputError(
             f"unknown file type, one of {', '.join(image_suffixes())} expected",
@@ -124,45 +121,6 @@ def format_of(path: Path) -> ImageFormat:
     if path.stat().st_size == 0:
         raise InputError("the file is empty", hint="copy or export it again")
     return form
-
-
-def _absent_form(path: Path) -> ImageFormat:
-    """The format where no file has the path itself: slices by a pattern, or an array in an archive.
-
-    Raises
-    ------
-    InputError
-        When it is neither.
-    """
-    if is_pattern(path):
-        return IMAGE_FORMATS["slices"]
-    archive = path.name.lower().partition(".npz@")
-    if archive[2] and path.with_name(path.name[: len(archive[0]) + 4]).is_file():
-        return IMAGE_FORMATS["npz"]
-    raise InputError("there is no such file", hint="check the path")
-
-
-def _check_no_packed_zarr(path: Path) -> None:
-    """Refuse a zip archive of a Zarr, by name: chunks are read from a folder.
-
-    Raises
-    ------
-    InputError
-    """
-    if not zipfile.is_zipfile(path):
-        return
-    marks = {mark for form in IMAGE_FORMATS.values() if form.has_levels for mark in form.folder_marks}
-    try:
-        with zipfile.ZipFile(path) as archive:
-            found = next((name for name in archive.namelist() if name.rpartition("/")[2] in marks), None)
-    except (zipfile.BadZipFile, NotImplementedError, ValueError):
-        return  # who reads the archive says what is wrong with it
-    if found is not None:
-        below = found.split("/")[0] if "/" in found else f"{path.name.split('.')[0]}.zarr"
-        raise InputError(
-            f"a zipped Zarr given (it has {found[:80]}), the folder of an OME-Zarr expected",
-            f"unpack it, and give the folder: unzip {path.name}{'' if '/' in found else f' -d {below}'}",
-        )
 
 
 def _folder_format(path: Path) -> ImageFormat | None:
@@ -311,30 +269,6 @@ def check_name(path: Path) -> None:
         raise InputError("the name of the file has a zero byte", "correct the name")
 
 
-@contextmanager
-def outside_data_allowed(allowed: bool = True) -> Iterator[None]:
-    """While it lasts, a header may name a data file in another folder than its own.
-
-    A header comes from elsewhere more often than a data file does: it could name any file of the computer, whose bytes
-    would then be shown as an image.
-
-    Parameters
-    ----------
-    allowed : bool
-        False leaves it as it is.
-    """
-    before = _OUTSIDE_DATA.set(allowed or _OUTSIDE_DATA.get())
-    try:
-        yield
-    finally:
-        _OUTSIDE_DATA.reset(before)
-
-
-def is_outside_data_allowed() -> bool:
-    """Test if a header may name a data file in another folder now; for processes that go on with this work."""
-    return _OUTSIDE_DATA.get()
-
-
 def check_data_file(path: Path, data: Path) -> None:
     """Refuse a further file that a header names where it is missing, or lies in another folder than its header.
 
@@ -343,8 +277,7 @@ def check_data_file(path: Path, data: Path) -> None:
     InputError
         With what to do.
     """
-    if not _OUTSIDE_DATA.get():
-        _check_data_folder(path, data)
+    _check_data_folder(path, data)
     if not data.is_file():
         raise InputError(
             f"the header names the file {data.name}, which is missing", f"copy {data.name} into the same folder"
@@ -352,29 +285,28 @@ def check_data_file(path: Path, data: Path) -> None:
 
 
 def _check_data_folder(path: Path, data: Path) -> None:
-    """Refuse a data file that lies, with links followed, in another folder than its header."""
+    """Refuse a data file that lies, with links followed, in another folder than its header.
+
+    A header comes from elsewhere more often than a data file does: it could name any file of the computer, whose bytes
+    would then be shown as an image.
+    """
     folders = {path.parent.resolve(), path.resolve().parent}
     if not any(data.resolve().is_relative_to(folder) for folder in folders):
-        raise _outside(f"the header names the data file {data}, outside of its own folder")
+        raise InputError(
+            f"the header names the data file {data}, outside of its own folder", "copy it into the folder of the header"
+        )
 
 
 def check_within_store(store: Path, path: Path) -> None:
-    """Refuse a file or folder of a store that lies, with links followed, outside of the store, if it is not allowed.
+    """Refuse a file or folder of a store that lies, with links followed, outside of the store.
 
     Raises
     ------
     InputError
     """
-    if not _OUTSIDE_DATA.get() and not path.resolve().is_relative_to(store.resolve()):
-        raise _outside(f"{path.relative_to(store).as_posix()} is a link to a place outside of the store")
-
-
-def _outside(message: str) -> InputError:
-    return InputError(
-        message,
-        "copy it into the folder of the header; or, if you trust the header, add --allow-outside-data "
-        "(in Python: accelsurf.read(path, outside_data=True))",
-    )
+    if not path.resolve().is_relative_to(store.resolve()):
+        name = path.relative_to(store).as_posix()
+        raise InputError(f"{name} is a link to a place outside of the store", "copy the store with its links: cp -rL")
 
 
 def is_anatomical(metadata: Mapping[str, str]) -> bool:

@@ -35,7 +35,6 @@ def read(
     *,
     options: ReadOptions = AS_IT_IS,
     memory_bytes: int | None = None,
-    outside_data: bool = False,
 ) -> Volume:
     """Read a 3D image, or a 2D one as a volume of one slice.
 
@@ -47,8 +46,6 @@ def read(
         Which channel, time point or series, and what else the file does not say.
     memory_bytes : int, optional
         Memory to plan with; by default what the machine has available now.
-    outside_data : bool
-        Whether the header may name a data file in another folder than its own.
 
     Returns
     -------
@@ -75,7 +72,7 @@ def read(
     are a printer's and not used. Colours become their luminance, with a warning; grey saved as colour is grey again.
     """
     path = Path(path)
-    with naming(path), headers.outside_data_allowed(outside_data):
+    with naming(path):
         form, header = headers.parse(path, options)
         available = available_memory() if memory_bytes is None else memory_bytes
         volume: Volume = load(form.read)(path, header, available)

@@ -10,12 +10,11 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock, Thread
-from typing import IO, Any, BinaryIO, TypeVar
+from typing import IO, Any, TypeVar
 
 import numpy as np
 import SimpleITK as sitk
@@ -64,17 +63,6 @@ def execute(reader: sitk.ImageFileReader) -> sitk.Image:
     """Read the voxels; a fourth axis of one is dropped."""
     image = listened(reader.Execute)
     return image[:, :, :, 0] if image.GetDimension() == 4 and image.GetSize()[3] == 1 else image
-
-
-@contextmanager
-def copied(suffix: str) -> Iterator[tuple[Path, BinaryIO]]:
-    """A file for what ITK is to read, and its name; gone afterwards."""
-    number, name = tempfile.mkstemp(suffix, "accelsurf-")
-    try:
-        with open(number, "wb") as out:
-            yield Path(name), out
-    finally:
-        os.unlink(name)
 
 
 def array_of(path: Path, itk_name: str) -> NDArray[Any]:
@@ -127,7 +115,7 @@ def geometry_of(image: sitk.Image | sitk.ImageFileReader) -> Geometry:
     return Geometry(image.GetSize()[2::-1], image.GetSpacing()[2::-1], image.GetOrigin()[:3], direction)
 
 
-def check_kind(reader: sitk.ImageFileReader, count: int = 1, is_interleaved: bool = False) -> None:
+def check_kind(reader: sitk.ImageFileReader, count: int = 1) -> None:
     """Refuse by name what is not a 3D image of real numbers (NIfTI was refused from its raw header already).
 
     Parameters
@@ -135,8 +123,6 @@ def check_kind(reader: sitk.ImageFileReader, count: int = 1, is_interleaved: boo
     reader : sitk.ImageFileReader
     count : int
         How many components or volumes are expected.
-    is_interleaved : bool
-        Whether they are components.
 
     Raises
     ------
@@ -148,7 +134,8 @@ def check_kind(reader: sitk.ImageFileReader, count: int = 1, is_interleaved: boo
     pixel = sitk.GetPixelIDValueAsString(reader.GetPixelIDValue())
     if "complex" in pixel:
         raise InputError("a complex image given, one real number per voxel expected", hint="take the magnitude first")
-    if components > 1 and components != (count if is_interleaved else 1):
+    volumes = size[3] if len(size) == 4 else 1
+    if components > 1 and components * volumes != count:
         kind = "colour (RGB) or vector" if components in (3, 4) and "unsigned" in pixel else "vector"
         raise InputError(
             f"a {kind} image ({text}, {components} components per voxel) given, one number per voxel expected",
@@ -159,7 +146,7 @@ def check_kind(reader: sitk.ImageFileReader, count: int = 1, is_interleaved: boo
             f"a {len(size)}D image ({text}) given, 3D expected",
             hint="add a slice axis of size 1, or use Volume.from_array in Python",
         )
-    if len(size) > 4 or (len(size) == 4 and size[3] != (1 if is_interleaved else count)):
+    if len(size) > 4 or components * volumes != count:
         raise InputError(
             f"a {len(size)}D image ({text}) given, 3D expected", hint="extract one time point or channel first"
         )

@@ -131,7 +131,7 @@ class LazyVolume:
         self.layout = layout or StoreLayout((geometry,))
         self._metadata: dict[str, str] = metadata or {}
         self._note = note
-        self._opened: tuple[Path, Opening, bool] | None = None
+        self._opened: tuple[Path, Opening] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """One that was opened is opened again by whoever unpickles it: another process, on the same files."""
@@ -139,9 +139,9 @@ class LazyVolume:
             return LazyVolume, (self.voxels, self.geometry, self.metadata, self.source)
         return _reopened, self._opened
 
-    def keep_opening(self, path: Path, opening: Opening, outside_data: bool) -> None:
+    def keep_opening(self, path: Path, opening: Opening) -> None:
         """Keep the arguments by which another process, or `coarser`, opens it again."""
-        self._opened = path, opening, outside_data
+        self._opened = path, opening
 
     @classmethod
     def of_array(cls, volume: Volume) -> LazyVolume:
@@ -183,8 +183,8 @@ class LazyVolume:
         """
         if self._opened is None or self.layout.level + 1 >= len(self.layout.levels):
             return None
-        path, opening, outside = self._opened
-        return _reopened(path, replace(opening, level=self.layout.level + 1), outside)
+        path, opening = self._opened
+        return _reopened(path, replace(opening, level=self.layout.level + 1))
 
     @property
     def bytes_read(self) -> int:
@@ -267,7 +267,6 @@ def open_volume(
     time_index: int | None = None,
     cache_bytes: int = CACHE_BYTES,
     spacing: Spacing | None = None,
-    outside_data: bool = False,
 ) -> LazyVolume:
     """Open an image without reading its voxels.
 
@@ -284,8 +283,6 @@ def open_volume(
         file as they are need none: the operating system has a cache of files.
     spacing : tuple of float, optional
         Size of a voxel (x, y, z), mm, of a picture, a stack or an array that does not say it.
-    outside_data : bool, optional
-        As for `accelsurf.io.read`.
 
     Raises
     ------
@@ -295,12 +292,12 @@ def open_volume(
     UsageError
         When there is no such level, channel or time point.
     """
-    return _opened(Path(path), Opening(level, channel_index, time_index, cache_bytes, spacing), outside_data)
+    return _opened(Path(path), Opening(level, channel_index, time_index, cache_bytes, spacing))
 
 
-def _opened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
+def _opened(path: Path, opening: Opening) -> LazyVolume:
     """Open an image; see `open_volume`."""
-    with naming(path), headers.outside_data_allowed(outside_data):
+    with naming(path):
         form, header = headers.parse(path, opening.options)
         if form.open is None:
             raise InputError(
@@ -308,13 +305,13 @@ def _opened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
                 "convert it to OME-Zarr, or save it uncompressed as .nii, .nrrd or .mha",
             )
         volume: LazyVolume = load(form.open)(path, header, opening)
-    volume.keep_opening(path.absolute(), opening, headers.is_outside_data_allowed() or outside_data)
+    volume.keep_opening(path.absolute(), opening)
     return volume
 
 
-def _reopened(path: Path, opening: Opening, outside_data: bool) -> LazyVolume:
+def _reopened(path: Path, opening: Opening) -> LazyVolume:
     """A volume that was opened, once more."""
-    return _opened(path, replace(opening, again=True), outside_data)
+    return _opened(path, replace(opening, again=True))
 
 
 def open_with(path: str | os.PathLike[str], options: ReadOptions) -> LazyVolume:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 import os
 from collections.abc import Sequence
-from pathlib import Path
 
 from accelsurf.errors import InputError
 
@@ -15,16 +13,10 @@ _GIB = 2.0**30
 
 
 def available_memory() -> int:
-    """Bytes that can be allocated without swapping; on systems that do not say it, as macOS, all physical memory."""
-    try:
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) * 1024
-    except OSError:
-        pass  # not Linux
-    if not hasattr(os, "sysconf"):
-        return _available_on_windows()
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    """Bytes that can be allocated without swapping."""
+    import psutil
+
+    return int(psutil.virtual_memory().available)
 
 
 def available_cores() -> int:
@@ -32,24 +24,6 @@ def available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-class _MemoryStatus(ctypes.Structure):
-    """MEMORYSTATUSEX of Windows."""
-
-    _fields_ = (
-        ("length", ctypes.c_uint32),
-        ("load", ctypes.c_uint32),
-        ("physical", ctypes.c_uint64),
-        ("available", ctypes.c_uint64),
-        ("others", ctypes.c_uint64 * 5),
-    )
-
-
-def _available_on_windows() -> int:
-    status = _MemoryStatus(length=ctypes.sizeof(_MemoryStatus))
-    ctypes.CDLL("kernel32").GlobalMemoryStatusEx(ctypes.byref(status))
-    return int(status.available)
 
 
 def check_memory(size_xyz: Sequence[int], voxel_bytes: int, available: int) -> None:

@@ -154,11 +154,12 @@ def _longest_across(points: Floats, facets: NDArray[np.int32], line: Floats) -> 
     edges = _edges(facets)
     heights, near = points @ axis, 1e-9 * _length(line)
     levels, middle = np.unique(heights[np.unique(edges)]), float(line.mean(axis=0) @ axis)
-    cut, first = _edges_at(levels, heights[edges], near)
+    low, high = heights[edges].min(axis=1) - near, heights[edges].max(axis=1) + near
     best, longest = line[:1].repeat(2, axis=0), 0.0
     for place in np.argsort(np.abs(levels - middle), kind="stable"):  # the widest are near the middle
-        height, cut_edges = levels[place], edges[cut[first[place] : first[place + 1]]]
-        a, b = points[cut_edges[:, 0]], points[cut_edges[:, 1]]
+        height = levels[place]
+        met = edges[(low <= height) & (height <= high)]
+        a, b = points[met[:, 0]], points[met[:, 1]]
         from_a, rise = height - a @ axis, (b - a) @ axis
         flat = np.abs(rise) <= near
         share = np.clip(from_a / np.where(flat, 1.0, rise), 0.0, 1.0)
@@ -177,15 +178,3 @@ def _edges(facets: NDArray[np.int32]) -> NDArray[np.int32]:
     count = facets.shape[1]
     edges = np.concatenate([facets[:, [a, b]] for a in range(count) for b in range(a + 1, count)])
     return np.asarray(np.unique(np.sort(edges, axis=1), axis=0))
-
-
-def _edges_at(levels: Floats, heights: Floats, near: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the edges that meet each level, by the heights (n, 2) of their ends; a level's lie between two indices."""
-    low = np.searchsorted(levels, heights.min(axis=1) - near, side="left")
-    high = np.searchsorted(levels, heights.max(axis=1) + near, side="right")
-    counts = high - low
-    begins = np.cumsum(counts) - counts
-    met = np.arange(counts.sum()) - np.repeat(begins - low, counts)  # the levels of the first edge, of the second ...
-    order = np.argsort(met, kind="stable")
-    edges = np.repeat(np.arange(len(counts)), counts)[order]
-    return edges, np.searchsorted(met[order], np.arange(len(levels) + 1))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from accelsurf.errors import InputError, UsageError
-from accelsurf.measure.mesh_distance import TriangleIndex, largest_distance, mean_side, sides
+from accelsurf.measure.mesh_distance import largest_distance, mean_side, sides
 from accelsurf.measure.surface_mesh import Surface
 
 Floats = NDArray[np.float64]
@@ -26,8 +26,6 @@ MAX_ROUNDS = 2000
 EAGERNESS = (7, 6, 5, 8)
 #: Tries of the search for the coarsest mesh within an error.
 SEARCHES = 9
-#: Rounds in which vertices are evened out after remeshing.
-EVENING = 10
 
 
 @dataclass(frozen=True)
@@ -40,16 +38,13 @@ class MeshOptions:
         Bumps shorter than this are flattened, mm; 0 for none.
     faces : int or None
         Number of triangles.
-    side : float or None
-        Length of their sides, mm.
     error : float or None
-        Largest distance to the surface that is allowed, mm; without ``faces`` and ``side`` the mesh is made as coarse
-        as it allows.
+        Largest distance to the surface that is allowed, mm; without ``faces`` the mesh is made as coarse as it
+        allows.
     """
 
     smooth: float = 0.0
     faces: int | None = None
-    side: float | None = None
     error: float | None = None
 
 
@@ -104,11 +99,9 @@ def shape(exact: Surface, options: MeshOptions) -> ShapedMesh:
         surface = _sound_or_old(decimated(surface, options.faces), surface, "mesh-faces", warnings)
     elif options.faces is not None and options.faces > len(surface.faces):
         warnings.append(f"mesh-faces: the mesh has {len(surface.faces)} triangles, fewer than {options.faces}")
-    elif options.side is not None:
-        surface = _sound_or_old(remeshed(surface, options.side), surface, "mesh-faces", warnings)
     elif options.error is not None and options.faces is None:
         surface = coarsest(exact, surface, options.error)
-    if options.error is not None and (options.faces is not None or options.side is not None):
+    if options.error is not None and options.faces is not None:
         _refuse_beyond(exact, surface, options.error, "mesh-faces", f"{len(surface.faces)} triangles")
     distance = 0.0 if surface is exact else largest_distance(exact, surface)
     return ShapedMesh(surface, distance, tuple(warnings))
@@ -239,51 +232,6 @@ def coarsest(exact: Surface, surface: Surface, error: float) -> Surface:
         else:
             low = middle
     return best
-
-
-def remeshed(surface: Surface, side: float) -> Surface:
-    """Triangles of about the same size, with sides of a length in mm on average.
-
-    The number of triangles is that of equilateral ones on the same area. Their vertices are evened out on the surface:
-    each moves to the middle of its neighbours, and back to the nearest place of the surface.
-
-    Raises
-    ------
-    UsageError
-        When the mesh is coarser than that already.
-    """
-    count = max(4, round(surface.area / (math.sqrt(3) / 4 * side**2)))
-    if count > len(surface.faces):
-        raise UsageError(
-            f"mesh_faces: {side:g} mm was given, and the mesh's own sides are {mean_side(surface):.2g} mm long",
-            "give a longer one, or leave it out: a finer mesh would not say more",
-        )
-    coarse, index = decimated(surface, count), TriangleIndex(surface)
-    for _ in range(EVENING if is_sound(coarse) else 0):
-        edges, n = sides(coarse), len(coarse.vertices)
-        ones = np.ones(2 * len(edges))
-        beside = sparse.csr_matrix((ones, (edges.ravel("F"), edges[:, ::-1].ravel("F"))), shape=(n, n))
-        means = (beside @ coarse.vertices) / np.maximum(np.asarray(beside.sum(axis=1)), 1.0)
-        coarse = _displaced(coarse, index.closest(means)[1])
-    return coarse
-
-
-def _displaced(surface: Surface, points: Floats) -> Surface:
-    """The mesh with its vertices moved, but for those whose triangles would turn over or become slivers."""
-    before = surface.vertices[surface.faces]
-    old = np.cross(before[:, 1] - before[:, 0], before[:, 2] - before[:, 0])
-    points = points.copy()
-    for _ in range(20):
-        after = points[surface.faces]
-        new = np.cross(after[:, 1] - after[:, 0], after[:, 2] - after[:, 0])
-        lengths = np.linalg.norm(old, axis=1) * np.linalg.norm(new, axis=1)
-        turned = np.einsum("ij,ij->i", old, new) <= 0.7 * lengths
-        turned |= smallest_angles(after) < np.minimum(15.0, smallest_angles(before))
-        if not turned.any():
-            return Surface(points, surface.faces)
-        stay = np.unique(surface.faces[turned])
-        points[stay] = surface.vertices[stay]
-    return surface
 
 
 def smallest_angles(corners: Floats) -> Floats:

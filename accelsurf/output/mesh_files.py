@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from accelsurf.errors import UsageError
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.settings.toml import mesh_size
 
 if TYPE_CHECKING:
     from accelsurf.measure.mesh_shaping import MeshOptions
@@ -60,8 +59,7 @@ def options_of(config: RunConfig) -> MeshOptions:
     """Return what the settings want of meshes."""
     from accelsurf.measure.mesh_shaping import MeshOptions
 
-    faces, side = (None, None) if config.mesh_faces is None else mesh_size(config.mesh_faces)
-    return MeshOptions(config.mesh_smooth, faces, side, config.mesh_error)
+    return MeshOptions(config.mesh_smooth, config.mesh_faces, config.mesh_error)
 
 
 def shaped(surface: Surface, config: RunConfig) -> tuple[Surface, dict[str, Any], tuple[str, ...]]:

@@ -124,7 +124,7 @@ def check_outputs(config: RunConfig, labels: str, geometry: Geometry) -> None:
                 f"--mesh auto is {','.join(automatic_mesh_formats(shape))} for {'one slice' if is_2d else 'a volume'}",
             )
     for key in ("mesh_smooth", "mesh_faces", "mesh_error"):
-        if is_2d and (getattr(config, key) or config.mesh_walls == "shared"):
+        if is_2d and getattr(config, key):
             raise UsageError(f"{key}: it was given for {image}", "leave it out: contours are written as they are")
     if IMAGE_FORMATS[labels].only_2d and geometry.shape[0] > 1:
         raise UsageError(

@@ -20,7 +20,6 @@ from accelsurf.correct.state_file import state_bytes
 from accelsurf.image.grey_window import parse_window
 from accelsurf.io.files import write_bytes
 from accelsurf.io.headers import LABELS_KEY, UNIT_KEY, is_anatomical
-from accelsurf.measure import shared_walls
 from accelsurf.measure.contours import Contours
 from accelsurf.output import layouts, tables
 from accelsurf.output import names as output_names
@@ -160,13 +159,12 @@ def _mesh_writers(result: Result, names: Mapping[str, str], notes: MeshNotes) ->
     if not kinds:
         return
     is_2d, space = result.geometry.slice_axis is not None, result.config.mesh_space
-    common = {} if is_2d or result.config.mesh_walls == "own" else shared_walls.extract(result.objects, result.geometry)
     table = table_of(result.config) if is_named(result.config) else None
     for segmented in result.objects:
         if not segmented.has_surface:
             continue
         label = None if table is None else table[segmented.id]
-        mesh, statistics = segmented.contours if is_2d else common.get(segmented.id, segmented.surface), None
+        mesh, statistics = segmented.contours if is_2d else segmented.surface, None
         if not is_2d and is_shaped(result.config):
             mesh, statistics, warnings = shaped(segmented.surface, result.config)
             notes.warn(f"object {segmented.id}: {line}" if result.has_ids else line for line in warnings)

@@ -103,36 +103,17 @@ TIFF_STRIPS = Budget(
     "the strips of a TIFF together", 4, "bytes", "save it as a plain stack, without shared strips", "byte of the file"
 )
 TIFF_PLANES = Budget("the pages that an OME-TIFF or an ImageJ stack announces", 1 << 22, "pages", "is it damaged?")
-NPZ = Budget(
-    "an array of an .npz, unpacked", 1032, "bytes", "the file is damaged: save it again", "packed byte (and 1024)"
-)
 SLICES = Budget("the files of a folder of slices", 1 << 16, "files", "make one stack of them, as OME-Zarr")
 DICOM_FRAMES = Budget("the frames of a DICOM file", 1 << 16, "frames", "is its header damaged?")
-DICOM_DEFLATED = Budget(
-    "a deflated DICOM file, unpacked", 100, "bytes", "store it without the deflated transfer syntax",
-    "packed byte (and 1048576)",
-)
 DICOM_PACKED = Budget(
     "a packed frame of a DICOM file", 4096, "bytes", "the header is damaged: copy or export it again",
     "packed byte (and 4096)",
-)
-DICOM_ARCHIVE_FILES = Budget("files in an archive of DICOM", 1 << 16, "files", "unpack it, and give the folder")
-DICOM_ARCHIVE_BYTES = Budget(
-    "an archive of DICOM, unpacked", 1 << 35, "bytes", "unpack it, and give the folder of the scan"
-)
-DICOM_ARCHIVE = Budget(
-    "an archive of DICOM, unpacked", 100, "bytes", "unpack it, and give the folder of the scan",
-    "packed byte (and 1048576)",
 )
 ZARR_CHUNK = Budget("a chunk of a Zarr, unpacked", 1 << 30, "bytes", "store it in smaller chunks")
 ZARR_METADATA = Budget("a file of metadata of a Zarr", 1 << 24, "bytes", "is it damaged? export the image again")
 ZARR_LEVELS = Budget("the levels of an OME-Zarr", 64, "levels", "is it damaged? export the image again")
 MESH_FILE = Budget(
     "a mesh in memory while it is read", 1, "bytes", "simplify the mesh first", "byte of free memory"
-)
-MESH_COPIES = Budget(
-    "the points and triangles that a glTF builds", 1, "points and triangles",
-    "export it as one mesh", "byte of the file (and 1048576)",
 )
 MESH_ROWS = Budget(
     "rows of voxels that the triangles of a mesh span, over all triangles", 1 << 27, "rows",
@@ -156,7 +137,7 @@ STATE_UNPACKED = Budget(
 #: All of them, in the order of the reference page.
 BUDGETS = (
     CONFIG, EXPRESSION, PATH, PATH_VOXELS, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, AXIS, SLACK, DEFLATE,
-    LZW, PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, NPZ, SLICES, DICOM_FRAMES, DICOM_DEFLATED, DICOM_PACKED,
-    DICOM_ARCHIVE_FILES, DICOM_ARCHIVE_BYTES, DICOM_ARCHIVE, ZARR_CHUNK, ZARR_METADATA, ZARR_LEVELS, MESH_FILE,
-    MESH_COPIES, MESH_ROWS, OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED,
+    LZW, PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, SLICES, DICOM_FRAMES, DICOM_PACKED,
+    ZARR_CHUNK, ZARR_METADATA, ZARR_LEVELS, MESH_FILE,
+    MESH_ROWS, OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED,
 )

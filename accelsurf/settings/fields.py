@@ -22,7 +22,6 @@ from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.reading import ReadOptions, spacing_of
 from accelsurf.settings.toml import (
     INTERVAL,
-    MESH_SIZE,
     VOLUME,
     VOXELS,
     all_split,
@@ -31,7 +30,6 @@ from accelsurf.settings.toml import (
     checked_expression,
     checked_volume,
     interval_of,
-    mesh_size,
     one_or_many,
     split_commas,
 )
@@ -429,18 +427,11 @@ class SettingFields(BaseModel):
         entry=SettingEntry(FILES, unit="mm", metavar="MM", fixed=True),
         ge=0,
     )
-    mesh_faces: Annotated[
-        Annotated[str, Field(pattern=MESH_SIZE)] | None, BeforeValidator(checked(mesh_size, numbers=int))
-    ] = setting(
+    mesh_faces: int | None = setting(
         None,
-        "Make the written mesh coarser, to a number of triangles: 20000; or remesh it with sides of a length: 2mm.",
-        entry=SettingEntry(FILES, metavar="N|LENGTH", fixed=True),
-    )
-    mesh_walls: Literal["own", "shared"] = setting(
-        "own",
-        "Walls between objects that touch: each mesh has its own, or both have the same triangles, without gap or "
-        "overlap.",
-        entry=SettingEntry(FILES, metavar="own|shared", fixed=True),
+        "Make the written mesh coarser, to this number of triangles.",
+        entry=SettingEntry(FILES, metavar="N", fixed=True),
+        ge=4,
     )
     mesh_error: float | None = setting(
         None,

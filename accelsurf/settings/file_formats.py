@@ -121,15 +121,16 @@ _PARTS = ("channel_index", "time_index", "channels_from_time")
 #: Shared by formats that the same library reads.
 _NIFTI: dict[str, Any] = {
     "read": f"{_FORMATS}.nifti_volumes:read_nifti",
+    "write_frames": "accelsurf.io.sequences.nifti_frames:write_frames",
     "options": _PARTS,
-    "sequence": f"{_SEQUENCES}.packed:NiftiFrames",
+    "sequence": f"{_SEQUENCES}.packed:PackedFrames",
     "read_channels": f"{_FORMATS}.nifti_volumes:read_nifti_channels",
     "is_anatomical": f"{_FORMATS}.nifti_grid:is_nifti_anatomical",
 }
 _ITK: dict[str, Any] = {
     "read": f"{_FORMATS}.itk_volumes:read_by_itk",
     "options": _PARTS,
-    "sequence": f"{_SEQUENCES}.packed:ItkFrames",
+    "sequence": f"{_SEQUENCES}.packed:PackedFrames",
     "read_channels": f"{_FORMATS}.itk_volumes:read_channels_by_itk",
     "open": f"{_FORMATS}.itk_volumes:open_raw",
 }
@@ -141,7 +142,6 @@ _NRRD: dict[str, Any] = {
 _METAIMAGE: dict[str, Any] = {
     "parse": f"{_FORMATS}.nrrd_metaimage:parse_metaimage",
     "write": f"{_FORMATS}.itk_volumes:write_metaimage",
-    "write_frames": f"{_SEQUENCES}.sequence_files:write_metaimage",
     **_ITK,
 }
 
@@ -153,7 +153,6 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         (".nii.gz",),
         parse=f"{_FORMATS}.nifti:read_compressed_header",
         write=f"{_FORMATS}.nifti_volumes:write_compressed",
-        write_frames=f"{_SEQUENCES}.sequence_files:write_packed_nifti",
         **_NIFTI,
     ),
     ImageFormat(
@@ -162,7 +161,6 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         (".nii",),
         parse=f"{_FORMATS}.nifti:read_plain_header",
         write=f"{_FORMATS}.nifti_volumes:write_nifti",
-        write_frames=f"{_SEQUENCES}.sequence_files:write_nifti",
         open=f"{_FORMATS}.nifti_volumes:open_nifti",
         store=f"{_FORMATS}.nifti_volumes:store_nifti",
         **_NIFTI,
@@ -172,7 +170,6 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         "NRRD; written compressed",
         (".nrrd",),
         write=f"{_FORMATS}.itk_volumes:write_nrrd",
-        write_frames=f"{_SEQUENCES}.sequence_files:write_nrrd",
         **_NRRD,
     ),
     ImageFormat("nhdr", "NRRD, a header that names its data file; read only", (".nhdr",), **_NRRD),
@@ -227,8 +224,8 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
     ),
     ImageFormat(
         "dcm",
-        "DICOM, a folder of slices, one of its files, or a zip archive; a segmentation as a label map; read only",
-        (".dcm", ".ima", ".zip"),
+        "DICOM, a folder of slices or one of its files; a segmentation as a label map; read only",
+        (".dcm", ".ima"),
         f"{_FORMATS}.dicom:parse_dicom",
         f"{_FORMATS}.dicom:read_dicom",
         options=("series", "resample", "spacing"),
@@ -243,17 +240,9 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         "mgz",
         "MGH and MGZ of FreeSurfer; read only",
         (".mgz", ".mgh"),
-        f"{_FORMATS}.other_volumes:parse_mgh",
-        f"{_FORMATS}.other_volumes:read_mgh",
-        is_anatomical=f"{_FORMATS}.other_volumes:is_mgh_anatomical",
-    ),
-    ImageFormat(
-        "gipl",
-        "GIPL; read only",
-        (".gipl",),
-        f"{_FORMATS}.other_volumes:parse_gipl",
-        f"{_FORMATS}.other_volumes:read_gipl",
-        keeps="spacing",
+        f"{_FORMATS}.mgh:parse_mgh",
+        f"{_FORMATS}.mgh:read_mgh",
+        is_anatomical=f"{_FORMATS}.mgh:is_mgh_anatomical",
     ),
     ImageFormat(
         "slices",
@@ -275,16 +264,6 @@ IMAGE_FORMATS: Registry[ImageFormat] = Registry(
         f"{_FORMATS}.numpy_arrays:write_npy",
         ("spacing", "time_index"),
         open=f"{_FORMATS}.numpy_arrays:open_npy",
-        keeps="none",
-    ),
-    ImageFormat(
-        "npz",
-        "an array in an archive of numpy, named as FILE.npz@NAME where it has several",
-        (".npz",),
-        f"{_FORMATS}.numpy_arrays:parse_archive",
-        f"{_FORMATS}.numpy_arrays:read_array",
-        None,
-        ("spacing",),
         keeps="none",
     ),
 )
@@ -331,7 +310,7 @@ def input_help() -> str:
     Examples
     --------
     >>> input_help()
-    '.nii.gz, .nii, .nrrd, .nhdr, .mha, .mhd, .ome.zarr, .png, .tif, .dcm, .mgz, .gipl, .npy or .npz'
+    '.nii.gz, .nii, .nrrd, .nhdr, .mha, .mhd, .ome.zarr, .png, .tif, .dcm, .mgz or .npy'
     """
     # .tiff is known where .tif is.
     *others, last = (form.suffixes[0] for form in IMAGE_FORMATS.values() if form.suffixes)

@@ -70,7 +70,7 @@ MESH_FORMATS: Registry[MeshFormat] = Registry(
         f"{_CONTOUR}:vtp_bytes",
         auto=("contour",),
     ),
-    MeshFormat("glb", "glTF 2.0 in one file", f"{_FORMATS}.glb:glb_bytes", read=f"{_FORMATS}.glb:read_glb"),
+    MeshFormat("glb", "glTF 2.0 in one file", f"{_FORMATS}.glb:glb_bytes"),
     MeshFormat("csv", "a table of points", contour=f"{_CONTOUR}:csv_bytes", auto=("contour",)),
 )
 

@@ -99,12 +99,6 @@ class RunConfig(SettingFields):
                 f"start: {' + '.join(self.start)} was given with objects {self.objects}, expected one of the two",
                 "objects are starts: put what is to be segmented into that file",
             )
-        shaped = next((key for key in ("mesh_smooth", "mesh_faces", "mesh_error") if getattr(self, key)), None)
-        if self.mesh_walls == "shared" and shaped is not None:
-            raise UsageError(
-                f"mesh_walls: shared was given with {shaped}, which makes each mesh by itself smoother or coarser",
-                "leave one of the two out",
-            )
         if self.objects is not None and self.inside:
             raise UsageError(
                 f"inside: {' + '.join(self.inside)} was given with objects {self.objects}, which does not say of which",

@@ -22,14 +22,12 @@ from accelsurf.settings.wording import shown
 #: mm3 of each unit of volume, and seconds of each unit of time.
 _MM3 = {"l": 1e6, "ml": 1e3, "ul": 1.0, "cm3": 1e3, "cc": 1e3, "mm3": 1.0, "um3": 1e-9, "nm3": 1e-18}
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
-#: Patterns of a length in voxels, a volume, an interval, and the fineness of a mesh.
+#: Patterns of a length in voxels, a volume and an interval.
 VOXELS = r"^([0-9]{1,9}(\.[0-9]{0,20})?|\.[0-9]{1,20})vox$"
 VOLUME = rf"^([0-9]{{1,9}}(\.[0-9]{{0,20}})?|\.[0-9]{{1,20}})({'|'.join(_MM3)})$"
 INTERVAL = rf"^([0-9]{{1,9}}|[0-9]{{1,9}}(\.[0-9]{{1,9}})?({'|'.join(_SECONDS)}))$"
-MESH_SIZE = r"^\s*(?:[0-9]{1,10}|[0-9.]+(?:e-?[0-9]+)?\s*(?:mm|um))\s*$"
 _NUMBER = r"[-+]?(?:[0-9]{1,20}(?:\.[0-9]{0,20})?|\.[0-9]{1,20})(?:[eE][-+]?[0-9]{1,2})?"
 _BOUNDS = re.compile(rf"({_NUMBER})?,({_NUMBER})?")
-_MESH_PARTS = re.compile(r"\s*([0-9.]+(?:e-?[0-9]+)?)\s*(mm|um)?\s*")
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -192,35 +190,6 @@ def bounds_of(text: str | None) -> tuple[float, float]:
     if not low < high:
         raise UsageError(f"clip: {shown(text)} was given, expected LOW below HIGH", "as --clip -100,250")
     return low, high
-
-
-def mesh_size(text: str) -> tuple[int | None, float | None]:
-    """Return a number of triangles, or the length of their sides in mm; the other is None.
-
-    Raises
-    ------
-    UsageError
-        For fewer than 4 triangles, no length, or another text.
-
-    Examples
-    --------
-    >>> mesh_size("20000"), mesh_size("2mm"), mesh_size("500um")
-    ((20000, None), (None, 2.0), (None, 0.5))
-    """
-    found = _MESH_PARTS.fullmatch(text)
-    unit = None if found is None else found[2]
-    try:
-        value = float(found[1]) if found else 0.0
-    except ValueError:
-        value = 0.0
-    if unit is not None and 0 < value < math.inf:
-        return None, value * (1e-3 if unit == "um" else 1.0)
-    if unit is None and value >= 4 and value == int(value):
-        return int(value), None
-    raise UsageError(
-        f"mesh_faces: {text[:40]} was given, expected a number of triangles of at least 4, or a length",
-        "as 20000, or 2mm",
-    )
 
 
 def checked(

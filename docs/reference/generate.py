@@ -41,9 +41,8 @@ LIMITS_WHY = (
 )
 LIMITS_NAMES = (
     "Names of files are text in UTF-8. In a picture, a character that no installed font has is a box.",
-    "The header of an `.mhd` or `.nrrd` may name a data file in its own folder or below it, links followed. For one "
-    "elsewhere add `--allow-outside-data` to the command, or `outside_data=True` to `accelsurf.read`. Do so only for "
-    "headers that you trust: a header can name any file of the computer.",
+    "The header of an `.mhd` or `.nrrd` may name a data file in its own folder or below it, links followed: it "
+    "could name any file of the computer. The same holds for links in an OME-Zarr; `cp -rL` copies what they lead to.",
 )
 LIMITS_HELD = (
     "`scripts/fuzz --count 10000` gives mutated files and texts to every reader. None may crash, hang for more than "
@@ -215,7 +214,7 @@ def _file_formats() -> str:
         '`pip install "accelsurf[zarr]"`; `accelsurf info IMAGE` shows its levels and chunks. A chunk with more or',
         "fewer bytes than it announces is an error with exit code 3. One that is missing is the same in a store that",
         "accelsurf wrote; in others it has the fill value, and a warning counts those that are missing. Chunks may be",
-        "packed with Blosc, zstd, LZ4, gzip, zlib, bz2 or LZMA, in shards or not. Axes that point along lines of the",
+        "packed with Blosc, zstd, gzip or zlib, in shards or not. Axes that point along lines of the",
         "body are read and written in the words of RFC-4 (`left-to-right`); other directions are in an attribute of",
         "accelsurf, which other programs do not read.",
         "",

@@ -18,8 +18,7 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.batch import pool as pools
-from accelsurf.batch.outcome import Outcome
-from accelsurf.cli import batch_case, case
+from accelsurf.cli import case
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.output.pictures import preview
@@ -242,20 +241,6 @@ def test_strict_makes_doubts_failures(inline, scans, tmp_path):
     assert run(*words, "--strict", "--overwrite") == 9
     assert "max-steps" in table(tmp_path / "out")["a"]["reason"]
     assert report(tmp_path / "out")["cases"][0]["exit_code"] == 4
-
-
-def test_data_in_other_folders_only_if_that_is_allowed(inline, scans, tmp_path, monkeypatch):
-    image = tmp_path / "in" / "a.mhd"
-    image.parent.mkdir()
-    io.write(io.read(scans / "a.nii.gz"), image)
-    (tmp_path / "a.zraw").write_bytes((tmp_path / "in" / "a.zraw").read_bytes())
-    image.write_text(image.read_text().replace("ElementDataFile = a.zraw", "ElementDataFile = ../a.zraw"))
-    tasks = []
-    monkeypatch.setattr(batch_case, "run_one", lambda task: tasks.append(task) or Outcome("a", "ok"))
-    assert run(image, "-o", tmp_path / "out") == 0
-    assert run(image, "-o", tmp_path / "out2", "--allow-outside-data") == 0
-    monkeypatch.undo()
-    assert [batch_case.run_one(task).status for task in tasks] == ["failed", "ok"]
 
 
 # ----------------------------------------------------------------------------------------------------- plan, progress

@@ -12,10 +12,9 @@ from accelsurf.cli import view
 from accelsurf.cli.view import FirstImage
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
-from accelsurf.io import channels, headers
+from accelsurf.io import channels
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
-from accelsurf.viewer.core.command_queue import in_background
 from accelsurf.viewer.scene.headless import GraphicsError
 from accelsurf.viewer.window import display
 
@@ -68,13 +67,6 @@ def test_the_command_says_it_in_one_line(content, message, tmp_path, monkeypatch
     assert cli.execute(["view", str(tmp_path / "scan.nii.gz")]) == 3
     error = capsys.readouterr().err.splitlines()
     assert len(error) == 2 and message in error[0] and "scan.nii.gz" in error[0]
-
-
-def test_what_the_command_line_allows_holds_in_the_thread():
-    with headers.outside_data_allowed():
-        allowed = in_background(headers.is_outside_data_allowed, "test")
-    refused = in_background(headers.is_outside_data_allowed, "test")
-    assert allowed.result(60) is True and refused.result(60) is False
 
 
 @pytest.fixture

@@ -122,21 +122,6 @@ def test_a_coarse_mesh_beyond_its_error_leaves_the_result_and_says_so(scan, tmp_
     assert all(0 < one["largest_distance_mm"] < 5 for one in shaped)
 
 
-def test_objects_that_touch_share_their_wall(tmp_path):
-    z, y, x = np.indices((20, 22, 34)).astype(np.float32)
-    block = (abs(z - 9) < 6) & (abs(y - 10) < 6) & (abs(x - 16) < 12)
-    io.write(Volume.from_array(100 * block.astype(np.float32)), tmp_path / "a.nii.gz")
-    (tmp_path / "balls.csv").write_text("id,x,y,z,r\n2,10,10,9,4\n9,22,10,9,4\n")
-    words = ("segment", str(tmp_path / "a.nii.gz"), "-o", str(tmp_path / "out"), "--threads", "1")
-    words += ("--objects", str(tmp_path / "balls.csv"), "--mesh-walls", "shared", "--mesh", "obj")
-    assert cli.execute(words) == 0
-    files = [(tmp_path / "out" / f"a_surface_{own}.obj").read_text() for own in (2, 9)]
-    points = [{line for line in file.splitlines() if line.startswith("v ")} for file in files]
-    wall = points[0] & points[1]
-    assert len(wall) > 50 and all(abs(float(line.split()[1]) - 16) < 1.5 for line in wall)
-    assert cli.execute([*words, "--overwrite", "--mesh-smooth", "2"]) == 2
-
-
 @pytest.mark.slow
 def test_the_same_run_writes_the_same_bytes(scan, tmp_path):
     for out in ("one", "two"):

@@ -16,7 +16,7 @@ from pydicom.uid import RLELossless
 from accelsurf import io as files
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io.formats import glb, surface_files
+from accelsurf.io.formats import surface_files
 from accelsurf.settings.run_config import RunConfig
 from tests.fuzz import folders, mutators, runs
 from tests.fuzz.inputs import DATA_FILE, SHAPE, VALUES, Input
@@ -191,23 +191,16 @@ def _arrays():
         np.save(stream, values)
         yield Input("sequence", ".npy", "mixed", stream.getvalue())
         yield Input("image", ".npy", "mixed", stream.getvalue())
-        stream = io.BytesIO()
-        np.savez_compressed(stream, image=values)
-        yield Input("sequence", ".npz", "zip", stream.getvalue())
 
 
 def _read_only():
-    """MGH, MGZ and GIPL."""
+    """MGH and MGZ."""
     import nibabel
 
     for kind in ("uint8", "int16", "int32", "float32"):
         content = nibabel.MGHImage(VALUES.T.astype(kind), np.diag([0.75, 0.5, 3.0, 1.0])).to_bytes()
         yield Input("image", ".mgh", "binary", content)
         yield Input("image", ".mgz", "binary", gzip.compress(content, 1, mtime=0))
-    head = bytearray(256)
-    struct.pack_into(">4HH4f", head, 0, 6, 5, 4, 1, 15, 0.75, 0.5, 3.0, 1.0)
-    struct.pack_into(">I", head, 252, 719555000)
-    yield Input("image", ".gipl", "binary", bytes(head) + VALUES.astype(">i2").tobytes())
 
 
 def _png_with_checksums(content: bytes) -> bytes:
@@ -230,7 +223,6 @@ def _meshes():
     for name in ("ply", "stl", "obj"):
         content = getattr(surface_files, f"{name}_bytes")(points, triangles, "LPS")
         yield Input("mesh", f".{name}", {"obj": "text", "ply": "mixed"}.get(name, "binary"), content)
-    yield Input("mesh", ".glb", "mixed", glb.glb_bytes(points, triangles, "LPS"))
     import trimesh
 
     cube = trimesh.Trimesh(points, triangles, process=False)

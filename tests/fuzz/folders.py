@@ -5,7 +5,6 @@ import gzip
 import io
 import tempfile
 import warnings
-import zipfile
 import zlib
 from pathlib import Path
 
@@ -141,17 +140,11 @@ def _slices() -> tuple[dict[str, bytes], dict[str, bytes]]:
 
 
 def _dicoms():
-    """A folder of slices, a zip of them, and one with a segmentation beside them."""
+    """A folder of slices, and one with a segmentation beside them."""
     plain, packed = _slices()
     yield from of_folder("dicom", "plain", plain)
     yield from of_folder("dicom", "packed", packed)
     yield from of_folder("dicom", "segmentation", {**plain, "seg.dcm": _segmentation(plain)}, only=("seg.dcm",))
-    for case, method in (("zip-stored", zipfile.ZIP_STORED), ("zip-packed", zipfile.ZIP_DEFLATED)):
-        content = io.BytesIO()
-        with zipfile.ZipFile(content, "w", method) as archive:
-            for name, part in plain.items():
-                archive.writestr(zipfile.ZipInfo(name), part, method)
-        yield from of_folder("dicom", case, {"a.zip": content.getvalue()}, {".zip": "zip"})
 
 
 def _segmentation(slices: dict[str, bytes]) -> bytes:

@@ -9,9 +9,7 @@ _NIFTI_2 = [(0, "i"), (12, "h"), (14, "h"), *((at, "q") for at in range(16, 80, 
 _NIFTI_2 += [*((at, "d") for at in range(104, 168, 8)), (168, "q"), (176, "d"), (184, "d"), (344, "i"), (348, "i")]
 _NIFTI_2 += [*((at, "d") for at in range(352, 496, 8)), (500, "i")]
 _MGH = [*((at, "i") for at in range(0, 28, 4)), (28, "h"), *((at, "f") for at in range(30, 90, 4))]
-_GIPL = [*((at, "H") for at in range(0, 10, 2)), *((at, "f") for at in range(10, 26, 4)), (252, "I")]
 _STL = [(80, "I"), *((at, "f") for at in range(84, 134, 4))]
-_GLB = [(4, "I"), (8, "I"), (12, "I"), (16, "I")]
 
 
 def fields(content: bytes) -> list[tuple[int, str]]:
@@ -19,14 +17,10 @@ def fields(content: bytes) -> list[tuple[int, str]]:
     found, n = [], len(content)
     if content[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
         found = _of_tiff(content)
-    elif content[:4] == b"glTF":
-        found = [(at, "<" + kind) for at, kind in _GLB]
     elif n > 348 and struct.unpack_from("<i", content)[0] in (348, 540):
         found = [(at, "<" + kind) for at, kind in (_NIFTI_1 if content[:2] == b"\x5c\x01" else _NIFTI_2)]
     elif n > 284 and content[:4] == b"\0\0\0\1":
         found = [(at, ">" + kind) for at, kind in _MGH]
-    elif n >= 256 and content[252:256] == struct.pack(">I", 719555000):
-        found = [(at, ">" + kind) for at, kind in _GIPL]
     elif content[128:132] == b"DICM":
         found = _of_dicom(content)
     elif n > 84 and n == 84 + 50 * struct.unpack_from("<I", content, 80)[0]:

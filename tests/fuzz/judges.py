@@ -112,13 +112,12 @@ def _metadata_of_zarr(given: Input, volume: Volume) -> str:
 
 def dicom(given: Input, folder: Path) -> str:
     """Slices: those that are good are where they belong, and what is left out is said."""
-    path = folder / "a.zip" if given.name.endswith(".zip") else folder
-    volume = io.read(path, memory_bytes=MEMORY)
+    volume = io.read(folder, memory_bytes=MEMORY)
     check_grid(volume)
     warning = volume.metadata.get(io.WARNING_KEY, "")
     if "rescal" in warning or "resampl" in warning or "grid" in warning or "filled" in warning:
         return "unverified"  # slices between slices
-    slices = looks.members(given.content) if given.name.endswith(".zip") else given.written()
+    slices = given.written()
     count = len(set(slices) - {"seg.dcm"})
     if len(volume.array) != count and not warning:
         raise Wrong(f"{len(volume.array)} of {count} slices without a warning")

@@ -5,7 +5,6 @@ import io
 import json
 import struct
 import warnings
-import zipfile
 import zlib
 
 import numpy as np
@@ -113,16 +112,6 @@ def _slice_of(content: bytes):
     values = dataset.pixel_array.astype(np.float64)
     values = values * float(dataset.get("RescaleSlope", 1)) + float(dataset.get("RescaleIntercept", 0))
     return values if values.ndim == 2 else None
-
-
-def members(content: bytes) -> dict[str, bytes]:
-    """The files in an archive, by their names; none where it is none."""
-
-    def read():
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            return {name: archive.read(name) for name in archive.namelist()}
-
-    return quietly(read) or {}
 
 
 def paired(files: dict[str, bytes]):

@@ -7,7 +7,7 @@ import pytest
 
 from accelsurf import io
 from accelsurf.image.volume import Volume
-from accelsurf.io.formats.deflate import gzip_file
+from accelsurf.io.formats.deflate import gzip_writer
 from tests.support.text_headers import VALUES, refuse, text_header
 
 
@@ -41,7 +41,7 @@ def test_empty_file(tmp_path, suffix):
 )
 def test_not_an_image(tmp_path, suffix, content):
     (tmp_path / f"a{suffix}").write_bytes(content)
-    said = "not an? (NIfTI|NRRD|MetaImage|PNG|TIFF|DICOM|NumPy|MGH|GIPL)|gzip-compressed|has only|folder of an"
+    said = "not an? (NIfTI|NRRD|MetaImage|PNG|TIFF|DICOM|NumPy|MGH)|gzip-compressed|has only|folder of an"
     refuse(tmp_path / f"a{suffix}", said)
 
 
@@ -72,7 +72,8 @@ def test_a_nifti_header_that_claims_more_than_there_is(tmp_path, suffix, present
     io.write(Volume.from_array(VALUES), tmp_path / "whole.nii")
     (tmp_path / "a.nii").write_bytes((tmp_path / "whole.nii").read_bytes()[: 352 + present])
     if suffix == ".nii.gz":
-        gzip_file(tmp_path / "a.nii", tmp_path / "a.nii.gz")
+        with gzip_writer(tmp_path / "a.nii.gz") as out:
+            out.write((tmp_path / "a.nii").read_bytes())
     refuse(tmp_path / f"a{suffix}", f"announces {352 + 240} bytes .*, the file holds {352 + present}")
 
 

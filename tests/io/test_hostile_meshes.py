@@ -100,65 +100,8 @@ def objs():
     yield "obj lines joined", "obj", ("v 0 0 \\\n" * 100_000).encode()
 
 
-def glbs():
-    from accelsurf.io.formats import glb
-
-    content = glb.glb_bytes(CORNERS, FACES, "LPS")
-    length = struct.unpack_from("<I", content, 12)[0]
-    plain = content[20 : 20 + length].decode()
-
-    def changed(change, data=None):
-        contents = json.loads(plain)
-        change(contents)
-        text = json.dumps(contents).encode()
-        rest = content[20 + length :] if data is None else struct.pack("<II", len(data), 0x004E4942) + data
-        return content[:8] + struct.pack("<III", 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
-
-    for count in (*BIG, -1, 1e300, float("inf"), "9" * 5000):
-        for part, key in (("accessors", "count"), ("accessors", "byteOffset"), ("bufferViews", "byteOffset"),
-                          ("bufferViews", "byteStride"), ("bufferViews", "byteLength"), ("buffers", "byteLength"),
-                          ("accessors", "bufferView"), ("accessors", "componentType")):
-            for which in (0, -1):
-                name = f"glb {part} {key} {which} {str(count)[:20]}"
-                yield name, "glb", changed(lambda c, p=part, k=key, w=which, n=count: c[p][w].update({k: n}))
-    sparse = {"count": 10**9, "indices": {"bufferView": 0}, "values": {"bufferView": 0}}
-    yield "glb sparse", "glb", changed(lambda c: c["accessors"][1].update(sparse=sparse))
-    bare = {"count": 10**9, "componentType": 5126, "type": "VEC3", "sparse": sparse}
-    yield "glb only sparse", "glb", changed(lambda c: c["accessors"].__setitem__(1, bare))
-    for uri in ("/etc/passwd", "file:///etc/passwd", "http://localhost:1/a.bin", "data:,aaaa", "../a.bin"):
-        yield f"glb uri {uri}", "glb", changed(lambda c, u=uri: c["buffers"][0].update(uri=u))
-        yield f"glb image {uri}", "glb", changed(lambda c, u=uri: c.update(images=[{"uri": u}]))
-    many = 50_000
-    primitive = {"attributes": {"POSITION": 1}, "indices": 0}
-    points = np.tile(CORNERS, (20_000, 1)).astype("<f4").tobytes()
-
-    def heavy(contents):
-        contents["accessors"][1].update(count=80_000)
-        contents["bufferViews"] = [{"buffer": 0, "byteLength": len(points)}] * 2
-        contents["accessors"][0].update(count=12, componentType=5121)
-        contents["meshes"][0]["primitives"] = [primitive] * many
-
-    yield "glb primitives of large data", "glb", changed(heavy, points)
-    yield "glb many primitives", "glb", changed(lambda c: c["meshes"][0].update(primitives=[primitive] * many))
-    yield "glb many nodes", "glb", changed(
-        lambda c: c.update(nodes=[{"mesh": 0}] * many, scenes=[{"nodes": list(range(many))}])
-    )
-    yield "glb the same node", "glb", changed(lambda c: c.update(scenes=[{"nodes": [0] * 300_000}]))
-    twice = [{"children": [n + 1, n + 1]} for n in range(40)]
-    yield "glb nodes twice", "glb", changed(lambda c: c.update(nodes=[*twice, {"mesh": 0}]))
-    chain = [{"children": [n + 1]} for n in range(20_000)]
-    yield "glb deep nodes", "glb", changed(lambda c: c.update(nodes=[*chain, {"mesh": 0}]))
-    for text in ("[" * 500_000, '{"a":' * 200_000, '{"asset":' + "9" * 500_000 + "}", "[" + "{}," * 300_000 + "{}]"):
-        raw = text.encode() + b" " * (-len(text) % 4)
-        head = content[:8] + struct.pack("<III", 20 + len(raw), len(raw), 0x4E4F534A)
-        yield f"glb text {text[:10]}", "glb", head + raw
-    for at in (8, 12):
-        for count in BIG[:3]:
-            yield f"glb chunk at {at} {count}", "glb", content[:at] + struct.pack("<I", count) + content[at + 4 :]
-
-
 def files():
-    for made in (plys, stls, objs, glbs):
+    for made in (plys, stls, objs):
         yield from made()
 
 
@@ -182,16 +125,16 @@ def test_each_is_refused_or_read_in_time(told):
         if kind not in ("InputError", "read") or seconds > MAX_SECONDS or megabytes > MAX_MB
         or (kind != "read" and (not hint or "\n" in message or len(message) > 1000 or "memory" in message))
     }
-    assert len(told) > 300 and not faults, json.dumps(faults, indent=1)
+    assert len(told) > 100 and not faults, json.dumps(faults, indent=1)
 
 
-@pytest.mark.parametrize("word", ["uri", "sparse", "stl 4294967295"])
+@pytest.mark.parametrize("word", ["stl 4294967295"])
 def test_these_are_refused(told, word):
     found = {name: kind for name, (kind, *_) in told.items() if word in name}
     assert found and set(found.values()) == {"InputError"}, found
 
 
-@pytest.mark.parametrize("name", ["obj materials", "glb image /etc/passwd"])
+@pytest.mark.parametrize("name", ["obj materials"])
 def test_these_are_read(told, name):
     assert told[name][0] == "read", told[name]
 
@@ -208,7 +151,7 @@ def read_all(folder):
 
     opened = []
     sys.addaudithook(lambda event, words: opened.append(words[0]) if event in ("open", "socket.connect") else None)
-    for suffix in ("ply", "stl", "obj", "glb"):  # what is imported is not of a file
+    for suffix in ("ply", "stl", "obj"):  # what is imported is not of a file
         (folder / f"a.{suffix}").write_bytes(b"")
         try:
             meshes.read_mesh(folder / f"a.{suffix}")

@@ -21,8 +21,8 @@ MAX_SECONDS, MORE_BYTES = 5.0, 1 << 30
 #: Formats whose claims other tests change.
 ELSEWHERE = {"ome.zarr", "png", "tif", "dcm", "slices"}
 KINDS = (
-    "nii", "nii2", "nii.gz", "nii2.gz", "nrrd", "nrrd text", "nrrd gzip", "nrrd hex", "nrrd 4D", "nhdr", "mha",
-    "mha 4D", "mha packed", "mhd", "mgz", "mgh", "gipl", "npy", "npy 4D", "npz", "long files", "state", "checkpoint",
+    "nii", "nii2", "nii.gz", "nii2.gz", "nrrd", "nrrd gzip", "nrrd 4D", "nhdr", "mha",
+    "mha 4D", "mha packed", "mhd", "mgz", "mgh", "npy", "npy 4D", "long files", "state", "checkpoint",
     "tables", "label tables", "texts",
 )  # fmt: skip
 
@@ -60,17 +60,15 @@ def test_claims_are_refused_in_time(told, kind):
 def files(folder):
     """Yield (kind, what was changed, what reads it); each file is made when it is asked for."""
     import gzip
-    import io as streams
     import struct
-    import zipfile
     import zlib
 
+    import nibabel
     import numpy as np
 
     from accelsurf import io
     from accelsurf.image.volume import Volume
     from accelsurf.io import channels, label_tables
-    from accelsurf.io.formats.nifti_volumes import _write_second_header
 
     small = Volume.from_array(np.arange(120, dtype="<i2").reshape(4, 5, 6))
     voxels = small.array.tobytes()
@@ -113,8 +111,7 @@ def files(folder):
 
     io.write(small, folder / "s.nii")
     first = (folder / "s.nii").read_bytes()
-    _write_second_header(folder / "s2.nii", small.geometry, small.array.dtype)
-    second = (folder / "s2.nii").read_bytes() + voxels
+    second = nibabel.Nifti2Image(small.array.T, np.diag([1.0, 2.0, 3.0, 1.0])).to_bytes()[:544] + voxels
     places1 = [("<h", 42 + 2 * n) for n in range(7)] + [("<f", 108)]
     places2 = [("<q", 24 + 8 * n) for n in range(7)] + [("<q", 168)]
     for kind, content, places in (("nii", first, places1), ("nii2", second, places2)):
@@ -133,10 +130,8 @@ def files(folder):
     four = "NRRD0004\ntype: short\ndimension: 4\nsizes: <0> <1> <2> <3>\nendian: little\nencoding: raw\nkinds: {}\n\n"
     for name, changed in texts_of(nrrd.format("raw", "byte skip: <3>\nline skip: <4>\n"), (6, 5, 4, 0, 0)):
         yield from images("nrrd", ".nrrd", name, changed + voxels)
-    numbers = " ".join(map(str, range(120))).encode()
-    for coding, body in (("text", numbers), ("gzip", gzip.compress(voxels)), ("hex", voxels.hex().encode())):
-        for name, changed in texts_of(nrrd.format(coding, ""), (6, 5, 4)):
-            yield from images(f"nrrd {coding}", ".nrrd", name, changed + body)
+    for name, changed in texts_of(nrrd.format("gzip", ""), (6, 5, 4)):
+        yield from images("nrrd gzip", ".nrrd", name, changed + gzip.compress(voxels))
     for kinds in ("domain domain domain time", "list domain domain domain"):
         for name, changed in texts_of(four.format(kinds), (6, 5, 2, 2)):
             yield from images("nrrd 4D", ".nrrd", name, changed + voxels)
@@ -167,30 +162,15 @@ def files(folder):
     for name, changed in packed_into(mgh, [(">i", 4 + 4 * n) for n in range(5)]):
         yield from images("mgh", ".mgh", name, changed)
         yield from images("mgz", ".mgz", name, gzip.compress(changed, 1))
-    gipl = struct.pack(">4hh4f", 6, 5, 4, 1, 15, 1, 1, 1, 1).ljust(252, b"\0") + b"\xef\xff\xe9\xb0" + voxels
-    for name, changed in packed_into(gipl, [(">h", 2 * n) for n in range(4)]):
-        yield from images("gipl", ".gipl", name, changed)
 
     def array(shape, body=voxels, kind="<i2"):
         text = str({"descr": kind, "fortran_order": False, "shape": tuple(shape)}).encode().ljust(117) + b"\n"
         return b"\x93NUMPY\1\0" + struct.pack("<H", len(text)) + text + body
 
-    def archive(content, claimed=None):
-        stream = streams.BytesIO()
-        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as out:
-            out.writestr("a.npy", content)
-        raw = stream.getvalue()
-        if claimed is None:
-            return raw
-        at = raw.rindex(b"PK\1\2") + 24  # the size in the list of members
-        return raw[:at] + struct.pack("<I", min(claimed, 2**32 - 2)) + raw[at + 4 :]
-
     for n in range(3):
         for size in SIZES:
             shape = [size if n == axis else length for axis, length in enumerate((4, 5, 6))]
             yield from images("npy", ".npy", f"{n}={size}", array(shape))
-            yield from images("npz", ".npz", f"{n}={size}", archive(array(shape)))
-            yield from images("npz", ".npz", f"{n}={size} packed", archive(array((4, 5, 6)), size))
             yield from images("npy 4D", ".npy", f"{n}={size}", array([*shape[:n], size, *shape[n:]]))
 
     def long(name, content, length):

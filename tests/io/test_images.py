@@ -1,4 +1,3 @@
-import ctypes
 import hashlib
 import os
 import re
@@ -14,8 +13,8 @@ from accelsurf.errors import GeometryError, InputError, OutputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import images
-from accelsurf.io.formats import itk_volumes
-from accelsurf.io.formats.deflate import gzip_file
+from accelsurf.io.formats import raw_header
+from accelsurf.io.formats.deflate import gzip_writer
 from accelsurf.settings.file_formats import image_format
 from tests.support.folders import contents
 
@@ -213,8 +212,8 @@ def test_folder_instead_of_a_file(tmp_path):
 @pytest.mark.parametrize("name", ["a.jpg", "a.gz", "a", ".nii", "a.nii.bz2"])
 def test_unknown_suffix(tmp_path, name):
     (tmp_path / name).write_bytes(b"x")
-    known = ".nii.gz, .nii, .nrrd, .nhdr, .mha, .mhd, .ome.zarr, .zarr, .png, .tif, .tiff, .dcm, .ima, .zip, .mgz"
-    known += ", .mgh, .gipl, .npy, .npz"
+    known = ".nii.gz, .nii, .nrrd, .nhdr, .mha, .mhd, .ome.zarr, .zarr, .png, .tif, .tiff, .dcm, .ima, .mgz"
+    known += ", .mgh, .npy"
     refuse(tmp_path / name, re.escape(f"unknown file type, one of {known} expected"))
 
 
@@ -251,7 +250,7 @@ def test_other_sorts_of_images_are_named_with_the_way_out(tmp_path, suffix, capf
 @pytest.mark.parametrize("suffix", [".nrrd", ".mha"])
 def test_colour_is_named(tmp_path, suffix):
     byte = sitk.GetImageFromArray(np.arange(60, dtype=np.uint8).reshape(3, 4, 5))
-    refuse(write_sitk(sitk.Compose(byte, byte, byte), tmp_path / f"a{suffix}"), r"colour \(RGB\)")
+    refuse(write_sitk(sitk.Compose(byte, byte, byte), tmp_path / f"a{suffix}"), r"3 channels")
 
 
 @pytest.mark.parametrize("suffix", [".nii", ".nrrd", ".mha"])
@@ -293,7 +292,8 @@ def huge(tmp_path, suffix):
     struct.pack_into("<8h", raw, 40, 3, 30000, 30000, 30000, 1, 1, 1, 1)
     (tmp_path / "a.nii").write_bytes(raw)
     if suffix == ".nii.gz":
-        gzip_file(tmp_path / "a.nii", path)
+        with gzip_writer(path) as out:
+            out.write((tmp_path / "a.nii").read_bytes())
     return path
 
 
@@ -302,38 +302,13 @@ def test_available_memory_is_that_of_this_machine():
     assert 2**20 < io.available_memory() <= physical
 
 
-def test_available_memory_without_proc(monkeypatch):
-    def no_file(self, *args, **kwargs):
-        raise FileNotFoundError(2, "No such file", str(self))
-
-    monkeypatch.setattr(images.Path, "read_text", no_file)
-    assert io.available_memory() == os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-
-
-def test_available_memory_on_windows(monkeypatch):
-    """It has no `os.sysconf`: no image could be read there."""
-
-    class Kernel:
-        def GlobalMemoryStatusEx(self, status):
-            assert status._obj.length == 64  # as Windows demands
-            status._obj.available = 123 << 30
-
-    def no_file(self, *args, **kwargs):
-        raise FileNotFoundError(2, "No such file", str(self))
-
-    monkeypatch.setattr(images.Path, "read_text", no_file)
-    monkeypatch.delattr(os, "sysconf")
-    monkeypatch.setattr(ctypes, "CDLL", lambda name: Kernel())
-    assert io.available_memory() == 123 << 30
-
-
 def test_memory_that_runs_out_all_the_same(tmp_path, monkeypatch):
     io.write(make(), tmp_path / "a.mha")
 
-    def fail(image):
+    def fail(*size):
         raise MemoryError
 
-    monkeypatch.setattr(itk_volumes.sitk, "GetArrayFromImage", fail)
+    monkeypatch.setattr(raw_header.np, "empty", fail)
     with pytest.raises(InputError, match="does not fit into memory"):
         io.read(tmp_path / "a.mha", memory_bytes=10**9)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +9,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from accelsurf.errors import InputError
 from accelsurf.io import meshes
 from accelsurf.measure.surface_mesh import Surface
 from accelsurf.settings.labels import LabelEntry
@@ -61,47 +58,3 @@ def test_names_and_colours_of_ply_obj_and_vtp(tmp_path: Path) -> None:
     fields = pyvista.read(tmp_path / "one.vtp").field_data
     assert list(fields["NAME"]) == [LIVER.name]
     assert np.ravel(fields["COLOR"]).tolist() == list(LIVER.color)
-
-
-def _glb(change: dict[str, object]) -> bytes:
-    """A file whose description is changed."""
-    from accelsurf.io.formats import glb
-
-    content = glb.glb_bytes(TETRAHEDRON.vertices, TETRAHEDRON.faces, "LPS")
-    length = struct.unpack_from("<I", content, 12)[0]
-    contents = json.loads(content[20 : 20 + length]) | change
-    text = json.dumps(contents).encode()
-    rest = content[20 + length :]
-    return content[:8] + struct.pack("<III", 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
-
-
-@pytest.mark.parametrize(
-    "change, reason",
-    [
-        ({"nodes": [{"mesh": 0, "children": [0]}]}, "contain themselves"),
-        ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "KHR_draco"),
-        ({"buffers": [{"uri": "/etc/passwd", "byteLength": 96}]}, "another file"),
-        ({"bufferViews": [{"buffer": 0, "byteLength": 10**12, "byteOffset": 10**12}] * 2}, "beyond its data"),
-        ({"scenes": [{"nodes": []}]}, "no mesh"),
-    ],
-)
-def test_damaged_glb_is_refused_by_name(change: dict[str, object], reason: str, tmp_path: Path) -> None:
-    path = tmp_path / "bad.glb"
-    path.write_bytes(_glb(change))
-    with pytest.raises(InputError, match=reason):
-        meshes.read_mesh(path)
-
-
-def test_nodes_of_a_glb_turn_scale_and_move(tmp_path: Path) -> None:
-    """A quarter turn about z, twice the size, then a step of a metre: read back by the same map as trimesh's."""
-    half = 0.5**0.5
-    node = {"mesh": 0, "rotation": [0, 0, half, half], "scale": [2, 2, 2], "translation": [1, 0, 0]}
-    path = tmp_path / "turned.glb"
-    path.write_bytes(_glb({"nodes": [{"children": [1]}, node]}))
-    points, _ = meshes.read_mesh(path)
-    # In glTF (x, y, z) -> (1 - 2 y, 2 x, 2 z) m; in LPS mm (x, -z, y) * 1000.
-    x, y, z = CORNERS.T
-    expected = 1000 * np.stack([1 - 2 * y, -2 * z, 2 * x], axis=1)
-    np.testing.assert_allclose(points, np.unique(expected, axis=0), rtol=1e-6)
-
-

@@ -1,7 +1,5 @@
 """SPACE=RAS and SPACE=LPS in the headers of meshes: what says RAS is turned to LPS, other words are refused."""
 
-import json
-import struct
 
 import numpy as np
 import pytest
@@ -11,7 +9,7 @@ from accelsurf import io as images
 from accelsurf.errors import InputError
 from accelsurf.image.volume import Volume
 from accelsurf.io import meshes
-from accelsurf.io.formats import glb, surface_files
+from accelsurf.io.formats import surface_files
 from accelsurf.measure.surface_mesh import Surface
 from accelsurf.settings.mesh_formats import MESH_FORMATS
 
@@ -128,20 +126,6 @@ def test_what_accelsurf_writes_says_its_space_and_comes_back_in_place(suffix, sp
     is_there(path, CORNERS, space)
     with pytest.raises(InputError, match=f"says SPACE={space.upper()}, @"):
         meshes.read_mesh(path, "ras" if space == "lps" else "lps")
-
-
-def test_a_glb_is_where_its_nodes_put_it(tmp_path):
-    """glTF says where each axis points; its extras say only how the points are stored."""
-    content = glb.glb_bytes(CORNERS, FACES, "LPS")
-    length = struct.unpack_from("<I", content, 12)[0]
-    for extras in ({}, {"space": "lps"}, {"SPACE": "LPS", "unit": "m"}, [], "SPACE=RAS"):
-        contents = json.loads(content[20 : 20 + length])
-        contents["asset"]["extras"] = extras
-        text = json.dumps(contents).encode()
-        rest = content[20 + length :]
-        head = content[:8] + struct.pack("<III", 20 + len(text) + len(rest), len(text), 0x4E4F534A)
-        (tmp_path / "a.glb").write_bytes(head + text + rest)
-        is_there(tmp_path / "a.glb", CORNERS)
 
 
 @pytest.mark.sampled

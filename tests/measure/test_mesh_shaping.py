@@ -7,8 +7,8 @@ import pytest
 
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.measure.mesh_distance import TriangleIndex, largest_distance, mean_side, sides
-from accelsurf.measure.mesh_shaping import MeshOptions, is_sound, shape, smallest_angles, smoothed
+from accelsurf.measure.mesh_distance import TriangleIndex, largest_distance, sides
+from accelsurf.measure.mesh_shaping import MeshOptions, is_sound, shape, smoothed
 from accelsurf.measure.surface_mesh import Surface, extract
 
 CENTRE = np.array([12.0, 13.0, 14.0])
@@ -79,17 +79,6 @@ def test_what_contradicts_the_error_is_refused_with_one_that_does_not(ball: Surf
     assert shape(ball, MeshOptions(faces=20, error=offered)).distance_mm <= offered
     with pytest.raises(UsageError, match="mesh-smooth"):
         shape(ball, MeshOptions(smooth=6.0, error=1e-3))
-
-
-def test_triangles_of_a_length_have_it_on_average(ball: Surface) -> None:
-    for side in (3.0, 1.5):
-        shaped = shape(ball, MeshOptions(side=side))
-        own = shaped.surface
-        assert mean_side(own) == pytest.approx(side, rel=0.15)
-        assert is_sound(own)
-        assert np.median(smallest_angles(own.vertices[own.faces])) > 40
-    with pytest.raises(UsageError, match=r"0\.1 mm was given"):
-        shape(ball, MeshOptions(side=0.1))
 
 
 def halved(surface: Surface) -> Surface:

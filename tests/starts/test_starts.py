@@ -204,7 +204,7 @@ def test_label_ids(tmp_path):
         starts.build([f"label:{path}@999"], volume)
 
 
-@pytest.mark.parametrize("suffix", ["ply", "stl", "obj", "glb"])
+@pytest.mark.parametrize("suffix", ["ply", "stl", "obj"])
 def test_a_closed_mesh_gives_its_voxels_back(tmp_path, suffix):
     geometry = grid((24, 30, 36), (1.5, 1.0, 0.7), direction=TURN)
     centre = geometry.center_world()

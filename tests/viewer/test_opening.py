@@ -3,7 +3,6 @@
 import json
 import threading
 import time
-import zipfile
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io.headers import outside_data_allowed
 from accelsurf.run.memory import run_bytes
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.opening import Opening
@@ -138,17 +136,13 @@ def test_paths_in_the_folder(served):
 # --------------------------------------------------------------------------------------------------------- reading
 
 
-def test_series_of_a_folder_and_of_a_zip_are_choices(study, tmp_path):
-    with zipfile.ZipFile(tmp_path / "study.zip", "w") as archive:
-        for path in sorted(study.rglob("*.dcm")):
-            archive.write(path, path.relative_to(study))
-    for source in (study, tmp_path / "study.zip"):
-        choices = core.choices_of(source, RunConfig())
-        assert [dict(one.settings) for one in choices] == [{"series": "1"}, {"series": "2"}]
-        assert choices[1].text.startswith("2  CT phantom, 12 x 10 x 6 voxels of 0.75 x 0.5 x 2 mm, axial")
-        opened = core.read_image(source, RunConfig(**choices[1].settings))
-        assert opened.volume.geometry.size == (12, 10, 6) and opened.name == "study" and opened.config.series == "2"
-        assert core.choices_of(source, RunConfig(series="1")) == []
+def test_series_of_a_folder_are_choices(study):
+    choices = core.choices_of(study, RunConfig())
+    assert [dict(one.settings) for one in choices] == [{"series": "1"}, {"series": "2"}]
+    assert choices[1].text.startswith("2  CT phantom, 12 x 10 x 6 voxels of 0.75 x 0.5 x 2 mm, axial")
+    opened = core.read_image(study, RunConfig(**choices[1].settings))
+    assert opened.volume.geometry.size == (12, 10, 6) and opened.name == "study" and opened.config.series == "2"
+    assert core.choices_of(study, RunConfig(series="1")) == []
     assert core.choices_of(study / "1", RunConfig()) == []  # one alone
     assert core.choices_of(study / "1" / "000.dcm", RunConfig()) == []
     assert core.read_image(study / "2" / "000.dcm", RunConfig()).volume.geometry.size == (12, 10, 6)
@@ -325,20 +319,6 @@ def test_one_of_several_is_asked_for(opening, study):
     finish(opening)
     opening.request("answer", "cancel")
     assert opening.state()["choices"] == []
-
-
-def test_the_thread_may_read_what_the_command_line_allows(opening, tmp_path):
-    header = tmp_path / "headers" / "a.mhd"
-    header.parent.mkdir()
-    io.write(image(), header)
-    data = next(header.parent.glob("a.*raw"))
-    data.rename(tmp_path / data.name)
-    header.write_text(header.read_text().replace(data.name, f"../{data.name}"))
-    opening.request("open", str(header))
-    assert finish(opening) is None and "outside of its own folder" in opening.message
-    with outside_data_allowed():
-        opening.request("open", str(header))
-    assert finish(opening).volume.geometry.shape == (6, 7, 8)
 
 
 BAD = [

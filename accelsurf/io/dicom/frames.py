@@ -1,7 +1,6 @@
 """Frames of DICOM files: place, contrast, time and meaning of the values of each slice.
 
-Siemens scanners write mosaics, the slices of a volume side by side in one picture. Of reconstructed slices of nuclear
-medicine the file gives the place of the first alone.
+Of reconstructed slices of nuclear medicine the file gives the place of the first alone.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ import math
 import re
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,6 @@ from accelsurf.errors import InputError
 from accelsurf.io.dicom import sources
 from accelsurf.io.dicom.sources import (
     HEADER_HINT,
-    DicomFile,
     Elements,
     Floats,
     PixelBytes,
@@ -27,8 +26,6 @@ from accelsurf.io.dicom.sources import (
     listed,
     number_of,
     numbers_of,
-    quiet,
-    read_dataset,
     read_header,
     text,
 )
@@ -37,10 +34,6 @@ from accelsurf.settings import budgets
 _NUCLEAR_TAGS = ("DetectorInformationSequence", "SliceVector", "TimeSlotVector", "EnergyWindowVector")
 _NUCLEAR = "1.2.840.10008.5.1.4.1.1.20"
 _RECONSTRUCTED = {"RECON TOMO", "RECON GATED TOMO"}
-#: The number of images in a mosaic, and the block that says which way they follow (Siemens), with their creators.
-_MOSAIC_COUNT, _MOSAIC_TAGS = 0x0019_100A, (0x0019_100A, 0x0019_0010, 0x0029_1010, 0x0029_0010)
-#: First row and column, rows, columns, position.
-Tile = tuple[tuple[int, int], int, int, tuple[float, ...]]
 _TAGS = [
     *("SOPClassUID", "SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID", "FrameOfReferenceUID", "Modality"),
     *("SeriesDescription", "SeriesNumber", "InstanceNumber", "ImageType", "Rows", "Columns", "NumberOfFrames"),
@@ -65,13 +58,11 @@ class Frame:
 
     Attributes
     ----------
-    path : Path or Member
+    path : Path
     number : int
         Of the frame in its file, from 0 on.
     frames : int
         How many the file has.
-    corner : tuple of int or None
-        First row and column, where the slice is a part of a mosaic.
     rows, columns : int
     position : tuple of float or None
         Centre of the first pixel, mm, LPS.
@@ -100,10 +91,9 @@ class Frame:
         Lowest and highest of what is stored where there is no image.
     """
 
-    path: DicomFile
+    path: Path
     number: int
     frames: int
-    corner: tuple[int, int] | None
     rows: int
     columns: int
     position: Floats | None
@@ -122,12 +112,12 @@ class Frame:
     padding: tuple[float, float] | None = None
 
 
-def frames_of(path: DicomFile, of_segmentation: bool = False) -> list[Frame]:
+def frames_of(path: Path, of_segmentation: bool = False) -> list[Frame]:
     """Read the slices of a file, without their values.
 
     Parameters
     ----------
-    path : Path or Member
+    path : Path
     of_segmentation : bool
         Whether all frames of a segmentation are wanted: of what is no slice of a volume the first stands for all.
 
@@ -146,11 +136,11 @@ def frames_of(path: DicomFile, of_segmentation: bool = False) -> list[Frame]:
         return _frames(path, Elements(dataset), pixels, of_segmentation)
 
 
-def _frames(path: DicomFile, dataset: Elements, pixels: PixelBytes | None, of_segmentation: bool) -> list[Frame]:
+def _frames(path: Path, dataset: Elements, pixels: PixelBytes | None, of_segmentation: bool) -> list[Frame]:
     rows, columns = (int(dataset.get(name) or 0) for name in ("Rows", "Columns"))
     kind = sources.kind_of(dataset)
     if kind and not (of_segmentation and kind == sources.SEGMENTATION):
-        return [_frame(_common(path, dataset), dataset, 0, 1, None, _elapsed(dataset), kind)]
+        return [_frame(_common(path, dataset), dataset, 0, 1, _elapsed(dataset), kind)]
     if not any(dataset.get(name) for name in ("SOPClassUID", "Modality", "Rows")):
         what = "its header has no SOP class, modality or number of rows; cut short?"
         raise InputError(f"{path.name}: {what}", "copy it again")
@@ -168,13 +158,10 @@ def _frames(path: DicomFile, dataset: Elements, pixels: PixelBytes | None, of_se
     if groups and len(groups) != count:
         raise InputError(f"{path.name}: {count} frames announced, {len(groups)} described", HEADER_HINT)
     common, elapsed = _common(path, dataset), _elapsed(dataset)
-    if "MOSAIC" in listed(dataset.get("ImageType")):
-        tiles = tiles_of(path, read_dataset(path, [*_TAGS, *_MOSAIC_TAGS]))
-        return [_frame(common, dataset, 0, 1, tile, elapsed) for tile in tiles]
-    return [_frame(common, dataset, number, count, None, elapsed) for number in order_of(dataset, count)]
+    return [_frame(common, dataset, number, count, elapsed) for number in order_of(dataset, count)]
 
 
-def _check_pixels(path: DicomFile, dataset: Elements, pixels: PixelBytes, size: int, count: int) -> None:
+def _check_pixels(path: Path, dataset: Elements, pixels: PixelBytes, size: int, count: int) -> None:
     """Refuse a file that has less than its header announces, before anything is allocated for it."""
     bits, samples = int(dataset.get("BitsAllocated") or 16), int(dataset.get("SamplesPerPixel") or 1)
     if not 1 <= bits <= _MAX_BITS or not 1 <= samples <= 4:
@@ -213,7 +200,7 @@ def _check_pixels(path: DicomFile, dataset: Elements, pixels: PixelBytes, size: 
     )
 
 
-def _common(path: DicomFile, dataset: Elements) -> Frame:
+def _common(path: Path, dataset: Elements) -> Frame:
     """A frame with the elements that a file has for all its frames."""
     bits, is_signed = int(dataset.get("BitsAllocated") or 16), bool(dataset.get("PixelRepresentation") or 0)
     names = {"modality": "Modality", "description": "SeriesDescription", "number": "SeriesNumber",
@@ -226,15 +213,13 @@ def _common(path: DicomFile, dataset: Elements) -> Frame:
         text(dataset, "PhotometricInterpretation"),
     )
     return Frame(
-        path, 0, 1, None, int(dataset.get("Rows") or 0), int(dataset.get("Columns") or 0), None, None, None, None,
+        path, 0, 1, int(dataset.get("Rows") or 0), int(dataset.get("Columns") or 0), None, None, None, None,
         1.0, 0.0, (study, series, instance, world), {what: text(dataset, name) for what, name in names.items()},
         tuple(listed(dataset.get("ImageType"))), pixel, {}, padding=_padding(path, dataset, bits, is_signed),
     )
 
 
-def _frame(
-    common: Frame, dataset: Elements, number: int, count: int, tile: Tile | None, elapsed: Floats, kind: str = ""
-) -> Frame:
+def _frame(common: Frame, dataset: Elements, number: int, count: int, elapsed: Floats, kind: str = "") -> Frame:
     place = _group(dataset, number, "PlanePositionSequence")
     turn = _group(dataset, number, "PlaneOrientationSequence")
     size = _group(dataset, number, "PixelMeasuresSequence")
@@ -247,10 +232,9 @@ def _frame(
     position, orientation = place_of(dataset, number) or (
         numbers_of(place, "ImagePositionPatient", 3), numbers_of(turn, "ImageOrientationPatient", 6)
     )
-    corner, rows, columns, position = tile or (None, common.rows, common.columns, position)
     phase, times = _phase(common.path, dataset, number, count), _times(dataset, number, elapsed)
     return replace(
-        common, number=number, frames=count, corner=corner, rows=rows, columns=columns, position=position,
+        common, number=number, frames=count, position=position,
         orientation=orientation, spacing=spacing if spacing is not None and min(spacing) > 0 else None,
         thickness=number_of(size, "SpacingBetweenSlices") or number_of(size, "SliceThickness") or None,
         slope=1.0 if slope is None or table else slope, intercept=0.0 if intercept is None or table else intercept,
@@ -261,7 +245,7 @@ def _frame(
     )
 
 
-def _padding(path: DicomFile, dataset: Elements, bits: int, is_signed: bool) -> tuple[float, float] | None:
+def _padding(path: Path, dataset: Elements, bits: int, is_signed: bool) -> tuple[float, float] | None:
     """Lowest and highest of what is stored where there is no image."""
     for kind in ("", "Float", "DoubleFloat"):
         value = dataset.get(f"{kind}PixelPaddingValue")
@@ -296,7 +280,7 @@ def _frame_type(dataset: Any, number: int) -> str:
     return "\\".join(listed(dataset.get("ImageType")))
 
 
-def _phase(path: DicomFile, dataset: Any, number: int, count: int) -> dict[str, str]:
+def _phase(path: Path, dataset: Any, number: int, count: int) -> dict[str, str]:
     """Elements that may tell apart slices at one place, most telling first."""
     content = _group(dataset, number, "FrameContentSequence")
     echo = _group(dataset, number, "MREchoSequence")
@@ -373,44 +357,6 @@ def _unit(dataset: Elements, scale: Any, table: Any) -> str:
     if text(dataset, "Modality") == "CT":
         return "HU" if said.upper() in ("", "HU", "US") else said
     return "" if said.upper() in ("US", "NONE") else said
-
-
-def tiles_of(path: DicomFile, dataset: Any) -> list[Tile]:
-    """Places of the slices of a mosaic in the picture and in the patient.
-
-    The file says where the whole picture would lie if it were a slice with the middle of the first one; the slices
-    follow along the normal that the private block says.
-
-    Raises
-    ------
-    InputError
-        When the file does not say how many slices there are, or which way they follow.
-    """
-    with quiet():  # it warns of itself
-        from nibabel.nicom import csareader
-
-    count = dataset.get(_MOSAIC_COUNT)
-    block = csareader.get_csa_header(dataset, "image")
-    count = int(count.value) if count is not None else (csareader.get_n_mosaic(block) if block else None)
-    normal = csareader.get_slice_normal(block) if block else None
-    turn, place = dataset.get("ImageOrientationPatient"), dataset.get("ImagePositionPatient")
-    size, step = dataset.get("PixelSpacing"), dataset.get("SpacingBetweenSlices")
-    if not count or count < 1 or normal is None or None in (turn, place, size, step):
-        raise InputError(
-            f"{path.name}: a mosaic without what says where its slices lie", "convert it by dcm2niix first"
-        )
-    side = math.ceil(math.sqrt(count))
-    rows, columns = int(dataset.Rows) // side, int(dataset.Columns) // side
-    along_row, along_column = np.array(turn, float)[:3], np.array(turn, float)[3:]
-    shift = (int(dataset.Columns) - columns) / 2 * float(size[1]) * along_row
-    shift = shift + (int(dataset.Rows) - rows) / 2 * float(size[0]) * along_column
-    across = np.cross(along_row, along_column)
-    step = float(step) * (1.0 if float(np.dot(across, normal)) >= 0 else -1.0)
-    first = np.array(place, float) + shift
-    return [
-        ((n // side * rows, n % side * columns), rows, columns, tuple((first + n * step * across).tolist()))
-        for n in range(count)
-    ]
 
 
 def _is_reconstructed(dataset: Any) -> bool:

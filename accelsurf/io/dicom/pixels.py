@@ -16,7 +16,7 @@ from accelsurf.errors import InputError
 from accelsurf.io import itk
 from accelsurf.io.channels import to_grey
 from accelsurf.io.dicom.frames import Frame
-from accelsurf.io.dicom.sources import HEADER_HINT, DicomFile, damage_of, library, read_dataset
+from accelsurf.io.dicom.sources import HEADER_HINT, damage_of, library, read_dataset
 from accelsurf.io.dicom.writing_tools import data_set, file_bytes, filled
 
 _SECONDARY_CAPTURE = "1.2.840.10008.5.1.4.1.1.7"
@@ -82,7 +82,7 @@ def read_values(frames: Sequence[Frame]) -> tuple[NDArray[Any], str]:
     out = np.empty((len(frames), frames[0].rows, frames[0].columns), dtype)
     padding = np.zeros(out.shape, np.bool_) if any(frame.padding for frame in frames) else None
     notes: dict[str, None] = {}
-    by_file: dict[DicomFile, list[int]] = {}
+    by_file: dict[Path, list[int]] = {}
     for place, frame in enumerate(frames):
         by_file.setdefault(frame.path, []).append(place)
     for path, places in by_file.items():
@@ -167,12 +167,12 @@ def _grey(stored: NDArray[Any], frame: Frame) -> tuple[NDArray[Any], str]:
     return stored, inverse if kind == "MONOCHROME1" else ""
 
 
-def stored_values(path: DicomFile, dataset: Any, frame: Frame) -> NDArray[Any]:
+def stored_values(path: Path, dataset: Any, frame: Frame) -> NDArray[Any]:
     """Read the stored values of a slice, before they are scaled.
 
     Parameters
     ----------
-    path : Path or Member
+    path : Path
     dataset : pydicom.Dataset
         All of the file.
     frame : Frame
@@ -201,9 +201,6 @@ def stored_values(path: DicomFile, dataset: Any, frame: Frame) -> NDArray[Any]:
             array = _bits(dataset.PixelData, frame)
         else:
             array = pydicom.pixels.pixel_array(dataset, index=frame.number if frame.frames > 1 else None)
-    if frame.corner is not None:
-        top, left = frame.corner
-        array = array[top : top + frame.rows, left : left + frame.columns]
     return np.asarray(array)
 
 

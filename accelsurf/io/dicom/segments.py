@@ -19,7 +19,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.io.dicom.frames import Frame, frames_of
 from accelsurf.io.dicom.pixels import stored_values
 from accelsurf.io.dicom.slices import TOLERANCE_MM, ordered
-from accelsurf.io.dicom.sources import HEADER_HINT, TAGS, DicomFile, damage_of, library, number_of, read_dataset, text
+from accelsurf.io.dicom.sources import HEADER_HINT, TAGS, damage_of, library, number_of, read_dataset, text
 from accelsurf.io.dicom.volumes import DicomVolume
 from accelsurf.io.memory import check_memory
 from accelsurf.settings.labels import MAX_NAME, LabelEntry, LabelTable, default_color, holds
@@ -39,7 +39,7 @@ class Segments:
 
     Attributes
     ----------
-    file : Path or Member
+    file : Path
     kind : {"BINARY", "FRACTIONAL", "LABELMAP"}
     full : int
         Of fractions: what is stored for 1.
@@ -56,7 +56,7 @@ class Segments:
         Segments by number, with names and colours.
     """
 
-    file: DicomFile
+    file: Path
     kind: str
     full: int
     background: int
@@ -77,12 +77,12 @@ class Segments:
         return "fractions: a voxel is of a segment where at least half of it is" if self.kind == _FRACTIONAL else ""
 
 
-def parse_segments(file: DicomFile, root: Path) -> Segments:
+def parse_segments(file: Path, root: Path) -> Segments:
     """Read what a segmentation says of its segments, and prove that its frames lie on a grid.
 
     Parameters
     ----------
-    file : Path or Member
+    file : Path
     root : Path
         The folder that messages name files from.
 
@@ -126,7 +126,7 @@ def _number(frame: Frame, table: LabelTable) -> int:
     return int(said)
 
 
-def _table(file: DicomFile, dataset: Any) -> LabelTable:
+def _table(file: Path, dataset: Any) -> LabelTable:
     """Names and colours of the segments."""
     entries = {}
     for item in dataset.get("SegmentSequence") or ():

@@ -99,8 +99,8 @@ def _tolerance(geometry: Geometry) -> float:
 
 
 def pixel_for_pixel(frame: Frame, geometry: Geometry, k: int) -> bool:
-    """Test if a frame's pixels are the voxels of a slice of the grid; those of a mosaic's tile are not its file's."""
-    if frame.spacing is None or frame.corner is not None or (frame.rows, frame.columns) != geometry.shape[1:]:
+    """Test if a frame's pixels are the voxels of a slice of the grid."""
+    if frame.spacing is None or (frame.rows, frame.columns) != geometry.shape[1:]:
         return False
     turn = np.array(frame.orientation, np.float64).reshape(2, 3)
     ends = np.array([[0, 0], [0, frame.columns - 1], [frame.rows - 1, 0]])

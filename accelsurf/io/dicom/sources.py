@@ -10,32 +10,26 @@ from __future__ import annotations
 
 import io
 import logging
-import lzma
 import math
 import os
 import re
-import stat
 import warnings
-import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from types import ModuleType
 from typing import Any, BinaryIO
 
 from accelsurf.errors import InputError
 from accelsurf.io.files import library_named
-from accelsurf.settings import budgets
-from accelsurf.settings.budgets import DICOM_DEFLATED
 
 HEADER_HINT = "the header is damaged: copy the file again, or export it again"
 
 #: Those that send lines to stderr where nobody asked for logs.
 _LOGGERS = ("pydicom", "highdicom")
-_DEFLATED = "1.2.840.10008.1.2.1.99"
+_DEFLATED = b"1.2.840.10008.1.2.1.99"
 _SERIES_UID = 0x0020_000E
 _PIXELS = (0x7FE0_0008, 0x7FE0_0009, 0x7FE0_0010)
 _UNDEFINED = 0xFFFF_FFFF
@@ -44,7 +38,7 @@ _ITEM, _END = (0xFFFE, 0xE000), (0xFFFE, 0xE0DD)
 _LARGE = 1 << 16
 #: Pieces of packed pixels that are counted.
 _MAX_PIECES = 1 << 20
-SUFFIXES, ARCHIVE = (".dcm", ".ima", ".dicom"), ".zip"
+SUFFIXES = (".dcm", ".ima", ".dicom")
 #: Files that are looked at; a folder of more is another kind of folder.
 MAX_FILES = 200_000
 #: Files that are looked at to see whether a folder holds DICOM.
@@ -52,14 +46,9 @@ _TRIED = 64
 _MARK, _MARK_AT = b"DICM", 128
 #: First elements of files that have no mark: groups 0002 and 0008, in either byte order.
 _FIRST_GROUPS = (b"\x02\x00", b"\x08\x00", b"\x00\x08")
-_HINT = "unpack it, and give the folder"
-#: Bytes of a damaged member that are looked at, and of one read of them.
-_MAX_REMAINS, _BLOCK = 1 << 16, 1 << 10
-_ZIP_ERRORS = (
-    zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError, zlib.error, lzma.LZMAError, ValueError
-)
 Floats = tuple[float, ...]
 SEGMENTATION, WHOLE_SLIDE, PROJECTION = "segmentation", "whole-slide image", "projection of a tomograph"
+MOSAIC = "mosaic of slices"
 #: Elements that tell the kind of image, beside class, modality and type of image.
 TAGS = ("TotalPixelMatrixRows", "TotalPixelMatrixColumns", "DimensionOrganizationType")
 _CLASSES = {
@@ -77,79 +66,8 @@ _MODALITIES = {
 HINTS = {
     WHOLE_SLIDE: "its frames are tiles of one plane: export a region as TIFF or OME-Zarr, by Bio-Formats or QuPath",
     PROJECTION: "its frames are views from several sides: give the reconstructed series",
+    MOSAIC: "its slices lie side by side in one picture: convert it by dcm2niix",
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Member:
-    """A file of a zip archive. It is read into memory; nothing is unpacked onto the disk.
-
-    Attributes
-    ----------
-    archive : ZipFile
-    info : ZipInfo
-    """
-
-    archive: zipfile.ZipFile
-    info: zipfile.ZipInfo
-
-    @property
-    def name(self) -> str:
-        """The last part of its name."""
-        return PurePosixPath(self.shown).name
-
-    @property
-    def shown(self) -> str:
-        """Its name in the archive, for messages."""
-        return self.info.filename.replace("\\", "/")[-80:]
-
-    def __str__(self) -> str:
-        return f"{self.info.header_offset:020d}"
-
-    def first_bytes(self, count: int) -> bytes:
-        """Return its first bytes.
-
-        Raises
-        ------
-        InputError
-            When they cannot be unpacked.
-        """
-        return self._unpacked(count)
-
-    def content(self) -> bytes:
-        """Return its bytes, no more than the archive claims.
-
-        Raises
-        ------
-        InputError
-            When they cannot be unpacked, or are more.
-        """
-        found = self._unpacked(self.info.file_size + 1)
-        if len(found) != self.info.file_size:
-            raise InputError(f"{self.name}: its size is not what the archive claims", "pack it again")
-        return found
-
-    def remains(self) -> bytes:
-        """Return what can be unpacked of its beginning, whatever is wrong with the rest."""
-        found = b""
-        try:
-            with self.archive.open(self.info) as packed:
-                while len(found) < _MAX_REMAINS and (block := packed.read(_BLOCK)):
-                    found += block
-        except _ZIP_ERRORS:
-            pass
-        return found
-
-    def _unpacked(self, count: int) -> bytes:
-        try:
-            with self.archive.open(self.info) as packed:
-                return packed.read(count)
-        except _ZIP_ERRORS as error:
-            raise InputError(f"{self.name}: damaged in the archive, or locked ({error})", _HINT) from error
-
-
-#: A file on the disk or in an archive.
-DicomFile = Path | Member
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,30 +77,24 @@ class SourceFiles:
     Attributes
     ----------
     root : Path
-        The folder that messages name them from, or the archive.
-    paths : tuple of Path or Member
+        The folder that messages name them from.
+    paths : tuple of Path
         In the order of their names.
-    strays : tuple of Path or Member
-        Files that have names as those and are no DICOM; archives.
-    is_archive : bool
+    strays : tuple of Path
+        Files that have names as those and are no DICOM.
     """
 
     root: Path
-    paths: tuple[DicomFile, ...]
-    strays: tuple[DicomFile, ...] = ()
-    is_archive: bool = False
+    paths: tuple[Path, ...]
+    strays: tuple[Path, ...] = ()
 
 
-def is_dicom(path: DicomFile) -> bool:
+def is_dicom(path: Path) -> bool:
     """Test if a file begins as a DICOM does."""
-    count = _MARK_AT + len(_MARK)
     try:
-        if isinstance(path, Member):
-            begin = path.first_bytes(count)
-        else:
-            with path.open("rb") as file:
-                begin = file.read(count)
-    except (OSError, InputError):
+        with path.open("rb") as file:
+            begin = file.read(_MARK_AT + len(_MARK))
+    except OSError:
         return False
     if begin[_MARK_AT:] == _MARK:
         return True
@@ -199,19 +111,13 @@ def holds_dicom(folder: Path) -> bool:
     return False
 
 
-def files_of(path: Path, available: int) -> SourceFiles:
-    """Find the files of a folder with its folders, of a zip archive, or beside a file of a series.
-
-    Parameters
-    ----------
-    path : Path
-    available : int
-        Bytes that a member of an archive may unpack to.
+def files_of(path: Path) -> SourceFiles:
+    """Find the files of a folder with its folders, or beside a file of a series.
 
     Raises
     ------
     InputError
-        When there are none, too many, or the archive is damaged.
+        When there are none, or too many.
     """
     if path.is_dir():
         paths = []
@@ -221,33 +127,30 @@ def files_of(path: Path, available: int) -> SourceFiles:
                 raise InputError(f"a folder of more than {MAX_FILES} files given", "give the folder of one study")
         return _sorted_out(path, sorted(paths), f"none of {len(paths)} files in this folder is DICOM")
     if not is_dicom(path):
-        if zipfile.is_zipfile(path):
-            return _of_archive(path, available)
-        raise InputError("this is not a DICOM file or an archive of them", "is it the right one?")
+        raise InputError("this is not a DICOM file", "is it the right one?")
     beside = (other for other in path.parent.iterdir() if other.is_file() and not other.is_symlink())
     return _sorted_out(path.parent, sorted({path, *beside}), "")
 
 
-def _sorted_out(root: Path, paths: Iterable[DicomFile], nothing: str, is_archive: bool = False) -> SourceFiles:
+def _sorted_out(root: Path, paths: Iterable[Path], nothing: str) -> SourceFiles:
     """Part files into DICOM and those that only have names as they have."""
-    found: list[DicomFile] = []
-    others: list[DicomFile] = []
+    found: list[Path] = []
+    others: list[Path] = []
     for path in paths:
         (found if is_dicom(path) else others).append(path)
     if not found:
         raise InputError(nothing, "give the folder of the scan")
-    suffixes = {_suffix(path) for path in found}
-    suffixes |= {*SUFFIXES, ARCHIVE}
+    suffixes = {*SUFFIXES, *map(_suffix, found)}
     # Slices without an ending have numbers in their names; README has none.
     strays = tuple(
         path for path in others if (suffix := _suffix(path)) in suffixes and (suffix or re.search("[0-9]", path.name))
     )
-    return SourceFiles(root, tuple(found), strays, is_archive)
+    return SourceFiles(root, tuple(found), strays)
 
 
-def _suffix(path: DicomFile) -> str:
+def _suffix(path: Path) -> str:
     """The ending of a name; none where it is a number, as the last part of an identifier."""
-    suffix = PurePosixPath(path.name).suffix.lower()
+    suffix = path.suffix.lower()
     return "" if suffix[1:].isdigit() else suffix
 
 
@@ -259,35 +162,6 @@ def _walk(folder: Path) -> Iterator[Path]:
             path = Path(place, name)
             if not name.startswith(".") and name.upper() != "DICOMDIR" and not path.is_symlink() and path.is_file():
                 yield path
-
-
-def _of_archive(path: Path, available: int) -> SourceFiles:
-    """The members of an archive, after it is clear what they cost."""
-    try:
-        archive = zipfile.ZipFile(path)
-    except _ZIP_ERRORS as error:
-        raise InputError(f"the archive is damaged ({error})", _HINT) from error
-    infos = [info for info in archive.infolist() if not info.is_dir()]
-    budgets.DICOM_ARCHIVE_FILES.check(len(infos))
-    for info in infos:
-        if stat.S_ISLNK(info.external_attr >> 16):
-            raise InputError(f"the archive has a link, {info.filename[:80]}", _HINT)
-    claimed, stored = sum(info.file_size for info in infos), path.stat().st_size
-    budgets.DICOM_ARCHIVE_BYTES.check(claimed)
-    budgets.DICOM_ARCHIVE.check(claimed, factor=stored + (1 << 20))
-    largest = max((info.file_size for info in infos), default=0)
-    if largest > available:
-        raise InputError(f"a file of {largest} bytes in the archive, {available} are available", _HINT)
-    members = [Member(archive, info) for info in infos if _is_seen(info)]
-    return _sorted_out(path, members, "no DICOM file is in the archive", True)
-
-
-def _is_seen(info: zipfile.ZipInfo) -> bool:
-    """Test if a member is looked at, as files in a folder are."""
-    parts = PurePosixPath(info.filename.replace("\\", "/")).parts
-    return bool(parts) and not any(p.startswith(".") and p not in ("..", ".") for p in parts[-1:]) and (
-        parts[-1].upper() != "DICOMDIR" and parts[0] != "__MACOSX"
-    )
 
 
 def library(name: str = "pydicom") -> ModuleType:
@@ -325,7 +199,7 @@ def quiet() -> Iterator[None]:
 
 
 @contextmanager
-def damage_of(file: DicomFile, what: str) -> Iterator[None]:
+def damage_of(file: Path, what: str) -> Iterator[None]:
     """Turn what the packages raise about damaged files, of which there is no end, into an InputError.
 
     Parameters
@@ -360,7 +234,7 @@ class PixelBytes:
     is_whole: bool = True
 
 
-def read_dataset(file: DicomFile, tags: Sequence[str | int] | None = None) -> Any:
+def read_dataset(file: Path, tags: Sequence[str | int] | None = None) -> Any:
     """Read a file: with ``tags`` those elements alone and no pixels, else all.
 
     Raises
@@ -371,7 +245,7 @@ def read_dataset(file: DicomFile, tags: Sequence[str | int] | None = None) -> An
     return _read(file, tags, _PIXELS if tags is not None else ())[0]
 
 
-def read_header(file: DicomFile, tags: Sequence[str | int]) -> tuple[Any, PixelBytes | None]:
+def read_header(file: Path, tags: Sequence[str | int]) -> tuple[Any, PixelBytes | None]:
     """Read elements of a file, and find how much of its pixels is there; None: it has none.
 
     Raises
@@ -382,21 +256,19 @@ def read_header(file: DicomFile, tags: Sequence[str | int]) -> tuple[Any, PixelB
     return _read(file, tags, _PIXELS)
 
 
-def series_of(file: DicomFile) -> tuple[str, bool]:
+def series_of(file: Path) -> tuple[str, bool]:
     """The UID of the series that a damaged file says it is of, and whether the file ends within it.
 
     Empty where it cannot be read.
     """
     try:
-        found = _read(file, ["SeriesInstanceUID"], (_SERIES_UID + 1,), True)[0].get_item(_SERIES_UID)
+        found = _read(file, ["SeriesInstanceUID"], (_SERIES_UID + 1,))[0].get_item(_SERIES_UID)
         return found.value.decode("ascii").strip("\0 "), len(found.value) < found.length
     except Exception:  # it is damaged, in whatever way
         return "", False
 
 
-def _read(
-    file: DicomFile, tags: Sequence[str | int] | None, stops: tuple[int, ...], is_damaged: bool = False
-) -> tuple[Any, PixelBytes | None]:
+def _read(file: Path, tags: Sequence[str | int] | None, stops: tuple[int, ...]) -> tuple[Any, PixelBytes | None]:
     """The elements, and where reading stopped at pixels what there is of them; the first of ``stops`` ends it, or what
     comes after.
     """
@@ -410,11 +282,12 @@ def _read(
         return False
 
     wanted = None if tags is None else [pydicom.tag.Tag(tag) for tag in tags]
-    damage = damage_of(file, "no DICOM, or damaged")
-    with damage, _opened(file, is_damaged) as stream, _inflated(stream) as (data, meta):
+    with damage_of(file, "no DICOM, or damaged"), _Bounded(file) as data:
+        if _DEFLATED in data.read(_LARGE):  # without a limit to what it unpacks to
+            what = f"{file.name}: its elements are deflated"
+            raise InputError(what, "unpack it first, as dcmconv --write-xfer-little IN OUT does")
+        data.seek(0)
         dataset = pydicom.filereader.read_partial(data, stop if stops else None, force=True, specific_tags=wanted)
-        if meta is not None:
-            dataset.file_meta = meta
         return dataset, _pixel_bytes(data, *seen[0]) if seen else None
 
 
@@ -429,39 +302,6 @@ class _Bounded(io.BufferedReader):
         if size is not None and size > _LARGE:
             size = min(size, max(self._end - self.tell(), 0))
         return super().read(size)
-
-
-def _opened(file: DicomFile, is_damaged: bool) -> BinaryIO:
-    if isinstance(file, Member):
-        return io.BytesIO(file.remains() if is_damaged else file.content())
-    return _Bounded(file)
-
-
-@contextmanager
-def _inflated(stream: BinaryIO) -> Iterator[tuple[BinaryIO, Any]]:
-    """The stream, or what a deflated one unpacks to, with the file's meta information."""
-    if _DEFLATED.encode() not in stream.read(1024):
-        stream.seek(0)
-        yield stream, None
-        return
-    stream.seek(0)
-    reader = library("pydicom.filereader")
-    reader.read_preamble(stream, True)
-    meta = library("pydicom.dataset").FileMetaDataset(
-        reader.read_dataset(stream, False, True, stop_when=lambda tag, vr, length: tag >> 16 != 2)
-    )
-    if meta.get("TransferSyntaxUID") != _DEFLATED:
-        stream.seek(0)
-        yield stream, None
-        return
-    packed = stream.read()
-    limit = DICOM_DEFLATED.limit * (len(packed) + (1 << 20))
-    unpacker = zlib.decompressobj(-zlib.MAX_WBITS)
-    content = unpacker.decompress(packed, limit + 1)
-    DICOM_DEFLATED.check(len(content), factor=len(packed) + (1 << 20))
-    if not unpacker.eof:
-        raise InputError("its deflated content ends early", "copy it again")
-    yield io.BytesIO(content), meta
 
 
 def _pixel_bytes(data: BinaryIO, length: int, start: int) -> PixelBytes:
@@ -545,6 +385,8 @@ def kind_of(dataset: Any) -> str:
     image_type = listed(dataset.get("ImageType"))
     if "LOCALIZER" in image_type:
         return "localizer"
+    if "MOSAIC" in image_type:
+        return MOSAIC
     return PROJECTION if text(dataset, "Modality") == "NM" and {"TOMO", "GATED TOMO"} & set(image_type) else ""
 
 

@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 from accelsurf.errors import InputError
 from accelsurf.io.dicom.frames import Frame, frames_of
-from accelsurf.io.dicom.sources import ARCHIVE, DicomFile, Member, SourceFiles, series_of
+from accelsurf.io.dicom.sources import SourceFiles, series_of
 from accelsurf.io.headers import FrameTimes
 
 #: Positions that differ by less are one place, mm.
@@ -59,7 +59,7 @@ class LeftOut:
 
     Attributes
     ----------
-    file : Path or Member
+    file : Path
     name : str
         As messages say it.
     kind : str
@@ -74,7 +74,7 @@ class LeftOut:
         Whether it is a whole image of another kind, as a localizer.
     """
 
-    file: DicomFile
+    file: Path
     name: str
     kind: str
     reason: str = ""
@@ -114,7 +114,7 @@ def contents_of(files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingP
     for path in files.paths:
         name = shown(path, files.root)
         try:
-            frames = known[path] if isinstance(path, Path) and path in known else frames_of(path)
+            frames = known[path] if path in known else frames_of(path)
         except InputError as error:
             left.append(LeftOut(path, name, "", error.message.removeprefix(f"{path.name}: "), *series_of(path)))
             continue
@@ -126,9 +126,7 @@ def contents_of(files: SourceFiles, known: Mapping[Path, list[Frame]] = MappingP
             for frame in frames:
                 series.setdefault(_series_key(frame), []).append(frame)
     for path in files.strays:
-        is_archive = path.name.lower().endswith(ARCHIVE)
-        said = ("archive", "") if is_archive else ("", "no DICOM, or cut short")
-        left.append(LeftOut(path, shown(path, files.root), *said))
+        left.append(LeftOut(path, shown(path, files.root), "", "no DICOM, or cut short"))
     volumes = [volume for key in sorted(series, key=lambda key: _order(series[key])) for volume in _split(series[key])]
     places = [volume for volume in volumes if volume.frames[0].position is not None]
     if places:  # pictures of single planes beside scans
@@ -162,10 +160,8 @@ def count_in_words(left: Iterable[LeftOut]) -> str:
     return ", ".join(words)
 
 
-def shown(path: DicomFile, root: Path) -> str:
+def shown(path: Path, root: Path) -> str:
     """A file's name from the folder that was given, or in the archive."""
-    if isinstance(path, Member):
-        return path.shown
     return path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
 
 

@@ -6,8 +6,9 @@ import gzip
 import math
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from accelsurf.errors import InputError
 from accelsurf.settings import budgets
@@ -105,37 +106,8 @@ def first_bytes(file: BinaryIO, count: int) -> bytes:
     return start[:count]
 
 
-def inflated_bytes(unpack: Any, piece: bytes) -> int:
-    """Count the bytes that a piece of a zlib stream unpacks to, without keeping them.
-
-    Parameters
-    ----------
-    unpack : zlib.decompressobj
-        The stream so far.
-    piece : bytes
-        What follows.
-
-    Raises
-    ------
-    InputError
-        When it is damaged.
-    """
-    count = 0
-    try:
-        while piece:
-            count += len(unpack.decompress(piece, 1 << 20))
-            piece = unpack.unconsumed_tail
-    except zlib.error as error:
-        raise InputError(
-            f"the compressed rows are damaged ({error})",
-            hint="the file is truncated or damaged: copy or export it again",
-        ) from error
-    return count
-
-
-def gzip_file(source: Path, target: Path) -> None:
-    """Compress a file to the same bytes every time: no name and no date in the gzip header."""
-    with source.open("rb") as plain, target.open("wb") as out:
-        with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=out, mtime=0) as packed:
-            while chunk := plain.read(1 << 20):
-                packed.write(chunk)
+@contextmanager
+def gzip_writer(path: Path) -> Iterator[gzip.GzipFile]:
+    """A file that is compressed to the same bytes every time: no name and no date in the gzip header."""
+    with path.open("wb") as out, gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=out, mtime=0) as packed:
+        yield packed

@@ -22,7 +22,6 @@ from accelsurf.io.dicom.slices import Slices, ordered
 from accelsurf.io.dicom.sources import (
     HINTS,
     SEGMENTATION,
-    DicomFile,
     SourceFiles,
     files_of,
     holds_dicom,
@@ -31,7 +30,7 @@ from accelsurf.io.dicom.sources import (
 )
 from accelsurf.io.dicom.volumes import TIME_PHASES, Contents, DicomVolume, contents_of, count_in_words, shown
 from accelsurf.io.headers import DICOM_KEY, LABELS_KEY, VALUE_UNIT_KEY, ZERO_BEYOND_KEY, with_warnings
-from accelsurf.io.memory import available_memory, check_memory
+from accelsurf.io.memory import check_memory
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 #: Series that a message lists.
@@ -97,7 +96,7 @@ def parse_dicom(path: Path, options: ReadOptions = AS_IT_IS) -> DicomHeader | Se
 
 
 def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
-    """The files of a path, what is in them, and the file itself where one was given that is no archive.
+    """The files of a path, what is in them, and the file itself where one was given.
 
     Raises
     ------
@@ -105,8 +104,8 @@ def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
         When there is no DICOM, or the file that was given is damaged.
     """
     library()
-    files = files_of(path, available_memory())
-    file = path if path.is_file() and not files.is_archive else None
+    files = files_of(path)
+    file = path if path.is_file() else None
     if file is None:
         return files, contents_of(files), None
     frames = _frames_of(file)
@@ -115,7 +114,7 @@ def found_in(path: Path) -> tuple[SourceFiles, Contents, Path | None]:
     return files, contents_of(files, {file: frames}), file
 
 
-def segmentation_of(contents: Contents) -> DicomFile | None:
+def segmentation_of(contents: Contents) -> Path | None:
     """The segmentation that is meant where there is no image of a volume; None where there is an image, or none.
 
     Raises

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import struct
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,16 +22,14 @@ from numpy.typing import NDArray
 
 from accelsurf.errors import GeometryError, InputError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.io.channels import MAX_CHANNELS, selected, single
-from accelsurf.io.formats.deflate import GZIP_START, TRUNCATED_HINT, first_bytes, inflate
+from accelsurf.io.channels import MAX_CHANNELS
+from accelsurf.io.formats.deflate import GZIP_START, first_bytes
 from accelsurf.io.formats.nifti_grid import METADATA_KEY, NiftiGrid, is_finite
 from accelsurf.io.formats.raw_header import Encoding, RawHeader
 from accelsurf.io.headers import TIMES_KEY, single_precision, split_name
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
-ITK_NAME = "NiftiImageIO"
-"""The class of ITK that reads and writes the format."""
 HEADER_BYTES = {1: 348, 2: 540}
 """Length of the header by the version of the format; a file begins with it."""
 COMMENT_CODE = 6
@@ -172,38 +170,12 @@ class NiftiFile(RawHeader):
         return self.nifti.are_channels_guessed
 
     @property
-    def values(self) -> int:
-        """Number of values that are read, those of all channels together."""
-        return len(self.selected()) * math.prod(self.nifti.size[:3])
-
-    @property
     def geometry(self) -> Geometry:
         """The grid of a volume."""
         return self.nifti.grid.geometry()
 
-    def selected(self) -> list[int]:
-        """Numbers of the volumes that are read as channels.
-
-        Raises
-        ------
-        InputError
-            As `accelsurf.io.channels.selected`.
-        """
-        header = self.nifti
-        places = selected(header.channels, header.time_points, self.asked)
-        return [channel * header.time_points + time for time, channel in places]
-
-    def single(self) -> int:
-        """The number of the volume that is read.
-
-        Raises
-        ------
-        InputError
-            As `accelsurf.io.channels.single`.
-        """
-        header = self.nifti
-        time, channel = single(header.channels, header.time_points, self.asked)
-        return channel * header.time_points + time
+    def _number(self, time: int, channel: int) -> int:
+        return channel * self.nifti.time_points + time
 
 
 def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool) -> NiftiFile:
@@ -244,9 +216,9 @@ def read_header(path: Path, options: ReadOptions = AS_IT_IS, *, compressed: bool
     metadata = {METADATA_KEY: header.grid.fields}
     encoding: Encoding = "deflate" if compressed else "raw"
     return NiftiFile(
-        path, 0, encoding, ITK_NAME, header.claimed_bytes, None, metadata, channels=header.channels,
-        time_points=header.time_points, seconds=header.seconds, asked=options, nifti=header,
-        times_text=times_text,
+        path, 0, encoding, header.claimed_bytes, skip=header.data_offset, metadata=metadata,
+        numbers=math.prod(header.size), channels=header.channels, time_points=header.time_points,
+        seconds=header.seconds, asked=options, nifti=header, times_text=times_text,
     )
 
 
@@ -400,47 +372,3 @@ def _real_size(size: tuple[int, ...], datatype: int) -> tuple[int, ...]:
     if datatype not in _REAL:
         raise InputError(f"NIfTI type code {datatype} is not supported", hint="convert the image to float32 first")
     return size
-
-
-def read_volumes(file: NiftiFile, numbers: Sequence[int]) -> list[NDArray[Any]]:
-    """Read some of the volumes of a file that is complete, scaled as its header says.
-
-    Parameters
-    ----------
-    file : NiftiFile
-        Its header; after `RawHeader.check_complete`, or else all of them together are counted while they are read.
-    numbers : sequence of int
-        Which, in the order of the file.
-
-    Returns
-    -------
-    list of ndarray (nz, ny, nx)
-        Of ``value_type``, as ITK would give them.
-    """
-    header = file.nifti
-    nx, ny, nz = header.size[:3]
-    first = min(numbers)
-    stored = _stored(file, first, max(numbers) - first + 1)
-    return [np.ascontiguousarray(header.values(stored[n - first].reshape(nz, ny, nx))) for n in numbers]
-
-
-def _stored(file: NiftiFile, first: int, count: int) -> NDArray[Any]:
-    """Some volumes of a file as they are stored, (count, voxels)."""
-    header = file.nifti
-    voxels = np.empty((count, math.prod(header.size[:3])), header.voxel_type)
-    raw = memoryview(voxels.reshape(-1).view(np.uint8).data)
-    offset = header.data_offset + first * voxels[0].nbytes
-    with file.data.open("rb") as stream:
-        if file.encoding == "raw":
-            stream.seek(offset)
-            at = stream.readinto(raw)
-        else:
-            at, skip, present = 0, offset, 0
-            for piece in inflate(stream, None, header.claimed_bytes):
-                some = memoryview(piece)[skip : skip + len(raw) - at]
-                raw[at : at + len(some)] = some
-                at, skip, present = at + len(some), max(skip - len(piece), 0), present + len(piece)
-            file.check_present(present)
-    if at < len(raw):
-        raise InputError(f"{len(raw)} bytes of voxels announced, {at} read", hint=TRUNCATED_HINT)
-    return voxels

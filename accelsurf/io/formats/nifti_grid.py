@@ -6,7 +6,6 @@ import math
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -68,7 +67,7 @@ class NiftiGrid:
         _, hx, hy, hz = (h * self._unit for h in self.pixdim)
         sform = self.sform_geometry() if self._has_sform_grid else None
         qform = self.qform_geometry() if self.qform_code > 0 else None
-        if sform and (self._sform_counts or (qform and _near(sform, qform))):
+        if sform and (self.sform_code == 1 or qform is None or _near(sform, qform)):
             place = sform
         elif qform:
             place = qform
@@ -196,14 +195,13 @@ def is_finite(values: Sequence[float]) -> bool:
     return bool((np.abs(values) <= np.finfo(np.float32).max).all())
 
 
-def put_grid(path: Path, grid_fields: str) -> None:
-    """Overwrite, in an uncompressed little-endian file, the header fields that place the grid."""
-    packed = bytes.fromhex(grid_fields)
-    with path.open("r+b") as file:
-        for offset, length in _GRID_PLACES:
-            file.seek(offset)
-            file.write(packed[:length])
-            packed = packed[length:]
+def put_grid(header: bytes, grid_fields: str) -> bytes:
+    """Return a little-endian NIfTI-1 header with the fields that place the grid replaced."""
+    placed, packed = bytearray(header), bytes.fromhex(grid_fields)
+    for offset, length in _GRID_PLACES:
+        placed[offset : offset + length] = packed[:length]
+        packed = packed[length:]
+    return bytes(placed)
 
 
 def _near(a: Geometry, b: Geometry) -> bool:

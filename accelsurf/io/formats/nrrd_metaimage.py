@@ -42,10 +42,7 @@ _NRRD_BYTES = {
     **dict.fromkeys(("uint64", "uint64_t", "double"), 8),
     "float": 4,
 }
-_NRRD_ENCODINGS: dict[str, Encoding] = {
-    **{"raw": "raw", "gzip": "deflate", "gz": "deflate", "hex": "other"},
-    **{"text": "text", "txt": "text", "ascii": "text"},
-}
+_NRRD_ENCODINGS: dict[str, Encoding] = {"raw": "raw", "gzip": "deflate", "gz": "deflate"}
 _META_BYTES = {
     **dict.fromkeys(("MET_CHAR", "MET_UCHAR"), 1),
     **dict.fromkeys(("MET_SHORT", "MET_USHORT"), 2),
@@ -112,37 +109,37 @@ def parse_nrrd(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     if detached := fields.get("data file") or fields.get("datafile"):
         data, offset = _detached(path, detached), 0
     if encoding not in _NRRD_ENCODINGS:
-        raise InputError(f"an NRRD of encoding {encoding} given, raw, gzip, text or hex expected", "save it as gzip")
-    coding = _NRRD_ENCODINGS[encoding]
-    if any(fields.get(k, "0") != "0" for k in ("line skip", "lineskip", "byte skip", "byteskip")) and coding != "raw":
-        coding = "other"  # of raw voxels at least so many must be there
+        raise InputError(f"an NRRD of encoding {encoding} given, raw or gzip expected", "save it as gzip")
+    coding, numbers, order = _NRRD_ENCODINGS[encoding], math.prod(sizes), _nrrd_order(fields, item)
+    offset += _nrrd_skip(fields, coding, data.stat().st_size - offset - numbers * item)
     metadata = {}
     if len(sizes) == 3 and "space directions" in fields:
         keys = ("space", "space dimension", "space directions", "space origin")
         metadata[NRRD_KEY] = "\n".join(f"{k}: {fields[k]}" for k in keys if k in fields)
-    numbers, position, order = math.prod(sizes), _nrrd_position(fields, coding, offset), _nrrd_order(fields, item)
     return RawHeader(
-        data, offset, coding, NRRD_ITK_NAME, numbers * item, None, metadata, numbers, position, order, **axis,
+        data, offset, coding, numbers * item, NRRD_ITK_NAME, metadata=metadata, numbers=numbers, order=order, **axis,
         asked=options,
     )
 
 
-def _nrrd_position(fields: dict[str, str], coding: Encoding, offset: int) -> int | None:
-    """Byte at which raw voxels begin; None where lines are to be skipped."""
+def _nrrd_skip(fields: dict[str, str], coding: Encoding, most: int) -> int:
+    """Bytes before raw voxels; all but theirs, ``most``, where the header gives -1."""
     try:
         (lines,) = _whole(fields.get("line skip") or fields.get("lineskip") or "0")
         (skip,) = _whole(fields.get("byte skip") or fields.get("byteskip") or "0")
     except ValueError:
-        return None
-    if coding != "raw" or lines:
-        return None
-    return offset + skip if skip >= 0 else -1
+        lines, skip = 1, 0
+    if lines or (skip and coding != "raw"):
+        raise InputError("an NRRD with lines to skip, or bytes of packed voxels, given", "save it as gzip")
+    return skip if skip >= 0 else max(most, 0)
 
 
 def _nrrd_order(fields: dict[str, str], item: int) -> ByteOrder:
     """Byte order; of single bytes any."""
     said = fields.get("endian", "little" if item == 1 else "").lower()
-    return "<" if said == "little" else ">" if said == "big" else ""
+    if said not in ("little", "big"):
+        raise InputError(f"the NRRD header gives endian {said[:40]!r}, little or big expected", "correct the header")
+    return "<" if said == "little" else ">"
 
 
 def _check_fields(lines: list[str]) -> None:
@@ -306,7 +303,9 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     _check_meta_axes(fields, len(sizes))
     _check_units([fields["DistanceUnits"]] if "DistanceUnits" in fields else [])
     data, offset = (path, offset) if name.upper() == "LOCAL" else (_detached(path, name), 0)
-    encoding: Encoding = "raw" if _is_true(fields, "BinaryData", "True") else "text"
+    if not _is_true(fields, "BinaryData", "True"):
+        raise InputError("a MetaImage whose voxels are text given, binary ones expected", "save it again")
+    encoding: Encoding = "raw"
     if _is_true(fields, "CompressedData"):
         encoding = "deflate"
         if skip != 0 or (stored is None and data == path):
@@ -315,12 +314,12 @@ def parse_metaimage(path: Path, options: ReadOptions = AS_IT_IS) -> RawHeader:
     if 0 < skip < offset:
         raise InputError(f"the MetaImage header of {offset} bytes gives a HeaderSize of {skip}", "correct or remove it")
     # HeaderSize -1 means: the voxels are the last bytes of the file, so that nothing before them is theirs.
-    offset = max(skip, offset)  # a positive one counts from the start of the file
-    position = None if encoding != "raw" else -1 if skip < 0 else offset
     count, order = numbers * item, _meta_order(fields)
+    offset = max(skip if skip >= 0 else data.stat().st_size - count, offset)
     axis = _meta_fourth_axis(channels, sizes) | {"times_text": fields.get(TIMES_KEY, "")}
     return RawHeader(
-        data, offset, encoding, METAIMAGE_ITK_NAME, count, stored, {}, numbers, position, order, **axis, asked=options
+        data, offset, encoding, count, METAIMAGE_ITK_NAME, stored_bytes=stored, numbers=numbers, order=order, **axis,
+        asked=options,
     )
 
 

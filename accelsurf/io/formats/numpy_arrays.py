@@ -1,4 +1,4 @@
-"""Arrays of numpy: .npy, and .npz with one array or one that is named (FILE.npz@NAME). They keep no grid.
+"""Arrays of numpy: .npy. They keep no grid.
 
 The header of an array is parsed here: numpy's own reader would unpickle objects where it is asked to, and does not
 compare what a header claims with the size of its file.
@@ -7,10 +7,8 @@ compare what a header claims with the size of its file.
 from __future__ import annotations
 
 import ast
-import io
 import math
 import struct
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,7 +20,6 @@ from accelsurf.errors import InputError
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io.channels import single
-from accelsurf.io.files import library_named
 from accelsurf.io.formats.deflate import TRUNCATED_HINT
 from accelsurf.io.formats.raw_voxels import RawLayout, RawVoxels
 from accelsurf.io.headers import with_warnings
@@ -33,7 +30,6 @@ from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
 _MAGIC = b"\x93NUMPY"
 _MAX_HEADER_BYTES = 1 << 16
-_DAMAGED = "the .npz is damaged, or is none", TRUNCATED_HINT
 _NOTE = "an array of numpy does not say how large a voxel is: 1 mm is taken; give --spacing"
 
 
@@ -45,8 +41,6 @@ class ArrayHeader:
     ----------
     data : Path
         The file.
-    member : str
-        Name of the array within an .npz; empty for an .npy.
     offset : int
         Bytes before the values.
     stored : numpy.dtype
@@ -62,7 +56,6 @@ class ArrayHeader:
     """
 
     data: Path
-    member: str
     offset: int
     stored: np.dtype[Any]
     shape: tuple[int, ...]
@@ -102,70 +95,29 @@ def parse_npy(path: Path, options: ReadOptions = AS_IT_IS) -> ArrayHeader:
         When it is none, is cut short, or holds no image of real numbers.
     """
     with path.open("rb") as file:
-        return _header(path, "", file, path.stat().st_size, options)
+        return _header(path, file, options)
 
 
-def parse_archive(path: Path, options: ReadOptions = AS_IT_IS) -> ArrayHeader:
-    """Read the header of the only array of an .npz, or of the one that is named after an @.
-
-    Raises
-    ------
-    InputError
-        As `parse_npy`, and when there are several arrays and none was named.
-    """
-    path, name = split_member(path)
-    if not zipfile.is_zipfile(path):
-        raise InputError("this is not a NumPy archive, or it is cut short", "is it the right file, and whole?")
-    with library_named(*_DAMAGED), zipfile.ZipFile(path) as archive:
-        arrays = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-        listed = ", ".join(sorted(arrays)[:10])
-        if name and name not in arrays:
-            raise InputError(f"no array {name[:40]} is in it, but {listed}", f"give {path.name}@NAME")
-        if not name and len(arrays) != 1:
-            raise InputError(f"{len(arrays)} arrays are in it ({listed}), one expected", f"give {path.name}@NAME")
-        info = arrays[name] if name else next(iter(arrays.values()))
-        budgets.NPZ.check(info.file_size - 1024, "an array of the .npz", max(info.compress_size, 1))
-        with archive.open(info) as file:
-            begin = io.BytesIO(file.read(_MAX_HEADER_BYTES + 12))
-    return _header(path, info.filename, begin, info.file_size, options)
-
-
-def split_member(path: Path) -> tuple[Path, str]:
-    """The file of an array and its name, as FILE.npz@NAME says them.
-
-    Examples
-    --------
-    >>> split_member(Path("cells.npz@image"))[1], split_member(Path("cells.npz"))[1]
-    ('image', '')
-    """
-    if path.is_file() or ".npz@" not in path.name.lower():
-        return path, ""
-    at = path.name.lower().index(".npz@") + 4
-    return path.with_name(path.name[:at]), path.name[at + 1 :]
-
-
-def _header(path: Path, member: str, file: Any, size: int, options: ReadOptions) -> ArrayHeader:
-    """The header of an array, from the start of what holds it."""
+def _header(path: Path, file: BinaryIO, options: ReadOptions) -> ArrayHeader:
+    """The header of an array."""
     dtype, shape, is_fortran, offset = _fields(file)
     if dtype.kind not in "buif":
         raise InputError(f"values of type {dtype} given, one real number per voxel expected", "save one field of it")
-    most = 3 if member or is_fortran else 4
+    most = 3 if is_fortran else 4
     if not 2 <= len(shape) <= most or min(shape) < 1:
         raise InputError(
             f"an array of shape {shape} given, (z, y, x) or (y, x) expected" + ", or (t, z, y, x)" * (most == 4),
             "save one channel, with its axes in the order z, y, x; of a sequence (t, z, y, x) as an .npy in C order",
         )
     needed = offset + math.prod(shape) * dtype.itemsize
-    if needed > size:
+    if needed > (size := path.stat().st_size):
         raise InputError(f"the header announces {needed} bytes, the array has {size}", TRUNCATED_HINT)
     budgets.AXIS.check(max(shape), "an axis of the array")
-    if member:  # which is unpacked as a whole
-        budgets.SLACK.check(size - needed, f"the header announces {needed} bytes, the array goes on beyond them")
     x, y, z = options.spacing or (1.0, 1.0, 1.0)
     nz, ny, nx = (*[1] * (3 - len(shape)), *shape[-3:])
     geometry = Geometry((nz, ny, nx), (z, y, x))
     metadata = with_warnings({}, "" if options.spacing else _NOTE)
-    return ArrayHeader(path, member, offset, dtype, shape, is_fortran, geometry, metadata, options)
+    return ArrayHeader(path, offset, dtype, shape, is_fortran, geometry, metadata, options)
 
 
 def _fields(file: BinaryIO) -> tuple[np.dtype[Any], tuple[int, ...], bool, int]:
@@ -205,14 +157,9 @@ def read_array(path: Path, header: ArrayHeader, available: int) -> Volume:
     """
     check_memory(header.geometry.size, header.stored.itemsize * 2, available)
     count = header.values
-    if not header.member:
-        with header.data.open("rb") as file:
-            file.seek(header.image_offset())
-            flat = np.fromfile(file, header.stored, count)
-    else:
-        with library_named(*_DAMAGED), zipfile.ZipFile(header.data) as archive, archive.open(header.member) as member:
-            raw = member.read()  # to its end, so that its checksum counts
-        flat = np.frombuffer(raw, header.stored, count, header.offset)
+    with header.data.open("rb") as file:
+        file.seek(header.image_offset())
+        flat = np.fromfile(file, header.stored, count)
     array = flat.reshape(header.shape[-3:], order="F" if header.is_fortran else "C").reshape(header.geometry.shape)
     plain: NDArray[Any] = np.ascontiguousarray(array, header.stored.newbyteorder("="))
     return Volume(plain, header.geometry, dict(header.metadata), path)

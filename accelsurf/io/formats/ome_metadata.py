@@ -11,7 +11,6 @@ which chunks it wrote.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -30,15 +29,8 @@ OWN_KEY = "accelsurf"
 MAX_AXES = 5
 VERSIONS = ("0.4", "0.5")
 _DAMAGED_HINT = "is the store complete? copy or export it again"
-#: The field of an axis, and what drafts of RFC-4 called it.
-_FIELDS = ("orientation", "anatomicalOrientation", "anatomical_orientation")
 #: Sides towards which x, y and z of the world (LPS) increase, and those that they come from.
 _SIDES = (("right", "left"), ("anterior", "posterior"), ("inferior", "superior"))
-_QUADRUPED = {
-    **{"dorsal": "posterior", "ventral": "anterior"},
-    **{"cranial": "superior", "rostral": "superior", "caudal": "inferior"},
-}
-_HINT = "correct the orientation of the axes in the metadata of the store, or remove it from all of them"
 
 
 @dataclass(frozen=True)
@@ -252,26 +244,22 @@ def _space_axes(axes: Sequence[OmeAxis]) -> tuple[int, ...]:
 def _placed(
     axes: Sequence[OmeAxis], finest: OmeLevel, stored: Floats | None, metadata: dict[str, str]
 ) -> tuple[Floats, dict[str, str]]:
-    """The directions of the axes, and the metadata with what is to be said of them.
-
-    Raises
-    ------
-    InputError
-        When two axes are along one line, or the words contradict the directions that accelsurf has written.
-    """
+    """The directions of the axes, and the metadata with what is to be said of them."""
     order = _space_axes(axes)[::-1]
-    direction, notes = direction_of([(axes[i].name, axes[i].orientation) for i in order])
-    notes += [
-        f"the orientation of the axis {axis.name[:40]}, which is none of space, is not used"
-        for axis in axes if axis.orientation and axis.kind != "space"
-    ]
-    if direction is None or stored is not None:
-        if direction is not None and stored is not None and not np.allclose(direction, stored, rtol=0.0, atol=1e-4):
+    words, notes = [axes[i].orientation for i in order], []
+    direction = direction_of(words)
+    if direction is None and any(words):
+        named = ", ".join(f"{axes[i].name[:40]}: {axes[i].orientation or 'none'}" for i in order)
+        notes.append(f"the orientations of the axes ({named}) are not lines of the body, as in RFC-4, and not used")
+    if stored is not None:
+        if direction is not None and not np.allclose(direction, stored, rtol=0.0, atol=1e-4):
             raise InputError(
                 'the orientation of the axes of the OME-Zarr contradicts "direction" in its attribute "accelsurf"',
                 'remove what is wrong: "orientation" of the axes, or "direction" of "accelsurf"',
             )
-        return np.eye(3) if stored is None else stored, with_warnings(metadata, *notes)
+        return stored, with_warnings(metadata, *notes)
+    if direction is None:
+        return np.eye(3), with_warnings(metadata, *notes)
     if not np.array_equal(direction, np.eye(3)) and any(finest.translation[i] for i in order):
         notes.append(
             "the axes are oriented and the store has a translation: it is read as the place of the first voxel in LPS, "
@@ -286,96 +274,38 @@ def is_ome_anatomical(metadata: Mapping[str, str]) -> bool:
 
 
 def word_of(axis: Mapping[str, Any]) -> str:
-    """The orientation that an axis says it has, as RFC-4 spells it; empty where it says none.
-
-    Raises
-    ------
-    InputError
-        When it says two.
+    """The orientation that an axis says it has; empty where it says none.
 
     Examples
     --------
     >>> word_of({"name": "x", "orientation": {"type": "anatomical", "value": "left-to-right"}})
     'left-to-right'
-    >>> word_of({"name": "x", "anatomicalOrientation": "LEFT_TO_RIGHT"})
-    'left-to-right'
     """
-    words = {_word(axis[field]) for field in _FIELDS if axis.get(field) is not None}
-    if len(words) > 1:
-        named = " and ".join(sorted(words))
-        raise InputError(f"the axis {str(axis.get('name'))[:40]} of the OME-Zarr is oriented {named}", _HINT)
-    return "".join(words)
+    said = axis.get("orientation") or ""
+    return str(said.get("value", "") if isinstance(said, Mapping) else said)[:80]
 
 
-def _word(given: Any) -> str:
-    if isinstance(given, Mapping):
-        kind, given = str(given.get("type", "anatomical")), given.get("value", "")
-        if kind.lower() != "anatomical":
-            return f"{kind[:40]} {str(given)[:40]}"
-    spaced = re.sub("(?<=[a-z])(?=[A-Z])", "-", str(given)[:80])
-    return re.sub(r"[\s_-]+", "-", spaced.strip()).lower()
-
-
-def direction_of(axes: Sequence[tuple[str, str]]) -> tuple[Floats | None, list[str]]:
-    """The directions of a grid by the orientation of its axes.
-
-    Parameters
-    ----------
-    axes : sequence of (name, word)
-        x, y and z of the array, or x and y, with what `word_of` gives.
+def direction_of(words: Sequence[str]) -> Floats | None:
+    """The directions of a grid by the orientations of its axes x, y and z, or x and y, in the words of RFC-4.
 
     Returns
     -------
-    tuple
-        Directions (3, 3) as in `Geometry`, None where no axis has a known orientation; and what a person should know.
-
-    Raises
-    ------
-    InputError
-        When two axes are oriented along the same line of the body.
+    ndarray (3, 3) or None
+        None where they do not name two or three different lines of the body.
     """
-    lines = [_line(word) for _, word in axes]
-    known = [(line[0], name, word) for line, (name, word) in zip(lines, axes, strict=True) if line is not None]
-    for number, (axis, name, word) in enumerate(known):
-        for other_axis, other, other_word in known[:number]:
-            if axis == other_axis:
-                raise InputError(
-                    f"the axes {other[:40]} ({other_word}) and {name[:40]} ({word}) of the OME-Zarr are oriented along "
-                    "the same line of the body",
-                    _HINT,
-                )
-    notes = [
-        f"the orientation {word} of the axis {name[:40]} is no side of the body and not used"
-        for line, (name, word) in zip(lines, axes, strict=True) if word and line is None
+    ends = [tuple(word.split("-to-")) for word in words]
+    found = [
+        (axis, 1.0 if pair == sides else -1.0)
+        for pair in ends for axis, sides in enumerate(_SIDES) if pair in (sides, sides[::-1])
     ]
-    if not known:
-        return None, notes
+    if len({axis for axis, _ in found}) < len(words):
+        return None
     direction = np.zeros((3, 3))
-    for column, line in enumerate(lines):
-        if line is not None:
-            direction[line[0], column] = line[1]
-    for column in (column for column in range(3) if not direction[:, column].any()):
-        free = [axis for axis in (column, 0, 1, 2) if not direction[axis].any()]
-        direction[free[0], column] = 1.0
-        if column < len(axes):
-            taken = "-to-".join(_SIDES[free[0]])
-            notes.append(f"the axis {axes[column][0][:40]} has no orientation, others have: it is taken as {taken}")
-    if len(axes) == 2 and np.linalg.det(direction) < 0:
-        direction[:, 2] *= -1.0  # the slice is seen from the side that makes the axes right-handed
-    if any(side in _QUADRUPED for _, _, word in known for side in word.split("-to-")):
-        notes.append(
-            "the axes are oriented in words for animals: dorsal is taken as posterior, cranial and rostral as superior"
-        )
-    return direction, notes
-
-
-def _line(word: str) -> tuple[int, float] | None:
-    """The axis of the world that a word is along, and whether with it (1) or against it (-1)."""
-    ends = tuple(_QUADRUPED.get(side, side) for side in word.split("-to-"))
-    for axis, sides in enumerate(_SIDES):
-        if ends in (sides, sides[::-1]):
-            return axis, 1.0 if ends == sides else -1.0
-    return None
+    for column, (axis, sign) in enumerate(found):
+        direction[axis, column] = sign
+    if len(words) == 2:  # the slice is seen from the side that makes the axes right-handed
+        direction[:, 2] = np.cross(direction[:, 0], direction[:, 1])
+    return direction
 
 
 def attributes_of(

@@ -5,6 +5,7 @@ Readers return zeros or garbage for missing voxels; the size is checked before a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,23 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.channels import selected
+from accelsurf.io.channels import selected, single
 from accelsurf.io.formats.deflate import TRUNCATED_HINT, inflate
 from accelsurf.io.headers import FrameTimes
 from accelsurf.settings import budgets
 from accelsurf.settings.reading import AS_IT_IS, ReadOptions
 
-Encoding = Literal["raw", "deflate", "text", "other"]
-ByteOrder = Literal["<", ">", ""]
-_CHUNK = 1 << 20
-
-
-def _at_blank(text: bytes, is_last: bool) -> tuple[bytes, bytes]:
-    """Text up to its last blank, and what follows: the beginning of a word that goes on."""
-    end = len(text) if is_last else max(text.rfind(blank) for blank in (b" ", b"\n", b"\t", b"\r")) + 1
-    return text[:end], text[end:]
-
-
+Encoding = Literal["raw", "deflate"]
+ByteOrder = Literal["<", ">"]
 @dataclass(frozen=True)
 class RawHeader:
     """Claims of a header.
@@ -40,24 +32,23 @@ class RawHeader:
     data : Path
         File that holds the voxels.
     offset : int
-        Bytes in it before the (possibly compressed) voxels.
+        Bytes in it before the stream of voxels, which is perhaps compressed.
     encoding : str
-        "raw", "deflate" (gzip or zlib), "text" (numbers), or "other" (skipped or hexadecimal: the reader checks).
-    itk_name : str
-        The format, as ITK names the class that reads it.
+        "raw", or "deflate" (gzip or zlib).
     claimed_bytes : int
         Bytes expected from there on, after decompression.
+    itk_name : str
+        The format, as ITK names the class that reads it; empty where it does not.
+    skip : int
+        Bytes of the unpacked stream before the voxels.
     stored_bytes : int or None
         Bytes of compressed voxels, where the header says so: the reader will take these and no more.
     metadata : dict of str to str
         Header fields to give back on writing.
-    numbers : int or None
-        Numbers expected, all channels together, where all of ``claimed_bytes`` are voxels.
-    position : int or None
-        Byte of the data file at which raw voxels begin, -1 for its last bytes; None where that is not known, or they
-        are not raw.
+    numbers : int
+        Numbers expected, all channels together.
     order : str
-        Byte order of the voxels: "<", ">", or empty where the header does not say.
+        Byte order of the voxels.
     channels, time_points : int
         How many of them there are.
     seconds : float or None
@@ -73,13 +64,13 @@ class RawHeader:
     data: Path
     offset: int
     encoding: Encoding
-    itk_name: str
     claimed_bytes: int
+    itk_name: str = ""
+    skip: int = 0
     stored_bytes: int | None = None
     metadata: dict[str, str] = field(default_factory=dict)
-    numbers: int | None = None
-    position: int | None = None
-    order: ByteOrder = ""
+    numbers: int = 0
+    order: ByteOrder = "<"
     channels: int = 1
     time_points: int = 1
     seconds: float | None = None
@@ -102,10 +93,13 @@ class RawHeader:
 
     @property
     def values(self) -> int:
-        """Number of values that are read, those of all channels together; of one byte each where that is not known."""
-        numbers = self.claimed_bytes if self.numbers is None else self.numbers
-        every = self.channels * self.time_points
-        return numbers if every == 1 else numbers // every * len(self.selected())
+        """Number of values that are read, those of all channels together."""
+        return self.numbers // (self.channels * self.time_points) * len(self.selected())
+
+    @property
+    def are_channels_guessed(self) -> bool:
+        """True if a few volumes are taken for channels because nothing is said of time."""
+        return False
 
     def selected(self) -> list[int]:
         """Numbers of the components or volumes that are read as channels.
@@ -115,8 +109,20 @@ class RawHeader:
         InputError
             As `accelsurf.io.channels.selected`.
         """
-        places = selected(self.channels, self.time_points, self.asked)
-        return [time * self.channels + channel for time, channel in places]
+        return [self._number(*place) for place in selected(self.channels, self.time_points, self.asked)]
+
+    def single(self) -> int:
+        """The number of the component or volume that is read as an image of one channel.
+
+        Raises
+        ------
+        InputError
+            As `accelsurf.io.channels.single`.
+        """
+        return self._number(*single(self.channels, self.time_points, self.asked))
+
+    def _number(self, time: int, channel: int) -> int:
+        return time * self.channels + channel
 
     def check_claims(self) -> None:
         """Refuse a header that claims more than its file can hold, before anything is done that often.
@@ -130,34 +136,8 @@ class RawHeader:
         present = max(self.data.stat().st_size - self.offset, 0)
         if self.encoding == "raw":
             self.check_present(present)
-        elif self.encoding == "text":
-            self._check_count(-(-present // 2))
         else:
             budgets.DEFLATE.check(self.claimed_bytes, "the header announces voxels", present)
-
-    def check_complete(self) -> None:
-        """Refuse a file that holds fewer voxels than its header claims, as far as `check_claims` could not count them.
-
-        Compressed voxels are decompressed once, chunk by chunk, which also verifies their checksum. Raw voxels are
-        counted by `check_claims`, others than deflated ones and texts by who reads them.
-
-        Raises
-        ------
-        InputError
-            With both numbers of bytes.
-        """
-        if self.encoding == "text":
-            self._check_numbers()
-        elif self.encoding == "deflate":
-            present = max(self.data.stat().st_size - self.offset, 0)
-            if present < (self.stored_bytes or 0):
-                raise InputError(
-                    f"the header announces {self.stored_bytes} bytes of compressed voxels, the file holds {present}",
-                    hint=TRUNCATED_HINT,
-                )
-            with self.data.open("rb") as file:
-                file.seek(self.offset)
-                self.check_present(sum(map(len, inflate(file, self.stored_bytes, self.claimed_bytes))))
 
     def check_present(self, present: int) -> None:
         """Refuse fewer bytes of voxels than the header claims.
@@ -173,55 +153,57 @@ class RawHeader:
                 hint=TRUNCATED_HINT,
             )
 
-    def check_text(self, read: NDArray[Any]) -> None:
-        """Refuse text of which a reader has made other numbers: those that the type of the voxels does not hold.
+    def volumes(self, stored: np.dtype[Any], shape: tuple[int, int, int], numbers: Sequence[int]) -> list[NDArray[Any]]:
+        """Read some of the components or volumes; what is packed is unpacked to its end, which verifies its checksum.
 
         Parameters
         ----------
-        read : ndarray (n,)
-            What it has made, in the order of the file.
+        stored : dtype
+            Type of the values in the file.
+        shape : tuple of int
+            Voxels (nz, ny, nx) of a volume.
+        numbers : sequence of int
+            Which, in the order of the file.
+
+        Returns
+        -------
+        list of ndarray (nz, ny, nx)
 
         Raises
         ------
         InputError
-            With the first number that differs.
+            When the file holds less than its header claims.
         """
-        begin, rest = 0, b""
-        with self.data.open("rb") as file:
-            file.seek(self.offset)
-            while begin < len(read) and (piece := file.read(_CHUNK)):
-                whole, rest = _at_blank(rest + piece, len(piece) < _CHUNK)
-                words = whole.split()[: len(read) - begin]
-                self._check_words(words, read[begin : begin + len(words)])
-                begin += len(words)
+        if not self.is_interleaved:
+            first, size = min(numbers), math.prod(shape)
+            several = self._values(stored, first * size, (max(numbers) + 1 - first) * size).reshape(-1, *shape)
+            return [several[number - first] for number in numbers]
+        # Planes, unless they are packed: then all is unpacked once.
+        depth, every = 1 if self.encoding == "raw" else shape[0], self.channels * self.time_points
+        found = [np.empty(shape, stored) for _ in numbers]
+        size = depth * shape[1] * shape[2] * every
+        for z in range(0, shape[0], depth):
+            part = self._values(stored, z // depth * size, size).reshape(depth, *shape[1:], every)
+            for array, number in zip(found, numbers, strict=True):
+                array[z : z + depth] = part[..., number]
+        return found
 
-    def _check_words(self, words: Sequence[bytes], read: NDArray[Any]) -> None:
-        try:
-            said = np.array(words, dtype="S").astype(np.float64)
-        except ValueError:
-            raise InputError("the voxels of the text are not all numbers", TRUNCATED_HINT) from None
-        found = read.astype(np.float64)
-        wrong = ~np.isclose(found, said, rtol=1e-6, atol=0.0, equal_nan=True)
-        if wrong.any():
-            first = int(np.argmax(wrong))
-            raise InputError(
-                f"the voxel {words[first][:40].decode(errors='replace')} of the text is none of {read.dtype} values",
-                "correct the type of the voxels in the header, or the text",
-            )
-
-    def _check_numbers(self) -> None:
-        """Refuse text with fewer numbers than announced."""
-        found, inside = 0, False
-        with self.data.open("rb") as file:
-            file.seek(self.offset)
-            while piece := file.read(_CHUNK):
-                # A word that goes on from the piece before was counted there.
-                found += len(piece.split()) - (inside and not piece[:1].isspace())
-                inside = not piece[-1:].isspace()
-        self._check_count(found)
-
-    def _check_count(self, found: int) -> None:
-        if found < (self.numbers or 0):
-            raise InputError(
-                f"the header announces {self.numbers} numbers, the file holds {found}", hint=TRUNCATED_HINT
-            )
+    def _values(self, stored: np.dtype[Any], begin: int, count: int) -> NDArray[Any]:
+        """Some values in the order of the file."""
+        values = np.empty(count, stored)
+        raw, skip = memoryview(values.view(np.uint8).data), self.skip + begin * stored.itemsize
+        with self.data.open("rb") as stream:
+            if self.encoding == "raw":
+                stream.seek(self.offset + skip)
+                at = stream.readinto(raw)
+            else:
+                at, present = 0, 0
+                stream.seek(self.offset)
+                for piece in inflate(stream, self.stored_bytes, self.claimed_bytes):
+                    some = memoryview(piece)[skip : skip + len(raw) - at]
+                    raw[at : at + len(some)] = some
+                    at, skip, present = at + len(some), max(skip - len(piece), 0), present + len(piece)
+                self.check_present(present)
+        if at < len(raw):
+            raise InputError(f"{len(raw)} bytes of voxels announced, {at} read", hint=TRUNCATED_HINT)
+        return values

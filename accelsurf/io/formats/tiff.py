@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.formats.png import STORED, TRUNCATED_HINT
+from accelsurf.io.formats.png import TRUNCATED_HINT
 from accelsurf.settings import budgets
 
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = 254, 256, 257, 258, 259, 262, 270
@@ -42,6 +42,11 @@ LZW, PACKBITS = 5, 32773
 _RATIOS = {LZW: budgets.LZW, PACKBITS: budgets.PACKBITS, **dict.fromkeys(DEFLATE, budgets.DEFLATE)}
 _NO_PREDICTOR = (1, PACKBITS)  # packings whose bytes are no differences
 _FIRST_BYTE = 8  # after which strips and directories begin
+#: Types of values that are written: bits and sample format (1 unsigned, 2 signed, 3 floating point).
+STORED = {
+    **{"uint8": (8, 1), "uint16": (16, 1), "uint32": (32, 1), "int8": (8, 2), "int16": (16, 2), "int32": (32, 2)},
+    "float32": (32, 3),
+}
 #: Types of values by bits and sample format.
 _KINDS = {kind: name for name, kind in STORED.items()} | {
     **{(1, 1): "uint8", (64, 1): "uint64", (64, 2): "int64", (16, 3): "float16", (64, 3): "float64"}
@@ -553,9 +558,7 @@ def _check_kind(page: Page) -> None:
         wrong = "rows and columns turned by its orientation tag"
     elif page.get(FILL_ORDER, (1,))[0] != 1:
         wrong = "the bits of each byte in the other order"
-    elif predictor not in (1, 2, 3) or predictor > 1 and (
-        compression in _NO_PREDICTOR or (predictor == 3 and form != 3)
-    ):
+    elif predictor not in (1, 2) or (predictor == 2 and compression in _NO_PREDICTOR):
         wrong = f"differences (predictor number {predictor}) of {bits[0]}-bit values, packed by number {compression},"
     elif page.get(PLANAR, (1,))[0] not in (1, 2):
         wrong = f"planes of kind {page[PLANAR][0]}"

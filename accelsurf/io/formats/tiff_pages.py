@@ -35,7 +35,6 @@ from accelsurf.io.lazy_volume import ChunkCache
 
 #: Packings of bytes, whose length tells nothing of the image: LZMA and Zstandard by both numbers among them.
 _STREAMS = (1, LZW, PACKBITS, *DEFLATE, 34925, 34926, 50000)
-_OF_FLOATS = 3  # the predictor whose differences are of the bytes of floats
 _GROUP_BYTES = 1 << 26  # of pages that are unpacked at once where none is held
 
 
@@ -165,16 +164,10 @@ def _contents(file: BinaryIO, places: NDArray[np.int64]) -> list[bytes]:
 
 def _joined(page: tifffile.TiffPage, contents: list[bytes], header: TiffHeader) -> NDArray[Any]:
     """Unpack the strips or tiles of a page one by one, and join them."""
-    predictor = page.predictor
-    # tifffile shall place what is unpacked already: its decoder follows these two.
-    page.compression = tifffile.COMPRESSION.NONE
-    if predictor == _OF_FLOATS:
-        page.predictor = tifffile.PREDICTOR.NONE
+    page.compression = tifffile.COMPRESSION.NONE  # tifffile shall place what is unpacked already
     out = np.zeros(page.shaped, page.dtype)
     for number, (packed, announced) in enumerate(zip(contents, header.strip_bytes.tolist(), strict=True)):
         content = _unpacked(header.compression, packed, announced)
-        if predictor == _OF_FLOATS:
-            content = _summed_floats(content, page)
         values, (sample, z, y, x, _), shape = page.decode(content, number)
         assert values is not None
         some = out[sample, z : z + shape[0], y : y + shape[1], x : x + shape[2]]
@@ -239,17 +232,6 @@ def _check_lzw_ends(ends: list[bytes], announced: list[int]) -> None:
             f"a strip of the TIFF holds more than the {count} bytes of voxels that its tags announce",
             TRUNCATED_HINT,
         )
-
-
-def _summed_floats(content: bytes, page: tifffile.TiffPage) -> bytes:
-    """Undo differences of floats (Adobe's technical note 3), whose rows hold the bytes of all values by their rank."""
-    assert page.dtype is not None
-    samples = page.samplesperpixel if page.planarconfig == 1 else 1
-    columns = page.tilewidth if page.is_tiled else page.imagewidth
-    size = page.dtype.itemsize
-    steps = np.frombuffer(content, np.uint8).reshape(-1, size * columns, samples)
-    ranks = np.cumsum(steps, axis=1, dtype=np.uint8).reshape(-1, size, columns * samples)
-    return np.ascontiguousarray(ranks.transpose(0, 2, 1)).view(f">f{size}").astype(page.dtype).tobytes()
 
 
 @contextmanager

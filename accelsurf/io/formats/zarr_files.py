@@ -10,9 +10,7 @@ checked here before and after a codec. Codecs that are not in the list below are
 from __future__ import annotations
 
 import bisect
-import bz2
 import functools
-import lzma
 import math
 import os
 import stat
@@ -26,22 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import InputError
-from accelsurf.io.headers import check_within_store, is_outside_data_allowed, outside_data_allowed
+from accelsurf.io.headers import check_within_store
 from accelsurf.io.lazy_volume import ChunkCache
 from accelsurf.settings import budgets
 
 #: Beyond the values of a chunk: check sums, and the heads of packed streams.
 _SLACK = 4096
-#: How many times as large as the values the data of a filter may be: a byte may be stored as a float of 8.
-_FILTERED = 8
-#: Memory of the dictionary of LZMA.
-_LZMA_BYTES = 1 << 30
 _PREFIX = "numcodecs."
-#: Codecs of numcodecs that keep each value, or check their bytes by themselves.
-_FILTERS = (
-    *("shuffle", "delta", "fixedscaleoffset", "quantize", "bitround", "astype", "packbits"),
-    *("crc32", "adler32", "fletcher32", "jenkins_lookup3"),
-)
 Config = Mapping[str, Any]
 #: In the attribute of accelsurf of a group: for each array that it wrote, the files of the chunks, as `runs_of`.
 STORED_KEY = "stored"
@@ -62,7 +51,7 @@ class ChunkFormat:
         Of the chunk, all axes.
     dtype : numpy.dtype
         Of the values as they are stored.
-    steps : tuple of (name, configuration)
+    steps : tuple of str
         Codecs in the order of unpacking, without those of the other attributes.
     order : tuple of int
         Which axis of the chunk each stored axis is.
@@ -72,7 +61,7 @@ class ChunkFormat:
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    steps: tuple[tuple[str, Config], ...]
+    steps: tuple[str, ...]
     order: tuple[int, ...]
     by_columns: bool = False
 
@@ -84,8 +73,7 @@ class ChunkFormat:
     @property
     def limit(self) -> int:
         """Bytes that a codec may unpack to, or a packed chunk may have."""
-        filtered = any(name in _FILTERS for name, _ in self.steps)
-        return self.value_bytes * (_FILTERED if filtered else 1) + _SLACK
+        return self.value_bytes + _SLACK
 
     def decode(self, packed: bytes) -> NDArray[Any]:
         """Return the values of a chunk, of its whole shape.
@@ -97,8 +85,8 @@ class ChunkFormat:
             kinds.
         """
         data: Any = packed
-        for name, config in self.steps:
-            data = _UNPACKED.get(name, _filtered)(data, self.limit, {"id": name, **config})
+        for name in self.steps:
+            data = _UNPACKED[name](data, self.limit)
         values = np.frombuffer(data, np.uint8)
         if values.size != self.value_bytes:
             raise ValueError(f"{values.size} bytes of values are in it, {self.value_bytes} expected")
@@ -125,47 +113,37 @@ def format_of(shape: Sequence[int], dtype: np.dtype[Any], codecs: Sequence[Confi
     InputError
         When one of them is not known here.
     """
-    steps, order, filtered = [], list(range(len(shape))), False
+    steps, order = list[str](), list(range(len(shape)))
     for codec in codecs:
         name, config = str(codec["name"]).removeprefix(_PREFIX), codec.get("configuration") or {}
         if name == "bytes":
             dtype = dtype.newbyteorder("<" if config.get("endian", "little") == "little" else ">")
-        elif name == "transpose" and not filtered:
+        elif name == "transpose":
             order = [order[axis] for axis in config["order"]]
         else:
-            filtered = filtered or name in _FILTERS
-            steps.append((_known(name), config))
+            steps.append(_known(name))
     return ChunkFormat(tuple(shape), dtype, tuple(steps[::-1]), tuple(order))
 
 
 def format_of_v2(shape: Sequence[int], dtype: np.dtype[Any], codecs: Sequence[Config], by_columns: bool) -> ChunkFormat:
     """The format of chunks by the filters and the compressor of Zarr 2, in this order; as `format_of`."""
-    steps = [(_known(str(codec["id"])), codec) for codec in codecs]
+    steps = [_known(str(codec["id"])) for codec in codecs]
     return ChunkFormat(tuple(shape), dtype, tuple(steps[::-1]), tuple(range(len(shape))), by_columns)
 
 
 def _known(name: str) -> str:
-    if name not in _UNPACKED and name not in _FILTERS:
-        known = ", ".join([*_UNPACKED, *_FILTERS])
+    if name not in _UNPACKED:
         raise InputError(
-            f"chunks packed with the codec {name[:40]} given, one of {known} expected",
+            f"chunks packed with the codec {name[:40]} given, one of {', '.join(_UNPACKED)} expected",
             "save the image again with the codec zstd or blosc",
         )
     return name
 
 
-def _filtered(data: Any, limit: int, config: Config) -> Any:
-    """The data before a filter of numcodecs; a check sum says by itself whether the bytes are right."""
-    return _by_numcodecs(data, config)
-
-
-def _by_numcodecs(data: Any, config: Config) -> NDArray[np.uint8]:
+def _by_numcodecs(data: Any, name: str) -> NDArray[np.uint8]:
     import numcodecs
 
-    found = np.asarray(numcodecs.get_codec(dict(config)).decode(data))
-    if found.dtype.hasobject:
-        raise ValueError(f"the codec {config['id']} gives no numbers")
-    return np.ascontiguousarray(found).reshape(-1).view(np.uint8)
+    return np.ascontiguousarray(numcodecs.get_codec({"id": name}).decode(data)).reshape(-1).view(np.uint8)
 
 
 def _checked_size(announced: int, limit: int) -> None:
@@ -173,7 +151,7 @@ def _checked_size(announced: int, limit: int) -> None:
         raise ValueError(f"{announced} bytes of values are announced, at most {limit} expected")
 
 
-def _blosc(data: Any, limit: int, config: Config) -> Any:
+def _blosc(data: Any, limit: int) -> Any:
     head = memoryview(data)[:16].tobytes()
     size = int.from_bytes(head[12:16], "little") if len(head) == 16 else 16
     if len(data) != size or size < 16:
@@ -182,12 +160,12 @@ def _blosc(data: Any, limit: int, config: Config) -> Any:
     _checked_size(announced, limit)
     if head[2] & 2 and announced + 16 != size:
         raise ValueError(f"Blosc announces {announced} bytes of values that are not packed, {size - 16} are there")
-    return _by_numcodecs(data, {"id": "blosc"})
+    return _by_numcodecs(data, "blosc")
 
 
-def _zstd(data: Any, limit: int, config: Config) -> Any:
+def _zstd(data: Any, limit: int) -> Any:
     _checked_size(_zstd_size(memoryview(data)[:18].tobytes()), limit)
-    return _by_numcodecs(data, {"id": "zstd"})
+    return _by_numcodecs(data, "zstd")
 
 
 def _zstd_size(head: bytes) -> int:
@@ -202,38 +180,20 @@ def _zstd_size(head: bytes) -> int:
     return size + 256 if width == 2 else size
 
 
-def _lz4(data: Any, limit: int, config: Config) -> Any:
-    if len(data) < 4:
-        raise ValueError(f"{len(data)} bytes are there")
-    _checked_size(int.from_bytes(memoryview(data)[:4].tobytes(), "little"), limit)
-    return _by_numcodecs(data, {"id": "lz4"})
+def _inflated(data: Any, limit: int) -> bytes:
+    """Unpacking of one stream of gzip or zlib or several, one behind the other, to their ends."""
+    found, rest = b"", bytes(data)
+    while rest or not found:
+        stream = zlib.decompressobj(47)
+        found += stream.decompress(rest, limit + 1 - len(found))
+        _checked_size(len(found), limit)
+        if not stream.eof:
+            raise ValueError("it ends within its packed values")
+        rest = stream.unused_data
+    return found
 
 
-def _inflated(make: Callable[[Config], Any]) -> Callable[[Any, int, Config], bytes]:
-    """Unpacking of one stream or several, one behind the other, to their ends."""
-
-    def unpacked(data: Any, limit: int, config: Config) -> bytes:
-        found, rest = b"", bytes(data)
-        while rest or not found:
-            stream = make(config)
-            found += stream.decompress(rest, limit + 1 - len(found))
-            _checked_size(len(found), limit)
-            if not stream.eof:
-                raise ValueError("it ends within its packed values")
-            rest = stream.unused_data
-        return found
-
-    return unpacked
-
-
-def _lzma(config: Config) -> Any:
-    form = config.get("format", lzma.FORMAT_XZ)
-    if form == lzma.FORMAT_RAW:
-        return lzma.LZMADecompressor(form, filters=config.get("filters"))
-    return lzma.LZMADecompressor(form, _LZMA_BYTES)
-
-
-def _crc32c(data: Any, limit: int, config: Config) -> Any:
+def _crc32c(data: Any, limit: int) -> Any:
     from google_crc32c import value
 
     content, stored = bytes(data)[:-4], bytes(data)[-4:]
@@ -242,16 +202,9 @@ def _crc32c(data: Any, limit: int, config: Config) -> Any:
     return content
 
 
-_UNPACKED: dict[str, Callable[[Any, int, Config], Any]] = {
-    "blosc": _blosc,
-    "zstd": _zstd,
-    "lz4": _lz4,
-    "gzip": _inflated(lambda config: zlib.decompressobj(31)),
-    "zlib": _inflated(lambda config: zlib.decompressobj(15)),
-    "bz2": _inflated(lambda config: bz2.BZ2Decompressor()),
-    "lzma": _inflated(_lzma),
-    "crc32c": _crc32c,
-}
+_UNPACKED: dict[str, Callable[[Any, int], Any]] = {
+    "blosc": _blosc, "zstd": _zstd, "gzip": _inflated, "zlib": _inflated, "crc32c": _crc32c,
+}  # fmt: skip
 
 
 class ChunkFiles:
@@ -282,7 +235,7 @@ class ChunkFiles:
     """
 
     def __init__(self, folder: Path, name: str, array: Any) -> None:
-        self._folder, self._name, self._outside_allowed = folder, name, is_outside_data_allowed()
+        self._folder, self._name = folder, name
         self._metadata = array.metadata
         self.file_shape = tuple(map(int, array.shards or array.chunks))
         self.grid = tuple(-(-int(n) // width) for n, width in zip(array.shape, self.file_shape, strict=True))
@@ -333,8 +286,7 @@ class ChunkFiles:
             When the file is of another size than it announces.
         """
         path = self._path(self.file_of(place))
-        with outside_data_allowed(self._outside_allowed):
-            check_within_store(self._folder, path)
+        check_within_store(self._folder, path)
         found = path.stat()
         if not stat.S_ISREG(found.st_mode):
             raise ValueError("it is no file")

@@ -12,30 +12,25 @@ import tempfile
 import weakref
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
-
-import numpy as np
+from typing import IO
 
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import whole_box
 from accelsurf.image.volume import Volume
-from accelsurf.io import itk
 from accelsurf.io.channels import read_volumes
 from accelsurf.io.files import file_version
-from accelsurf.io.formats import itk_volumes
 from accelsurf.io.formats.deflate import inflate
-from accelsurf.io.formats.nifti import NiftiFile
 from accelsurf.io.formats.raw_header import RawHeader
 from accelsurf.io.formats.raw_voxels import CHANGED
 from accelsurf.io.headers import FrameTimes
-from accelsurf.io.lazy_volume import Opening
-from accelsurf.io.memory import check_memory
 from accelsurf.io.sequences.sources import FileFrames, with_time
 from accelsurf.settings.reading import ReadOptions
 
 
-class _PackedFrames(FileFrames):
-    """Frames of a file that is perhaps packed."""
+class PackedFrames(FileFrames):
+    """Frames of a file that is perhaps packed.
+
+    A few volumes of a NIfTI of which nothing is said are time points here, where `read` takes channels.
+    """
 
     header: RawHeader
     _unpacked: IO[bytes] | None = None
@@ -43,6 +38,8 @@ class _PackedFrames(FileFrames):
     def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
         super().__init__(path, options, memory_bytes)
         self._version = file_version(self.header.data.stat())
+        if self.header.are_channels_guessed:
+            self.place(self.geometry, FrameTimes.regular(self.header.channels, None))
 
     def unpacked_header(self) -> RawHeader:
         """The header of the voxels as they are, in a temporary file where the file itself is packed."""
@@ -52,11 +49,7 @@ class _PackedFrames(FileFrames):
             return self.header
         if self._unpacked is None:
             self._unpacked = self._unpack()
-        return self._within(Path(self._unpacked.name))
-
-    def _within(self, data: Path) -> RawHeader:
-        """The header of what was unpacked."""
-        return replace(self.header, data=data, offset=0, encoding="raw", stored_bytes=None, position=0)
+        return replace(self.header, data=Path(self._unpacked.name), offset=0, encoding="raw", stored_bytes=None)
 
     def _unpack(self) -> IO[bytes]:
         """Unpack the voxels, which are all there then."""
@@ -76,17 +69,6 @@ class _PackedFrames(FileFrames):
         file.flush()
         return file
 
-
-class NiftiFrames(_PackedFrames):
-    """The volumes of a NIfTI. A few of which nothing is said are time points here, where `read` takes channels."""
-
-    header: NiftiFile
-
-    def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
-        super().__init__(path, options, memory_bytes)
-        if self.header.are_channels_guessed:
-            self.place(self.geometry, FrameTimes.regular(self.header.channels, None))
-
     @property
     def frame_values(self) -> int:
         """Number of values of a frame."""
@@ -98,45 +80,3 @@ class NiftiFrames(_PackedFrames):
         if self.header.are_channels_guessed:
             header = replace(header, asked=replace(header.asked, channel_index=number))
         return read_volumes(self.path, self.form, with_time(header, number), self.memory)
-
-    def _within(self, data: Path) -> RawHeader:
-        return replace(self.header, data=data, encoding="raw")
-
-
-class ItkFrames(_PackedFrames):
-    """The time points of an NRRD or MetaImage."""
-
-    def read(self, number: int) -> list[Volume]:
-        """Read a frame."""
-        if self.header.encoding not in ("raw", "deflate") or (self.header.encoding == "raw" and (
-            self.header.position is None
-        )):
-            return super().read(number)
-        header = self.unpacked_header()
-        reader = itk.open_reader(self.path, header.itk_name)
-        check_memory(self.geometry.size, itk.voxel_type(reader).itemsize, self.memory)
-        if header.is_interleaved:
-            return [Volume(_interleaved(header, reader, number), self.geometry, dict(header.metadata), self.path)]
-        lazy = itk_volumes.open_raw(self.path, with_time(header, number), Opening())
-        return [Volume(lazy.voxels.read(whole_box(lazy.shape)), self.geometry, lazy.metadata, self.path)]
-
-
-def _interleaved(header: RawHeader, reader: Any, number: int) -> np.ndarray:
-    """One of the values of each voxel, read plane by plane."""
-    geometry, count = itk.geometry_of(reader), header.time_points
-    itk.check_kind(reader, count, True)
-    stored = itk.voxel_type(reader).newbyteorder(header.order or "=")
-    nz, ny, nx = geometry.shape
-    plane = ny * nx * count
-    begin = header.position or 0
-    if begin < 0:
-        begin = header.data.stat().st_size - math.prod(geometry.shape) * count * stored.itemsize
-    out = np.empty(geometry.shape, stored.newbyteorder("="))
-    with header.data.open("rb") as file:
-        for z in range(nz):
-            file.seek(begin + z * plane * stored.itemsize)
-            values = np.fromfile(file, stored, plane)
-            if len(values) < plane:
-                header.check_present(begin + z * plane * stored.itemsize - header.offset)
-            out[z] = values.reshape(ny, nx, count)[..., number]
-    return out

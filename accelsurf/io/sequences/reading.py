@@ -28,7 +28,6 @@ def read_sequence(
     frames_from_slices: bool = False,
     options: ReadOptions = AS_IT_IS,
     memory_bytes: int | None = None,
-    outside_data: bool = False,
 ) -> ImageSequence:
     """Open a sequence of images: its headers are read now, a frame when it is asked for.
 
@@ -45,8 +44,6 @@ def read_sequence(
         As for `accelsurf.io.read`.
     memory_bytes : int, optional
         Memory to plan with; by default what the machine has when a frame is read.
-    outside_data : bool
-        Whether a header may name a data file in another folder than its own.
 
     Returns
     -------
@@ -61,8 +58,7 @@ def read_sequence(
         When the format has not what is asked for, or ``frame_time`` is no positive number.
     """
     found = open_sequence(
-        path, frame_time=frame_time, frames_from_slices=frames_from_slices, options=options, memory_bytes=memory_bytes,
-        outside_data=outside_data,
+        path, frame_time=frame_time, frames_from_slices=frames_from_slices, options=options, memory_bytes=memory_bytes
     )
     if len(found) < 2:
         raise InputError(
@@ -111,7 +107,6 @@ def open_sequence(
     frames_from_slices: bool = False,
     options: ReadOptions = AS_IT_IS,
     memory_bytes: int | None = None,
-    outside_data: bool = False,
 ) -> FileSequence:
     """Open a sequence as `read_sequence` does, also where there is one frame only."""
     # Not before it is needed: this loads ITK, and the reader of stacks.
@@ -122,7 +117,7 @@ def open_sequence(
         raise UsageError(f"frame time {frame_time:g} given, a positive number of seconds expected")
     if options.time_index is not None or options.channels_from_time:
         raise UsageError("a sequence is all time points: time-index and channels-from-time do not go with it")
-    with naming(path), headers.outside_data_allowed(outside_data):
+    with naming(path):
         found: FileSequence
         if frames_from_slices:
             found = SliceFrames(path, options, memory_bytes)

@@ -52,7 +52,6 @@ class FileSequence(ImageSequence):
     def __init__(self, path: Path, options: ReadOptions, memory_bytes: int | None) -> None:
         self.path, self.source = path, str(path)
         self._options, self._memory_bytes = options, memory_bytes
-        self._outside_data = headers.is_outside_data_allowed()
 
     def place(self, geometry: Geometry, times: FrameTimes, notes: Sequence[str] = ()) -> None:
         """Say where and when the frames are."""
@@ -70,7 +69,7 @@ class FileSequence(ImageSequence):
         return available_memory() if self._memory_bytes is None else self._memory_bytes
 
     def _channels(self, number: int) -> list[Volume]:
-        with naming(self.path), headers.outside_data_allowed(self._outside_data):
+        with naming(self.path):
             found = self.read(number)
         out = []
         for volume in found:
@@ -127,8 +126,7 @@ class SliceFrames(FileSequence):
         if form.open is not None:
             asked = self._options
             return open_volume(
-                self.path, level=asked.level, channel_index=asked.channel_index, spacing=asked.spacing,
-                outside_data=self._outside_data,
+                self.path, level=asked.level, channel_index=asked.channel_index, spacing=asked.spacing
             )
         return LazyVolume.of_array(load(form.read)(self.path, header, self.memory))
 

@@ -251,7 +251,7 @@ def sequence_suffixes() -> tuple[str, ...]:
 
     Examples
     --------
-    >>> ".nrrd" in sequence_suffixes(), ".png" in sequence_suffixes()
+    >>> ".nii" in sequence_suffixes(), ".nrrd" in sequence_suffixes()
     (True, False)
     """
     return tuple(suffix for form in IMAGE_FORMATS.values() if form.write_frames is not None for suffix in form.suffixes)

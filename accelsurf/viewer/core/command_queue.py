@@ -111,7 +111,7 @@ def in_background(work: Callable[[], T], name: str) -> Future[T]:
     Parameters
     ----------
     work : callable
-        Sees the variables of the present context: `accelsurf.io.headers.outside_data_allowed` holds in it.
+        Sees the variables of the present context.
     name : str
         Of the thread.
 

@@ -116,7 +116,7 @@ def choices_of(path: Path, config: RunConfig) -> list[Choice]:
         form = headers.format_of(path)
         if form.listing is not None:
             # One file stands for its series; where it does not, reading says so.
-            is_study = path.is_dir() or path.suffix.lower() == ".zip"
+            is_study = path.is_dir()
             found = load(form.listing)(path) if is_study and config.series is None else []
             return _several([Choice(_volume_text(entry), {"series": str(entry["number"])}) for entry in found])
         asked = config.reading.restricted_to(form.options)
@@ -316,7 +316,6 @@ class ServedFolder:
         path = Path(text)
         try:
             check_name(path)
-            # An array in an archive is named behind the archive, NAME.npz@ARRAY: its folder decides all the same.
             found = (self.root / path).resolve()
         except (AccelsurfError, OSError, ValueError, RuntimeError):
             raise refused from None

@@ -2,7 +2,6 @@
 
 import itertools
 import warnings
-import zipfile
 
 import numpy as np
 import pytest
@@ -64,15 +63,10 @@ def test_oblique_slices_in_mixed_order_without_suffix_in_folders(tmp_path):
     assert io.headers.is_anatomical(volume.metadata) and volume.metadata["value_unit"] == "HU"
 
 
-def test_one_file_stands_for_its_series_and_a_zip_for_its_folder(tmp_path):
+def test_one_file_stands_for_its_series(tmp_path):
     paths = Series().stacked().write(tmp_path / "scan")
     Series(uid="1.2.3.7").stacked(3, 1.0).write(tmp_path / "scan", ["x.dcm", "y.dcm", "z.dcm"])
     check(io.read(paths[2]), (4, 5, 7))
-    with zipfile.ZipFile(tmp_path / "scan.zip", "w") as archive:
-        for path in paths:
-            archive.write(path, f"../../deep/{path.name}")
-    check(io.read(tmp_path / "scan.zip"), (4, 5, 7))
-    assert not (tmp_path.parent.parent / "deep").exists()
 
 
 @pytest.mark.parametrize(

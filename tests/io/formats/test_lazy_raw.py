@@ -87,16 +87,11 @@ def test_packed_voxels_are_refused_with_what_to_do(tmp_path, suffix):
     assert "OME-Zarr" in caught.value.hint and "uncompressed" in caught.value.hint
 
 
-def test_lines_to_skip_and_text_are_refused(tmp_path):
+def test_lines_to_skip_are_refused(tmp_path):
     start = nrrd("int16", "<", "line skip: 1\n") + b"\none line\n"
     (tmp_path / "a.nrrd").write_bytes(start + values("int16").tobytes())
-    with pytest.raises(InputError, match="after lines to skip"):
+    with pytest.raises(InputError, match="lines to skip"):
         io.open_volume(tmp_path / "a.nrrd")
-    text = nrrd("int16", "|").replace(b"raw", b"text") + b"\n" + b" ".join(b"%d" % v for v in values("int16").flat)
-    (tmp_path / "b.nrrd").write_bytes(text)
-    assert io.read(tmp_path / "b.nrrd").array.shape == (5, 7, 9)
-    with pytest.raises(InputError, match="are text"):
-        io.open_volume(tmp_path / "b.nrrd")
 
 
 @pytest.mark.parametrize("suffix", [".nrrd", ".mha"])
@@ -109,7 +104,7 @@ def test_a_file_cut_short_and_other_sorts_of_images_are_refused(tmp_path, suffix
     with pytest.raises(InputError, match="announces 1260 bytes of voxels, the file holds 1253"):
         io.open_volume(path)
     sitk.WriteImage(sitk.Compose(image, image), str(path), useCompression=False)
-    with pytest.raises(InputError, match="vector"):
+    with pytest.raises(InputError, match="2 channels"):
         io.open_volume(path)
 
 
@@ -120,5 +115,3 @@ def test_a_header_may_not_name_data_elsewhere(tmp_path):
     path.write_bytes(metaimage("int16", "<") + b"ElementDataFile = ../voxels.raw\n")
     with pytest.raises(InputError, match="outside of its own folder"):
         io.open_volume(path)
-    lazy = io.open_volume(path, outside_data=True)
-    np.testing.assert_array_equal(lazy.read(tuple(slice(0, n) for n in lazy.shape)), values("int16"))

@@ -85,7 +85,7 @@ def test_codes_and_matrices_come_back_number_by_number(tmp_path, suffix, codes, 
     assert ours.GetDirection() == theirs.GetDirection()
     # geometry is ITK's
     assert volume.geometry.spacing_xyz == theirs.GetSpacing() and volume.geometry.origin == theirs.GetOrigin()
-    np.testing.assert_array_equal(volume.geometry.direction.ravel(), theirs.GetDirection())
+    np.testing.assert_allclose(volume.geometry.direction.ravel(), theirs.GetDirection(), rtol=0, atol=1e-7)
 
 
 def test_codes_survive_also_from_a_big_endian_file(tmp_path):
@@ -355,7 +355,7 @@ def test_nifti_2_that_is_none_or_too_large(tmp_path):
     with pytest.raises(InputError, match="announces 20{15}\\d{3} bytes of voxels, the file holds 664"):
         io.read(save(tmp_path / "a.nii", bytes(raw)))
     with pytest.raises(InputError, match="needs about"):
-        io.read(save(tmp_path / "a.nii", second(nifti())), memory_bytes=60 * (2 + 2 + 12) - 1)
+        io.read(save(tmp_path / "a.nii", second(nifti())), memory_bytes=60 * (2 + 12) - 1)
     raw = bytearray(second(nifti()))
     struct.pack_into("<i", raw, 344, 70000)
     with pytest.raises(InputError, match=r"damaged: form codes \(70000, 1\)"):

@@ -72,19 +72,20 @@ def test_voxels_in_many_files_are_refused(tmp_path, suffix, name):
     refuse(tmp_path / f"a{suffix}", "spread over several files")
 
 
-def test_nrrd_as_text(tmp_path):
-    head = text_header(".nrrd", encoding="ascii")
+@pytest.mark.parametrize("encoding", ["ascii", "text", "hex", "bzip2"])
+def test_nrrd_as_text(tmp_path, encoding):
+    head = text_header(".nrrd", encoding=encoding)
     (tmp_path / "a.nrrd").write_bytes(head + " ".join(map(str, VALUES.ravel())).encode())
-    np.testing.assert_array_equal(io.read(tmp_path / "a.nrrd").array, VALUES)
-    (tmp_path / "a.nrrd").write_bytes(head + b"1 2 3")
-    refuse(tmp_path / "a.nrrd", "announces 120 numbers, the file holds 3")
+    refuse(tmp_path / "a.nrrd", f"encoding {encoding} given, raw or gzip expected")
 
 
 def test_nrrd_with_bytes_to_skip(tmp_path):
     (tmp_path / "a.nrrd").write_bytes(text_header(".nrrd", byte_skip="7") + b"skipped" + VALUES.tobytes())
     np.testing.assert_array_equal(io.read(tmp_path / "a.nrrd").array, VALUES)
     (tmp_path / "a.nrrd").write_bytes(text_header(".nrrd", byte_skip="7") + VALUES.tobytes())
-    refuse(tmp_path / "a.nrrd", "cannot be read as an image")
+    refuse(tmp_path / "a.nrrd", "announces 240 bytes of voxels, the file holds 233")
+    (tmp_path / "a.nrrd").write_bytes(text_header(".nrrd", byte_skip="-1") + b"any" + VALUES.tobytes())
+    np.testing.assert_array_equal(io.read(tmp_path / "a.nrrd").array, VALUES)
 
 
 @pytest.mark.parametrize("key", ["space_units", "units"])
@@ -123,7 +124,7 @@ def test_metaimage_axes(tmp_path, changes, words):
 def test_metaimage_singular_matrix(tmp_path):
     head = text_header(".mha", TransformMatrix="1 0 0 0 0 0 0 0 1")
     (tmp_path / "a.mha").write_bytes(head + VALUES.tobytes())
-    refuse(tmp_path / "a.mha", "Bad direction, determinant is 0")
+    refuse(tmp_path / "a.mha", "not orthonormal", GeometryError)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +137,6 @@ def test_metaimage_singular_matrix(tmp_path):
         ({"NDims": None}, "not a MetaImage"),
         ({"DistanceUnits": "um"}, "lengths in um, mm expected"),
         ({"CompressedData": "True"}, "CompressedDataSize"),
-        ({"CompressedData": "True", "CompressedDataSize": "5000"}, "announces 5000 bytes of compressed voxels"),
         ({"CompressedData": "True", "CompressedDataSize": "20"}, "damaged|end before"),
     ],
 )

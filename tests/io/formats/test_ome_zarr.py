@@ -268,19 +268,16 @@ def test_a_plain_array_or_group_is_called_so_and_told_what_to_do(tmp_path, versi
     refused(path / "cells/0", "the array 0 of an OME-Zarr given, its image expected")
 
 
-@pytest.mark.sampled
 @pytest.mark.parametrize("name", ["a.zarr.zip", "a.ome.zarr.zip", "a.zip", "a.ozx", "a.zarr", "scan"])
-@pytest.mark.parametrize("below", ["", "cells.ome.zarr/", "data/cells.zarr/"])
-@pytest.mark.parametrize("version", ["0.4", "0.5"])
-def test_a_zipped_zarr_is_called_so(tmp_path, name, below, version):
-    store = make_store(tmp_path / "store", [values("u1")], "zyx", [((1.0,) * 3,)], version)
+def test_a_zipped_zarr_is_told_to_be_unpacked(tmp_path, name):
+    store = make_store(tmp_path / "store", [values("u1")], "zyx", [((1.0,) * 3,)], "0.5")
     with zipfile.ZipFile(tmp_path / name, "w") as archive:
         for file in sorted(store.rglob("*")):
-            archive.write(file, f"{below}{file.relative_to(store)}")
-    with pytest.raises(InputError, match=r"a zipped Zarr given \(it has .*\), the folder of an OME-Zarr") as caught:
+            archive.write(file, file.relative_to(store))
+    said = "this is a file, the folder of an OME-Zarr" if name == "a.zarr" else "a zip archive given, which is not read"
+    with pytest.raises(InputError, match=said) as caught:
         io.open_volume(tmp_path / name)
-    assert f"unzip {name}" in caught.value.hint
-    refused(tmp_path / name, "a zipped Zarr given")
+    assert "unpack it" in caught.value.hint
 
 
 def in_file(name: str, change):
@@ -425,7 +422,7 @@ def test_without_the_package_the_message_says_what_to_install(tmp_path):
 
 @pytest.mark.parametrize("version", ["0.4", "0.5"])
 @pytest.mark.parametrize("what", ["metadata", "level", "chunk"])
-def test_links_out_of_a_store_are_not_followed_unless_it_is_allowed(tmp_path, what, version):
+def test_links_out_of_a_store_are_not_followed(tmp_path, what, version):
     """A store comes from elsewhere: a link in it could show any file of the computer as an image."""
     array = np.arange(64, dtype=np.uint8).reshape(4, 4, 4)
     path = make_store(tmp_path / "a store é.zarr", [array], "zyx", [((1, 1, 1),)], version)
@@ -439,8 +436,6 @@ def test_links_out_of_a_store_are_not_followed_unless_it_is_allowed(tmp_path, wh
     with pytest.raises(InputError, match="a link to a place outside of the store"):
         io.read(path)
     # The store itself may be a link, and a link in it may lead to another place of it.
-    allowed = io.open_volume(path, outside_data=True)
-    assert np.array_equal(allowed.read(whole_box(array.shape)), array)
     (tmp_path / "elsewhere").rename(path / "within")
     target.unlink()
     target.symlink_to(path / "within")

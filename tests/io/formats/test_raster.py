@@ -16,7 +16,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
 from accelsurf.io import images
 from accelsurf.io.channels import LUMINANCE
-from accelsurf.io.formats import png, tiff_file
+from accelsurf.io.formats import tiff, tiff_file
 from accelsurf.settings.file_formats import IMAGE_FORMATS
 
 SUFFIXES = (".png", ".tif", ".tiff")
@@ -38,7 +38,7 @@ def refuse(path, words, **options):
 
 
 def test_the_entry_of_tiff_names_the_types_that_are_encoded():
-    assert IMAGE_FORMATS["tif"].types == tuple(png.STORED)
+    assert IMAGE_FORMATS["tif"].types == tuple(tiff.STORED)
 
 
 @pytest.mark.sampled
@@ -150,6 +150,9 @@ def test_grey_is_grey_however_it_was_saved(tmp_path, suffix, mode):
 def test_colour_becomes_its_luminance_and_says_so(tmp_path, name, scale):
     colours = np.stack([SMALL, SMALL[::-1], SMALL[:, ::-1]], axis=-1).astype("u2" if scale > 1 else "u1") * scale
     sitk.WriteImage(sitk.GetImageFromArray(colours, isVector=True), str(tmp_path / name))
+    if name == "a.png" and scale > 1:
+        refuse(tmp_path / name, "a colour PNG of 16 bits given")
+        return
     volume = io.read(tmp_path / name)
     assert volume.array.dtype == np.float32
     np.testing.assert_allclose(volume.array[0], colours @ LUMINANCE, rtol=1e-6)
@@ -364,7 +367,7 @@ def test_a_png_with_missing_rows_is_refused(tmp_path):
     (tmp_path / "b.png").write_bytes(png_of(rows[: 8 * 4], 6, 7))
     with Image.open(tmp_path / "b.png") as opened:
         assert not np.asarray(opened)[4:].any()
-    refuse(tmp_path / "b.png", "announces 48 bytes of rows, the file holds 32")
+    refuse(tmp_path / "b.png", "announces 48 bytes of rows, 32 or more are there")
 
 
 def test_a_stack_with_missing_pages_is_refused(tmp_path):

@@ -43,26 +43,17 @@ def packings() -> list:
             made.append((f"3 {name} {shuffle}", 3, {"compressors": codec}))
     made.append(("2 blosc not packed", 2, {"compressors": numcodecs.Blosc("lz4", 0)}))
     for codec in (
-        numcodecs.Zstd(), numcodecs.Zstd(3, checksum=True), numcodecs.GZip(), numcodecs.Zlib(), numcodecs.LZ4(),
-        numcodecs.BZ2(), numcodecs.LZMA(), numcodecs.LZMA(format=2), None,
+        numcodecs.Zstd(), numcodecs.Zstd(3, checksum=True), numcodecs.GZip(), numcodecs.Zlib(), None,
     ):  # fmt: skip
         made.append((f"2 {codec}", 2, {"compressors": codec}))
     for codec in (
-        ZstdCodec(checksum=True), ZstdCodec(), GzipCodec(), Crc32cCodec(), codecs3.Zlib(), codecs3.LZ4(), codecs3.BZ2(),
-        codecs3.LZMA(), None,
+        ZstdCodec(checksum=True), ZstdCodec(), GzipCodec(), Crc32cCodec(), codecs3.Zlib(), None,
     ):  # fmt: skip
         made.append((f"3 {codec}", 3, {"compressors": codec}))
     made.append(("3 zstd crc32c", 3, {"compressors": [ZstdCodec(), Crc32cCodec()]}))
     made.append(("3 big", 3, {"compressors": None, "serializer": BytesCodec(endian="big")}))
     turned = zarr.codecs.TransposeCodec(order=(2, 0, 1))
     made.append(("3 transposed", 3, {"filters": turned, "compressors": GzipCodec()}))
-    made.append(("3 delta", 3, {"filters": codecs3.Delta(dtype="<i2"), "compressors": ZstdCodec()}))
-    made.append(("3 shuffle", 3, {"compressors": [codecs3.Shuffle(elementsize=2), ZstdCodec()]}))
-    for codec in (
-        numcodecs.Delta("<i2"), numcodecs.Shuffle(2), numcodecs.CRC32(), numcodecs.Adler32(), numcodecs.Fletcher32(),
-        numcodecs.FixedScaleOffset(0, 1, "<i2", "<i4"),
-    ):  # fmt: skip
-        made.append((f"2 {codec.codec_id}", 2, {"filters": codec, "compressors": None}))
     made.append(("2 columns", 2, {"order": "F", "compressors": numcodecs.Blosc("zstd", 5)}))
     return [pytest.param(version, options, id=name) for name, version, options in made]
 
@@ -179,11 +170,8 @@ def test_a_chunk_that_unpacks_to_more_costs_no_memory(tmp_path):
     for name, codec, packed in (
         ("gzip", numcodecs.GZip(), numcodecs.GZip().encode(bomb)),
         ("zlib", numcodecs.Zlib(), zlib.compress(bomb)),
-        ("bz2", numcodecs.BZ2(), numcodecs.BZ2().encode(bomb)),
-        ("lzma", numcodecs.LZMA(), numcodecs.LZMA().encode(bomb)),
         ("zstd", numcodecs.Zstd(), numcodecs.Zstd().encode(bomb)),
         ("blosc", numcodecs.Blosc(), numcodecs.Blosc().encode(bomb)),
-        ("lz4", numcodecs.LZ4(), (2**31 - 1).to_bytes(4, "little") + b"\0" * 99),
     ):
         path = store(tmp_path / f"{name}.zarr", array, 2, {"compressors": codec})
         chunk_file(path).write_bytes(packed)
@@ -192,10 +180,14 @@ def test_a_chunk_that_unpacks_to_more_costs_no_memory(tmp_path):
 
 
 def test_codecs_that_are_not_known_are_refused_by_name(tmp_path):
-    path = store(tmp_path / "a.zarr", image("u1", 9), 2, {"compressors": None, "filters": numcodecs.Base64()})
-    with pytest.raises(InputError, match=r"chunks packed with the codec base64 given, one of blosc, zstd") as caught:
-        io.open_volume(path)
-    assert caught.value.hint
+    for number, packing in enumerate((
+        {"compressors": None, "filters": numcodecs.Base64()}, {"compressors": numcodecs.LZ4()},
+        {"compressors": numcodecs.LZMA()}, {"filters": numcodecs.Shuffle(2), "compressors": numcodecs.Zstd()},
+    )):  # fmt: skip
+        path = store(tmp_path / f"{number}.zarr", image("u1", 9), 2, packing)
+        with pytest.raises(InputError, match=r"chunks packed with the codec \w+ given, one of blosc, zstd") as caught:
+            io.open_volume(path)
+        assert caught.value.hint
 
 
 # ------------------------------------------------------------------------------------------------------ missing chunks

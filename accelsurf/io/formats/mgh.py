@@ -1,4 +1,4 @@
-"""Volumes that are read by a library and not written: GIPL by ITK, MGH and MGZ of FreeSurfer by nibabel."""
+"""MGH and MGZ of FreeSurfer, read: the header by nibabel, the voxels as they lie."""
 
 from __future__ import annotations
 
@@ -13,15 +13,12 @@ import numpy as np
 from accelsurf.errors import InputError
 from accelsurf.grid.geometry import MAX_ORIGIN, Geometry
 from accelsurf.image.volume import Volume
-from accelsurf.io import itk
 from accelsurf.io.files import library_named
 from accelsurf.io.formats.deflate import TRUNCATED_HINT
 from accelsurf.io.memory import check_memory
 from accelsurf.settings import budgets
 
-_GIPL_HEADER, _GIPL_MAGIC_AT = 256, 252
 _MGH_HEADER, _MGH_VERSION = 284, b"\0\0\0\1"
-_GIPL_MAGICS = (b"\xef\xff\xe9\xb0", b"\x2a\xe3\x89\xb8")
 #: From RAS, as FreeSurfer has it, to LPS.
 _TO_LPS = np.diag([-1.0, -1.0, 1.0])
 #: Type codes; others are of FreeSurfer's own kinds, or none.
@@ -49,42 +46,6 @@ class VolumeHeader:
     def values(self) -> int:
         """Number of voxels."""
         return math.prod(self.geometry.shape)
-
-
-def parse_gipl(path: Path) -> VolumeHeader:
-    """Read the header of a GIPL.
-
-    Raises
-    ------
-    InputError
-        When it is none, or incomplete.
-    """
-    with path.open("rb") as file:
-        begin = file.read(_GIPL_HEADER)
-    if len(begin) < _GIPL_HEADER or begin[_GIPL_MAGIC_AT:] not in _GIPL_MAGICS:
-        raise InputError("this is not a GIPL file", "is it the right one?")
-    with library_named("the header is damaged", _AGAIN):
-        reader = itk.open_reader(path, "GiplImageIO")
-    itk.check_kind(reader)
-    dtype, geometry = itk.voxel_type(reader), itk.geometry_of(reader)
-    needed = _GIPL_HEADER + math.prod(geometry.shape) * dtype.itemsize
-    if path.stat().st_size < needed:
-        raise InputError(
-            f"the header announces {needed} bytes, the file has {path.stat().st_size}", _AGAIN
-        )
-    return VolumeHeader(geometry, dtype)
-
-
-def read_gipl(path: Path, header: VolumeHeader, available: int) -> Volume:
-    """Read a GIPL.
-
-    Raises
-    ------
-    InputError
-        When it is larger than the memory.
-    """
-    check_memory(header.geometry.size, header.dtype.itemsize, available)
-    return Volume(itk.array_of(path, "GiplImageIO"), header.geometry, {}, path)
 
 
 def parse_mgh(path: Path) -> VolumeHeader:
