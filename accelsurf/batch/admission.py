@@ -38,7 +38,7 @@ class Need:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a batch, as the person gave them.
+    """Limits of a batch, as the person gave them; a cluster decides them itself.
 
     Attributes
     ----------
@@ -48,20 +48,27 @@ class Limits:
         Seconds that a case may take.
     max_memory : str, optional
         Memory of all cases together, such as 4GB.
+    scheduler : str, optional
+        Address of a Dask scheduler.
 
     Raises
     ------
     UsageError
-        When a number is out of bounds.
+        When a number is out of bounds, or is given with a scheduler.
     """
 
     jobs: int | None = None
     case_timeout: float | None = None
     max_memory: str | None = None
+    scheduler: str | None = None
 
     def __post_init__(self) -> None:
         if self.jobs is not None and self.jobs < 1:
             raise UsageError(f"--jobs: {self.jobs} was given, expected a whole number at least 1", "leave it out")
+        decided = {"--jobs": self.jobs, "--case-timeout": self.case_timeout, "--max-memory": self.max_memory}
+        given = [name for name, value in decided.items() if value is not None]
+        if self.scheduler is not None and given:
+            raise UsageError(f"{given[0]}: was given with --scheduler, which decides that itself", "leave one out")
         if self.case_timeout is not None and not 0 < self.case_timeout < float("inf"):
             raise UsageError(f"--case-timeout: {self.case_timeout:g} was given, expected seconds above 0", "as in 600")
 
@@ -175,6 +182,17 @@ def admit(
         middle = statistics.median_high([need.bytes for need in needs] or [PROCESS_BYTES])
         jobs = max(1, min(cores // (threads or 1), len(needs), total // middle))
     return Admission(jobs, threads or max(1, cores // jobs), total)
+
+
+def by_cluster(needs: Sequence[Need], threads: int | None = None) -> Admission:
+    """Nothing to decide where a cluster does: all cases at once, each on one thread unless told otherwise.
+
+    Examples
+    --------
+    >>> by_cluster([Need(1, 1000), Need(1, 2000)])
+    Admission(jobs=2, threads=1, bytes=3000)
+    """
+    return Admission(max(len(needs), 1), threads or 1, sum(need.bytes for need in needs))
 
 
 def plan_rows(needs: Mapping[str, Need], admission: Admission) -> list[tuple[str, str, str, str]]:

@@ -141,6 +141,7 @@ def segment_many(
     *,
     config: RunConfig | None = None,
     jobs: int | None = None,
+    scheduler: str | None = None,
     case_timeout: float | None = None,
     max_memory: str | None = None,
     overwrite: bool = False,
@@ -159,7 +160,7 @@ def segment_many(
         Folder of all files; each case has its own in it.
     config : RunConfig, optional
         Settings of all cases; the defaults otherwise.
-    jobs, case_timeout, max_memory, overwrite, resume, strict
+    jobs, scheduler, case_timeout, max_memory, overwrite, resume, strict
         As the options of ``accelsurf batch``.
     **options
         Settings of all cases by name, over those of ``config``.
@@ -185,7 +186,7 @@ def segment_many(
     ...         for id, future in many.items():
     ...             print(id, future.result().ml)
     """
-    limits = Limits(jobs, case_timeout, max_memory)
+    limits = Limits(jobs, case_timeout, max_memory, scheduler)
     found, words = _cases(cases)
     common, folder = (config or RunConfig()).replace(**options), Path(output)
     base = CaseTask(found[0], folder.absolute(), common, overwrite or resume, strict, resume=resume)

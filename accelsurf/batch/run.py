@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, Self
 
-from accelsurf.batch.admission import Admission, Limits, Need, admit, need_of, need_of_sequence
+from accelsurf.batch.admission import Admission, Limits, Need, admit, by_cluster, need_of, need_of_sequence
 from accelsurf.batch.cases import Shard
 from accelsurf.batch.outcome import COLUMNS, TRACK_COLUMNS, CaseTask, Outcome
 from accelsurf.batch.pool import Ended, Failure, Job, LocalPool, Started
@@ -139,10 +139,13 @@ class Batch:
         needs = {task.case.id: _need(task) for task in tasks}
         given = {task.run.threads for task in tasks} - {"auto"}
         threads = max((int(number) for number in given), default=None)
-        admission = admit(
-            list(needs.values()), available_cores(), available_memory(),
-            jobs=limits.jobs, threads=threads, memory=limits.memory,
-        )
+        if limits.scheduler is not None:
+            admission = by_cluster(list(needs.values()), threads)
+        else:
+            admission = admit(
+                list(needs.values()), available_cores(), available_memory(),
+                jobs=limits.jobs, threads=threads, memory=limits.memory,
+            )
         tasks = [task.with_threads(admission.threads) if task.run.threads == "auto" else task for task in tasks]
         return cls(tasks, needs, admission, shard, layout, argv)
 

@@ -87,6 +87,10 @@ class BatchOptions:
     max_memory: Annotated[str | None, Parameter(group=BATCH, metavar="SIZE", show_default="80% of what is free")] = None
     """Memory of all cases together, such as 4GB. What needs more is not run; what takes more is ended."""
 
+    scheduler: Annotated[str | None, Parameter(group=BATCH, metavar="ADDRESS")] = None
+    """Run the cases on a Dask cluster: the address of its scheduler, as tcp://host:8786, or its scheduler file. Images
+    and outputs must have the same paths there."""
+
     @property
     def limits(self) -> Limits:
         """Limits of what runs at once; options that do not go with others are refused.
@@ -100,7 +104,7 @@ class BatchOptions:
         layouts = {"--layout": self.layout not in ("auto", "folder"), "--output-layout": self.output_layout is not None}
         for name in (name for name, is_other in layouts.items() if self.track and is_other):
             raise UsageError(f"{name} is of single images, --track was given", "leave one of them out")
-        return Limits(self.jobs, self.case_timeout, self.max_memory)
+        return Limits(self.jobs, self.case_timeout, self.max_memory, self.scheduler)
 
 
 def batch(
@@ -156,7 +160,7 @@ def batch(
         tasks = shard.part_of(tasks)
     work = Batch.planned(tasks, limits, shard, words, sys.argv)
     if options.plan:
-        return _print_plan(work)
+        return _print_plan(work, options.scheduler)
     tables = [*(Path(text) for text in cases), *([config] if config is not None else [])]
     return _conclude(_run(work, folder, limits, overwrite, options.resume, display, tables), folder, display)
 
@@ -198,7 +202,7 @@ def _configs(
     return configs
 
 
-def _print_plan(work: Batch) -> int:
+def _print_plan(work: Batch, scheduler: str | None) -> int:
     """Print what each case needs and what would run at once; some failed where one cannot be run."""
     from accelsurf.batch.admission import plan_rows
     from accelsurf.batch.run import SOME_FAILED
@@ -209,14 +213,16 @@ def _print_plan(work: Batch) -> int:
     rows = plan_rows(work.needs, work.admission)
     cells = [tuple(printable(cell, MAX_ERROR) for cell in line) for line in rows]
     print(table(("case", "values", "memory", ""), cells))
-    print(f"\n{_at_once(work)}, memory of all: {bytes_text(work.admission.bytes)}")
+    print(f"\n{_at_once(work, scheduler)}, memory of all: {bytes_text(work.admission.bytes)}")
     impossible = sum(need.values is None or need.bytes > work.admission.bytes for need in work.needs.values())
     return SOME_FAILED if impossible else 0
 
 
-def _at_once(work: Batch) -> str:
+def _at_once(work: Batch, scheduler: str | None) -> str:
     count, admission = len(work.tasks), work.admission
     cases = "1 case" if count == 1 else f"{count} cases"
+    if scheduler is not None:
+        return f"{cases} of {work.layout}, on the cluster of {scheduler}; threads of each: {admission.threads}"
     return f"{cases} of {work.layout}; {admission.jobs} at once, threads of each: {admission.threads}"
 
 
@@ -236,7 +242,7 @@ def _run(
             refuse_results(folder, work)
         batch_case.refuse_inputs_of(work.tasks, [folder / name for name in work.names.all], given)
         if not display.quiet:
-            say(_at_once(work))
+            say(_at_once(work, limits.scheduler))
         pool = batch_case.make_pool(work, limits)
         tables = work.tables(files)
         with BatchProgress(display, len(work.tasks)) as progress:

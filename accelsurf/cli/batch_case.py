@@ -76,6 +76,19 @@ def run_one(task: CaseTask) -> Outcome:
     return replace(outcome, warnings=(*outcome.warnings, *texts))
 
 
+def run_on_cluster(task: CaseTask) -> Outcome:
+    """The same on a cluster, which runs a case again when its worker was lost: perhaps after its files were written.
+
+    Parameters
+    ----------
+    task : CaseTask
+    """
+    if task.overwrite:
+        return run_one(task)
+    done = records.finished(task)
+    return run_one(replace(task, resume=True)) if done is None else done
+
+
 def lost_outcome(task: CaseTask, failure: Failure) -> Outcome:
     """Return the line of a case whose worker did not say how it ended; remove its staging files, write its report.
 
@@ -123,10 +136,14 @@ def _outputs(place: Place, config: RunConfig | TrackConfig) -> Iterable[Path]:
     return place.paths(config).values()
 
 
-def make_pool(work: Batch, limits: Limits) -> LocalPool:
-    """Return the workers of this machine."""
+def make_pool(work: Batch, limits: Limits) -> Pool:
+    """Return the workers of this machine, or those of a cluster."""
     from accelsurf.batch.pool import LocalPool
 
+    if limits.scheduler is not None:
+        from accelsurf.batch.dask_pool import DaskPool
+
+        return DaskPool(run_on_cluster, limits.scheduler)
     admission = work.admission
     return LocalPool(
         run_one, admission.jobs, bytes=admission.bytes, timeout=limits.case_timeout, limit=limits.memory, prepare=load

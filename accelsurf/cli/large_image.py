@@ -199,10 +199,14 @@ class ObjectOptions:
     """With --objects: read the image in parts, and run so many groups of objects at the same time, each in a process of
     its own. They share --max-memory. The result is the same."""
 
+    scheduler: Annotated[str | None, Parameter(group=OBJECTS, metavar="ADDRESS")] = None
+    """With --objects: the same on a Dask cluster: the address of its scheduler, or its scheduler file. --max-memory is
+    that of each worker then. Image and outputs must have the same paths there."""
+
     @property
     def given(self) -> bool:
         """True if the image is to be read in parts even if it fits."""
-        return self.jobs is not None
+        return self.jobs is not None or self.scheduler is not None
 
     def check(self, config: RunConfig) -> None:
         """Refuse options that exclude each other.
@@ -216,5 +220,5 @@ class ObjectOptions:
         from accelsurf.batch.admission import Limits
 
         if config.objects is None:
-            raise UsageError("--jobs: it was given without --objects", "accelsurf batch runs many images")
-        Limits(self.jobs)
+            raise UsageError("--jobs, --scheduler: were given without --objects", "accelsurf batch runs many images")
+        Limits(self.jobs, scheduler=self.scheduler)

@@ -291,6 +291,10 @@ class _Work:
     def _pool(self) -> LocalPool:
         from accelsurf.batch.pool import InlinePool, LocalPool
 
+        if self._options.scheduler is not None:
+            from accelsurf.batch.dask_pool import DaskPool
+
+            return DaskPool(run_task, self._options.scheduler)
         jobs = self._options.jobs or 1
         return InlinePool(run_task) if jobs == 1 else LocalPool(run_task, jobs, prepare=load)
 
@@ -301,7 +305,8 @@ def _with_threads(config: RunConfig, options: ObjectOptions) -> RunConfig:
 
     if config.threads != "auto":
         return config
-    return config.model_copy(update={"threads": max(1, available_cores() // (options.jobs or 1))})
+    threads = 1 if options.scheduler is not None else max(1, available_cores() // (options.jobs or 1))
+    return config.model_copy(update={"threads": threads})
 
 
 def _key_of(config: RunConfig, image: LargeImage, numbers: Any) -> str:

@@ -2,11 +2,16 @@
 
 import json
 import os
+import signal
+import threading
+import time
 
 import pytest
+from distributed import LocalCluster
 
 import accelsurf
-from accelsurf.errors import OutputError
+from accelsurf import cli
+from accelsurf.errors import OutputError, UsageError
 from tests.cli.test_batch import contents, done, image, inline, report, scans, table  # noqa: F401 (fixtures)
 from tests.support.batch_jobs import InlinePool
 
@@ -69,3 +74,28 @@ def test_leaving_early_keeps_what_is_finished(scans, tmp_path):  # noqa: F811
     assert report(tmp_path / "out")["status"] == "interrupted" and table(tmp_path / "out")["a"]["status"] == "ok"
 
 
+@pytest.mark.slow
+def test_a_cluster_that_loses_a_worker_leaves_the_same_files(done, scans, tmp_path):  # noqa: F811
+    made = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0", processes=True)
+    with made as cluster:
+
+        def kill():
+            while not list(tmp_path.glob("out/*/.*")):
+                time.sleep(0.01)
+            os.kill(next(iter(cluster.workers.values())).process.pid, signal.SIGKILL)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        words = ("batch", str(scans.parent / "cases.csv"), "-o", str(tmp_path / "out"), *WORDS)
+        assert cli.execute([*words, "--scheduler", cluster.scheduler_address, "--quiet"]) == 0
+        killer.join()
+    for name in ("case-a", "case-b", "case-c"):
+        assert contents(tmp_path / "out" / name) == contents(done / name)
+
+
+def test_what_a_cluster_decides_is_refused(scans, tmp_path, capsys):  # noqa: F811
+    for words in (("--jobs", "2"), ("--case-timeout", "5"), ("--max-memory", "1GB")):
+        assert cli.execute(["batch", str(scans), "-o", str(tmp_path), "--scheduler", "tcp://x:1", *words]) == 2
+        assert f"{words[0]}: was given with --scheduler" in capsys.readouterr().err
+    with pytest.raises(UsageError, match="--jobs"):
+        accelsurf.segment_many(scans, tmp_path, scheduler="tcp://x:1", jobs=2)

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from distributed import LocalCluster
 
 from accelsurf import cli, io
 from accelsurf.batch.pool import InlinePool
@@ -74,6 +75,13 @@ def test_two_processes_and_a_store_of_labels(folder, tmp_path):
     got, want = io.read(path).array, io.read(folder / "memory" / "big_seg.nii").array
     assert got.dtype == want.dtype and np.array_equal(got, want)
     assert_as_in_memory(folder, tmp_path / "out", "big_seg.ome.zarr")
+
+
+@pytest.mark.slow
+def test_a_cluster(folder, tmp_path):
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0", processes=True) as cluster:
+        assert segment(folder, "out", "--scheduler", cluster.scheduler_address, out=tmp_path) == 0
+    assert_as_in_memory(folder, tmp_path / "out")
 
 
 @pytest.fixture
@@ -182,6 +190,7 @@ def test_an_image_that_does_not_fit_is_read_in_parts(folder, tmp_path, capsys):
     ("words", "named"),
     [
         (("--jobs", "0"), "--jobs: 0"),
+        (("--jobs", "1", "--scheduler", "tcp://a:1"), "--scheduler"),
         (("--jobs", "1", "--strict"), "--strict"),
         (("--jobs", "1", "--also", "itk-snap"), "--also"),
         (("--jobs", "1", "--layout", "nnunet"), "--layout"),
