@@ -37,6 +37,7 @@ FROM_OUTSIDE = {
     "accelsurf/evolution/loop.py made.end": "the class's own second constructor",
     "accelsurf/io/dicom/pixels.py meta.TransferSyntaxUID": "pydicom's way to write an element",
     "accelsurf/io/dicom/pixels.py dataset.file_meta": "pydicom's way to write an element",
+    "accelsurf/io/dicom/sources.py dataset.file_meta": "pydicom's way to write an element",
     "accelsurf/io/dicom/writing_tools.py element.value": "pydicom's way to write an element",
     "accelsurf/io/formats/surface_files.py logger.disabled": "the switch of Python's library for loggers",
     "accelsurf/io/formats/tiff_pages.py page.compression": "tifffile unpacks by these fields of its page",

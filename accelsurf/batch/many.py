@@ -15,7 +15,7 @@ from accelsurf.batch.admission import Limits
 from accelsurf.batch.case import Case, check_id
 from accelsurf.batch.cases import checked_cases, read_cases
 from accelsurf.batch.outcome import CaseTask, Outcome
-from accelsurf.batch.pool import LocalPool
+from accelsurf.batch.pool import Pool
 from accelsurf.batch.run import Batch, refuse_results, task_of
 from accelsurf.batch.tables import Tables
 from accelsurf.errors import AccelsurfError, UsageError
@@ -39,7 +39,7 @@ class SegmentedMany(Mapping[str, "Future[Outcome]"]):
     with its reason. It raises only where the batch as a whole cannot go on.
     """
 
-    def __init__(self, work: Batch, pool: LocalPool, folder: Path, resume: bool) -> None:
+    def __init__(self, work: Batch, pool: Pool, folder: Path, resume: bool) -> None:
         self._work, self._pool, self._folder, self._resume = work, pool, folder, resume
         self._futures: dict[str, Future[Outcome]] = {task.case.id: Future() for task in work.tasks}
         self._closing = threading.Event()

@@ -2,7 +2,7 @@
 
 The standard pool breaks when one worker dies, and neither it nor those built on it can end one that hangs (record
 0032), so each worker is watched here: one that is gone, takes too long or too much memory is replaced, and its job
-has failed.
+has failed. `Pool` is all that a batch asks for, so that another engine can take the place of `LocalPool`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from contextlib import contextmanager, suppress
 from multiprocessing import connection, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import psutil
 
@@ -82,6 +82,26 @@ class Ended(NamedTuple):
 
 class Interrupted(Exception):
     """Somebody does not want to wait for the rest of the jobs."""
+
+
+class Pool(Protocol):
+    """Interface of an engine that runs the cases of a batch."""
+
+    def submit(self, job: Job) -> None:
+        """Add a job."""
+        ...
+
+    def events(self) -> Iterator[Started | Ended]:
+        """Yield events as they come, until all jobs have ended."""
+        ...
+
+    def interrupt(self) -> None:
+        """Let `events` raise `Interrupted` soon; the only method that another thread may call."""
+        ...
+
+    def close(self) -> None:
+        """End the jobs that still run, and free everything."""
+        ...
 
 
 class _Worker:
@@ -294,8 +314,8 @@ class LocalPool:
         yield self._lost(largest, Failure("memory", text))
 
 
-class InlinePool(LocalPool):
-    """Jobs that are done when somebody waits for them, one after the other in this process.
+class InlinePool:
+    """Jobs that are done when somebody waits for them.
 
     Parameters
     ----------
@@ -312,7 +332,13 @@ class InlinePool(LocalPool):
     """
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
-        super().__init__(function, 1)
+        self._function = function
+        self._waiting: deque[Job] = deque()
+        self._interrupted = False
+
+    def submit(self, job: Job) -> None:
+        """Add a job."""
+        self._waiting.append(job)
 
     def events(self) -> Iterator[Started | Ended]:
         """Yield events as they come, until all jobs have ended.
@@ -323,11 +349,19 @@ class InlinePool(LocalPool):
             After `interrupt`, when the present job has ended.
         """
         while self._waiting:
-            if self._heard_bell.poll():
+            if self._interrupted:
                 raise Interrupted
             job = self._waiting.popleft()
             yield Started(job.key)
             yield Ended(job.key, *run_job(self._function, job.payload))
+
+    def interrupt(self) -> None:
+        """Let `events` raise `Interrupted` soon; the only method that another thread may call."""
+        self._interrupted = True
+
+    def close(self) -> None:
+        """Forget the jobs that wait."""
+        self._waiting.clear()
 
 
 def serve(connection: Connection, function: Callable[[Any], Any], prepare: Callable[[], None] | None) -> None:

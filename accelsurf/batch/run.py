@@ -13,7 +13,7 @@ from typing import Protocol, Self
 from accelsurf.batch.admission import Admission, Limits, Need, admit, by_cluster, need_of, need_of_sequence
 from accelsurf.batch.cases import Shard
 from accelsurf.batch.outcome import COLUMNS, TRACK_COLUMNS, CaseTask, Outcome
-from accelsurf.batch.pool import Ended, Failure, Job, LocalPool, Started
+from accelsurf.batch.pool import Ended, Failure, Job, Pool, Started
 from accelsurf.batch.records import finished
 from accelsurf.batch.tables import TableNames, Tables
 from accelsurf.errors import OutputError, UsageError
@@ -161,12 +161,12 @@ class Batch:
         """True if its cases are sequences."""
         return any(isinstance(task.config, TrackConfig) for task in self.tasks)
 
-    def run(self, pool: LocalPool, tables: Tables, observer: Observer, lost: Lost, resume: bool) -> None:
+    def run(self, pool: Pool, tables: Tables, observer: Observer, lost: Lost, resume: bool) -> None:
         """Run the cases in a pool, record the outcome of each, and close the pool.
 
         Parameters
         ----------
-        pool : LocalPool
+        pool : Pool
             Its function makes an `Outcome` of a `CaseTask`.
         tables : Tables
         observer : Observer
@@ -193,7 +193,7 @@ class Batch:
         tables.write("failed" if failed else "ok", SOME_FAILED if failed else 0)
 
     def _run(
-        self, tasks: Sequence[CaseTask], pool: LocalPool, tables: Tables, observer: Observer, lost: Lost
+        self, tasks: Sequence[CaseTask], pool: Pool, tables: Tables, observer: Observer, lost: Lost
     ) -> None:
         by_id = {task.case.id: task for task in tasks}
         for id, task in by_id.items():
@@ -214,12 +214,12 @@ class Batch:
                         observer.warned(error.message)
                     observer.ended(outcome, left.after(id, time.monotonic() - began))
 
-    def end_early(self, pool: LocalPool, tables: Tables, exit_code: int) -> None:
+    def end_early(self, pool: Pool, tables: Tables, exit_code: int) -> None:
         """End what runs, remove its staging files, and write the tables as they are.
 
         Parameters
         ----------
-        pool : LocalPool
+        pool : Pool
         tables : Tables
         exit_code : int
             What the command returns.

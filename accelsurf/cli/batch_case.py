@@ -30,7 +30,7 @@ from accelsurf.settings.track_config import TrackConfig
 
 if TYPE_CHECKING:
     from accelsurf.batch.admission import Limits
-    from accelsurf.batch.pool import LocalPool
+    from accelsurf.batch.pool import Pool
     from accelsurf.batch.run import Batch
     from accelsurf.image.volume import Volume
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from accelsurf.batch.pool import Ended, Job, LocalPool
+from accelsurf.batch.pool import Ended, Job, Pool
 from accelsurf.cli import large_image
 from accelsurf.cli.case import Place, resumed_place
 from accelsurf.cli.interrupts import Interrupts
@@ -222,7 +222,7 @@ class _Work:
         records = [self._records[group] for group in sorted(self._records)]
         return ObjectsDone(records, failures, ids.tolist(), self._folder, self._notes)
 
-    def _round(self, pool: LocalPool, number: int, progress: BatchProgress) -> None:
+    def _round(self, pool: Pool, number: int, progress: BatchProgress) -> None:
         """Run the groups that wait, and record how they ended."""
         groups = {f"{number}-{place}": group for place, group in enumerate(self._groups.waiting)}
         for key, group in groups.items():
@@ -288,7 +288,7 @@ class _Work:
             {kind: name for kind, name in names.items() if kind.startswith(output_names.EACH)},
         )
 
-    def _pool(self) -> LocalPool:
+    def _pool(self) -> Pool:
         from accelsurf.batch.pool import InlinePool, LocalPool
 
         if self._options.scheduler is not None:
