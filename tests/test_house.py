@@ -40,8 +40,7 @@ FROM_OUTSIDE = {
     "accelsurf/io/dicom/sources.py dataset.file_meta": "pydicom's way to write an element",
     "accelsurf/io/dicom/writing_tools.py element.value": "pydicom's way to write an element",
     "accelsurf/io/formats/surface_files.py logger.disabled": "the switch of Python's library for loggers",
-    "accelsurf/io/formats/tiff_pages.py page.compression": "tifffile unpacks by these fields of its page",
-    "accelsurf/io/formats/tiff_pages.py page.predictor": "tifffile unpacks by these fields of its page",
+    "accelsurf/io/formats/tiff_pages.py page.compression": "tifffile unpacks by this field of its page",
 }
 
 #: Words that no identifier may have as a part: each has a standard term of the field (docs/architecture.md, "Words").

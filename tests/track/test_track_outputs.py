@@ -248,13 +248,13 @@ def test_frames_of_an_earlier_run_do_not_count_where_none_is_resumed(tmp_path):
 
 def test_an_interrupted_run_writes_the_frames_that_it_has_reached(tmp_path):
     made, store = dividing_cells(), tmp_path / "cells_frames"
-    files = TrackFiles(labels="nrrd", also=("ctc",))
+    files = TrackFiles(labels="nii.gz", also=("ctc",))
     with TrackOutputs(tmp_path / "out", "cells", made.sequence, files, store=store) as outputs:
         for result in made.results[:2]:
             outputs.add(result)
         outputs.finish(made.lineage, status="interrupted", exit_code=130)
     document = json.loads((tmp_path / "out" / "cells_report.json").read_text())
     assert (document["status"], document["exit_code"], len(document["frames"])) == ("interrupted", 130, 2)
-    found = io.read_sequence(tmp_path / "out" / "cells_labels.nrrd")
+    found = io.read_sequence(tmp_path / "out" / "cells_labels.nii.gz")
     assert [bool(found.frame(n).array.any()) for n in range(5)] == [True, True, False, False, False]
     assert store.exists()
