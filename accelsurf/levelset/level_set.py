@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.grid.geometry import axis_steps
 from accelsurf.kernels import band as band_kernels
-from accelsurf.kernels import components, differences, march, motion, region, residues, transport
+from accelsurf.kernels import components, differences, motion, region, residues, transport
 from accelsurf.kernels.grid import Band, DenseArrays, Grid
+from accelsurf.levelset.closest_points import find_closest_points, find_residues
 from accelsurf.levelset.extension import (
     ExtensionTable,
     FrontRows,
@@ -22,7 +22,7 @@ from accelsurf.levelset.extension import (
     front_rows,
     sampled,
 )
-from accelsurf.levelset.measures import BandChange, Displacement, Measures, Motion, NarrowBand, Snapshot, displacement
+from accelsurf.levelset.measures import BandChange, Displacement, Measures, Motion, Snapshot, displacement
 from accelsurf.levelset.threads import Workers
 
 #: Distance from the surface, in voxels, within which cells count as the front: forces, curvature and kicks
@@ -32,8 +32,6 @@ FRONT_WIDTH = 2.0
 #: Components of at most this many voxels are below what the grid resolves (a ball of radius 1.5 voxels).
 MAX_UNRESOLVED = 14
 NO_CELLS = np.empty(0, np.int64)
-#: Rounds in which closest points are passed on: more than the cells of a path through the band.
-MAX_ROUNDS = 64
 
 
 class LevelSet:
@@ -399,75 +397,3 @@ class LevelSet:
         self.dense.slot[self.band.cells] = -1
         self._set_half_width(half_width)
         self._build_band()
-
-
-class ClosestPoints(NamedTuple):
-    """Closest points of the first ``size`` rows, the slots of the band and then the cells that may enter.
-
-    ``cells`` (m,) int64 raveled; ``to_closest`` (m, 3) float32, see `kernels.grid.Band`; ``state`` (m,) int8, see
-    `kernels.march`. There is room for more than ``size``.
-    """
-
-    cells: np.ndarray
-    to_closest: np.ndarray
-    state: np.ndarray
-    size: int
-
-
-def find_closest_points(surface: NarrowBand) -> ClosestPoints:
-    """Find the closest points of the zero level of psi as it is; cells that may enter get a slot in ``dense.slot``.
-
-    Where ``surface.residues`` is None psi has been no distance yet: the interpolation is limited instead.
-    """
-    parallel, grid, dense, n = surface.workers.parallel, surface.grid, surface.dense, surface.size
-    # Room for the cells that enter in one step.
-    room = n + n // 4 + 1024
-    cells, to_closest, state = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int8)
-    cells[:n] = surface.band.cells
-    inner, found = float(surface.gamma - 1.5 * max(grid.hz, grid.hy, grid.hx)), np.empty(n, np.int8)
-    residue, known_residues = np.zeros(room, np.float32), surface.residues
-    limited = known_residues is None
-    if known_residues is not None:
-        residue[:n] = known_residues
-    parallel(march.find_feet, n, dense, grid, surface.band, (inner, residue, limited), to_closest, found)
-    parallel(march.classify_feet, n, dense, grid, surface.band.cells, to_closest, found, state)
-    open_slots, sources = np.flatnonzero(state[:n] == march.OPEN), np.flatnonzero(state[:n] == march.EDGE)
-    active, refined_later = np.zeros(room, np.bool_), np.zeros(room, np.bool_)
-    active[open_slots] = True
-    size = n
-    for _ in range(MAX_ROUNDS):
-        known, entering = (cells, to_closest, state, active), np.empty(sources.size, np.uint8)
-        around = grid, known, sources, surface.half_width
-        parallel(march.wake_neighbours, sources.size, dense.slot, *around, entering)
-        (cells, to_closest, state, active), size = surface.workers.serial(
-            march.enter_neighbours, dense.slot, grid, known, size, sources, entering
-        )
-        if cells.size > residue.size:
-            more = cells.size - residue.size
-            residue, refined_later = np.pad(residue, (0, more)), np.pad(refined_later, (0, more))
-        active_slots = surface.workers.serial(march.take_active, open_slots, n, size, active)
-        if active_slots.size == 0:
-            break
-        changed, was_open = np.empty(active_slots.size, np.bool_), state[active_slots] == march.OPEN
-        nearer = np.empty((active_slots.size, 3), np.float32), changed, np.empty(active_slots.size, np.float32)
-        rows = cells, to_closest, state, residue
-        parallel(march.propagate_feet, active_slots.size, dense, grid, rows, active_slots, nearer)
-        parallel(march.update_feet, active_slots.size, active_slots, nearer, (to_closest, state, residue))
-        # The first closest point of a cell is refined at once, as neighbours take it over; the others at the end.
-        sources, first = surface.workers.serial(march.sort_changes, active_slots, changed, was_open, refined_later)
-        parallel(march.refine_feet, first.size, dense.psi, grid, cells, first, to_closest, (residue, limited))
-    later = np.flatnonzero(refined_later[:size])
-    parallel(march.refine_feet, later.size, dense.psi, grid, cells, later, to_closest, (residue, limited))
-    return ClosestPoints(cells, to_closest, state, size)
-
-
-def find_residues(surface: NarrowBand, moved: Motion) -> np.ndarray:
-    """Residues (n,) float32 of psi at the closest points of the band, ``moved`` since."""
-    parallel, psi, slot = surface.workers.parallel, surface.dense.psi, surface.dense.slot
-    motion = np.ascontiguousarray(moved.velocity, np.float32), float(moved.dt)
-    out, near = np.empty(surface.size, np.float32), np.empty(surface.size, np.bool_)
-    parallel(residues.own_residues, surface.size, psi, surface.grid, surface.band, motion, (out, near))
-    # A smooth surface has none that count.
-    if out.any():
-        parallel(residues.distant_residues, surface.size, slot, surface.grid, surface.band, motion, (out, near))
-    return out

@@ -11,7 +11,7 @@ from accelsurf.kernels import closest, march
 from accelsurf.kernels.closest import first_guess, guess_feet, guess_memory
 from accelsurf.kernels.grid import Band, neighbours, unravel, unravel_in_vectors, voxels_along
 from accelsurf.levelset import Workers
-from accelsurf.levelset.level_set import find_closest_points
+from accelsurf.levelset.closest_points import find_closest_points
 from tests.support import reference
 
 pytestmark = pytest.mark.nojit

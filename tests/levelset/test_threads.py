@@ -9,7 +9,7 @@ import pytest
 from accelsurf.kernels.grid import BLOCK
 from accelsurf.levelset import LevelSet, Workers
 from accelsurf.levelset import threads as sharing
-from accelsurf.levelset.level_set import find_closest_points
+from accelsurf.levelset.closest_points import find_closest_points
 from tests.support import reference
 from tests.support.level_set_checks import check_level_set
 

@@ -14,7 +14,7 @@ from accelsurf.errors import OutputError, UsageError
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.actions import Actions
-from accelsurf.viewer.core.corrected_run import nearest_object
+from accelsurf.viewer.core.nearest_object import nearest_object
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import two_balls, viewing
