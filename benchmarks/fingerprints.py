@@ -129,6 +129,7 @@ def runs(folder: Path) -> dict[str, Callable[[], Any]]:
     out["energy seeded, size"] = clicked(size="9ml")
     out["energy chan-vese, clicks"] = clicked(energy="chan-vese", outside="point:3,15,15vox")
     out["energy partition, clicks"] = clicked(energy="partition")
+    out["extension fast-marching"] = single(extension="fast-marching")
     out["energy of one's own"] = single(energy=own_energy)
     out["energy local-region, two objects"] = several(energy="local-region:R=6", max_steps=15)
     out["energy threshold learned, two objects"] = several(energy="threshold:learned,learned", max_steps=15)

@@ -40,6 +40,7 @@ def small_runs() -> dict[str, Callable[[], Any]]:
         "likelihood by histogram": _run(energy="likelihood:model=histogram"),
         "area": _run(energy="chan-vese + 0.1*area", smoothness=0.3, presmooth=1.0, closing="1vox"),
         "noise": _run(noise=0.2, seed=1, diffusion=0.5),
+        "fast marching": _run(extension="fast-marching"),
         "levels": _run(levels=2, start="otsu"),
         "seed": _run(start=f"seed:{MIDDLE},{START}vox"),
         "edit": _run(edit=["step=3 add=ball:6,6,6,3vox", "step=6 flow=gradient"]),

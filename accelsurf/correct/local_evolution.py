@@ -91,7 +91,7 @@ def evolve_near(problem: LocalProblem, id: int, stepping: Stepping) -> LocalOutc
     psi, spacing, setup = problem.psi, problem.spacing, problem.setup
     workers = stepping.workers
     nothing = np.ones(psi.shape, np.float32)
-    surface = LevelSet(nothing, spacing, setup.half_width, workers, overwrite=True)
+    surface = LevelSet(nothing, spacing, setup.half_width, workers, overwrite=True, extension=setup.extension)
     _restore(surface, psi)
     volume, area = _measures(surface)
     before = signed_distance(psi, float(surface.gamma), spacing)

@@ -155,7 +155,7 @@ def _evolved(
     setup: SolverSetup, stepping: Stepping,
 ) -> LocalOutcome:
     """Evolve a first surface on its box."""
-    surface = LevelSet(psi, spacing, setup.half_width, stepping.workers, overwrite=True)
+    surface = LevelSet(psi, spacing, setup.half_width, stepping.workers, overwrite=True, extension=setup.extension)
     evolution = Evolution.of(surface, energy, setup, stepping.max_steps)
     stop = evolve_to_end(evolution, setup, stepping.watch_of(id))
     return LocalOutcome(np.array(surface.psi), list(evolution.history), stop)

@@ -61,7 +61,7 @@ def prolong_surface(
     surface : LevelSet
     fields : list of ndarray (n,)
     """
-    surface = LevelSet(psi, fine.spacing, half_width, old.workers, overwrite=True)
+    surface = LevelSet(psi, fine.spacing, half_width, old.workers, overwrite=True, extension=old.extension)
     fields = transfer_fields(flow.fields, flow.fill_values, old.dense.slot, coarse, surface, fine)
     flow.change_grid(surface, fine.places_in(coarse))
     return surface, fields

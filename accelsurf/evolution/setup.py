@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from accelsurf.evolution.convergence import Restart, StopRule
 from accelsurf.flows import Flow, StepLimits
+from accelsurf.levelset.extension import CLOSEST_POINT
 
 
 class SolverSetup(NamedTuple):
@@ -14,7 +15,8 @@ class SolverSetup(NamedTuple):
     ``flow``, not started yet; ``limits`` of the step; ``restart`` or None; ``half_width`` of the band, in voxels of
     each level; stop ``rule`` of the finest level, None to run to the last step; ``max_volume`` (mm3) of the leak guard
     or None; ``reach``, how far beyond the surface its energy sees the image, mm; ``stop_at_rest``, whether it ends
-    where the front rested; ``end``, "lowest" or "present", the state it ends with after its last step.
+    where the front rested; ``extension`` of the level set; ``end``, "lowest" or "present", the state it ends with after
+    its last step.
     """
 
     flow: Flow
@@ -25,4 +27,5 @@ class SolverSetup(NamedTuple):
     max_volume: float | None = None
     reach: float = 0.0
     stop_at_rest: bool = False
+    extension: str = CLOSEST_POINT
     end: str = "lowest"

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from accelsurf.kernels import march, residues
+from accelsurf.kernels import fast_marching, march, residues
+from accelsurf.levelset.extension import FAST_MARCHING
 from accelsurf.levelset.measures import Motion, NarrowBand
 
 #: Rounds in which closest points are passed on: more than the cells of a path through the band.
@@ -80,6 +81,17 @@ def find_residues(surface: NarrowBand, moved: Motion) -> np.ndarray:
     out, near = np.empty(surface.size, np.float32), np.empty(surface.size, np.bool_)
     parallel(residues.own_residues, surface.size, psi, surface.grid, surface.band, motion, (out, near))
     # A smooth surface has none that count.
-    if out.any():
+    if out.any() and surface.extension == FAST_MARCHING:
+        beside = beside_surface(surface, surface.band.psi)
+        where = slot, surface.grid, surface.band, motion
+        parallel(fast_marching.front_residues, surface.size, *where, beside, out)
+    elif out.any():
         parallel(residues.distant_residues, surface.size, slot, surface.grid, surface.band, motion, (out, near))
     return out
+
+
+def beside_surface(surface: NarrowBand, psi: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the band cells with a neighbour on the other side, by ``psi`` (n,)."""
+    beside, where = np.empty(surface.size, np.bool_), (surface.dense.slot, surface.grid, surface.band.cells)
+    surface.workers.parallel(fast_marching.cells_beside, surface.size, *where, psi, beside)
+    return beside

@@ -13,6 +13,9 @@ from accelsurf.kernels.grid import Band
 from accelsurf.levelset.measures import Motion, NarrowBand
 from accelsurf.levelset.threads import Workers
 
+#: How distances and fields get from the front to the cells further off: by closest points, or by a fast march.
+CLOSEST_POINT, FAST_MARCHING = "closest-point", "fast-marching"
+
 
 class ExtensionTable(NamedTuple):
     """Table of the places where cells off the front read the front's values, see `kernels.band.outward_table`.

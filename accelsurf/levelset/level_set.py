@@ -14,6 +14,8 @@ from accelsurf.kernels import components, differences, motion, region, residues,
 from accelsurf.kernels.grid import Band, DenseArrays, Grid
 from accelsurf.levelset.closest_points import find_closest_points, find_residues
 from accelsurf.levelset.extension import (
+    CLOSEST_POINT,
+    FAST_MARCHING,
     ExtensionTable,
     FrontRows,
     advected,
@@ -22,6 +24,7 @@ from accelsurf.levelset.extension import (
     front_rows,
     sampled,
 )
+from accelsurf.levelset.fast_marching import UpwindExtension, extension_from, march_outwards
 from accelsurf.levelset.measures import BandChange, Displacement, Measures, Motion, Snapshot, displacement
 from accelsurf.levelset.threads import Workers
 
@@ -50,6 +53,8 @@ class LevelSet:
         The threads to use.
     overwrite : bool
         ``psi`` is not needed any more: its memory is used instead of a copy's.
+    extension : {"closest-point", "fast-marching"}
+        How distances and fields get from the front to the cells further off, see `levelset.fast_marching`.
 
     Attributes
     ----------
@@ -71,6 +76,7 @@ class LevelSet:
         half_width: float = 3.0,
         workers: Workers | None = None,
         overwrite: bool = False,
+        extension: str = CLOSEST_POINT,
     ) -> None:
         shape = psi.shape
         self.shape: tuple[int, int, int] = (shape[0], shape[1], shape[2])
@@ -85,7 +91,8 @@ class LevelSet:
         self._slant = 0.5 * (max(spacings) / min(spacings) + min(spacings) / max(spacings))
         self._set_half_width(half_width)
         self.workers = workers or Workers(1)
-        self._extension: ExtensionTable | None = None
+        self.extension = extension
+        self._extension: ExtensionTable | UpwindExtension | None = None
         self._rows: FrontRows | None = None
         self._measured: Measures | None = None
         self._fronts: dict[float, np.ndarray] = {}
@@ -290,7 +297,7 @@ class LevelSet:
         """Overwrite ``values`` (n,) off the front by those of the front, constant along normals."""
         # Cached for the next field with the same mask.
         if self._extension is None or self._extension.front is not front:
-            self._extension = extension_table(self, front, np.flatnonzero(~front))
+            self._extension = extension_from(self, front)
         self._extension.extend(self.workers, values)
 
     def front_rows(self, front: np.ndarray, component: int = -1) -> FrontRows:
@@ -321,7 +328,8 @@ class LevelSet:
         BandChange
         """
         parallel, n = self.workers.parallel, self.size
-        cells, to_closest, state, total = find_closest_points(self)
+        marching = self.extension == FAST_MARCHING
+        cells, to_closest, state, total = (march_outwards if marching else find_closest_points)(self)
         keep = np.empty(total, np.bool_)
         parallel(band_kernels.keep_mask, total, self.grid, to_closest, state, self.half_width, keep)
         entered = n + np.flatnonzero(keep[n:])
@@ -345,7 +353,7 @@ class LevelSet:
         parallel(band_kernels.store_band, size, self.dense, new)
         self._replace_band(new)
         self._fronts = {FRONT_WIDTH: front}
-        if advection is None:
+        if advection is None or marching:
             for field in extended:
                 self.extend_outwards(field, front)
         return change

@@ -22,6 +22,7 @@ class NarrowBand(Protocol):
     dense: DenseArrays
     band: Band
     workers: Workers
+    extension: str
     half_width: float
     gamma: np.float32
 

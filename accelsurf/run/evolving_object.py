@@ -217,7 +217,7 @@ class EvolvingObject:
     def _surface_of(self, psi: NDArray[np.float32]) -> LevelSet:
         """The surface where ``psi``, on a box of the grid, is 0; the memory of ``psi`` is used."""
         setup = self._setup
-        return LevelSet(psi, self.grid.spacing, setup.half_width, self.workers, True)
+        return LevelSet(psi, self.grid.spacing, setup.half_width, self.workers, True, setup.extension)
 
     def _lay_out(
         self, box: Box, known: NDArray[np.float32], at: Corner, before: Evolution | None, state: LoopState | None

@@ -114,6 +114,7 @@ def setup_of(settings: RunConfig, place: int, levels: int, geometry: Geometry) -
         settings.max_volume,
         window_reach(settings, geometry),
         settings.stop_at_rest,
+        settings.extension,
         settings.end,
     )
 

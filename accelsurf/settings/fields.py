@@ -364,6 +364,12 @@ class SettingFields(BaseModel):
         "accelsurf refine adds them.",
         entry=SettingEntry(RUN, viewer="elsewhere", metavar="CLICKS", repeated=True, fixed=True),
     )
+    extension: Literal["closest-point", "fast-marching"] = setting(
+        "closest-point",
+        "How distances and speeds get from the surface to the band: by the closest point of each voxel, or by fast "
+        "marching, from the voxels beside the surface outwards in order of distance.",
+        entry=SettingEntry(RUN, choice=True, metavar="NAME", fixed=True),
+    )
     end: Literal["lowest", "present"] = setting(
         "lowest",
         "Which state a run that has used up its steps ends with: that of the lowest energy so far, or the present one, "

@@ -196,7 +196,7 @@ def test_every_setting_is_an_option(capsys):
         **dict(blend=0.6, reproducible=True, levels=2, mask="m.nii", roi="1,2,3,4,5,6", max_volume=1e4),
         **dict(foreground=("center", "ball:-1,2,-3,4"), background=("otsu:dark", "label:b.nii@2"), channel=("a", "b")),
         **dict(outside=("point:1,2,3", "stroke:s.csv"), box="0,0,0,9,9,9", size="250ml", keep_state="yes"),
-        **dict(stop_at_rest=True, end="present", refine=["merge=1,3"]),
+        **dict(stop_at_rest=True, end="present", extension="fast-marching", refine=["merge=1,3"]),
         **dict(level=2, channel_index=1, time_index=3, channels_from_time=True, series="4", spacing="1,2,3um"),
         **dict(resample=True, name=["2=liver"], color=["2=#102030"], label_table="t.csv", also=["tsv", "rtstruct"]),
         layout="nnunet", label_group="cells", window="bone",

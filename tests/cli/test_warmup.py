@@ -124,7 +124,7 @@ def representative_commands(folder):
              "f.nii.gz --inside point:16,14,18", "f.nii.gz --inside label:l.nii.gz@2", "c.tif --inside point:16,14,0",
              "f.nii.gz --inside point:16,14,18 --outside point:29,14,18", "f.nii.gz --objects l.nii.gz",
              "f.nii.gz --inside point:16,14,18 --outside point:29,14,18 --energy partition",
-             "f.nii.gz --objects balls.csv", f"f.nii.gz --channel b.nii.gz {ball}",
+             "f.nii.gz --objects balls.csv --extension fast-marching", f"f.nii.gz --channel b.nii.gz {ball}",
              f"f.nii.gz {ball} --noise 0.2 --seed 1", f"i.ome.zarr {ball} --max-memory 600MiB",
              *(f"{name}.ome.zarr --objects balls.csv --jobs 1" for name in "iu"),
              *(f"f.nii.gz {ball} --flow {flow}" for flow in FLOWS), *(f"c.tif {flat} --flow {flow}" for flow in FLOWS),

@@ -78,6 +78,7 @@ def assert_same(whole, part):
         {"start": "ball:66,57,56,5", "energy": "likelihood:update=no", "presmooth": 0.7, "max_steps": 20},
         {"start": "ball:66,57,56,5", "energy": "likelihood:model=histogram", "presmooth": 1.0},
         {"start": "ball:66,57,56,5", "flow": "sobolev", "presmooth": 1.0, "max_steps": 40},
+        {"start": "ball:66,57,56,5", "presmooth": 1.0, "extension": "fast-marching", "max_steps": 30},
     ],
     ids=lambda options: " ".join(f"{v}" for v in options.values()),
 )

@@ -11,6 +11,7 @@ from accelsurf.settings.messages import expected
 from accelsurf.settings.run_config import RunConfig
 
 ODD = RunConfig(
+    extension="fast-marching",
     preset="ct-bone",
     energy="0.5*geodesic:scale=1 + threshold:-1e-3,20",
     flow="gradient",

@@ -100,12 +100,13 @@ def follow(
     flow: Flow | None = None,
     exactly: Case | None = None,
     radii: list[tuple[float, float]] | None = None,
+    extension: str = "closest-point",
 ) -> Misfit:
     """Run a case and compare every step with the exact solution (of ``exactly`` if given).
 
     ``radii``, if given, gets the time and the mean radius after every step.
     """
-    surface = LevelSet(on.radius - case.r0, on.spacing, 4.0 if case.flowable else 3.0)
+    surface = LevelSet(on.radius - case.r0, on.spacing, 4.0 if case.flowable else 3.0, extension=extension)
     path = exact.path(exactly or case)
     mean = point = 0.0
     for t, _ in steps(surface, energy_of(case, on.radius), flow or flow_of(case), dt, case.t_end):

@@ -1,0 +1,108 @@
+"""Fast marching on the band: distances, closest points and fields outwards from the cells beside the surface."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from accelsurf.kernels import fast_marching, march
+from accelsurf.kernels.band import MIN_DISTANCE
+from accelsurf.kernels.fast_marching import ACCEPTED, FAR
+from accelsurf.levelset.closest_points import MAX_ROUNDS, ClosestPoints, beside_surface
+from accelsurf.levelset.extension import FAST_MARCHING, ExtensionTable, extension_table
+from accelsurf.levelset.measures import NarrowBand
+from accelsurf.levelset.threads import Workers
+
+
+def march_outwards(surface: NarrowBand) -> ClosestPoints:
+    """Find closest points as `closest_points.find_closest_points`, with only those beside the surface sought in psi.
+
+    Distances further off are those of a fast march, and the closest points fields that it carries.
+    """
+    grid, dense, n = surface.grid, surface.dense, surface.size
+    room = n + n // 4 + 1024
+    cells, to_closest = np.empty(room, np.int64), np.empty((room, 3), np.float32)
+    cells[:n] = surface.band.cells
+    psi = dense.psi[surface.band.cells]
+    front = np.flatnonzero(beside_surface(surface, psi))
+    _find_closest_beside(surface, front, to_closest)
+    distance, state = np.zeros(room), np.full(room, FAR, np.int8)
+    length = np.sqrt((to_closest[front].astype(np.float64) ** 2).sum(axis=1))
+    distance[front] = np.copysign(np.maximum(length, MIN_DISTANCE * surface.smallest_spacing), psi[front])
+    state[front] = ACCEPTED
+    known: tuple[np.ndarray, ...] = cells, to_closest, distance, state
+    heap: tuple[np.ndarray, ...] = np.empty(room), np.empty(room, np.int64)
+    counts, width = np.array([n, 0, 0]), surface.half_width
+    serial = surface.workers.serial
+    while not serial(fast_marching.march_outwards, dense, grid, known, heap, counts, front, width):
+        known, heap = _with_room(known, heap)
+    cells, to_closest, _, state = known
+    reached = np.where(state == FAR, np.int8(march.OPEN), np.int8(march.FROZEN))
+    return ClosestPoints(cells, to_closest, reached, int(counts[0]))
+
+
+def _with_room(known: tuple[np.ndarray, ...], heap: tuple[np.ndarray, ...]) -> tuple[tuple[np.ndarray, ...], ...]:
+    """The arrays of a march with room for half as many entries again."""
+    more = known[0].size // 2 + 1024
+    rows = tuple(np.concatenate([row, np.zeros((more, *row.shape[1:]), row.dtype)]) for row in known)
+    return rows, tuple(np.concatenate([row, np.zeros(more, row.dtype)]) for row in heap)
+
+
+def _find_closest_beside(surface: NarrowBand, front: np.ndarray, to_closest: np.ndarray) -> None:
+    """Closest points of the slots ``front`` (m,) into ``to_closest``: from psi, and closer ones from each other."""
+    parallel, grid, dense, n = surface.workers.parallel, surface.grid, surface.dense, surface.size
+    known = surface.residues
+    residue, limited = np.zeros(n, np.float32) if known is None else known.copy(), known is None
+    inner = float(surface.gamma - 1.5 * max(grid.hz, grid.hy, grid.hx))
+    start = inner, residue, limited
+    parallel(fast_marching.find_front_feet, front.size, dense, grid, surface.band, start, front, to_closest)
+    state = np.full(n, march.OPEN, np.int8)
+    state[front] = march.FROZEN
+    closest, on = to_closest[:n], front
+    for _ in range(MAX_ROUNDS):
+        nearer = np.empty((on.size, 3), np.float32), np.empty(on.size, np.bool_), np.empty(on.size, np.float32)
+        parallel(march.propagate_feet, on.size, dense, grid, (surface.band.cells, closest, state, residue), on, nearer)
+        parallel(march.update_feet, on.size, on, nearer, (closest, state, residue))
+        changed = on[nearer[1]]
+        if changed.size == 0:
+            break
+        psi, guide = dense.psi, (residue, limited)
+        parallel(march.refine_feet, changed.size, psi, grid, surface.band.cells, changed, closest, guide)
+
+
+class UpwindExtension(NamedTuple):
+    """Order and weights in which the band reads the values known beside the surface, see `kernels.fast_marching`.
+
+    ``front`` (n,) bool is where values are given; of these, those beside the surface count. ``beside`` fills in the
+    cells there that are not on the front. ``off`` (m,) int64 are the other slots in order of distance; ``slots`` (m, 6)
+    int32 and ``shares`` (m, 6) float32.
+    """
+
+    front: np.ndarray
+    beside: ExtensionTable
+    off: np.ndarray
+    slots: np.ndarray
+    shares: np.ndarray
+
+    def extend(self, workers: Workers, values: np.ndarray) -> None:
+        """Overwrite ``values`` (n,) at all slots but those on the front and beside the surface."""
+        self.beside.extend(workers, values)
+        workers.serial(fast_marching.carry_outwards, self.off, self.slots, self.shares, values)
+
+
+def extension_from(surface: NarrowBand, front: np.ndarray) -> ExtensionTable | UpwindExtension:
+    """The extension of values known on the ``front`` (n,) to the band, as the surface's setting has it."""
+    if surface.extension != FAST_MARCHING:
+        return extension_table(surface, front, np.flatnonzero(~front))
+    workers, band = surface.workers, surface.band
+    beside = beside_surface(surface, band.psi)
+    order = workers.serial(fast_marching.order_of, np.abs(band.psi))
+    off = order[~beside[order]]
+    slots, shares = np.empty((off.size, 6), np.int32), np.empty((off.size, 6), np.float32)
+    known = band.cells, band.to_closest, band.psi, np.full(surface.size, ACCEPTED, np.int8)
+    workers.parallel(
+        fast_marching.upwind_table, off.size, surface.dense.slot, surface.grid, known, off, (slots, shares)
+    )
+    missing = extension_table(surface, front & beside, np.flatnonzero(beside & ~front))
+    return UpwindExtension(front, missing, off, slots, shares)
