@@ -15,8 +15,8 @@ PACKAGE = ROOT / "accelsurf"
 
 #: Figures of the house (``scripts/house``) and the most that each may be: so that it does not grow back.
 LIMITS = {
-    "modules": 400,
-    "code lines": 53_000,
+    "modules": 385,
+    "code lines": 50_000,
     "files of the largest folder": 30,
     "parameters that are unnamed tuples": 0,
     "summaries without a verb or noun first": 0,
@@ -37,7 +37,6 @@ FROM_OUTSIDE = {
     "accelsurf/evolution/loop.py made.end": "the class's own second constructor",
     "accelsurf/io/dicom/pixels.py meta.TransferSyntaxUID": "pydicom's way to write an element",
     "accelsurf/io/dicom/pixels.py dataset.file_meta": "pydicom's way to write an element",
-    "accelsurf/io/dicom/sources.py dataset.file_meta": "pydicom's way to write an element",
     "accelsurf/io/dicom/writing_tools.py element.value": "pydicom's way to write an element",
     "accelsurf/io/formats/surface_files.py logger.disabled": "the switch of Python's library for loggers",
     "accelsurf/io/formats/tiff_pages.py page.compression": "tifffile unpacks by this field of its page",
