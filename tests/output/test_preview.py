@@ -26,6 +26,8 @@ from accelsurf.settings.wording import volume_text
 from tests.support.records import step_record
 from tests.support.shapes import ball_on_grid
 
+pytestmark = pytest.mark.pictures
+
 
 def content(psi, geometry, **changes):
     rows = [step_record(i, restarted=i == 3) for i in range(8)]
