@@ -541,7 +541,7 @@ def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_p
 UNSAFE = ["a:b", "-x", "a ", "tab\there", "x" * 170, os.fsdecode(b"bad\xff"), "quote\"s", "a<b>", "a\\b"]
 
 
-def test_files_with_unsafe_names_are_refused_alone(tmp_path, capsys):
+def test_files_with_unsafe_names_are_refused_alone(inline, tmp_path, capsys):
     scans = tmp_path / "scans"
     scans.mkdir()
     io.write(Volume.from_array(np.pad(np.full((4, 4, 4), 100.0, np.float32), 3)), scans / "good.nii")

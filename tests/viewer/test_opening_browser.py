@@ -55,13 +55,29 @@ class StartPage(Served):
         self.origin = f"http://127.0.0.1:{self.port}"
 
 
-@pytest.fixture
-def served(tmp_path):
-    server = StartPage(tmp_path)
+def start_page(folder):
+    """A start page, closed at the end of what uses it."""
+    server = StartPage(folder)
     yield server
     assert server.process.poll() is None, server.log_text()
     assert server.close() == 0, server.log_text()
     assert "Traceback" not in server.log_text()
+
+
+@pytest.fixture
+def served(tmp_path):
+    yield from start_page(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def untouched(tmp_path_factory):
+    """A start page that has refused whatever was sent to it."""
+    yield from start_page(tmp_path_factory.mktemp("untouched"))
+
+
+@pytest.fixture
+def chromium_driver():
+    return viewing.needs_chromium_driver()
 
 
 def post(served, query, body, headers=None):
@@ -117,7 +133,8 @@ def test_the_folder_and_nothing_else_can_be_opened(served):
     assert recent == [str(served.folder / "ball.nii.gz")]
 
 
-def test_nobody_without_the_token_opens_or_sends(served):
+def test_nobody_without_the_token_opens_or_sends(untouched):
+    served = untouched
     body = (served.folder / "ball.nii.gz").read_bytes()
     for query in ("", "secret=&", "secret=wrong&", f"token={served.token}&"):
         assert post(served, f"{query}name=a.nii.gz", body) == 403
@@ -134,7 +151,8 @@ BAD_NAMES = [
 ]  # fmt: skip
 
 
-def test_names_of_what_is_sent_are_plain(served):
+def test_names_of_what_is_sent_are_plain(untouched):
+    served = untouched
     for name in BAD_NAMES:
         assert post(served, f"secret={served.token}&name={quote(name)}", b"x" * 100) == 400, name
         now = until(lambda: (one := state(served))["opening_failed"] and one)
@@ -282,7 +300,7 @@ def walk(browser, limit=200):
 
 
 @pytest.mark.slow
-def test_from_the_start_page_to_a_saved_result_by_keys_and_mouse(served, tmp_path):
+def test_from_the_start_page_to_a_saved_result_by_keys_and_mouse(chromium_driver, served, tmp_path):
     from selenium.webdriver import ActionChains, Keys
 
     with driven(tmp_path) as browser:
@@ -356,7 +374,7 @@ def _fold_and_touch(browser):
     until(lambda: browser.find_element("id", "step").is_displayed())
 
 
-def test_a_file_that_is_dropped_is_sent(served, tmp_path):
+def test_a_file_that_is_dropped_is_sent(chromium_driver, served, tmp_path):
     drop = """
       const bytes = Uint8Array.from(atob(arguments[0]), letter => letter.charCodeAt(0)), data = new DataTransfer();
       for (const name of arguments[1]) { data.items.add(new File([bytes], name)); }
