@@ -225,7 +225,7 @@ def test_an_id_is_written_away_from_the_mark_of_the_click(figures):
 
 
 def test_what_does_not_cut_a_slice_is_not_drawn_in_it(figures):
-    """Nor is the id of an object written whose section is too small for it; the grid runs against the patient's axes."""
+    """Nor is an id written into a section that is too small for it; the grid runs against the axes of a patient."""
     psi, geometry = wide()
     geometry = Geometry(psi.shape, geometry.spacing, geometry.origin, np.diag([-1.0, -1.0, 1.0]))
     whole = (slice(0, 20), slice(0, 60), slice(0, 64))
