@@ -97,6 +97,7 @@ def contents(folder):
 # --------------------------------------------------------------------------------------------------- what is written
 
 
+@pytest.mark.pictures
 def test_the_files_are_those_of_one_segment_for_each_case(done, scans, tmp_path):
     for name in "abc":
         link = tmp_path / f"case-{name}.nii.gz"  # outputs are named by the id
