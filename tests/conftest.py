@@ -1,5 +1,6 @@
 """What every test may use."""
 
+import base64
 import os
 from collections import defaultdict
 from pathlib import Path
@@ -7,7 +8,13 @@ from pathlib import Path
 import pytest
 
 from accelsurf.levelset import threads
+from accelsurf.output.pictures import preview
 from tests.support.sampling import sampled
+
+#: A picture of one pixel.
+PIXEL = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGP4//8/AAX+Av4N70a4AAAAAElFTkSuQmCC"
+)
 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
@@ -41,3 +48,10 @@ def calls_shared_out(monkeypatch) -> None:
     """What is longer than a grain is shared out, whatever it takes: else tests would seldom use two threads."""
     monkeypatch.setattr(threads, "SHARED_FROM", 0.0)
     monkeypatch.setattr(threads, "SHORTEST", 1e-9)
+
+
+@pytest.fixture(autouse=True)
+def previews_are_not_drawn(request, monkeypatch) -> None:
+    """A run's preview is a pixel, as drawing takes longer than a small run; it is drawn for tests with a mark."""
+    if request.node.get_closest_marker("pictures") is None:
+        monkeypatch.setattr(preview, "preview_png", lambda content: PIXEL)

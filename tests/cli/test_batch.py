@@ -96,6 +96,7 @@ def contents(folder):
 # --------------------------------------------------------------------------------------------------- what is written
 
 
+@pytest.mark.pictures
 def test_the_files_are_those_of_one_segment_for_each_case(done, scans, tmp_path):
     for name in "abc":
         link = tmp_path / f"case-{name}.nii.gz"  # outputs are named by the id
@@ -526,7 +527,7 @@ def test_a_hung_and_a_killed_case_are_named_and_the_others_are_done(scans, tmp_p
 UNSAFE = ["a:b", "-x", "a ", "tab\there", "x" * 170, os.fsdecode(b"bad\xff"), "quote\"s", "a<b>", "a\\b"]
 
 
-def test_files_with_unsafe_names_are_refused_alone(tmp_path, capsys):
+def test_files_with_unsafe_names_are_refused_alone(inline, tmp_path, capsys):
     scans = tmp_path / "scans"
     scans.mkdir()
     io.write(Volume.from_array(np.pad(np.full((4, 4, 4), 100.0, np.float32), 3)), scans / "good.nii")

@@ -438,6 +438,7 @@ def test_strict_asks_for_convergence(scans, tmp_path, capsys):
     assert document["status"] == "ok" and any("max-steps" in warning for warning in document["warnings"])
 
 
+@pytest.mark.pictures
 def test_vanished_surface(scans, tmp_path, capsys):
     # An area weight far beyond the object's size: nothing can hold the surface up.
     words = ("segment", scans / "ball.nii.gz", "-o", tmp_path, *START, "--smoothness", 1000)

@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 
 from accelsurf import io
+from accelsurf.batch import pool
 from accelsurf.cli import execute
 from accelsurf.image.volume import Volume
 from accelsurf.phantoms import recipe_files
 from accelsurf.settings.catalogue import entry
 from accelsurf.settings.entry import full_help
 from accelsurf.settings.run_config import RunConfig
+from tests.support.batch_jobs import InlinePool
 
 #: What stands for its own name in commands of which the settings say nothing.
 COMMANDS = {
@@ -67,6 +69,12 @@ def image(tmp_path_factory):
     path = tmp_path_factory.mktemp("image") / "image.nii"
     io.write(Volume.from_array(np.random.default_rng(0).normal(size=(6, 7, 8)).astype(np.float32), 1.0), path)
     return path
+
+
+@pytest.fixture(autouse=True)
+def no_workers(monkeypatch):
+    """Cases of a batch are refused in this process."""
+    monkeypatch.setattr(pool, "LocalPool", InlinePool)
 
 
 @pytest.fixture(autouse=True)

@@ -56,6 +56,7 @@ def test_the_place_chooses_the_slices_and_the_window_the_greys(tmp_path):
     assert bright > (looked("--at", "30,12,3vox", "--window", "200,390").min(axis=2) > 0.97).mean()
 
 
+@pytest.mark.pictures
 def test_window_sets_the_greys_of_the_preview_of_a_run(tmp_path):
     """The tube of 100 in 0 from -50 to 150: light grey on dark grey, in the picture that segment writes."""
     z, y, x = np.indices((12, 40, 50))

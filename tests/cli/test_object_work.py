@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
     return made
 
 
-def segment(folder, output, *words, objects="seeds.nii", out=None, steps=40):
+def segment(folder, output, *words, objects="seeds.nii", out=None, steps=12):
     where = folder if out is None else out
     return cli.execute([
         "segment", str(folder / "big.nii"), "--objects", str(folder / objects), "-o", str(where / output),

@@ -87,6 +87,7 @@ def test_a_state_has_the_same_surface_bit_for_bit(scan, finished):
     assert len(state_bytes(result, "")) < result.psi.nbytes
 
 
+@pytest.mark.pictures
 def test_command_python_and_configuration_make_the_same_bytes(scan, finished, tmp_path):
     first, second, repeated = tmp_path / "first", tmp_path / "second", tmp_path / "repeated"
     assert run("refine", finished, *CLICK, "--near", 6, "-o", first) == 0

@@ -16,6 +16,8 @@ from accelsurf.image.volume import Volume
 from accelsurf.run.checkpoint_file import CheckpointFile
 from tests.support.batch_jobs import InlinePool
 
+pytestmark = pytest.mark.pictures
+
 PROGRAM = (sys.executable, "-m", "accelsurf")
 WORDS = ("--start", "ball:14,14,12,4", "--levels", "1", "--threads", "1", "--max-steps", "40", "--save-sdf")
 SAME = ("ball_seg.nii.gz", "ball_surface.ply", "ball_sdf.nii.gz", "ball_preview.png")

@@ -77,6 +77,8 @@ def test_every_command_of_the_page_succeeds(page, tmp_path, monkeypatch, capsys)
                 scan_in_place_of(Path(word))
         if words[1] == "movie" and not can_draw():
             continue
+        if page is PAGES[0] and words[1] == "segment":  # what it finds is not said
+            words += ["--max-steps", "2"]
         assert cli.execute(words[1:]) == 0, f"{shlex.join(words)}\n{capsys.readouterr().err}"
         printed += capsys.readouterr().out
     if "tutorial" in page.parts:

@@ -172,18 +172,20 @@ def test_likelihood_tells_regions_of_one_mean_by_their_variance():
         assert dice(result.labels, truth) > 0.93
 
 
-def test_likelihood_learns_from_foreground_and_background():
+@pytest.mark.sampled
+@pytest.mark.parametrize("model", ["gauss", "histogram"])
+@pytest.mark.parametrize("background", [(), ("box:2,2,2,5,27,57vox", "ball:44,15,15,6vox")])
+def test_likelihood_learns_from_foreground_and_background(model, background):
     """The start is in the wrong object; what is learned decides. Values are told in the image's own unit."""
     z, y, x = np.indices((30, 30, 60)).astype(float)
     balls = [(x - c) ** 2 + (y - 15) ** 2 + (z - 15) ** 2 < 9**2 for c in (15, 44)]
     scan = 100.0 + 50.0 * balls[0] + 120.0 * balls[1] + np.random.default_rng(1).normal(0, 5, balls[0].shape)
     words = dict(start="box:3,3,3,56,26,26vox", foreground="ball:15,15,15,5vox", smoothness=0.3, max_steps=300)
-    for model in ("gauss", "histogram"):
-        for background in ((), ("box:2,2,2,5,27,57vox", "ball:44,15,15,6vox")):
-            result = segment(scan, energy=f"likelihood:{model}", background=background, **words)
-            assert dice(result.labels, balls[0]) > 0.95, (model, background)
-    inside = segment(scan, energy="likelihood", **words).terms[0]["inside"]
-    assert inside["mean"] == pytest.approx(150, abs=1) and inside["deviation"] == pytest.approx(5, rel=0.4)
+    result = segment(scan, energy=f"likelihood:{model}", background=background, **words)
+    assert dice(result.labels, balls[0]) > 0.95
+    if model == "gauss":
+        inside = result.terms[0]["inside"]
+        assert inside["mean"] == pytest.approx(150, abs=1) and inside["deviation"] == pytest.approx(5, rel=0.4)
     with pytest.raises(UsageError, match="update=yes"):
         segment(scan, energy="likelihood:update=yes", **words)
 

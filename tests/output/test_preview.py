@@ -26,6 +26,8 @@ from accelsurf.settings.wording import volume_text
 from tests.support.records import step_record
 from tests.support.shapes import ball_on_grid
 
+pytestmark = pytest.mark.pictures
+
 
 def content(psi, geometry, **changes):
     rows = [step_record(i, restarted=i == 3) for i in range(8)]
@@ -210,6 +212,24 @@ def test_an_id_is_written_away_from_the_mark_of_the_click(figures):
             box = name.get_window_extent()
             middle = np.array([box.x0 + box.x1, box.y0 + box.y1]) / 2
             assert np.hypot(*(middle - axes.transData.transform(mark.get_xydata()[0]))) > 18
+
+
+def test_what_does_not_cut_a_slice_is_not_drawn_in_it(figures):
+    """Nor is an id written into a section that is too small for it; the grid runs against the axes of a patient."""
+    psi, geometry = wide()
+    geometry = Geometry(psi.shape, geometry.spacing, geometry.origin, np.diag([-1.0, -1.0, 1.0]))
+    whole = (slice(0, 20), slice(0, 60), slice(0, 64))
+    thin = np.ones_like(psi)
+    thin[np.unravel_index(psi.argmin(), psi.shape)] = -1e-3
+    corner = (slice(0, 1), slice(0, 1), slice(0, 1))
+    objects = [ObjectShape(3, whole, psi), ObjectShape(70, corner, -np.ones((1, 1, 1))), ObjectShape(80, whole, thin)]
+    ends = np.zeros(psi.shape, bool)
+    ends[0, 0, 0] = ends[-1, -1, -1] = True
+    marks = marks_of([click("inside", (10, 20, 40), id=3)], geometry.spacing)
+    marks = (*marks, marks[0]._replace(id=80, box=whole, mask=ends))
+    preview.preview_png(content(psi, geometry, history=[], objects=objects, clicks=marks))
+    said = texts_of(figures[-1])
+    assert "3" in said and "70" not in said and "80" not in said
 
 
 def test_energies_of_corrections_are_not_drawn_and_it_is_said(figures):

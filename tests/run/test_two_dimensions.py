@@ -203,6 +203,7 @@ def test_a_stack_is_a_volume(tmp_path):
     assert io.read(tmp_path / "stack_seg.tif").geometry.spacing == pytest.approx((2.0, 1.0, 1.0))
 
 
+@pytest.mark.pictures
 def test_a_contour_that_vanishes(doors, tmp_path):
     assert run("segment", doors / "disc.png", "-o", tmp_path, *START, "--smoothness", 500) == 5
     assert sorted(path.name for path in tmp_path.glob("*")) == [
@@ -229,6 +230,7 @@ def test_preview_shows_image_contour_start_and_energy(done):
         assert ((found[:, 1] < 0.6 * width) == left).mean() > 0.95
 
 
+@pytest.mark.pictures
 @pytest.mark.parametrize("shape", [(1, 20, 200), (1, 200, 20), (30, 1, 40), (30, 40, 1)])
 def test_preview_of_any_shape_is_of_a_sane_size(shape):
     geometry = Geometry(shape, (1.0, 1.0, 1.0))

@@ -58,6 +58,16 @@ def needs_chromium():
     pytest.skip("no Chromium: apt install chromium chromium-driver")
 
 
+def needs_chromium_driver():
+    """Path of the program that drives Chromium; skip where it, Chromium or selenium is missing."""
+    pytest.importorskip("selenium.webdriver", reason="selenium is missing: pip install selenium")
+    needs_chromium()
+    found = shutil.which("chromedriver")
+    if found is None:
+        pytest.skip("no chromedriver: apt install chromium-driver")
+    return found
+
+
 def settle(actions):
     """Wait for all that was asked, and draw it."""
     idle, end = 0, time.monotonic() + 10

@@ -4,7 +4,6 @@ import asyncio
 import os
 import random
 import re
-import shutil
 import signal
 import socket
 import struct
@@ -377,11 +376,18 @@ def test_options_of_the_page_are_refused_for_a_window(tmp_path, capsys):
         assert "with --browser only" in capsys.readouterr().err
 
 
-def test_a_port_that_is_taken_is_one_line(tmp_path, served):
-    command = [sys.executable, "-m", "accelsurf", "view", str(served.image), "--browser", "--no-open"]
-    done = subprocess.run([*command, "--port", str(served.port)], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 7 and len(done.stderr.splitlines()) == 2, done.stderr
-    assert f"127.0.0.1:{served.port}: cannot be listened on" in done.stderr
+def test_a_port_that_is_taken_is_one_line(served, capfd):
+    assert cli.execute(["view", str(served.image), "--browser", "--no-open", "--port", str(served.port)]) == 7
+    error = capfd.readouterr().err
+    assert len(error.splitlines()) == 2 and f"127.0.0.1:{served.port}: cannot be listened on" in error
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("ratio", ["nan", -1, 0, 1e9, None, "x", [2]])
+def test_no_ratio_makes_a_picture_too_large(served, ratio):
+    ask(served, "size", 3000, 2000, ratio)
+    assert state(served)["ready"] in (True, False)
+    ask(served, "size", 640, 360, 1)
 
 
 def test_without_trame_one_line_says_what_to_install(tmp_path, monkeypatch, capsys):
@@ -400,13 +406,10 @@ def test_without_trame_one_line_says_what_to_install(tmp_path, monkeypatch, caps
 @contextmanager
 def driven(folder, *flags):
     """Chromium without a screen, downloading into a folder."""
-    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is missing: pip install selenium")
+    driver = viewing.needs_chromium_driver()
+    from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
 
-    viewing.needs_chromium()
-    driver = shutil.which("chromedriver")
-    if driver is None:
-        pytest.skip("no chromedriver: apt install chromium-driver")
     options = webdriver.ChromeOptions()
     for flag in (*viewing.CHROMIUM_FLAGS, *flags, "--window-size=1280,863", f"--user-data-dir={folder / 'profile'}"):
         options.add_argument(flag)
@@ -430,6 +433,7 @@ def until(what, seconds=40):
 
 
 def test_load_run_pause_back_slide_save_download(tmp_path):
+    viewing.needs_chromium_driver()
     server = Served(tmp_path)
     try:
         with driven(tmp_path) as browser:

@@ -299,7 +299,8 @@ def test_a_process_that_dies_once_within_a_picture_costs_nothing(whole, deaths, 
     assert len(list((tmp_path / "notes").iterdir())) == sum(deaths.values())
 
 
-@pytest.mark.parametrize("step", [2, 6, 9])
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("step", [9, 2, 6])
 def test_one_that_dies_twice_within_a_picture_repeats_the_one_before(whole, step, tmp_path, monkeypatch, capsys):
     made, folder = whole
     (tmp_path / "notes").mkdir()
@@ -327,6 +328,7 @@ def test_a_first_picture_that_cannot_be_drawn_is_left_out(whole, tmp_path, monke
     assert len(decoded(tmp_path / "a.gif")) == len(decoded(folder / "a.gif")) - 1
 
 
+@pytest.mark.slow
 def test_a_preview_is_drawn_once_more(whole, tmp_path, monkeypatch):
     made, folder = whole
     (tmp_path / "notes").mkdir()
@@ -335,6 +337,7 @@ def test_a_preview_is_drawn_once_more(whole, tmp_path, monkeypatch):
     assert (tmp_path / "a.png").read_bytes() == (folder / "a.png").read_bytes()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "deaths, words", [({-1: 9}, SHORT), ({4: 9, 6: 9, 8: 9}, SHORT), ({9: 9}, [*SHORT, "--preview"])]
 )

@@ -224,6 +224,7 @@ def has_chosen(picture, least=10):
     )
 
 
+@pytest.mark.pictures
 def test_the_preview_has_the_names_and_colours_that_were_given(named):
     content = outputs.preview_content(named, "balls")
     assert [content.name(place) for place in (0, 1)] == ["left lobe", "right lobe"]

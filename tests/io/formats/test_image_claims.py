@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import zlib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -164,6 +165,7 @@ def png(*parts, width=16, height=12, depth=8, colour=0, rows=None):
     )
 
 
+@cache
 def packed_zeros():
     return zlib.compress(bytes(1 << 28), 9)
 
