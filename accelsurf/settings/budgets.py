@@ -89,7 +89,7 @@ SLACK = Budget(
     "packed voxels beyond those that the header announces", 1 << 20, "bytes", "the header is damaged or of another file"
 )
 DEFLATE = Budget(
-    "voxels packed by gzip, or as hexadecimal digits", 1032, "bytes",
+    "voxels packed by gzip", 1032, "bytes",
     "the file is damaged: copy or export it again", "packed byte",
 )
 LZW = Budget(

@@ -1,9 +1,9 @@
 """The DICOM files of a path, one of them read, and its elements as texts and numbers.
 
-A path is a folder, an archive, or one file of a series. Somebody may have cut, damaged or made up a file: no read asks
-for more bytes than there are, a deflated file unpacks to no more than `accelsurf.settings.budgets.DICOM_DEFLATED`, and
-an element may hold anything. Objects that are no slices of a volume are named by their kind. The packages pydicom and
-highdicom are an extra, and imported when they are needed.
+A path is a folder, or one file of a series. Somebody may have cut, damaged or made up a file: no read asks for more
+bytes than there are, a file whose elements are deflated is refused, and an element may hold anything. Objects that are
+no slices of a volume are named by their kind. The packages pydicom and highdicom are an extra, and imported when they
+are needed.
 """
 
 from __future__ import annotations

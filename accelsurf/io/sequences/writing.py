@@ -91,7 +91,7 @@ class SequenceWriter:
     Parameters
     ----------
     path : path-like
-        One file that keeps times: a NIfTI, NRRD, MetaImage, OME-Zarr or TIFF (OME). Or a file for each frame: a name
+        One file that keeps times: a NIfTI, OME-Zarr or TIFF (OME). Or a file for each frame: a name
         with a star, for which the number of the frame is put: ``masks/mask*.tif``; of any format that is written.
     geometry : Geometry
         Of every frame.
