@@ -117,11 +117,11 @@ def test_options_of_label_maps_are_refused(reference, said):
 
 def test_label_maps_with_time_and_their_table_are_as_the_folder_of_the_challenge(tmp_path, said):
     made = dividing_cells()
-    with TrackOutputs(tmp_path, "cells", made.sequence, TrackFiles(labels="nrrd", also=("ctc",))) as outputs:
+    with TrackOutputs(tmp_path, "cells", made.sequence, TrackFiles(labels="nii.gz", also=("ctc",))) as outputs:
         for result in made.results:
             outputs.add(result)
         outputs.finish(made.lineage)
-    labels, folder = tmp_path / "cells_labels.nrrd", tmp_path / "cells_RES"
+    labels, folder = tmp_path / "cells_labels.nii.gz", tmp_path / "cells_RES"
     for pair in ((labels, folder), (folder, labels)):
         code, out, _ = said(*pair)
         values = dict(row.split() for row in out.splitlines())
@@ -131,11 +131,11 @@ def test_label_maps_with_time_and_their_table_are_as_the_folder_of_the_challenge
     code, out, _ = said(labels, folder)
     values = dict(row.split(maxsplit=1) for row in out.splitlines() if not row.startswith("note"))
     assert values["missing_edges"] == "2"  # of the division; a gap can be seen in the label maps themselves
-    assert "note: cells_labels.nrrd: no table of tracks beside it" in out
+    assert "note: cells_labels.nii.gz: no table of tracks beside it" in out
 
 
 def test_a_table_that_lacks_a_column_is_refused(tmp_path, reference, said):
-    with io.SequenceWriter(tmp_path / "a_labels.nrrd", Volume.from_array(TWO).geometry, (0, 1, 2), "frame",
+    with io.SequenceWriter(tmp_path / "a_labels.nii.gz", Volume.from_array(TWO).geometry, (0, 1, 2), "frame",
                            np.uint16) as writer:  # fmt: skip
         for number in range(3):
             writer.write(number, TWO)
@@ -146,7 +146,7 @@ def test_a_table_that_lacks_a_column_is_refused(tmp_path, reference, said):
         tables.append((f"frame,id\n{lines}\n", f"line {number}: {no_line}"))
     for text, message in tables:
         (tmp_path / "a_tracks.csv").write_text(text, encoding="utf-8")
-        code, _, err = said(tmp_path / "a_labels.nrrd", reference)
+        code, _, err = said(tmp_path / "a_labels.nii.gz", reference)
         assert (code, message in err) == (3, True), err
 
 
