@@ -11,13 +11,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies.seeded import Sureness
 from accelsurf.errors import InputError
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.evolution.records import StepRecord, Stop
@@ -40,6 +39,9 @@ from accelsurf.run.preprocessing import PreprocessedInput
 from accelsurf.run.setup import EnergyLike
 from accelsurf.run.start_pyramid import to_finest
 from accelsurf.settings.run_config import RunConfig
+
+if TYPE_CHECKING:
+    from accelsurf.energies.seeded import Sureness  # a viewer without a run imports no compiler
 
 #: Columns of the history that are summed over objects, and those of which the largest counts.
 _SUMMED = (

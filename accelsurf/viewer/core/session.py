@@ -21,13 +21,13 @@ from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
 from accelsurf.image.volume import Volume
 from accelsurf.measure.evidence import gather, uncertain_places
-from accelsurf.run.result import Result, SegmentedObject
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
 from accelsurf.viewer.core.status import SAVED_KINDS, Status, UncertainLocation, View, ViewSlot, error_line
 
 if TYPE_CHECKING:
+    from accelsurf.run.result import Result, SegmentedObject
     from accelsurf.run.run import Run
     from accelsurf.viewer.core.object_commands import ObjectCommands
     from accelsurf.viewer.core.timeline import Timeline
