@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from accelsurf.grid.boxes import Corner, bounding_box, slabs
 
@@ -295,6 +294,8 @@ def min_component_depth(psi: NDArray[np.float32]) -> float:
         return 0.0
     # Only where the object is, and a voxel around it: the distances take much memory.
     inside = inside[box]
+    from scipy import ndimage  # the viewer draws an image before SciPy is loaded
+
     parts, count = ndimage.label(inside)
     depth = ndimage.distance_transform_edt(inside)
     return float(np.min(ndimage.maximum(depth, parts, np.arange(1, count + 1))))

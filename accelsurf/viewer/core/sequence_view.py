@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 
 from accelsurf.evolution.records import StepRecord
+from accelsurf.grid import pyramid
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.volume import Volume
 from accelsurf.track.output.surfaces import SavedTracks
@@ -30,8 +31,6 @@ class SequenceView:
 
     def __init__(self, sequence: ImageSequence, home: int = 0, tracks: SavedTracks | None = None) -> None:
         self.sequence, self.home, self.tracks = sequence, home, tracks
-        from accelsurf.grid import pyramid  # a single image is drawn before SciPy is loaded
-
         self._level = pyramid.levels(sequence.geometry.shape, sequence.geometry.spacing, 1)[0]
         self._volumes: OrderedDict[int, Volume] = OrderedDict()
         self._drawn: OrderedDict[int, Frame] = OrderedDict()

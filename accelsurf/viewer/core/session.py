@@ -20,7 +20,6 @@ import numpy as np
 from accelsurf.errors import UsageError
 from accelsurf.grid.clicks import Side
 from accelsurf.image.volume import Volume
-from accelsurf.measure.evidence import gather, uncertain_places
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
 from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
@@ -482,6 +481,8 @@ def uncertain_locations(result: Result) -> tuple[UncertainLocation, ...]:
 
 
 def _uncertain_in(segmented: SegmentedObject) -> list[UncertainLocation]:
+    from accelsurf.measure.evidence import gather, uncertain_places  # an image is drawn before SciPy is loaded
+
     inside = segmented.psi < 0
     evidence = gather(inside, segmented.image, segmented.geometry.spacing, segmented.clicked)
     if evidence is None:
