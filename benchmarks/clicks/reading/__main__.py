@@ -44,8 +44,9 @@ class Rows(NamedTuple):
     scenes: NDArray[np.int64]
 
 
-def sampled(features: Features, share: NDArray[np.floating], where: NDArray[np.int64], random: np.random.Generator
-            ) -> tuple[list[str], NDArray[np.float16], NDArray[np.float16]]:
+def sampled(
+    features: Features, share: NDArray[np.floating], where: NDArray[np.int64], random: np.random.Generator
+) -> tuple[list[str], NDArray[np.float16], NDArray[np.float16]]:
     """Some of the blocks ``where``, half of them near the click."""
     names = sorted(features)
     near = where[np.asarray(features["distance"]).ravel()[where] < 2.0]
@@ -88,12 +89,17 @@ def later_rows(seed: int, networks: dict[str, Network]) -> list[Rows]:
                 session.clicks.append(click)
                 out += _rows_of_last(session, truth, seed, random)
                 session.clicks.pop()
-            labels = session.click(click).copy() if count == 0 or "later" in networks else _mended(session, click, truth, random)
+            labels = (
+                session.click(click).copy()
+                if count == 0 or "later" in networks
+                else _mended(session, click, truth, random)
+            )
     return out
 
 
-def _rows_of_last(session: ReadingSession, truth: NDArray[np.bool_], seed: int, random: np.random.Generator
-                  ) -> Iterator[Rows]:
+def _rows_of_last(
+    session: ReadingSession, truth: NDArray[np.bool_], seed: int, random: np.random.Generator
+) -> Iterator[Rows]:
     for scale in random.choice(len(SCALES), WINDOWS, replace=False, p=OFTEN):
         window: Window = session.window(int(scale))
         features, side = session.later_features(window)
@@ -105,8 +111,9 @@ def _rows_of_last(session: ReadingSession, truth: NDArray[np.bool_], seed: int, 
             yield Rows(*rows, np.full(len(rows[2]), seed))
 
 
-def _mended(session: ReadingSession, click: PersonClick, truth: NDArray[np.bool_], random: np.random.Generator
-            ) -> NDArray[np.bool_]:
+def _mended(
+    session: ReadingSession, click: PersonClick, truth: NDArray[np.bool_], random: np.random.Generator
+) -> NDArray[np.bool_]:
     """Labels with the truth near a click: how a game goes on before there is a network for later clicks."""
     session.clicks.append(click)
     wide = click._replace(radius=click.radius * random.uniform(1.0, 3.5))
@@ -117,7 +124,10 @@ def _mended(session: ReadingSession, click: PersonClick, truth: NDArray[np.bool_
 
 
 def clicked(
-    truth: NDArray[np.bool_], labels: NDArray[np.bool_] | None, volume: Volume, random: np.random.Generator,
+    truth: NDArray[np.bool_],
+    labels: NDArray[np.bool_] | None,
+    volume: Volume,
+    random: np.random.Generator,
     exact: bool | None = None,
 ) -> PersonClick | None:
     """Click of a person who is not always exact, and sometimes takes a smaller ball."""
@@ -130,8 +140,10 @@ def clicked(
 
 def gathered(work: Path, name: str, first: int, count: int, make: object, jobs: int) -> Rows:
     """Rows of scenes, file by file: those that are there already are read."""
-    chunks = [(work / f"{name}-{start}.npz", range(start, min(start + CHUNK, first + count)))
-              for start in range(first, first + count, CHUNK)]
+    chunks = [
+        (work / f"{name}-{start}.npz", range(start, min(start + CHUNK, first + count)))
+        for start in range(first, first + count, CHUNK)
+    ]
     missing = [(path, seeds) for path, seeds in chunks if not path.exists()]
     with ProcessPoolExecutor(jobs) as pool:
         for done in pool.map(partial(_written, make=make), missing):
@@ -145,8 +157,13 @@ def _written(job: tuple[Path, range], make: object) -> str:
     path, seeds = job
     rows = [each for seed in seeds for each in make(seed)]  # type: ignore[operator]
     partial_file = path.with_suffix(".part.npz")
-    np.savez(partial_file, names=np.array(rows[0].names), table=np.concatenate([r.table for r in rows]),
-             wanted=np.concatenate([r.wanted for r in rows]), scenes=np.concatenate([r.scenes for r in rows]))
+    np.savez(
+        partial_file,
+        names=np.array(rows[0].names),
+        table=np.concatenate([r.table for r in rows]),
+        wanted=np.concatenate([r.wanted for r in rows]),
+        scenes=np.concatenate([r.scenes for r in rows]),
+    )
     partial_file.replace(path)
     return path.name
 
@@ -157,9 +174,13 @@ def fitted(rows: Rows, passes: int) -> tuple[Network, dict[str, float]]:
     wanted = rows.wanted.astype(np.float32).clip(0.0, 1.0)
     network = trained(rows.names, rows.table[~held], wanted[~held], HIDDEN, passes)
     share = float(wanted[held].mean())
-    figures = {"rows": len(wanted), "scenes": len(np.unique(rows.scenes)), "parameters": network.parameters,
-               "cross_entropy_held": loss(network, rows.table[held], wanted[held]),
-               "cross_entropy_of_the_mean": -(share * np.log(share) + (1 - share) * np.log(1 - share))}
+    figures = {
+        "rows": len(wanted),
+        "scenes": len(np.unique(rows.scenes)),
+        "parameters": network.parameters,
+        "cross_entropy_held": loss(network, rows.table[held], wanted[held]),
+        "cross_entropy_of_the_mean": -(share * np.log(share) + (1 - share) * np.log(1 - share)),
+    }
     return network, {key: round(float(value), 4) for key, value in figures.items()}
 
 

@@ -105,8 +105,13 @@ def features_of_first(window: Window, radius: float) -> Features:
     distance = window.distance_to(window.click)
     wide, edges = ndimage.gaussian_filter(z, WIDE), ndimage.gaussian_filter(looks.gradient, 1.0)
     out: Features = {
-        "value": z, "difference": np.abs(z), "wide value": wide, "wide difference": np.abs(wide),
-        "gradient": looks.gradient, "wide gradient": edges, "distance": np.log2(distance / radius + 0.1),
+        "value": z,
+        "difference": np.abs(z),
+        "wide value": wide,
+        "wide difference": np.abs(wide),
+        "gradient": looks.gradient,
+        "wide gradient": edges,
+        "distance": np.log2(distance / radius + 0.1),
         "blocks": np.array(np.log2(radius / np.prod(window.size) ** (1 / 3))),
         "face": _to(faces, window, radius),
     }
@@ -166,11 +171,13 @@ def features_of_later(
         signed = np.clip((inner - outer) / radius, -8.0, 8.0)
     beyond = ~side & (out["distance"] > 1.3)
     out |= {
-        "before": share, "distance inside": signed,
+        "before": share,
+        "distance inside": signed,
         "click against beyond": _likelihood(z, ndimage.binary_dilation(window.mine, CROSS), beyond),
         "side against beyond": _likelihood(z, side, beyond) if side.any() else np.zeros_like(z),
         "distance to friends": _nearest(window, window.friends) if window.friends else np.array(5.0),
-        "number": np.array(min(number, 6.0)), "side": np.array(float(inside)),
+        "number": np.array(min(number, 6.0)),
+        "side": np.array(float(inside)),
         "size": np.array(np.log2(max(volume, 1e-9) / (4.0 / 3.0 * np.pi * radius**3))),
     }
     for name in ("front balance", "path balance", "distance to others"):

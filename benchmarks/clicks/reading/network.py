@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 Floats = NDArray[np.float32]
 #: Features are cut at so many standard deviations.
@@ -40,7 +41,7 @@ class Network:
         for weights, biases in self.layers[:-1]:
             values = np.maximum(values @ weights + biases, 0.0)
         weights, biases = self.layers[-1]
-        return 1.0 / (1.0 + np.exp(-np.clip((values @ weights + biases)[:, 0], -30.0, 30.0)))
+        return np.asarray(expit((values @ weights + biases)[:, 0]), np.float32)
 
     @property
     def parameters(self) -> int:
@@ -54,7 +55,7 @@ def standardised(table: Floats, middle: Floats, spread: Floats) -> Floats:
 
 
 def trained(
-    names: Sequence[str], table: Floats, wanted: Floats, hidden: Sequence[int], passes: int, seed: int = 0
+    names: Sequence[str], table: Floats, wanted: Floats, hidden: Sequence[int], passes: int, batch: int = BATCH
 ) -> Network:
     """Train on rows by Adam on the cross entropy.
 
@@ -69,9 +70,10 @@ def trained(
         Widths of the layers between.
     passes : int
         Over all rows.
-    seed : int
+    batch : int, optional
+        Rows of a step.
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     some = table[:: max(len(table) // 400_000, 1)].astype(np.float32)
     middle = np.nanmean(some, axis=0).astype(np.float32)
     spread = (np.nanstd(some, axis=0) + 1e-3).astype(np.float32)
@@ -81,11 +83,11 @@ def trained(
         parts.append((random.standard_normal((rows, columns)) * np.sqrt(2.0 / rows)).astype(np.float32))
         parts.append(np.zeros(columns, np.float32))
     first, second = ([np.zeros_like(part) for part in parts] for _ in range(2))
-    total, step = passes * (len(wanted) // BATCH), 0
+    total, step = passes * (len(wanted) // batch), 0
     for _ in range(passes):
         order = random.permutation(len(wanted))
-        for start in range(0, len(wanted) - BATCH + 1, BATCH):
-            rows_ = order[start : start + BATCH]
+        for start in range(0, len(wanted) - batch + 1, batch):
+            rows_ = order[start : start + batch]
             slopes = _slopes(parts, standardised(table[rows_], middle, spread), wanted[rows_])
             step += 1
             share = step / total
@@ -103,8 +105,9 @@ def _slopes(parts: Sequence[Floats], values: Floats, wanted: Floats) -> list[Flo
     held = [values]
     for i in range(0, len(parts), 2):
         values = values @ parts[i] + parts[i + 1]
-        held.append(np.maximum(values, 0.0) if i < len(parts) - 2 else values)
-    error = ((1.0 / (1.0 + np.exp(-held[-1][:, 0])) - wanted) / len(wanted))[:, None].astype(np.float32)
+        values = np.maximum(values, 0.0) if i < len(parts) - 2 else values
+        held.append(values)
+    error = ((expit(held[-1][:, 0]) - wanted) / len(wanted))[:, None].astype(np.float32)
     out: list[Floats] = [np.zeros(0, np.float32)] * len(parts)
     for i in range(len(parts) - 2, -1, -2):
         out[i], out[i + 1] = held[i // 2].T @ error, error.sum(axis=0)
@@ -123,8 +126,11 @@ def save(path: Path, networks: dict[str, Network]) -> None:
     """Write networks by name into one file."""
     arrays: dict[str, NDArray[np.generic]] = {}
     for name, network in networks.items():
-        arrays |= {f"{name}.names": np.array(network.names), f"{name}.middle": network.middle,
-                   f"{name}.spread": network.spread}
+        arrays |= {
+            f"{name}.names": np.array(network.names),
+            f"{name}.middle": network.middle,
+            f"{name}.spread": network.spread,
+        }
         for i, (weights, biases) in enumerate(network.layers):
             arrays |= {f"{name}.{i}.weights": weights.astype(np.float16), f"{name}.{i}.biases": biases}
     np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
