@@ -7,16 +7,25 @@ from typing import Any
 import numpy as np
 
 from accelsurf.api.segment import segment
+from accelsurf.errors import InputError
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from benchmarks.clicks.games import Hints, Segmenter
 from benchmarks.clicks.person import Mask, PersonClick, ball_voxels
+from benchmarks.clicks.reading.session import ReadingSession
 
 
 def segmenter(name: str) -> Segmenter:
     """Our methods by name."""
-    return {"accelsurf": Refined, "accelsurf-rerun": Rerun, "accelsurf-start": StartAlone}[name]
+    return {"accelsurf": Refined, "accelsurf-rerun": Rerun, "accelsurf-start": StartAlone, "reading": read}[name]
+
+
+def read(image: Volume, hints: Hints) -> ReadingSession:
+    """Start a session with the learned reading; it takes exact and jittered clicks, no size, box or stroke."""
+    if hints.size_mm3 is not None or hints.box is not None:
+        raise InputError("reading: a size and a box are not known to it", "play the games plain, jitter and cvpr")
+    return ReadingSession(image)
 
 
 def text_of(click: PersonClick, image: Volume) -> str:
