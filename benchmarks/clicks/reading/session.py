@@ -38,7 +38,6 @@ class ReadingSession:
         self.values, self.spacing = image.as_float32(), image.geometry.spacing
         self.clicks: list[PersonClick] = []
         self.labels: Mask = np.zeros(image.geometry.shape, np.bool_)
-        self.sureness: float | None = None
 
     def click(self, click: PersonClick) -> Mask:
         """Labels (nz, ny, nx) after one more click."""
@@ -76,7 +75,6 @@ class ReadingSession:
             found = connected(probability > FROM, window.mine)
             if not _touches(found, window):
                 break
-        self.sureness = float(probability[found].mean())
         field = _on_side(probability - FROM, found)
         field[ndimage.binary_fill_holes(found) & ~found] = 1e-3
         out = np.zeros_like(self.labels)
