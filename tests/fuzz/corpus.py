@@ -98,16 +98,13 @@ def _images(folder: Path):
     yield Input("image", ".nii", "binary", big)
     yield Input("image", ".nii.gz", "binary", gzip.compress(big, 1, mtime=0))
     nrrd = "NRRD0004\ntype: short\ndimension: 3\nsizes: 6 5 4\nspacings: 1 2 3\nendian: little\nencoding: {}\n{}\n"
-    text = " ".join(map(str, VALUES.ravel())).encode() + b"\n"
     yield Input("image", ".nrrd", "mixed", nrrd.format("raw", "").encode() + VALUES.tobytes())
-    yield Input("image", ".nrrd", "mixed", nrrd.format("ascii", "").encode() + text)
     yield Input("image", ".nhdr", "text", nrrd.format("raw", f"data file: {DATA_FILE}\n").encode())
     meta = (
         "ObjectType = Image\nNDims = 3\nBinaryData = {}\nBinaryDataByteOrderMSB = False\nElementSpacing = 1 2 3\n"
         "DimSize = 6 5 4\nElementType = MET_SHORT\nElementDataFile = {}\n"
     )
     yield Input("image", ".mha", "mixed", meta.format("True", "LOCAL").encode() + VALUES.tobytes())
-    yield Input("image", ".mha", "mixed", meta.format("False", "LOCAL").encode() + text)
     yield Input("image", ".mhd", "text", meta.format("True", DATA_FILE).encode())
     yield from _tiffs()
     yield from _hyperstacks()

@@ -110,8 +110,6 @@ def _nrrd(content: bytes, data: bytes):
             body = body[max(int(fields.get("byte skip", 0)), 0) :]
         case "gzip" | "gz":
             body = zlib.decompressobj(47).decompress(body)
-        case "text" | "txt" | "ascii":
-            return np.array([float(v) for v in body.split()[: math.prod(size)]]).reshape(size[::-1]), tuple(spacing)
         case _:
             return None
     return _voxels(body, order + kind, size), tuple(spacing)
@@ -131,8 +129,6 @@ def _meta(content: bytes, data: bytes):
     msb = fields.get("BinaryDataByteOrderMSB", fields.get("ElementByteOrderMSB", "False"))
     order = ">" if msb[:1] in "Tt1" else "<"
     spacing = tuple(float(v) for v in fields.get("ElementSpacing", fields.get("ElementSize", "1 1 1")).split())
-    if fields.get("BinaryData", "True")[:1] not in "Tt1":
-        return np.array([float(v) for v in body.split()[: math.prod(size)]]).reshape(size[::-1]), spacing
     if fields.get("CompressedData", "False")[:1] in "Tt1":
         body = zlib.decompressobj(47).decompress(body)
     skip = int(fields.get("HeaderSize", 0))

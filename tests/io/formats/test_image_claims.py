@@ -177,13 +177,13 @@ PNGS = {
     "PNG: a colour": lambda: png(width=HUGE, depth=16, colour=6),
     "PNG: unpacked beyond its end": lambda: png(rows=bytes(1 << 28)),
     "PNG: a part of 2 GB": lambda: png().replace(b"\0\0\0\0IEND", struct.pack(">I", 2**31 - 1) + b"teXt"),
+    "PNG: packed text": lambda: png((b"zTXt", b"a\0\0" + packed_zeros())),
+    "PNG: packed text in UTF-8": lambda: png((b"iTXt", b"a\0\1\0\0\0" + packed_zeros())),
+    "PNG: packed profile": lambda: png((b"iCCP", b"a\0\0" + packed_zeros())),
     "PNG: a part that counts": lambda: png((b"CgBI", b"abcd")),
 }
 #: They are read: what is packed in them is not unpacked.
 HARMLESS = {
-    "PNG: packed text": lambda: png((b"zTXt", b"a\0\0" + packed_zeros())),
-    "PNG: packed text in UTF-8": lambda: png((b"iTXt", b"a\0\1\0\0\0" + packed_zeros())),
-    "PNG: packed profile": lambda: png((b"iCCP", b"a\0\0" + packed_zeros())),
     "PNG: wrong profile": lambda: png((b"iCCP", b"a\0\0abc")),
     "PNG: significant bits": lambda: png((b"sBIT", b"\5")),
     "PNG: a palette of a grey image": lambda: png((b"PLTE", b"abc")),
