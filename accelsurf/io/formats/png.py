@@ -129,6 +129,8 @@ def _checked(header: PngHeader) -> tuple[float, float] | None:
         file.seek(len(_START))
         while len(start := file.read(8)) == 8 and present <= header.row_bytes:
             length, name = struct.unpack(">I4s", start)
+            if name == b"IEND":
+                break  # what follows is no part, whatever length it names
             body = file.read(length + 4)[:length]
             scale = body if name == b"sCAL" else scale
             while name == b"IDAT" and body and present <= header.row_bytes:

@@ -187,6 +187,7 @@ HARMLESS = {
     "PNG: wrong profile": lambda: png((b"iCCP", b"a\0\0abc")),
     "PNG: significant bits": lambda: png((b"sBIT", b"\5")),
     "PNG: a palette of a grey image": lambda: png((b"PLTE", b"abc")),
+    "PNG: more after its end": lambda: png() + struct.pack(">I", 2**32 - 1) + b"abcd" * 9,
     "PNG: parts": lambda: png(*[(b"teXt", b"")] * 100_000),
 }
 
