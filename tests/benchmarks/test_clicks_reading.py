@@ -42,9 +42,10 @@ def features(values: np.ndarray, spacing: tuple[float, float, float], scale: flo
         PersonClick("inside", (8, 10, 9), (0.0, 0.0, 0.0), 3.0 * scale),
         PersonClick("outside", (8, 1, 9), (0.0, 0.0, 0.0), 1.5 * scale),
     ]
-    window = window_around(values, spacing, clicks[:1], SCALES[1])
+    largest = 8.0 * min(spacing)
+    window = window_around(values, spacing, clicks[:1], SCALES[1], largest)
     out = features_of_first(window, inscribed_radius(clicks[0], spacing))
-    window = window_around(values, spacing, clicks, SCALES[1])
+    window = window_around(values, spacing, clicks, SCALES[1], largest)
     volume = float(ball().sum() * np.prod(spacing))
     later, _ = features_of_later(window, inscribed_radius(clicks[1], spacing), ball(), False, 2, volume)
     return out | {f"later {name}": values for name, values in later.items()}

@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.image.volume import Volume
 from benchmarks.clicks.person import PersonClick, ball_voxels, next_click
 from benchmarks.clicks.reading.features import Features, features_of_first, table_of
 from benchmarks.clicks.reading.network import Network, load, loss, save, trained
@@ -27,8 +26,10 @@ from benchmarks.clicks.reading.windows import SCALES, Window, inscribed_radius
 OBJECTS, WINDOWS, BLOCKS = 3, 2, 900
 #: How often a window of each scale is taken.
 OFTEN = (0.38, 0.3, 0.2, 0.12)
-#: Part of the games in which clicks are not exact; of the clicks that are smaller than half the depth.
-JITTERED, SMALLER = 0.3, 0.2
+#: Part of the games in which clicks are not exact; of the clicks that are smaller than half the depth for no reason; of
+#: the games in which the largest radius of a click is between these, in voxels.
+JITTERED, SMALLER = 0.3, 0.1
+LIMITED, LARGEST = 0.4, (0.5, 8.0)
 #: Most clicks of a game; widths of the layers; passes over the rows; part of the scenes that is held back.
 CLICKS, HIDDEN, PASSES, HELD = 6, (64, 32), 2, 0.08
 #: Scenes of a file of rows.
@@ -61,8 +62,8 @@ def first_rows(seed: int) -> list[Rows]:
     out = []
     for number, truth in enumerate(objects[:OBJECTS]):
         random = np.random.default_rng([seed, number, 1])
-        click = clicked(truth, None, volume, random)
-        session = ReadingSession(volume, {})
+        session = ReadingSession(volume, {}, largest_of(random))
+        click = clicked(truth, None, session, random)
         session.clicks = [click] if click is not None else []
         for scale in random.choice(len(SCALES), WINDOWS, replace=False, p=OFTEN) if session.clicks else ():
             window = session.window(int(scale))
@@ -79,10 +80,10 @@ def later_rows(seed: int, networks: dict[str, Network]) -> list[Rows]:
     out = []
     for number, truth in enumerate(objects[: OBJECTS - 1]):
         random = np.random.default_rng([seed, number, 2])
-        session, exact = ReadingSession(volume, networks), random.random() >= JITTERED
+        session, exact = ReadingSession(volume, networks, largest_of(random)), random.random() >= JITTERED
         labels = None
         for count in range(int(random.integers(2, CLICKS + 1))):
-            click = clicked(truth, labels, volume, random, exact)
+            click = clicked(truth, labels, session, random, exact)
             if click is None:
                 break
             if count:
@@ -123,19 +124,26 @@ def _mended(
     return session.labels.copy()
 
 
+def largest_of(random: np.random.Generator) -> float | None:
+    """Largest radius (mm) of a game's clicks, None for the usual one; scenes have voxels of 1 mm in their slices."""
+    return float(np.exp(random.uniform(*np.log(LARGEST)))) if random.random() < LIMITED else None
+
+
 def clicked(
     truth: NDArray[np.bool_],
     labels: NDArray[np.bool_] | None,
-    volume: Volume,
+    session: ReadingSession,
     random: np.random.Generator,
     exact: bool | None = None,
 ) -> PersonClick | None:
     """Click of a person who is not always exact, and sometimes takes a smaller ball."""
     exact = random.random() >= JITTERED if exact is None else exact
-    click = next_click(truth, labels, volume.geometry, None if exact else random)
-    if click is not None and random.random() < SMALLER:
-        click = click._replace(radius=max(click.radius * random.uniform(0.3, 1.0), 0.5 * min(volume.geometry.spacing)))
-    return click
+    click = next_click(truth, labels, session.image.geometry, None if exact else random)
+    if click is None:
+        return None
+    part = random.uniform(0.3, 1.0) if random.random() < SMALLER else 1.0
+    least = 0.5 * min(session.spacing)
+    return click._replace(radius=max(min(part * click.radius, session.largest), least))
 
 
 def gathered(work: Path, name: str, first: int, count: int, make: object, jobs: int) -> Rows:

@@ -114,6 +114,7 @@ def features_of_first(window: Window, radius: float) -> Features:
         "distance": np.log2(distance / radius + 0.1),
         "blocks": np.array(np.log2(radius / np.prod(window.size) ** (1 / 3))),
         "face": _to(faces, window, radius),
+        "limited": np.array(float(window.is_limited)),
     }
     front, path = looks.arrival(mine, looks.median, looks.spread), looks.paths(mine)
     for name, times, unit in (("front", front, radius), ("path", path, radius / window.size.min())):

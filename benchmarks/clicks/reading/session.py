@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 from accelsurf.image.volume import Volume
-from benchmarks.clicks.person import PersonClick, ball_voxels
+from benchmarks.clicks.person import MOST_SPACINGS, PersonClick, ball_voxels
 from benchmarks.clicks.reading.features import Features, features_of_first, features_of_later, table_of
 from benchmarks.clicks.reading.network import Network, load
 from benchmarks.clicks.reading.windows import SCALES, Floats, Mask, Window, connected, inscribed_radius, window_around
@@ -31,10 +31,22 @@ def weights() -> Mapping[str, Network]:
 
 
 class ReadingSession:
-    """One object: labels after each click."""
+    """One object: labels after each click.
 
-    def __init__(self, image: Volume, networks: Mapping[str, Network] | None = None) -> None:
+    Parameters
+    ----------
+    image : Volume
+    networks : dict of Network, optional
+        Those of the package if not given.
+    largest : float, optional
+        Largest radius of a click, mm; that of `benchmarks.clicks.person` if not given.
+    """
+
+    def __init__(
+        self, image: Volume, networks: Mapping[str, Network] | None = None, largest: float | None = None
+    ) -> None:
         self.image, self.networks = image, weights() if networks is None else networks
+        self.largest = MOST_SPACINGS * min(image.geometry.spacing) if largest is None else largest
         self.values, self.spacing = image.as_float32(), image.geometry.spacing
         self.clicks: list[PersonClick] = []
         self.labels: Mask = np.zeros(image.geometry.shape, np.bool_)
@@ -66,7 +78,7 @@ class ReadingSession:
 
     def window(self, number: int) -> Window:
         """The window around the last click, by number of its scale."""
-        return window_around(self.values, self.spacing, self.clicks, SCALES[number])
+        return window_around(self.values, self.spacing, self.clicks, SCALES[number], self.largest)
 
     def _first(self) -> Mask:
         for number in range(len(SCALES)):

@@ -65,6 +65,8 @@ class Window:
         Earlier clicks on its side, and those on the other.
     faces : ndarray (nz, ny, nx) of bool
         Blocks at faces beyond which the image goes on.
+    is_limited : bool
+        The click is as large as clicks get, or a single voxel: its radius says little of the object's.
     """
 
     box: Box
@@ -77,6 +79,7 @@ class Window:
     friends: tuple[Seed, ...]
     others: tuple[Seed, ...]
     faces: Mask
+    is_limited: bool
 
     def means(self, values: NDArray[np.generic]) -> Floats:
         """Means of blocks of an array on the image's grid."""
@@ -97,7 +100,7 @@ def inscribed_radius(click: PersonClick, spacing: Sequence[float]) -> float:
 
 
 def window_around(
-    image: NDArray[np.generic], spacing: Sequence[float], clicks: Sequence[PersonClick], scale: Scale
+    image: NDArray[np.generic], spacing: Sequence[float], clicks: Sequence[PersonClick], scale: Scale, largest: float
 ) -> Window:
     """The window around the last of some clicks.
 
@@ -109,6 +112,8 @@ def window_around(
     clicks : sequence of PersonClick
         Of those before the last the ones that lie in the window count.
     scale : Scale
+    largest : float
+        Largest radius of a click, mm.
     """
     last, mm = clicks[-1], np.asarray(spacing, np.float64)
     radius = inscribed_radius(last, spacing)
@@ -135,7 +140,8 @@ def window_around(
         ends = np.moveaxis(faces, axis, 0)
         ends[0] |= low[axis] > 0
         ends[-1] |= high[axis] < shape[axis]
-    return Window(box, steps, size, values, mine, theirs, seed[id(last)], friends, others, faces)
+    is_limited = last.radius >= largest * (1 - 1e-6) or last.radius <= 0.5 * float(mm.min())
+    return Window(box, steps, size, values, mine, theirs, seed[id(last)], friends, others, faces, is_limited)
 
 
 def _squares(middle: NDArray[np.float64], size: NDArray[np.float64], shape: Sequence[int]) -> NDArray[np.float64]:
