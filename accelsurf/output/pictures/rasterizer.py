@@ -86,7 +86,9 @@ def render(
     scale = 0.94 * fine / max(float((high - low).max()), 1e-9)
     projected = points @ frame.T
     projected[:, :2] = (projected[:, :2] - (low + high) / 2) * scale + fine / 2
-    normals, colors = np.zeros_like(points), np.broadcast_to(np.asarray(color, np.float64), points.shape)
+    # A copy: a view that is not to be written is another type to a kernel.
+    normals = np.zeros_like(points)
+    colors = np.array(np.broadcast_to(np.asarray(color, np.float64), points.shape), order="C")
     raster.area_vectors(points, triangles, normals)
     normals = _unit(normals) @ frame.T
     nearest, nearest_triangles, depths = _fill(projected, triangles, fine)
@@ -94,7 +96,7 @@ def render(
     depth = np.asarray(depths.low + depths.step * (nearest.ravel()[covered] >> 32), np.float64)
     rims = _rims(covered, depth, fine, scale)
     pixels = np.zeros((fine * fine, 4))
-    raster.paint(covered, nearest_triangles, triangles, (normals, np.ascontiguousarray(colors)), rims, LIGHTS, pixels)
+    raster.paint(covered, nearest_triangles, triangles, (normals, colors), rims, LIGHTS, pixels)
     pixels = _halve(pixels.reshape(fine, fine, 4)[::-1])
     return Picture(pixels.astype(np.float32), 2.0 / scale, frame[:2].T.copy())
 
