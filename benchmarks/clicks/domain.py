@@ -199,7 +199,7 @@ def faces_beyond(drawn: Box, box: Box) -> list[tuple[int, int]]:
     return sorted(face for face, beyond in ends if beyond)
 
 
-def block_mean(values: NDArray[np.float32], steps: tuple[int, int, int]) -> NDArray[np.float32]:
+def block_mean(values: NDArray[np.float32], steps: Sequence[int] | NDArray[np.int64]) -> NDArray[np.float32]:
     """Means of blocks; those at the far ends may be smaller."""
     out = values
     for axis, step in enumerate(steps):
@@ -225,7 +225,9 @@ def coarsened_seeds(seeds: NDArray[np.uint8], steps: tuple[int, int, int]) -> ND
     return np.where(both, 0, sides[0] * INSIDE + sides[1] * OUTSIDE).astype(np.uint8)
 
 
-def enlarged(field: NDArray[np.float32], steps: tuple[int, int, int], shape: tuple[int, ...]) -> NDArray[np.float32]:
+def enlarged(
+    field: NDArray[np.float32], steps: Sequence[int] | NDArray[np.int64], shape: Sequence[int]
+) -> NDArray[np.float32]:
     """A coarse field at the voxels of the crop, linearly between the centres of the blocks."""
     out = field
     for axis, step in enumerate(steps):

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
 YELLOW = "#F0E442"
 INK, GRID, PALE, DARK = "#222222", "#D9D9D9", "#999999", "#101010"
-RUN_COLORS = (BLUE, VERMILION, GREEN, PURPLE)
 #: The surface, and what it is compared with, in every picture of the program.
 SURFACE, REFERENCE = ORANGE, SKY
 #: Colours of objects with ids, again from the first when there are more; none is that of the reference.
@@ -35,7 +34,7 @@ OBJECT_COLORS = (SURFACE, GREEN, BLUE, VERMILION, PURPLE)
 #: A style of matplotlib's lines: solid, or lengths of dashes and gaps in widths of the line.
 Dashes = Literal["-"] | tuple[float, tuple[float, ...]]
 SOLID: Dashes = "-"
-RUN_DASHES: tuple[Dashes, ...] = (SOLID, (0, (4.5, 2)), (0, (2, 1.5)), (0, (4.5, 1.5, 1, 1.5)))
+DASHED: Dashes = (0, (4.5, 2))
 #: Height of the numbers at ticks and in legends, of labels, of titles, and of the heading of a picture, pixels.
 TICK_SIZE, LABEL_SIZE, TITLE_SIZE, HEADING_SIZE = 11, 12, 14, 17
 

@@ -16,11 +16,11 @@ from accelsurf.grid.orientation import IN_PLANE, DisplayOrientation
 from accelsurf.image.grey_window import GreyWindow, window_of
 from accelsurf.output.pictures.canvas import (
     BLUE,
+    DASHED,
     HEADING_SIZE,
     INK,
     LABEL_SIZE,
     PALE,
-    RUN_DASHES,
     TICK_SIZE,
     VERMILION,
     Box,
@@ -163,7 +163,7 @@ def draw_energies(canvas: Canvas, panel: Box, history: Sequence[StepRecord], lef
     if any(kinetic):
         second = axes.twinx()
         second.set(xlim=axes.get_xlim(), ylim=(0.0, 1.05 * max(kinetic)), frame_on=False)
-        second.plot([row.step for row in history], kinetic, color=VERMILION, linestyle=RUN_DASHES[1], linewidth=2)
+        second.plot([row.step for row in history], kinetic, color=VERMILION, linestyle=DASHED, linewidth=2)
         second.grid(False)
         second.xaxis.set_visible(False)
         write_scales(second, "", "kinetic energy (dashed)", color=VERMILION, right=True)

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
+from accelsurf.grid.boxes import connected_to
 from accelsurf.image.volume import Volume
 from benchmarks.clicks.person import MOST_SPACINGS, PersonClick, ball_voxels
 from benchmarks.clicks.reading.features import Features, features_of_first, features_of_later, table_of
 from benchmarks.clicks.reading.network import Network, load
-from benchmarks.clicks.reading.windows import SCALES, Floats, Mask, Window, connected, inscribed_radius, window_around
+from benchmarks.clicks.reading.windows import SCALES, Floats, Mask, Window, inscribed_radius, window_around
 
 #: The networks as they were trained last.
 WEIGHTS = Path(__file__).with_name("weights.npz")
@@ -84,7 +85,7 @@ class ReadingSession:
         for number in range(len(SCALES)):
             window = self.window(number)
             probability = self.first_of(window)
-            found = connected(probability > FROM, window.mine)
+            found = connected_to((probability > FROM) | window.mine, window.mine)
             if not _touches(found, window):
                 break
         field = _on_side(probability - FROM, found)
@@ -101,7 +102,7 @@ class ReadingSession:
             probability = self.asked(features, "later", window)
             probability[window.theirs] = 0.0
             least = ADDED if inside else 1.0 - ADDED
-            found = connected((probability > least) & ~side, window.mine)
+            found = connected_to(((probability > least) & ~side) | window.mine, window.mine)
             if not _touches(found & ~side, window):
                 break
         field = _on_side(probability - least, found)

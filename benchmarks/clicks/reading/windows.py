@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from accelsurf.grid.boxes import Box
+from benchmarks.clicks.domain import block_mean, enlarged
 from benchmarks.clicks.person import PersonClick
 
 Floats = NDArray[np.float32]
@@ -83,7 +83,7 @@ class Window:
 
     def means(self, values: NDArray[np.generic]) -> Floats:
         """Means of blocks of an array on the image's grid."""
-        return block_means(values[self.box].astype(np.float32), self.steps)
+        return block_mean(values[self.box].astype(np.float32), self.steps)
 
     def distance_to(self, seed: Seed) -> Floats:
         """Distance (mm) of each block from a click's middle."""
@@ -127,7 +127,7 @@ def window_around(
             break
         block *= 1.12
     box: Box = (slice(low[0], high[0]), slice(low[1], high[1]), slice(low[2], high[2]))
-    values, size = block_means(image[box].astype(np.float32), steps), mm * steps
+    values, size = block_mean(image[box].astype(np.float32), steps), mm * steps
     here = [c for c in clicks[:-1] if all(s.start <= i < s.stop for s, i in zip(box, c.index, strict=True))]
     seed = {id(c): Seed((np.array(c.index) - low - 0.5 * (steps - 1)) / steps, c.radius) for c in (*here, last)}
     mine, theirs = _ball(seed[id(last)], size, values.shape), np.zeros(values.shape, np.bool_)
@@ -154,45 +154,3 @@ def _ball(seed: Seed, size: NDArray[np.float64], shape: Sequence[int]) -> Mask:
     out = _squares(seed.middle, size, shape) <= seed.radius**2 * (1 + 1e-9)
     out[tuple(np.clip(np.rint(seed.middle).astype(int), 0, np.array(shape) - 1))] = True
     return out
-
-
-def block_means(values: Floats, steps: NDArray[np.int64]) -> Floats:
-    """Means of blocks; those at the far ends may be smaller.
-
-    Examples
-    --------
-    >>> block_means(np.arange(5, dtype=np.float32).reshape(1, 1, 5), np.array([1, 1, 2])).tolist()
-    [[[0.5, 2.5, 4.0]]]
-    """
-    for axis, step in enumerate(steps):
-        if step > 1:
-            starts = np.arange(0, values.shape[axis], step)
-            counts = np.diff(np.append(starts, values.shape[axis])).astype(np.float32)
-            values = np.add.reduceat(values, starts, axis) / counts.reshape([-1 if i == axis else 1 for i in range(3)])
-    return np.ascontiguousarray(values, np.float32)
-
-
-def enlarged(field: Floats, steps: NDArray[np.int64], shape: Sequence[int]) -> Floats:
-    """Values at voxels, linear between the middles of blocks.
-
-    Examples
-    --------
-    >>> enlarged(np.array([[[1.0, 3.0]]], np.float32), np.array([1, 1, 2]), (1, 1, 4)).tolist()
-    [[[1.0, 1.5, 2.5, 3.0]]]
-    """
-    for axis, step in enumerate(steps):
-        if step > 1:
-            last = field.shape[axis] - 1
-            at = np.clip((np.arange(shape[axis]) - 0.5 * (step - 1)) / step, 0, last)
-            below = np.floor(at).astype(np.int64)
-            part = (at - below).astype(np.float32).reshape([-1 if i == axis else 1 for i in range(3)])
-            field = np.take(field, below, axis) * (1 - part) + np.take(field, np.minimum(below + 1, last), axis) * part
-    return np.asarray(field, np.float32)
-
-
-def connected(mask: Mask, seeds: Mask) -> Mask:
-    """The parts of a mask that hold a seed, seeds included."""
-    labels, count = ndimage.label(mask | seeds)
-    keep = np.zeros(count + 1, np.bool_)
-    keep[labels[seeds]] = True
-    return np.asarray(keep[labels])
