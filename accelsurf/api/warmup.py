@@ -13,10 +13,9 @@ import numpy as np
 
 from accelsurf.api.segment import segment, segment_objects
 from accelsurf.correct.refine import refine
-from accelsurf.energies.seeded.coarse import block_means
+from accelsurf.image.blocks import block_means
 from accelsurf.image.percentiles import IntegerCounts
 from accelsurf.image.volume import Volume
-from accelsurf.kernels.blocks import tally_changes
 from accelsurf.run.result import Result
 from accelsurf.settings.energy_terms import image_terms
 from accelsurf.settings.flow_specs import FLOWS
@@ -51,7 +50,6 @@ def small_runs() -> dict[str, Callable[[], Any]]:
         # Of boxes with many voxels, which no small run has.
         "coarse boxes": lambda: block_means(np.zeros((4, 4, 4), np.float32), (2, 2, 2)),
         "counts of integers": _counted,
-        "much noise": lambda: tally_changes(np.zeros((4, 4, 4), np.float32), -1),
     }
 
 

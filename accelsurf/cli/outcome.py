@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from accelsurf.errors import AccelsurfError, DivergedError, DoubtfulError, EmptyResultError, NotConvergedError
 from accelsurf.io.headers import UNIT_KEY
-from accelsurf.settings.wording import place_text, size_option, size_text, volume_text
+from accelsurf.settings.wording import place_text, size_text, volume_text
 
 if TYPE_CHECKING:
     from accelsurf.measure.quality import Quality
     from accelsurf.run.result import Result, SegmentedObject
 
-#: Other sizes are not named where the first one is as sure as this.
-SURE = 0.95
 EMPTY = ("vanished", "filled")
 #: The checks before the first step that foretell these, see `accelsurf.run.start_checks`.
 CAUSES = {"vanished": ("start", "area"), "filled": ("size", "window", "start")}
@@ -167,20 +165,19 @@ def _judgement(result: Result) -> list[str]:
         if quality.next_click is not None:
             place = place_text(quality.next_click, result.geometry.steps)
             lines.append(f"{whose}{quality.probability:.0%} likely to be good; most doubtful near {place}")
-        lines += [f"{whose}{line}" for line in _other_sizes(quality)]
+        lines += [f"{whose}{line}" for line in _other_answers(quality)]
         lines += [f"{whose}note: {note}" for note in quality.notes]
     return lines
 
 
-def _other_sizes(quality: Quality) -> list[str]:
-    """A line about other likely sizes, as long as the first one was neither stated nor corrected, and is not sure."""
-    first = quality.first_size
-    if first is None or not first.others or first.sureness >= SURE or quality.corrections:
+def _other_answers(quality: Quality) -> list[str]:
+    """A line about other answers to the first click, as long as no click has corrected the one that was taken."""
+    if len(quality.answers) < 2 or quality.correction is not None:
         return []
-    others = " or ".join(volume_text(size) for size in first.others[:2])
+    others = [volume_text(answer.volume_mm3) for answer in quality.answers[1:]]
     return [
-        f"size by the first click: {volume_text(first.volume_mm3)} ({first.sureness:.0%} sure); else {others}: "
-        f"--size {size_option(first.others[0])}"
+        f"the first click may also mean {' or '.join(others)}: "
+        + " or ".join(f"--answer {number}" for number in range(2, len(quality.answers) + 1))
     ]
 
 

@@ -5,18 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.model.confidence import Confidence, confidence_of
 from accelsurf.clicks.reading import clicked_voxels, on_image
-from accelsurf.energies.seeded import Proposal, Sureness
-from accelsurf.energies.seeded.stages import Stage
-from accelsurf.energies.seeded.sureness import sureness_of
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import box_at, whole_box, widened
-from accelsurf.grid.clicks import NO_OBJECT, Clicks
+from accelsurf.grid.clicks import NO_OBJECT
 from accelsurf.grid.window import Window
 from accelsurf.run.checkpoint_file import CheckpointFile
 from accelsurf.run.evolving_object import EvolvingObject
@@ -29,25 +27,6 @@ from accelsurf.run.setup import half_width, stop_rule
 
 #: Called with each record and the id of its object; a true value ends the run or the correction.
 OnObjectStep = Callable[[StepRecord, int], bool | None]
-
-
-class ClickModel(Protocol):
-    """A model of clicks, of a whole run or of a correction."""
-
-    @property
-    def clicks(self) -> Clicks:
-        """The clicks that it is of."""
-        ...
-
-    @property
-    def proposal(self) -> Proposal | None:
-        """Its size hypothesis; None of a partition."""
-        ...
-
-    @property
-    def stages(self) -> tuple[Stage, ...]:
-        """The model click by click."""
-        ...
 
 
 def result_of(run: Run) -> Result:
@@ -108,10 +87,10 @@ def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
     return out
 
 
-def _confidence(run: Run, evolving: EvolvingObject) -> Sureness | None:
+def _confidence(run: Run, evolving: EvolvingObject) -> Confidence | None:
     """Return the confidence of the model of an object's clicks; None where the energy has none."""
     named = run.energy_given is None or isinstance(run.energy_given, str)
-    return confidence_from(evolving.context.seeded_model()) if named and uses_model(run.config) else None
+    return confidence_of(evolving.context.click_model()) if named and uses_model(run.config) else None
 
 
 def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:
@@ -177,13 +156,6 @@ def state_at_end(run: Run) -> RunState:
     """Return the state from which a finished run is corrected, whatever the settings say of keeping it."""
     contexts = {evolving.id: evolving.context for evolving in run.objects}
     return RunState(run.prepared, contexts, run.energy_given, run.clicks)
-
-
-def confidence_from(model: ClickModel) -> Sureness | None:
-    """Return the confidence of a model in its object; None of a partition."""
-    if not model.stages or model.proposal is None:
-        return None
-    return sureness_of(model.stages[-1].shown, model.clicks, model.proposal, model.stages[-1].corrections)
 
 
 def finished(

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.model import ClickModel
 from accelsurf.clicks.reading import voxel_named
-from accelsurf.correct.local_model import LocalModel, LocalState, local_model
+from accelsurf.correct.local_model import LocalModel, local_model
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, corner_of
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
@@ -20,7 +21,7 @@ from accelsurf.run.evolving_object import MadeEnergy
 from accelsurf.run.image_context import ImageContext, ModelInputs
 from accelsurf.run.preprocessing import PreprocessedInput, uses_model
 from accelsurf.run.result import BoxMask, RunState
-from accelsurf.run.setup import energy_maker, thread_count
+from accelsurf.run.setup import energy_maker
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.toml import volume_mm3
@@ -64,7 +65,7 @@ class ObjectModels:
         self._states, self._models = dict(state.models), dict[int, LocalModel]()
 
     @property
-    def made(self) -> dict[int, LocalState]:
+    def made(self) -> dict[int, ClickModel]:
         """The models that corrections have needed so far, as values."""
         return {**self._states, **{id: model.state for id, model in self._models.items()}}
 
@@ -86,8 +87,8 @@ class ObjectModels:
             context = self.contexts[id]
             if context.clicks is None or not context.clicks.ids():  # all were split off
                 context = self.contexts[id] = context.with_clicks(self.clicks.of(id))
-            known = self._states.pop(id, None) or LocalState.of(context.seeded_model())
-            self._models[id] = local_model(self.prepared, context, self._frozen, known)
+            known = self._states.pop(id, None) or context.click_model()
+            self._models[id] = local_model(context, known)
         return self._models[id]
 
     def energy_on(self, id: int, box: Box, context: ImageContext, shared: Sequence[np.ndarray]) -> MadeEnergy:
@@ -128,7 +129,7 @@ class ObjectModels:
             passes = np.ones(prepared.geometry.shape, np.bool_) if passes is None else passes
             passes[taken.box] &= ~taken.mask
         size = None if correction.size is None else volume_mm3(correction.size)
-        inputs = ModelInputs(size, passes, thread_count(self._frozen))
+        inputs = ModelInputs(size, passes)
         self.contexts[id] = prepared.context.with_model_inputs(inputs).with_clicks(self.clicks.of(id))
         self._forget(id)
 

@@ -120,7 +120,7 @@ def _start(
     assert model is not None
     margin = [math.ceil(MARGIN * max(spacing) / h) for h in spacing]
     box = widened(enclosing(model.state.box, box_around(new)), objects.shape, margin)
-    psi = np.array(models.contexts[id].model_start()[box])
+    psi = np.array(models.contexts[id].model_start(box))
     bounds = click_bounds(models.clicks.of(id).on_box(box), Level(0, (1, 1, 1), psi.shape, spacing))
     made = models.energy_on(id, box, models.contexts[id], objects.images)
     energy, distance = made.energy, objects.bounding(id, box, takes)

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.model.confidence import confidence_of
 from accelsurf.clicks.reading import clicked_voxels
 from accelsurf.correct.corrected_surface import CorrectedSurface, count_inside, part_of_image, stop_of_whole, surface_of
-from accelsurf.correct.finished import confidence_from
 from accelsurf.correct.local_evolution import measures_of
 from accelsurf.correct.local_model import LocalModel, ModelChange
 from accelsurf.correct.models import ObjectModels
@@ -223,7 +223,7 @@ class CorrectedObjects:
         box = segmented.box if is_same or not self.has_ids else part_of_image(segmented.box, corner, now, prepared)
         clicked = clicked_voxels(models.clicks, segmented.id, prepared.first, box) if len(models.clicks) else None
         if segmented.id in models.made:
-            segmented = dataclasses.replace(segmented, confidence=confidence_from(models.made[segmented.id]))
+            segmented = dataclasses.replace(segmented, confidence=confidence_of(models.made[segmented.id]))
         if is_same:
             unchanged = clicked is None or (
                 segmented.clicked is not None and np.array_equal(clicked, segmented.clicked)

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from accelsurf.clicks.model import ClickModel
+from accelsurf.clicks.model.confidence import confidence_of
 from accelsurf.clicks.reading import clicked_voxels, clicks_of, on_image
 from accelsurf.correct.corrected_surface import frozen_settings
-from accelsurf.correct.finished import confidence_from, result_of
-from accelsurf.correct.local_model import LocalState
+from accelsurf.correct.finished import result_of
 from accelsurf.correct.models import ObjectModels, clicks_on, placed_clicks, point_click
 from accelsurf.correct.object_changes import voxel_of
 from accelsurf.correct.state_file import ObjectFile, StateFile, box_of, masks_of, plateaus_of, surface_of
@@ -136,10 +137,10 @@ def _begun(id: int, base: Result, models: ObjectModels) -> SegmentedObject:
 
 
 def _with_clicks(
-    segmented: SegmentedObject, clicks: Clicks | None, model: LocalState | None, first: Corner
+    segmented: SegmentedObject, clicks: Clicks | None, model: ClickModel | None, first: Corner
 ) -> SegmentedObject:
     """An object with all that was clicked on the region of interest, whose first voxel is ``first``."""
-    confidence = segmented.confidence if model is None else confidence_from(model)
+    confidence = segmented.confidence if model is None else confidence_of(model)
     return dataclasses.replace(
         segmented, clicked=clicked_voxels(clicks, segmented.id, first, segmented.box), confidence=confidence
     )

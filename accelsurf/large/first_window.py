@@ -9,9 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.model.windows import SCALES, Scene, inscribed_radius, seed_of
 from accelsurf.clicks.reading import KINDS, read_clicks
-from accelsurf.energies.seeded.appearance import EVEN_REACH, MIN_EVEN_REACH, radius_of
-from accelsurf.energies.seeded.contest import WALKS_REACH
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.boxes import Box, bounding_box, enclosing, slabs, whole_box, widened
 from accelsurf.grid.clicks import SIDES, Click, Side
@@ -21,12 +20,13 @@ from accelsurf.image.volume import Volume
 from accelsurf.io import meshes
 from accelsurf.run.preprocessing import uses_model
 from accelsurf.settings.run_config import RunConfig
-from accelsurf.settings.toml import volume_mm3
 from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
 
 #: Least voxels around the start and clicks; otherwise as many as their extent.
 MIN_MARGIN = 4 * GUARD
+#: The window of this scale has room around the clicks.
+FIRST = 1
 
 
 def first_box(config: RunConfig, geometry: Geometry) -> Box:
@@ -57,23 +57,15 @@ def first_box(config: RunConfig, geometry: Geometry) -> Box:
     box = functools.reduce(enclosing, boxes)
     margin = [max(MIN_MARGIN, max(s.stop - s.start for s in box)) for _ in range(3)]
     if (config.inside or config.outside) and uses_model(config):
-        margin = _model_margin(config, geometry, clicks)
+        margin = _model_margin(geometry, clicks)
     return widened(box, geometry.shape, margin)
 
 
-def _model_margin(config: RunConfig, geometry: Geometry, clicks: Sequence[Click]) -> list[int]:
-    """Return the voxels beyond the clicks that their model looks at, as far as known before it is made."""
-    spacing, smallest = geometry.spacing, min(geometry.steps)
-    flat = geometry.shape[0] == 1
-    widest = max(
-        (radius_of(float(np.count_nonzero(click.mask)), spacing, flat) for click in clicks if click.side == "inside"),
-        default=smallest,
-    )
-    reach = max(EVEN_REACH * widest, MIN_EVEN_REACH * smallest, 2.0 * WALKS_REACH * widest)
-    if config.size is not None:
-        voxels = volume_mm3(config.size) / math.prod(spacing)
-        reach = max(reach, WALKS_REACH * radius_of(voxels, spacing, flat))
-    return [math.ceil(reach / h) + 2 * GUARD for h in spacing]
+def _model_margin(geometry: Geometry, clicks: Sequence[Click]) -> list[int]:
+    """Return the voxels beyond the clicks that their model looks at first, as far as known before it is made."""
+    nothing = Scene((np.zeros((1, 1, 1), np.float32),), geometry.spacing, None, Window(geometry, whole_box((1, 1, 1))))
+    widest = max((inscribed_radius(seed_of(click, nothing), nothing) for click in clicks), default=min(geometry.steps))
+    return [math.ceil(SCALES[FIRST].reach * widest / h) + 2 * GUARD for h in geometry.spacing]
 
 
 def _clicks_of(text: str, side: Side, geometry: Geometry) -> list[Click]:

@@ -26,7 +26,8 @@ from accelsurf.measure import evidence as places
 from accelsurf.settings.wording import place_text, volume_text
 
 if TYPE_CHECKING:
-    from accelsurf.energies.seeded import Proposal, Sureness
+    from accelsurf.clicks.model import Answer
+    from accelsurf.clicks.model.confidence import Confidence
     from accelsurf.evolution.records import StepRecord, Stop
     from accelsurf.measure.evidence import Evidence
 
@@ -111,11 +112,9 @@ class Quality(NamedTuple):
         Volume at the end over that of the start.
     late_growth : float
         Relative change of the volume over the last 20 steps.
-    level_overlap : float or None
-    corrections : int or None
-    correction, size_spread : float or None
-        How sure the model of the clicks is: ``overlap``, ``corrections``, ``correction`` and ``spread`` of
-        `accelsurf.energies.seeded.Sureness`; None without one.
+    level_overlap, size_spread, correction : float or None
+        How sure the model of the clicks is: ``overlap``, ``spread`` and ``correction`` of
+        `accelsurf.clicks.model.confidence.Confidence`; None without one.
     unlike_learned : float or None
         Share of the object, without the voxels next to its surface, whose values lie further than 2.5 standard
         deviations from the mean of those that it was learned from; None where no model was learned once.
@@ -127,9 +126,8 @@ class Quality(NamedTuple):
         What is uncertain, each with a command to try next.
     notes : tuple of str
         Remarks worth knowing and mostly harmless.
-    first_size : Proposal or None
-        The volume that the first click proposed, how sure that is, and other likely ones; None without a model of
-        clicks.
+    answers : tuple of Answer
+        To the first click: the one that was taken, and others that are likely; none without a model of clicks.
     """
 
     probability: float
@@ -148,15 +146,14 @@ class Quality(NamedTuple):
     growth: float
     late_growth: float
     level_overlap: float | None
-    corrections: int | None
-    correction: float | None
     size_spread: float | None
+    correction: float | None
     unlike_learned: float | None
     leaked: bool
     rests: tuple[PlateauNote, ...]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
-    first_size: Proposal | None = None
+    answers: tuple[Answer, ...] = ()
 
 
 def assess(
@@ -168,7 +165,7 @@ def assess(
     learned: ValueRange | None = None,
     plateaus: Sequence[PlateauNote] = (),
     clicked: NDArray[np.bool_] | None = None,
-    sureness: Sureness | None = None,
+    confidence: Confidence | None = None,
 ) -> Quality:
     """Measure the quality of a result.
 
@@ -187,7 +184,7 @@ def assess(
     plateaus : sequence of PlateauNote, optional
     clicked : ndarray (nz, ny, nx) of bool, optional
         Voxels that a person clicked, on either side.
-    sureness : Sureness, optional
+    confidence : Confidence, optional
         Of the model of the clicks.
     """
     inside, spacing = labels > 0, geometry.spacing
@@ -208,7 +205,7 @@ def assess(
         parts_beyond_necks=parts_beyond_necks(inside),
         growth=last / first if first > 0 else 0.0,
         late_growth=(last - before) / last if last > 0 else 0.0,
-        **_by_clicks(sureness),
+        **_by_clicks(confidence),
         unlike_learned=None if learned is None else _unlike_fraction(inside, image, learned),
         leaked=stop.reason == "leaked",
         rests=tuple(plateaus),
@@ -229,11 +226,10 @@ def _along_surface(found: Evidence | None) -> dict[str, Any]:
     return {"contrast": found.contrast, **means, "inside_like": found.inside_like, "drift": found.drift}
 
 
-def _by_clicks(sureness: Sureness | None) -> dict[str, Any]:
+def _by_clicks(confidence: Confidence | None) -> dict[str, Any]:
     """The measures by the model of the clicks; without one they are None."""
-    overlap, corrections, last, deviation, first = sureness or (None, None, None, None, None)
-    known = {"level_overlap": overlap, "corrections": corrections, "correction": last, "size_spread": deviation}
-    return {**known, "first_size": first}
+    overlap, spread, correction, answers = confidence or (None, None, None, ())
+    return {"level_overlap": overlap, "size_spread": spread, "correction": correction, "answers": answers}
 
 
 def model_kind(found: Quality) -> ModelKind:
@@ -256,7 +252,6 @@ def click_features(found: Quality) -> dict[str, float] | None:
     return {
         "level_overlap": math.log(overlap / (1.0 - overlap)),
         "correction": math.log(min(max(correction, 0.03), 5.0)),
-        "corrections": math.log1p(min(found.corrections or 0, 9)),
         "size_spread": min(found.size_spread, 3.0),
         "compactness": _round(found),
     }

@@ -188,8 +188,8 @@ def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
     plateaus = [{**note._asdict(), "place": list(note.place)} for note in quality.rests]
     place = None if quality.next_click is None else list(quality.next_click)
     lists = {"rests": plateaus, "warnings": list(quality.warnings), "notes": list(quality.notes)}
-    size = None if quality.first_size is None else quality.first_size._asdict()
-    return {**quality._asdict(), "next_click": place, **lists, "first_size": size}
+    answers = [answer._asdict() for answer in quality.answers]
+    return {**quality._asdict(), "next_click": place, **lists, "answers": answers}
 
 
 def describe_objects(result: Result) -> list[dict[str, Any]]:

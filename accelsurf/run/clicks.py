@@ -245,7 +245,7 @@ class LevelClicks:
     def field(self, level: int, box: Box) -> NDArray[np.float32]:
         """Return the field of the object's model on a box of a level."""
         if self._field is None:
-            self._field = LevelArrays(self._context.seeded_model().field, self._grids)
+            self._field = LevelArrays(self._context.model_field(), self._grids)
         return self._field.on(level, box)
 
 

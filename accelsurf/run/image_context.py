@@ -14,7 +14,7 @@ from accelsurf.energies import Parzen
 from accelsurf.energies.likelihood import MIN_DEVIATION, robust_gaussian_of
 from accelsurf.energies.region_sums import Elsewhere, RegionMoments, Summing, moments_of, sums_by_plane
 from accelsurf.errors import UsageError
-from accelsurf.grid.boxes import Box, box_at
+from accelsurf.grid.boxes import Box, box_at, whole_box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.grid.geometry import Geometry, axis_steps
 from accelsurf.grid.pyramid import Level, levels
@@ -25,14 +25,16 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.region_growing import otsu_level
 
 if TYPE_CHECKING:
-    from accelsurf.energies.seeded.model import SeededModel
-    from accelsurf.energies.seeded.partition import BasinsOnce
+    from accelsurf.clicks.model import ClickModel  # a viewer without a run imports no compiler
+    from accelsurf.clicks.model.partition import BasinsOnce
 
 #: Standard deviations of a learned bound from the mean of the start's values: 98.8 % of a Gaussian lie
 #: between two of them, and ConfidenceConnected of ITK takes as many.
 _LEARNED_DEVIATIONS = 2.5
 #: No voxel is nearer to the first surface of the clicks' model than this part of half a voxel.
 _MIN_DEPTH = 0.02
+#: Weight of the area of objects that fill a space, of the smallest spacing.
+_PARTITION_AREA = 0.3
 #: The problem and the hint where likelihood has no sample.
 _NO_SAMPLE = "likelihood with update=no was given nothing to learn from", "give --foreground, or use update=yes"
 
@@ -99,21 +101,19 @@ class ModelInputs(NamedTuple):
         About how large the object is.
     mask : ndarray (nz, ny, nx) of bool or None
         Where it may be.
-    threads : int
     partition : BasinsOnce or None
         What objects share that part the space between them at edges, where nothing else counts; else None.
-    box : tuple of slice or None
-        The box around the object that a person has given.
     window : Window or None
         What part of the whole grid the images are; None for all of it.
+    answer : int
+        Which answer to the first click is taken, from 1.
     """
 
     size_mm3: float | None = None
     mask: Mask | None = None
-    threads: int = 1
     partition: BasinsOnce | None = None
-    box: Box | None = None
     window: Window | None = None
+    answer: int = 1
 
 
 class ImageContext:
@@ -165,7 +165,7 @@ class ImageContext:
         self._box, self._has_box = _EVERYWHERE, False
         self.clicks: Clicks | None = None
         self._model_inputs = ModelInputs()
-        self._model: list[SeededModel] = []
+        self._model: list[ClickModel] = []
         self._before: ImageContext | None = None
         self._field: Callable[[], Image] | None = None
         self._model_curvature: Callable[[], float] | None = None
@@ -234,63 +234,62 @@ class ImageContext:
         """
         return self._with(clicks=clicks, _before=before, _model=[])
 
-    def seeded_model(self) -> SeededModel:
-        """The model of the clicks on the object, computed once.
+    def click_model(self, previous: ClickModel | None = None) -> ClickModel:
+        """The model of the clicks on the object, computed once; it goes on from that of the first of them, if given.
 
         Raises
         ------
         UsageError
             When there is no click inside.
         """
-        from accelsurf.energies.seeded.model import seeded_model
-        from accelsurf.energies.seeded.partition import partition_model
+        from accelsurf.clicks.model import Scene, click_model
+        from accelsurf.clicks.model.partition import partition_model
 
         if self.clicks is None or not self.clicks.mask("inside").any():
             raise UsageError("energy: seeded was given without a click inside", "give --inside point:X,Y,Z")
         if not self._model:
-            size, mask, threads, partition, box, window = self._model_inputs
-            seen = self.images, self.spacing, self.clicks
+            size, mask, partition, window, answer = self._model_inputs
             if partition is not None:
-                made = partition_model(*seen, mask=mask, basins=partition)
+                made = partition_model(self.images, self.spacing, self.clicks, mask=mask, basins=partition)
             else:
                 before = self._before
-                is_incremental = before is not None and before.clicks is not None and before.clicks.ids()
-                previous = before.seeded_model() if before is not None and is_incremental else None
-                made = seeded_model(
-                    *seen, size_mm3=size, box=box, mask=mask, threads=threads, previous=previous, window=window,
-                    learned=self.images_to_learn,
-                )
+                if previous is None and before is not None and before.clicks is not None and before.clicks.ids():
+                    previous = before.click_model()
+                scene = Scene(tuple(self.images), self.spacing, mask, window)
+                made = click_model(scene, self.clicks, size_mm3=size, answer=answer, previous=previous)
             self._model.append(made)
         return self._model[0]
 
-    def images_to_learn(self) -> tuple[Image, ...]:
-        """The channels as models of clicks learn from them, computed once for all objects."""
-        from accelsurf.energies.seeded.model import learned_images
-
-        key = (learned_images,)
-        if key not in self._found:
-            self._found[key] = learned_images(self.images, self.spacing)
-        return cast("tuple[Image, ...]", self._found[key])
-
-    def model_start(self) -> Image:
-        """Psi, mm, of the first surface that the model gives."""
-        model = self.seeded_model()
-        half = np.float32(0.5 * min(axis_steps(model.start.shape, self.spacing)))
-        if model.answer is None:  # a partition: its F is flat, and says no place between voxels
-            return np.where(model.start, -half, half)
+    def model_start(self, box: Box | None = None) -> Image:
+        """Psi, mm, of the first surface that the model gives, on a box of the grid; by default on all of it."""
+        model, shape = self.click_model(), self.images[0].shape
+        box = whole_box(shape) if box is None else box
+        inside, half = model.inside_on(box), np.float32(0.5 * min(axis_steps(shape, self.spacing)))
+        if model.is_partition:  # its F is flat, and says no place between voxels
+            return np.where(inside, -half, half)
         # F crosses 0 between voxels: the surface begins there, and not at the faces of voxels.
-        depth = half * np.clip(np.abs(model.field), np.float32(_MIN_DEPTH), np.float32(1.0))
-        return np.asarray(np.where(model.start, -depth, depth), np.float32)
+        depth = half * np.clip(np.abs(model.field_on(box)), np.float32(_MIN_DEPTH), np.float32(1.0))
+        return np.asarray(np.where(inside, -depth, depth), np.float32)
 
     def model_field(self) -> Image:
         """The field of the model on the grid at hand."""
-        return self.seeded_model().field if self._field is None else self._field()
+        return self.click_model().field_on(whole_box(self.images[0].shape)) if self._field is None else self._field()
 
     def model_curvature(self) -> float:
         """Mean curvature of the model's object, 1/mm; 0 of one among several that fill a space."""
         if self._model_curvature is not None:
             return self._model_curvature()
-        return self.seeded_model().mean_curvature(self.spacing)
+        return self.click_model().mean_curvature(self.spacing)
+
+    def model_area(self) -> float:
+        """Weight of the area, mm, that suits the model's object."""
+        from accelsurf.clicks.model.surface import area_weight
+
+        model = self.click_model()
+        if model.is_partition:
+            return _PARTITION_AREA * min(self.spacing)
+        inside = model.inside_on(whole_box(self.images[0].shape))
+        return area_weight(self.images, self.spacing, inside, self._model_inputs.mask)
 
     def once(self, make: Callable[..., Found], channel: int, *args: Any) -> Found:
         """``make(image, *args)`` of a whole channel, computed once for all objects."""

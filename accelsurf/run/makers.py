@@ -232,14 +232,13 @@ def geodesic(inputs: TermInputs) -> Made:
 
 def seeded(inputs: TermInputs) -> Made:
     """The field of the model of clicks, which is made of all channels."""
-    from accelsurf.energies.seeded.edge import offset
+    from accelsurf.clicks.model.surface import offset
 
-    model = inputs.context.seeded_model()
-    area = inputs.number("area", model.area_weight_mm)
+    area = inputs.number("area", inputs.context.model_area())
     # The area smooths the object; its size is that of the clicks.
     lower = offset(area, inputs.context.model_curvature())
     energy: Energy = RegionField(inputs.context.model_field() - np.float32(lower), inputs.alpha + area)
-    used = {"area": area, "offset": lower, "volume_mm3": model.proposal.volume_mm3, "sureness": model.proposal.sureness}
+    used = {"area": area, "offset": lower}
     return energy, used
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks.reading import clicks_of
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
-from accelsurf.grid.boxes import Box, Corner, bounding_box, corner_of
+from accelsurf.grid.boxes import Box, Corner, corner_of
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.window import Window
@@ -23,7 +23,6 @@ from accelsurf.io import LazyVolume
 from accelsurf.run.clicks import placed
 from accelsurf.run.image_context import ImageContext, Mask, ModelInputs, Scale
 from accelsurf.run.region_of_interest import cropped, distance_of_mask
-from accelsurf.run.setup import thread_count
 from accelsurf.run.window_input import WindowInput, region_in, whole_of, window_of
 from accelsurf.settings import budgets, energy_expression
 from accelsurf.settings.run_config import RunConfig
@@ -222,12 +221,11 @@ def _context(
     limits = None if distance is None else np.asarray(distance < 0)
     partition = None
     if energy_expression.parts_space(config.energy):
-        from accelsurf.energies.seeded.partition import BasinsOnce
+        from accelsurf.clicks.model.partition import BasinsOnce
 
         partition = BasinsOnce()
-    around = None if config.box is None or limits is None else bounding_box(limits, 0)
     window = None if part is None else part.open_window
-    context = context.with_model_inputs(ModelInputs(size, limits, thread_count(config), partition, around, window))
+    context = context.with_model_inputs(ModelInputs(size, limits, partition, window, config.answer))
     # Likelihood learns from --foreground once; with update=yes it refuses it.
     return context, learns or any(term.name == "likelihood" for term in terms)
 

@@ -41,7 +41,7 @@ from accelsurf.run.start_pyramid import to_finest
 from accelsurf.settings.run_config import RunConfig
 
 if TYPE_CHECKING:
-    from accelsurf.energies.seeded import Sureness  # a viewer without a run imports no compiler
+    from accelsurf.clicks.model.confidence import Confidence  # a viewer without a run imports no compiler
 
 #: Columns of the history that are summed over objects, and those of which the largest counts.
 _SUMMED = (
@@ -78,7 +78,7 @@ class SegmentedObject:
         Where its front slowed down before it broke through to something else.
     clicked : ndarray (nz, ny, nx) of bool, or None
         Voxels of its part that a person clicked, on either side.
-    confidence : Sureness or None
+    confidence : Confidence or None
         Of the model of the clicks in the object; None where the energy has none.
     """
 
@@ -93,7 +93,7 @@ class SegmentedObject:
     learned: tuple[float, float] | None = None
     plateaus: tuple[Plateau, ...] = ()
     clicked: NDArray[np.bool_] | None = None
-    confidence: Sureness | None = None
+    confidence: Confidence | None = None
 
     def __repr__(self) -> str:
         return f"SegmentedObject(id={self.id}, {self.volume_mm3:.6g} mm3, {self.stop.reason})"
@@ -542,7 +542,7 @@ class RunState:
         One of the user's own; None for one with a name.
     clicks : Clicks or None
         All clicks so far, on the grid of the region of interest; None for none.
-    models : mapping of int to LocalState
+    models : mapping of int to ClickModel
         Of each object whose model corrections have needed, after all of them.
     totals : mapping of str to ndarray (2, m)
         Of `accelsurf.run.region_totals.RegionTotals`; empty before the first correction.

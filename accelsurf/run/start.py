@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from accelsurf.clicks import tables
 from accelsurf.errors import UsageError
-from accelsurf.grid.boxes import bounding_box, corner_of, widened
+from accelsurf.grid.boxes import bounding_box, corner_of, placed_at, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
@@ -22,6 +22,7 @@ from accelsurf.run.checkpoint import digest_of
 from accelsurf.run.ensemble import union_of, within
 from accelsurf.run.image_context import ImageContext
 from accelsurf.run.preprocessing import PreprocessedInput, preprocess, uses_model
+from accelsurf.run.setup import thread_count
 from accelsurf.run.window_input import WindowInput
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts import objects as object_starts
@@ -109,7 +110,7 @@ def start_of_run(
         starts = [within(start, prepared) for start in several]
         contexts = [_context_of(start, prepared, bool(surfaces)) for start in starts]
         if table is not None and uses_model(config):
-            starts = _of_models(starts, contexts, prepared.geometry)
+            starts = _of_models(starts, contexts, prepared.geometry, thread_count(config))
     return RunStart(config, has_ids, tuple(by_array), digest_of(by_array), prepared, starts, contexts)
 
 
@@ -162,31 +163,34 @@ def _with_clicks(context: ImageContext, clicks: Clicks | None, id: int) -> Image
     return context if clicks is None else context.with_clicks(clicks.of(id))
 
 
-def _make_models(contexts: Sequence[ImageContext]) -> None:
+def _make_models(contexts: Sequence[ImageContext], threads: int) -> None:
     """Make the models of several objects, some at a time; those of a partition share too much for that."""
-    inputs = contexts[0].model_inputs
-    at_once = min(inputs.threads, _MODELS_AT_ONCE)
-    if inputs.partition is not None or at_once < 2:
+    at_once = min(threads, _MODELS_AT_ONCE)
+    if contexts[0].model_inputs.partition is not None or at_once < 2:
         return
-    contexts[0].images_to_learn()  # once: they would each begin with it
     with ThreadPoolExecutor(at_once) as pool:
-        for _ in pool.map(ImageContext.seeded_model, contexts):
+        for _ in pool.map(ImageContext.click_model, contexts):
             pass
 
 
-def _of_models(starts: list[ObjectStart], contexts: list[ImageContext], geometry: Geometry) -> list[ObjectStart]:
-    """First surfaces of several objects by the model of each; where two overlap, the lower id has the voxels."""
-    _make_models(contexts)
+def _of_models(
+    starts: list[ObjectStart], contexts: list[ImageContext], geometry: Geometry, threads: int
+) -> list[ObjectStart]:
+    """First surfaces of several objects by the model of each; where two overlap, the one with the lower F is there."""
+    _make_models(contexts, threads)
+    owner, least = np.full(geometry.shape, -1, np.int32), np.zeros(geometry.shape, np.float32)
+    for number, context in enumerate(contexts):
+        model = context.click_model()
+        lower = model.inside & (model.field < least[model.box])
+        owner[model.box][lower], least[model.box][lower] = number, model.field[lower]
     out = []
-    taken = np.zeros(geometry.shape, np.bool_)
-    for start, context in zip(starts, contexts, strict=True):
-        psi = context.model_start()
-        inside = (psi < 0) & ~taken
-        tight = bounding_box(inside)
+    for number, (start, context) in enumerate(zip(starts, contexts, strict=True)):
+        around = context.click_model().box
+        tight = bounding_box(owner[around] == number)
         if tight is None:
             out.append(start)
             continue
-        taken |= inside
-        box = widened(tight, geometry.shape, (AROUND, AROUND, AROUND))
-        out.append(ObjectStart(start.id, corner_of(box), np.where(inside[box], psi[box], np.abs(psi[box]))))
+        box = widened(placed_at(tight, corner_of(around)), geometry.shape, (AROUND, AROUND, AROUND))
+        psi = context.model_start(box)
+        out.append(ObjectStart(start.id, corner_of(box), np.where(owner[box] == number, psi, np.abs(psi))))
     return out

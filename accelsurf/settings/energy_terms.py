@@ -237,7 +237,7 @@ TERMS: Registry[TermSpec] = Registry(
         "what lies nearer to the clicks inside than to those outside and the surroundings; needs --inside",
         f"{_MAKERS}:seeded",
         {"area": Number(0.0, help="weight of the area beside --smoothness, mm; of the model unless given")},
-        uses=("size",),
+        uses=("size", "answer"),
         example="seeded",
         uses_model=True,
     ),

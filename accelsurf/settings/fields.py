@@ -117,6 +117,12 @@ class SettingFields(BaseModel):
         "not bound the result.",
         entry=SettingEntry(RUN, viewer="first", metavar="VOLUME", scope="term", fixed=True),
     )
+    answer: Annotated[int, Field(ge=1, le=3)] = setting(
+        1,
+        "Which answer to the first click is taken: 1 is the likeliest, 2 and 3 are others, a part or more of what is "
+        "alike, where the click may mean them. With --size there is one alone.",
+        entry=SettingEntry(RUN, viewer="first", metavar="1|2|3", scope="term", fixed=True),
+    )
     max_volume: Annotated[float, Field(gt=0)] | None = setting(
         None,
         "Leak guard: the run ends when the object is larger than this, in mm3.",

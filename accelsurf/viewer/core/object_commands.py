@@ -7,18 +7,18 @@ it goes to its end first.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
 
+from accelsurf.clicks.model import Scene
+from accelsurf.clicks.model.model import ROOM, sized_objects
 from accelsurf.clicks.reading import read_clicks
-from accelsurf.energies.seeded.appearance import learn
-from accelsurf.energies.seeded.contest import arrival, field_of
-from accelsurf.energies.seeded.model import SMOOTHING
 from accelsurf.errors import UsageError
+from accelsurf.grid.boxes import corner_of, placed_at
 from accelsurf.grid.clicks import Clicks, Side
-from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.output.label_files import given_labels
 from accelsurf.run.result import BoxMask
 from accelsurf.run.run import Run
@@ -26,7 +26,7 @@ from accelsurf.settings.labels import colored, named
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.corrected_run import Corrections
 from accelsurf.viewer.core.restarted import FROM_CLICKS
-from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
+from accelsurf.viewer.core.size_drag import SizeDrag
 
 
 class Steered(Protocol):
@@ -141,7 +141,7 @@ class ObjectCommands:
             raise UsageError(f"object {object_id} has not begun, so nothing is outside of it", "click inside it first")
         self._timeline.refine({"new": object_id, "inside": list(where)}, f"new object {object_id}: {where[0]}")
 
-    def press(self, ball: str, voxels: int, object_id: int | None = None) -> SizeDrag:
+    def press(self, ball: str, size_mm3: float, object_id: int | None = None) -> SizeDrag:
         """Begin to drag the size of an object, see `Session.press`.
 
         Raises
@@ -153,7 +153,7 @@ class ObjectCommands:
         if object_id is None and len(ids) > 1:
             raise UsageError("a size is dragged for one object, there are several", "choose one, or add one")
         taken = timeline.corrections.taken(timeline.run, ball, object_id or ids[0])
-        drag = size_drag_of(timeline.run, ball, voxels, taken)
+        drag = size_drag_of(timeline.run, ball, size_mm3, taken)
         self._drag = drag, object_id
         timeline.say(f"pressed {ball}: drag outwards until it fits")
         return drag
@@ -232,8 +232,8 @@ class ObjectCommands:
         return out
 
 
-def size_drag_of(run: Run, ball: str, voxels: int = FIRST_VOXELS, taken: BoxMask | None = None) -> SizeDrag:
-    """Compute the arrival times from a ball.
+def size_drag_of(run: Run, ball: str, size_mm3: float = 0.0, taken: BoxMask | None = None) -> SizeDrag:
+    """Find the objects around a ball by their size.
 
     Parameters
     ----------
@@ -241,10 +241,10 @@ def size_drag_of(run: Run, ball: str, voxels: int = FIRST_VOXELS, taken: BoxMask
         Its image and settings are used; it is not changed.
     ball : str
         ``ball:X,Y,Z,R``.
-    voxels : int, optional
-        How many are reached.
+    size_mm3 : float, optional
+        They have room up to this size.
     taken : BoxMask, optional
-        Voxels of the region of interest that belong to other objects: the march goes around them.
+        Voxels of the region of interest that belong to other objects.
 
     Raises
     ------
@@ -259,19 +259,16 @@ def size_drag_of(run: Run, ball: str, voxels: int = FIRST_VOXELS, taken: BoxMask
     (click,) = Clicks(tuple(clicks), geometry.shape).on_box(box).clicks or (None,)
     if click is None:
         raise UsageError(f"press: {ball} lies outside of the mask")
-    spacing = context.spacing
-    smooth = [gaussian_mm(image, spacing, SMOOTHING * min(spacing)) for image in context.images]
-    shape = smooth[0].shape
     distance = run.prepared.mask_distance
     passes = None if distance is None else np.asarray(distance < 0)
     if taken is not None:
-        passes = np.ones(shape, np.bool_) if passes is None else passes
+        passes = np.ones(context.images[0].shape, np.bool_) if passes is None else passes
         passes[taken.box] &= ~taken.mask
-    field = field_of(smooth, spacing, passes)
-    where = tuple(axis + part.start for axis, part in zip(np.nonzero(click.mask), click.box, strict=True))
-    seeds = np.ravel_multi_index(where, shape).astype(np.int64)
-    tissue = learn(smooth, spacing, click)
-    times, order = arrival(field, tissue, seeds, max_count=voxels)
+    levels = sized_objects(Scene(tuple(context.images), context.spacing, passes), click, size_mm3)
+    window = levels.window
+    times = np.float32(1.0) - window.on_voxels(levels.blocks)
+    first = placed_at(window.box, run.prepared.first)
     axis = geometry.slice_axis
     thickness = None if axis is None else geometry.spacing[axis]
-    return SizeDrag(ball, times.reshape(shape), order, run.prepared.first, geometry.voxel_volume, thickness)
+    most = max(window.volume_mm3 / ROOM, size_mm3) if window.faces.any() else math.inf
+    return SizeDrag(ball, times, corner_of(first), geometry.voxel_volume, most, thickness)

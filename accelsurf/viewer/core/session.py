@@ -22,7 +22,7 @@ from accelsurf.grid.clicks import Side
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.command_queue import Command, CommandQueue
-from accelsurf.viewer.core.size_drag import FIRST_VOXELS, SizeDrag
+from accelsurf.viewer.core.size_drag import SizeDrag
 from accelsurf.viewer.core.status import SAVED_KINDS, Status, UncertainLocation, View, ViewSlot, error_line
 
 if TYPE_CHECKING:
@@ -243,15 +243,15 @@ class Session:
         texts = (where,) if isinstance(where, str) else tuple(where)
         return self._do(lambda timeline: timeline.add_click(side, texts, object_id))
 
-    def press(self, ball: str, voxels: int = FIRST_VOXELS, object_id: int | None = None) -> Future[SizeDrag]:
+    def press(self, ball: str, size_mm3: float = 0.0, object_id: int | None = None) -> Future[SizeDrag]:
         """Begin to drag the size of an object from a ball in it, ``ball:X,Y,Z,R``.
 
         The answer has the arrival times: what they show for any size is read from it in the caller's own thread, so
-        that a drag never waits for a step. They reach ``voxels`` voxels; `size_drag.Dragging` asks for more when a
+        that a drag never waits for a step. They have room up to ``size_mm3``; `size_drag.Dragging` asks for more when a
         drag needs them. `release` ends it. Of several objects one is named; with an id that none has it is a new one.
         What is no ball or lies outside is refused.
         """
-        return self._do(lambda timeline: timeline.objects.press(ball, voxels, object_id))
+        return self._do(lambda timeline: timeline.objects.press(ball, size_mm3, object_id))
 
     def release(self, drag_mm: float) -> Future[None]:
         """Play another run from what was pressed, of a size that a drag of so many mm stands for; others stay."""

@@ -1,8 +1,9 @@
 """A press in an object and a drag outwards: which voxels belong to it if it is so large, at once for any size.
 
-The arrival time from the press is computed once. A drag of r mm stands for the volume of a ball of that radius (of an
-image of one slice: the area of a disc), which is the level of the arrival time that has that volume: a level is looked
-up in the order of arrival, and shown in a slice by comparing the stored times there.
+What the click's model says is computed once: for each voxel the probability from which on it belongs to the object. A
+drag of r mm stands for the volume of a ball of that radius (of an image of one slice: the area of a disc), which is
+the level of the probability that has that volume: a level is looked up in the sorted values, and shown in a slice by
+comparing the values there.
 """
 
 from __future__ import annotations
@@ -11,50 +12,51 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.image.slice_stack import linear
 
-#: Voxels that a press reaches at first, and by which factor it reaches farther when a drag comes near its end: the
-#: first outline shows at once, and the whole of a large organ costs a third more.
-FIRST_VOXELS, FARTHER = 250_000, 4
-#: A drag comes near the end of what was reached at this part of its volume.
-NEAR_END = 0.6
+#: By which factor more is looked at when a drag comes near its end, and at which part of that.
+FARTHER, NEAR_END = 4.0, 0.8
 
 
 @dataclass(frozen=True, eq=False)
 class SizeDrag:
-    """The arrival times of a press; nothing of it changes, so that any thread may ask.
+    """The objects of a press by their size; nothing of it changes, so that any thread may ask.
 
     Attributes
     ----------
     click : str
         What was pressed, ``ball:X,Y,Z,R``: the inside click of the run that follows.
     times : ndarray (nz, ny, nx), float32
-        Arrival times on the region of interest, 0 in the click, inf where the march did not come.
-    order : ndarray (n,), int64
-        The voxels, raveled, in the order of their times.
+        For each voxel of a window 1 less the probability from which on it belongs to the object.
     first : (int, int, int)
         Index (z, y, x) in the image of the first voxel of ``times``.
     voxel_mm3 : float
         Volume of a voxel.
+    most_mm3 : float
+        Up to this size an object has room in the window.
     thickness : float or None
         Of the slice of an image of one slice, mm.
     """
 
     click: str
     times: NDArray[np.float32]
-    order: NDArray[np.int64]
     first: tuple[int, int, int]
     voxel_mm3: float
+    most_mm3: float
     thickness: float | None = None
 
+    @cached_property
+    def _sorted(self) -> NDArray[np.float32]:
+        return np.sort(self.times, axis=None)
+
     def is_near_end(self, drag_mm: float) -> bool:
-        """Return True if a drag is about as large as what was reached, and more can be."""
-        reached = len(self.order) * self.voxel_mm3
-        return len(self.order) < self.times.size and self._wanted(drag_mm) > NEAR_END * reached
+        """Return True if a drag is about as large as what has room, and more can be."""
+        return self._wanted(drag_mm) > NEAR_END * self.most_mm3
 
     def _wanted(self, drag_mm: float) -> float:
         """Volume of a ball or disc, mm3."""
@@ -64,13 +66,14 @@ class SizeDrag:
 
     def volume_of(self, drag_mm: float) -> float:
         """Volume, mm3, that a drag so far from the press stands for."""
-        seeds = int(np.searchsorted(self.times.ravel()[self.order[:10_000]], 0.0, side="right"))
-        return float(np.clip(self._wanted(drag_mm), max(seeds, 1) * self.voxel_mm3, len(self.order) * self.voxel_mm3))
+        return float(
+            np.clip(self._wanted(drag_mm), self.voxel_mm3, min(self.most_mm3, self.times.size * self.voxel_mm3))
+        )
 
     def level_of(self, volume_mm3: float) -> float:
-        """The arrival time before which so much has been reached."""
-        count = min(max(round(volume_mm3 / self.voxel_mm3), 1), len(self.order))
-        return float(self.times.ravel()[self.order[count - 1]])
+        """Return the value up to which voxels belong to an object of this volume."""
+        count = min(max(round(volume_mm3 / self.voxel_mm3), 1), self.times.size)
+        return float(self._sorted[count - 1])
 
     def plane(self, axis: int, index: int, volume_mm3: float) -> NDArray[np.float32] | None:
         """Return an image, negative inside the object, of a slice, if the object has this volume.
@@ -94,15 +97,13 @@ class SizeDrag:
         return self.signed(np.asarray(self.times.take(at, axis=axis)), volume_mm3)
 
     def times_at(self, index: tuple[NDArray[np.float64], ...]) -> NDArray[np.float32]:
-        """Arrival times at any places, given by indices z, y, x of the region of interest, between voxels too."""
+        """Values of ``times`` at any places, given by indices z, y, x of the region of interest, between voxels too."""
         z, y, x = index
-        return linear(self.times, (z, y, x), 2.0 * max(float(self.times.ravel()[self.order[-1]]), 1e-6))
+        return linear(self.times, (z, y, x), 2.0)
 
     def signed(self, times: NDArray[np.float32], volume_mm3: float) -> NDArray[np.float32]:
-        """Return what is negative inside the object, if it has this volume, of arrival times."""
-        level = max(self.level_of(volume_mm3), 1e-6)
-        # Just above the level where the front passes between two voxels; what came never is outside.
-        return np.asarray(np.minimum(times, np.float32(2.0 * level)) - np.float32(level * (1.0 + 1e-6)))
+        """Return what is negative inside the object, if it has this volume, of values of ``times``."""
+        return np.asarray(times - np.float32(self.level_of(volume_mm3) + 1e-6))
 
     def size_text(self, drag_mm: float) -> str:
         """The volume of a drag as ``size`` of a run's settings."""
@@ -126,9 +127,9 @@ class Dragging:
         self._known: SizeDrag | None = None
 
     def at(self, drag_mm: float) -> SizeDrag | None:
-        """Return the arrival times known now for a drag of so many mm; None while nothing is known."""
+        """Return the objects known now for a drag of so many mm; None while nothing is known."""
         if self.pressed.done() and self.pressed.exception() is None:
             self._known = self.pressed.result()
             if self._known.is_near_end(drag_mm):
-                self.pressed = self._press(self._ball, FARTHER * len(self._known.order))
+                self.pressed = self._press(self._ball, FARTHER * self._known.most_mm3)
         return self._known

@@ -13,20 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.energies.seeded.answers import CLICKED
-from accelsurf.energies.seeded.appearance import Image, Mask, Spacing, learn
-from accelsurf.energies.seeded.contest import Field, Times, balance, field_of, reached, times_from
-from accelsurf.energies.seeded.first_click import seeds_of
-from accelsurf.energies.seeded.model import SeededModel, learned_images
-from accelsurf.energies.seeded.proposal import Proposal
+from accelsurf.clicks.model.fronts import CROSS, Field, balance, field_of, learned
+from accelsurf.clicks.model.model import CLICKED, ClickModel
+from accelsurf.clicks.model.windows import Floats, Mask, Spacing
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, bounding_box, connected_to, whole_box
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
+from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.kernels.arrival import Tissue
 
-#: Default weight of the area, of the smallest spacing.
-AREA = 0.3
-_FACES = ndimage.generate_binary_structure(3, 1)
+#: Smoothing of the image before anything is learned from it, of the smallest spacing.
+SMOOTHING = 0.6
 
 
 class Basins(NamedTuple):
@@ -39,7 +36,7 @@ class Basins(NamedTuple):
         That the marches go through.
     clicks : tuple of Click
         Those inside of an object, or of what is no object.
-    times : ndarray (n,) float32
+    times : ndarray (nz, ny, nx) float32
         Arrival times from all of them.
     nearest : ndarray (n,) int32
         The click from which the front comes, by its number; -1 where none does.
@@ -48,7 +45,7 @@ class Basins(NamedTuple):
     field: Field
     tissue: Tissue
     clicks: tuple[Click, ...]
-    times: Times
+    times: Floats
     nearest: NDArray[np.int32]
 
 
@@ -57,9 +54,9 @@ class BasinsOnce:
 
     def __init__(self) -> None:
         self._last: Basins | None = None
-        self._seen: tuple[Image, ...] = ()
+        self._seen: tuple[Floats, ...] = ()
 
-    def of(self, images: Sequence[Image], spacing: Spacing, clicks: Clicks, mask: Mask | None) -> Basins:
+    def of(self, images: Sequence[Floats], spacing: Spacing, clicks: Clicks, mask: Mask | None) -> Basins:
         """The basins of clicks as one object sees them; those of the last time where clicks and images are the same."""
         owned, last = tuple(click for click in clicks.clicks if _is_owned(click)), self._last
         if last is None or not _are_same(self._seen, images) or not _are_same(_masks(last.clicks), _masks(owned)):
@@ -81,7 +78,7 @@ def _masks(clicks: Sequence[Click]) -> list[Mask]:
     return [click.mask for click in clicks]
 
 
-def basins_of(images: Sequence[Image], spacing: Spacing, clicks: tuple[Click, ...], mask: Mask | None) -> Basins:
+def basins_of(images: Sequence[Floats], spacing: Spacing, clicks: tuple[Click, ...], mask: Mask | None) -> Basins:
     """The basins of clicks inside of objects, or of what is no object.
 
     Parameters
@@ -95,13 +92,21 @@ def basins_of(images: Sequence[Image], spacing: Spacing, clicks: tuple[Click, ..
     mask : ndarray (nz, ny, nx) of bool, optional
         All objects lie in it.
     """
-    smooth = learned_images(images, spacing)
+    smooth = [gaussian_mm(image, spacing, SMOOTHING * min(spacing)) for image in images]
     field = field_of(smooth, spacing, mask)
     firsts = {click.owner: click for click in reversed(clicks) if click.owner != NO_OBJECT}
-    tissue = _common([learn(smooth, spacing, click) for click in firsts.values()])
-    seeds = [seeds_of(click, field) for click in clicks]
-    times, _ = reached(field, tissue, np.unique(np.concatenate(seeds)), field.size)
-    return Basins(field, tissue, clicks, times, _nearest(times.reshape(field.shape), seeds))
+    tissue = _common([learned(smooth, spacing, click) for click in firsts.values()])
+    seeds = [_voxels(click, field.shape) for click in clicks]
+    begin = np.full(field.shape, np.inf, np.float32)
+    begin.ravel()[np.concatenate(seeds)] = 0.0
+    times = field.times(tissue, begin, np.unique(np.concatenate(seeds)))
+    return Basins(field, tissue, clicks, times, _nearest(times, seeds))
+
+
+def _voxels(click: Click, shape: tuple[int, int, int]) -> NDArray[np.int64]:
+    """The voxels of a click, as flat indices."""
+    where = [axis + side.start for axis, side in zip(np.nonzero(click.mask), click.box, strict=True)]
+    return np.ravel_multi_index(tuple(where), shape).astype(np.int64)
 
 
 def _common(tissues: Sequence[Tissue]) -> Tissue:
@@ -115,7 +120,7 @@ def _common(tissues: Sequence[Tissue]) -> Tissue:
     )
 
 
-def _nearest(times: Image, seeds: Sequence[NDArray[np.int64]]) -> NDArray[np.int32]:
+def _nearest(times: Floats, seeds: Sequence[NDArray[np.int64]]) -> NDArray[np.int32]:
     """From which of the seeds the front came to each voxel: back from voxel to earliest neighbour, by leaps."""
     voxels = np.arange(times.size).reshape(times.shape)
     before, earliest = voxels.copy(), times.copy()
@@ -137,13 +142,13 @@ def _nearest(times: Image, seeds: Sequence[NDArray[np.int64]]) -> NDArray[np.int
 
 
 def partition_model(
-    images: Sequence[Image],
+    images: Sequence[Floats],
     spacing: Spacing,
     clicks: Clicks,
     *,
     mask: Mask | None = None,
     basins: BasinsOnce | None = None,
-) -> SeededModel:
+) -> ClickModel:
     """Make the model of one of several objects that touch.
 
     F = (T_in - T_out) / (T_in + T_out), with the arrival times from its own clicks and from those of all others, and 1
@@ -162,10 +167,6 @@ def partition_model(
     basins : BasinsOnce, optional
         Of the run, so that what its objects share is computed once.
 
-    Returns
-    -------
-    SeededModel
-
     Raises
     ------
     InputError
@@ -183,23 +184,20 @@ def partition_model(
     else:
         box, times, seeds = _at_other_basins(found, [click.side == "inside" for click in clicks.clicks])
     field = field_of(found.field.images_on(box), spacing, None if mask is None else mask[box])
-    others = times_from(field, found.tissue, times, seeds)
+    others = field.times(found.tissue, times, np.flatnonzero(seeds))
     # Where others come earlier it is none of the object's: the march need not go there.
-    own_seeds = np.flatnonzero(inside[box]).astype(np.int64)
-    times_of_own, _ = reached(field, found.tissue, own_seeds, field.size, others.ravel())
-    force = np.ones(inside.shape, np.float32)
-    force[box] = balance(times_of_own.reshape(others.shape), others)
-    force[inside], force[outside] = CLICKED["inside"], CLICKED["outside"]
-    start = connected_to(force < 0, inside)
-    volume = float(np.count_nonzero(start)) * float(np.prod(spacing))
-    return SeededModel(force, start, Proposal(volume, 1.0), AREA * min(spacing), clicks, ())
+    begin = np.where(inside[box], np.float32(0.0), np.float32(np.inf))
+    mine = field.times(found.tissue, begin, np.flatnonzero(inside[box]), others.ravel())
+    force = balance(mine, others)
+    force[inside[box]], force[outside[box]] = CLICKED["inside"], CLICKED["outside"]
+    start = connected_to(force < 0, inside[box])
+    return ClickModel(clicks, box, force, start, is_partition=True)
 
 
-def _at_other_basins(found: Basins, is_own: Sequence[bool]) -> tuple[Box, Image, Mask]:
+def _at_other_basins(found: Basins, is_own: Sequence[bool]) -> tuple[Box, Floats, Mask]:
     """A box that holds the basins of own clicks, the times in all others there, and their voxels beside the own."""
-    shape = found.field.shape
-    mine = np.append(is_own, False)[found.nearest].reshape(shape)  # of -1 the last
+    mine = np.append(is_own, False)[found.nearest].reshape(found.field.shape)  # of -1 the last
     box = bounding_box(mine, 1)
     assert box is not None  # the clicks are among them
-    times = np.where(mine[box], np.float32(np.inf), found.times.reshape(shape)[box])
-    return box, times, ndimage.binary_dilation(mine[box], _FACES) & np.isfinite(times)
+    times = np.where(mine[box], np.float32(np.inf), found.times[box])
+    return box, times, ndimage.binary_dilation(mine[box], CROSS) & np.isfinite(times)

@@ -1,0 +1,49 @@
+"""How sure the model of the clicks is of its object, as numbers from which a probability is computed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from accelsurf.clicks.model.model import Answer, ClickModel
+from accelsurf.grid.boxes import connected_to
+
+#: The objects of F below this and above its negative are compared.
+LEVEL = 0.2
+
+
+class Confidence(NamedTuple):
+    """Measures of how sure a model of clicks is.
+
+    Attributes
+    ----------
+    overlap : float
+        Dice of the objects {F < -0.2} and {F < 0.2}: 1 where F is steep at its boundary.
+    spread : float
+        Logarithm of how much larger the first answer is at a low probability than at a high one.
+    correction : float or None
+        Radius of the last click that corrected what was shown, over the object's; None where there was none.
+    answers : tuple of Answer
+        To the first click: the one that was taken, and others that are likely.
+    """
+
+    overlap: float
+    spread: float
+    correction: float | None
+    answers: tuple[Answer, ...]
+
+
+def confidence_of(model: ClickModel) -> Confidence | None:
+    """Measure how sure a model is; None of one of several objects that fill a space."""
+    if model.is_partition:
+        return None
+    clicked = np.zeros(model.field.shape, np.bool_)
+    for click in model.clicks.clicks:
+        if click.side == "inside":
+            clicked |= click.mask_on(model.box)
+    # F is -3 and 3 in clicks: they are on their sides of both.
+    smaller = int(np.count_nonzero(model.inside & (model.field < -LEVEL)))
+    both = smaller + int(np.count_nonzero(connected_to(model.field < LEVEL, clicked)))
+    overlap = 2.0 * smaller / both if both else 0.0
+    return Confidence(overlap, model.spread, model.correction, model.answers)

@@ -1,0 +1,375 @@
+"""The model of clicks on an object: a score map F, and the object that it shows, click by click.
+
+The first inside click is read in windows from near to far until the answer ends within one. Each later click is read
+in a window of its own, with what was shown before it, and changes that toward its side alone, in what is connected to
+it. So the model after some clicks follows from the model before the last one, and from nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from skimage.morphology import reconstruction
+
+from accelsurf.clicks.model.features import Features, features_of_first, features_of_later
+from accelsurf.clicks.model.network import Network, networks
+from accelsurf.clicks.model.surface import mean_curvature
+from accelsurf.clicks.model.windows import (
+    SCALES,
+    Floats,
+    Mask,
+    Scale,
+    Scene,
+    Seed,
+    Spacing,
+    Window,
+    seed_of,
+    window_around,
+)
+from accelsurf.errors import InputError
+from accelsurf.grid.boxes import (
+    Box,
+    bounding_box,
+    connected_to,
+    corner_of,
+    enclosing,
+    holes_filled,
+    on_box,
+    overlap,
+    placed_at,
+    shared,
+    whole_box,
+    widened,
+)
+from accelsurf.grid.clicks import Click, Clicks, Side
+
+#: A block is object from this probability on. A later inside click adds from `ADDED` on, an outside click removes from
+#: 1 - `ADDED` on: of an object with the Dice d a voxel is worth taking from d/2 on.
+FROM, ADDED = 0.47, 0.43
+#: An answer that covers more than this part of the open faces goes on beyond its window.
+TOUCHES = 0.02
+#: F is so many times the probability less its level.
+STEEPNESS = 2.0
+#: F in clicked voxels.
+CLICKED: dict[Side, float] = {"inside": -3.0, "outside": 3.0}
+#: F of voxels that the probability puts on the other side than the object's shape does: just on their side.
+JUST = 1e-3
+#: F is kept on a box that is larger than the object by this part of it.
+AROUND = 0.25
+#: A click corrects what was shown where more than this part of it is on the other side there.
+WRONG = 0.1
+#: A stated size is looked for in a window of at least so many times that volume.
+ROOM = 4.0
+#: Other answers to a first click have at least so many times its volume, or at most so much less.
+OTHER = 1.5
+#: Probabilities whose volumes tell how sure a first answer is.
+LOW, HIGH = 0.25, 0.7
+#: Levels at which other answers are looked for.
+LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))
+
+
+class Answer(NamedTuple):
+    """An answer to the first click: from which probability on, and its volume, mm3."""
+
+    level: float
+    volume_mm3: float
+
+
+@dataclass(frozen=True, eq=False)
+class ClickModel:
+    """Score map and object of some clicks, on a box of the grid; beyond it F is 1 and nothing is inside.
+
+    Attributes
+    ----------
+    clicks : Clicks
+        That it was made from, on the whole grid.
+    box : tuple of slice
+    field : ndarray float32
+        F on the box: the surface grows where F < 0; -3 and 3 in clicked voxels, about -1 to 1 elsewhere.
+    inside : ndarray of bool
+        Where F < 0, on the box.
+    answers : tuple of Answer
+        To the first click: the one that was taken, and others that are likely; none of a partition.
+    spread : float
+        Logarithm of how much larger the first answer is from a low probability on than from a high one.
+    correction : float or None
+        Radius of the last click that corrected what was shown, over that of the object; None where none did.
+    is_partition : bool
+        It is one of several objects that fill a space.
+    """
+
+    clicks: Clicks
+    box: Box
+    field: Floats
+    inside: Mask
+    answers: tuple[Answer, ...] = ()
+    spread: float = 0.0
+    correction: float | None = None
+    is_partition: bool = False
+
+    def field_on(self, box: Box) -> Floats:
+        """F on a box of the grid."""
+        return on_box(self.field, self.box, box, 1.0)
+
+    def inside_on(self, box: Box) -> Mask:
+        """The object on a box of the grid."""
+        return on_box(self.inside, self.box, box, False)
+
+    def mean_curvature(self, spacing: Spacing) -> float:
+        """Mean curvature of the object, 1/mm; 0 of a partition, whose walls are drawn to no side."""
+        return 0.0 if self.is_partition else mean_curvature(self.inside_on(whole_box(self.clicks.shape)), spacing)
+
+    @property
+    def count(self) -> int:
+        """Number of voxels inside."""
+        return int(np.count_nonzero(self.inside))
+
+
+class Levels:
+    """Objects around a click by the probability from which on a block belongs to them.
+
+    Parameters
+    ----------
+    probability : ndarray (nz, ny, nx) float32
+        Of the blocks of a window.
+    window : Window
+
+    Attributes
+    ----------
+    window : Window
+    blocks : ndarray (nz, ny, nx) float32
+        Of each block the largest probability at which it is connected to the click.
+    """
+
+    def __init__(self, probability: Floats, window: Window) -> None:
+        self.window = window
+        top = np.where(window.mine, np.float32(1.0), probability)
+        start = np.where(window.mine, top, np.minimum(probability, np.float32(0.0)))
+        self.blocks: Floats = reconstruction(start, top, "dilation").astype(np.float32)
+        self._sorted = np.sort(self.blocks.ravel())[::-1]
+
+    def volume(self, level: float) -> float:
+        """Volume (mm3) of what is connected to the click at a level."""
+        return float(np.searchsorted(-self._sorted, -level, "left")) * self.window.block_mm3
+
+    def spread(self) -> float:
+        """Logarithm of the volume from a low probability on over that from a high one."""
+        return float(np.log(max(self.volume(LOW), 1e-9) / max(self.volume(HIGH), 1e-9)))
+
+    def of_volume(self, volume_mm3: float) -> Answer:
+        """The answer of about a volume."""
+        index = min(max(round(volume_mm3 / self.window.block_mm3), 1), len(self._sorted) - 1)
+        return Answer(float(0.5 * (self._sorted[index - 1] + self._sorted[index])), volume_mm3)
+
+    def answers(self) -> tuple[Answer, ...]:
+        """The likeliest answer, and a larger and a smaller one where the volume changes least with the level."""
+        first = Answer(FROM, self.volume(FROM))
+        volumes, others = [self.volume(level) for level in LEVELS], []
+        for factor in (OTHER, 1.0 / OTHER):
+            wanted = factor * first.volume_mm3
+            found = [
+                (before / max(after, self.window.block_mm3), Answer(level, volume))
+                for before, level, volume, after in zip(volumes, LEVELS[1:], volumes[1:], volumes[2:], strict=False)
+                if (volume >= wanted if factor > 1.0 else 0.0 < volume <= wanted)
+            ]
+            others += [min(found)] if found else []
+        return (first, *(answer for _, answer in sorted(others)))
+
+
+def click_model(
+    scene: Scene,
+    clicks: Clicks,
+    *,
+    size_mm3: float | None = None,
+    answer: int = 1,
+    previous: ClickModel | None = None,
+    asked: Mapping[str, Network] | None = None,
+) -> ClickModel:
+    """Make the model of an object from its clicks.
+
+    Parameters
+    ----------
+    scene : Scene
+    clicks : Clicks
+        Those of one object, see `Clicks.of`.
+    size_mm3 : float, optional
+        About the object's volume.
+    answer : int, optional
+        Which answer to the first click is taken: 1 is the likeliest, the others are those of `ClickModel.answers`. The
+        last one, where there are not so many.
+    previous : ClickModel, optional
+        The model of the first of these clicks, all else being the same: the result is the same, sooner.
+    asked : mapping of str to Network, optional
+        Other networks than the package's.
+
+    Raises
+    ------
+    InputError
+        When no click is inside; LeavesWindow when it looks beyond the scene's part.
+    """
+    ordered, using = in_order(clicks), networks() if asked is None else asked
+    seeds = [seed_of(click, scene) for click in ordered.clicks]
+    model, done = previous, 0 if previous is None else len(previous.clicks)
+    if model is None or done == 0 or not ordered.starts_with(in_order(model.clicks)):
+        model, done = first_model(scene, seeds[0], ordered.shape, size_mm3, answer, using["first"]), 1
+    for number in range(done, len(seeds)):
+        model = with_click(model, scene, seeds[: number + 1], using["later"])
+    return replace(model, clicks=clicks)
+
+
+def in_order(clicks: Clicks) -> Clicks:
+    """The clicks as a model takes them: the first inside click, then all others as they were given.
+
+    Raises
+    ------
+    InputError
+        When none is inside.
+    """
+    first = next((click for click in clicks.clicks if click.side == "inside"), None)
+    if first is None:
+        raise InputError("seeded: no inside click was given", "give one with --inside")
+    if first is clicks.clicks[0]:
+        return clicks
+    return Clicks((first, *(click for click in clicks.clicks if click is not first)), clicks.shape)
+
+
+def first_model(
+    scene: Scene, seed: Seed, shape: tuple[int, int, int], size_mm3: float | None, answer: int, network: Network
+) -> ClickModel:
+    """The model of the first click.
+
+    Parameters
+    ----------
+    scene : Scene
+    seed : Seed
+        The click.
+    shape : (nz, ny, nx)
+        Of the grid.
+    size_mm3 : float or None
+        About the object's volume.
+    answer : int
+        Which of the answers is taken, from 1.
+    network : Network
+    """
+    for window in _windows(scene, [seed]):
+        if not _has_room(window, size_mm3):
+            continue
+        probability, levels = read_first(window, network)
+        answers = levels.answers() if size_mm3 is None else (levels.of_volume(size_mm3),)
+        taken = answers[min(answer, len(answers)) - 1]
+        found = connected_to((probability > taken.level) | window.mine, window.mine)
+        if not _touches(found, window):
+            break
+    field = _signed(probability - np.float32(taken.level), found)
+    field[holes_filled(found) & ~found] = JUST
+    score = -np.float32(STEEPNESS) * window.on_voxels(field)
+    tight = bounding_box(score < 0)
+    assert tight is not None  # the click is in it
+    margin = [int(AROUND * (s.stop - s.start)) + int(n) for s, n in zip(tight, window.steps, strict=True)]
+    kept = widened(tight, score.shape, margin)
+    box, score = placed_at(kept, corner_of(window.box)), score[kept].copy()
+    answers = (taken, *(other for other in answers if other is not taken))
+    return _with_clicks(ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.spread()))
+
+
+def read_first(window: Window, network: Network) -> tuple[Floats, Levels]:
+    """Probability of each block of a window after its click, and the objects by the level of that."""
+    probability = asked_of(features_of_first(window), network, window)
+    return probability, Levels(probability, window)
+
+
+def sized_objects(scene: Scene, click: Click, size_mm3: float) -> Levels:
+    """Objects around a click by their size, in a window with room for a size (mm3)."""
+    for window in _windows(scene, [seed_of(click, scene)]):
+        if _has_room(window, size_mm3):
+            _, levels = read_first(window, networks()["first"])
+            if not _touches(levels.blocks > levels.of_volume(size_mm3).level, window):
+                break
+    return levels
+
+
+def _has_room(window: Window, size_mm3: float | None) -> bool:
+    """Test if an object of a size fits into a window, or there is no larger one."""
+    return size_mm3 is None or not window.faces.any() or window.volume_mm3 >= ROOM * size_mm3
+
+
+def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], network: Network) -> ClickModel:
+    """The model after one more click, the last of ``seeds``; the others are those that it was made from."""
+    seed, known = seeds[-1], model.clicks.with_more([seeds[-1].click])
+    click = seed.click
+    inside = click.side == "inside"
+    there = model.inside_on(click.box)[click.mask]
+    if np.count_nonzero(there != inside) <= WRONG * there.size:
+        return _with_clicks(replace(model, clicks=known))
+    least = ADDED if inside else 1.0 - ADDED
+    for window in _windows(scene, seeds):
+        features, side = features_of_later(window, model.inside_on(window.box), len(seeds), model.count)
+        probability = asked_of(features, network, window)
+        probability[window.theirs] = 0.0
+        found = connected_to(((probability > least) & ~side) | window.mine, window.mine)
+        if not _touches(found & ~side, window):
+            break
+    field = _signed(probability - np.float32(least), found)
+    field[side] = np.maximum(field[side], 0.1)
+    change = window.on_voxels(field)
+    tight = bounding_box(change > 0) if inside else None
+    box = model.box if tight is None else enclosing(model.box, placed_at(tight, corner_of(window.box)))
+    score, change = model.field_on(box), on_box(change, window.box, box, -1.0)
+    sign = -1.0 if inside else 1.0
+    turned = (change > 0) & ((score < 0) != inside)
+    score = np.where(turned, sign * np.float32(STEEPNESS) * np.maximum(change, JUST), score).astype(np.float32)
+    after = replace(model, clicks=known, box=box, field=score, inside=score < 0)
+    width = (0.75 * max(after.count, 1) * float(np.prod(scene.spacing)) / np.pi) ** (1 / 3)
+    return _with_clicks(replace(after, correction=seed.radius / width))
+
+
+def asked_of(features: Features, network: Network, window: Window) -> Floats:
+    """Probability of each block that it is on the side of the window's click; 0 where the object cannot be."""
+    out = network.probability(features, window.values.shape)
+    if window.closed is not None and window.seed.click.side == "inside":
+        out[window.closed] = 0.0
+    return out
+
+
+def _windows(scene: Scene, seeds: Sequence[Seed]) -> Iterator[Window]:
+    """Windows around the last click, from near to far, until one holds all of the image.
+
+    Those of a click whose radius says little of the object's go on beyond the last scale.
+    """
+    for scale in SCALES:
+        window = window_around(scene, seeds, scale)
+        yield window
+        if not window.faces.any():
+            return
+    while seeds[-1].is_limited and window.faces.any():
+        scale = Scale(0.5 * scale.blocks, 2.0 * scale.reach)
+        window = window_around(scene, seeds, scale)
+        yield window
+
+
+def _with_clicks(model: ClickModel) -> ClickModel:
+    """The model with every clicked voxel on its side."""
+    box, clicks = model.box, model.clicks.clicks
+    for click in clicks:
+        if click.side == "inside":
+            box = enclosing(box, click.box)
+    field = model.field_on(box) if box != model.box else model.field.copy()
+    for click in clicks:
+        if overlap(click.box, box):
+            here, there = shared(corner_of(box), field.shape, corner_of(click.box), click.mask.shape)
+            field[here][click.mask[there]] = CLICKED[click.side]
+    return replace(model, box=box, field=field, inside=field < 0)
+
+
+def _signed(field: Floats, found: Mask) -> Floats:
+    """The field, above 0 where something was found and below elsewhere."""
+    return np.where(found, np.maximum(field, JUST), np.minimum(field, -JUST)).astype(np.float32)
+
+
+def _touches(found: Mask, window: Window) -> bool:
+    """Test if what was found goes on beyond the window."""
+    count = np.count_nonzero(window.faces)
+    return bool(count > 0 and np.count_nonzero(found & window.faces) > TOUCHES * count)
