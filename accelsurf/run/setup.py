@@ -31,6 +31,7 @@ from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.objects import ObjectStart
+from accelsurf.starts.starts import CLICKS
 
 #: Ratio of the spacings from which on slices are thick.
 THICK = 4.0
@@ -85,7 +86,7 @@ def choose_levels(
 
     if wanted == "auto":
         terms = energy_expression.parse(config.energy)
-        if psi is None or not has_name or any(TERMS[term.name].keeps_fine_edges for term in terms):
+        if psi is None or not has_name or begins_at_model(config) or any(TERMS[t.name].keeps_fine_edges for t in terms):
             return in_window(pyramid.levels(shape, spacing, 1))
         possible = pyramid.levels(shape, spacing, min_voxels=AUTO_MIN_VOXELS)
         grids = in_window(possible)
@@ -210,17 +211,24 @@ def window_reach(settings: RunConfig, geometry: Geometry) -> float:
     return max((load(reach)(given, largest) for reach, given in reaches if reach is not None), default=0.0)
 
 
+def begins_at_model(config: RunConfig) -> bool:
+    """Return True if a run begins at the object that the model of the clicks shows, and that model is its energy."""
+    terms = energy_expression.parse(config.energy)
+    is_shown = config.start == (CLICKS,) or config.objects is not None or energy_expression.parts_space(config.energy)
+    return is_shown and all(TERMS[term.name].uses_model for term in terms)
+
+
 def stop_rule(config: RunConfig, levels: int) -> StopRule:
     """Return the rule by which a run on a number of levels has converged on the finest one.
 
-    After a coarser level, and where objects part the space between them, whose start has the boundaries of the model,
-    the run begins near its end and is checked more often. The window has an even number of
+    After a coarser level, and at the object that the clicks' model shows, the run begins near its end and is checked
+    more often. The window has an even number of
     steps, so that an oscillation from step to step cancels. The waves of flowable-mass and region-mass keep their steps
     short, and the Sobolev gradient is small where forces are uneven: there a slow surface has not converged yet.
     """
     further = _FURTHER * config.tolerance
     slow = SLOW * config.tolerance
-    if levels == 1 and not energy_expression.parts_space(config.energy):
+    if levels == 1 and not begins_at_model(config):
         waves = config.flow in ("flowable-mass", "region-mass")
         return StopRule(motion=slow if waves else config.tolerance, further=further)
     if config.flow in _SHORT_STEPS:

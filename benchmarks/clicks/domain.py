@@ -17,11 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.energies.seeded.implied import implied
 from accelsurf.grid.boxes import Box, connected_to, enclosing, whole_box, widened
 from accelsurf.grid.clicks import SIDES, Click, Clicks, Side
 from accelsurf.grid.geometry import Geometry
+from accelsurf.image.blocks import block_means, on_voxels
 from accelsurf.image.volume import Volume
+from benchmarks.clicks.implied import coarsening, implied
 from benchmarks.clicks.person import Mask, PersonClick, ball_voxels
 
 INSIDE, OUTSIDE = 1, 2
@@ -57,8 +58,7 @@ class CroppedSession:
     image : Volume
     solver : callable
     settings : mapping
-        ``reach`` and what the solver takes; with ``implied`` what accelsurf takes the clicks to imply of the voxels
-        around them (`accelsurf.energies.seeded.implied`) counts as said here too.
+        ``reach`` and what the solver takes; with ``implied`` what the clicks imply of the voxels around them (`benchmarks.clicks.implied`) counts as said here too.
     cap : int
         Voxels above which the crop is coarsened.
     drawn : Box, optional
@@ -86,12 +86,12 @@ class CroppedSession:
             box = widened(self.drawn, geometry.shape, (1, 1, 1))
         for click_box, _ in (ball_voxels(each, geometry) for each in self.clicks):
             box = enclosing(box, click_box)
-        steps = strides(box, geometry.spacing, self.cap)
+        steps = coarsening(box, geometry.spacing, self.cap)
         hints = self._hints(box) if self.settings.get("implied") else []
         domain = made(self.image.array, geometry, self.clicks, box, steps, margin, hints, self.drawn)
         field = np.asarray(self.solver(domain, self.settings), np.float32)
         labels = np.zeros(geometry.shape, bool)
-        labels[box] = enlarged(field, steps, labels[box].shape) > 0
+        labels[box] = on_voxels(field, steps, labels[box].shape) > 0
         if self.drawn is not None:
             inside = labels[self.drawn].copy()
             labels[:] = False
@@ -121,22 +121,6 @@ def crop(clicks: Sequence[PersonClick], geometry: Geometry, reach: float) -> tup
     first = [max(math.floor(a), 0) for a in low]
     stop = [min(math.ceil(b) + 1, n) for b, n in zip(high, geometry.shape, strict=True)]
     return (slice(first[0], stop[0]), slice(first[1], stop[1]), slice(first[2], stop[2])), margin
-
-
-def strides(box: Box, spacing: Sequence[float], cap: int) -> tuple[int, int, int]:
-    """Whole steps by which a box is coarsened to at most ``cap`` voxels, the finest axis first.
-
-    Examples
-    --------
-    >>> strides((slice(0, 40), slice(0, 40), slice(0, 40)), (3.0, 1.0, 1.0), 20000)
-    (1, 2, 2)
-    """
-    sizes = [side.stop - side.start for side in box]
-    steps = [1, 1, 1]
-    while math.prod(-(-n // s) for n, s in zip(sizes, steps, strict=True)) > cap:
-        axis = min((i for i in range(3) if steps[i] < sizes[i]), key=lambda i: (steps[i] * spacing[i], -i))
-        steps[axis] += 1
-    return steps[0], steps[1], steps[2]
 
 
 def made(
@@ -171,7 +155,7 @@ def made(
     mm = np.array(geometry.spacing) * steps
     relative = mm / mm.min()
     scaled = [(side, np.clip((v - middle) / np.float32(spread), -WINDOW, WINDOW)) for side, v in balls]
-    return Domain(block_mean(values, steps), coarse, (relative[0], relative[1], relative[2]), scaled)
+    return Domain(block_means(values, steps), coarse, (relative[0], relative[1], relative[2]), scaled)
 
 
 def outer_faces(
@@ -199,19 +183,6 @@ def faces_beyond(drawn: Box, box: Box) -> list[tuple[int, int]]:
     return sorted(face for face, beyond in ends if beyond)
 
 
-def block_mean(values: NDArray[np.float32], steps: Sequence[int] | NDArray[np.int64]) -> NDArray[np.float32]:
-    """Means of blocks; those at the far ends may be smaller."""
-    out = values
-    for axis, step in enumerate(steps):
-        if step > 1:
-            starts = np.arange(0, out.shape[axis], step)
-            counts = np.diff(np.append(starts, out.shape[axis])).astype(np.float32)
-            shape = [1, 1, 1]
-            shape[axis] = -1
-            out = np.add.reduceat(out, starts, axis) / counts.reshape(shape)
-    return np.ascontiguousarray(out, np.float32)
-
-
 def coarsened_seeds(seeds: NDArray[np.uint8], steps: tuple[int, int, int]) -> NDArray[np.uint8]:
     """Seeds of blocks: none is lost; a block with seeds of both sides gets neither."""
     sides = []
@@ -223,24 +194,6 @@ def coarsened_seeds(seeds: NDArray[np.uint8], steps: tuple[int, int, int]) -> ND
         sides.append(out)
     both = sides[0] & sides[1]
     return np.where(both, 0, sides[0] * INSIDE + sides[1] * OUTSIDE).astype(np.uint8)
-
-
-def enlarged(
-    field: NDArray[np.float32], steps: Sequence[int] | NDArray[np.int64], shape: Sequence[int]
-) -> NDArray[np.float32]:
-    """A coarse field at the voxels of the crop, linearly between the centres of the blocks."""
-    out = field
-    for axis, step in enumerate(steps):
-        if step == 1:
-            continue
-        at = (np.arange(shape[axis]) - 0.5 * (step - 1)) / step
-        below = np.clip(np.floor(at).astype(int), 0, max(field.shape[axis] - 1, 0))
-        above = np.minimum(below + 1, field.shape[axis] - 1)
-        size = [1, 1, 1]
-        size[axis] = -1
-        part = np.clip(at - below, 0, 1).astype(np.float32).reshape(size)
-        out = np.take(out, below, axis) * (1 - part) + np.take(out, above, axis) * part
-    return out
 
 
 def connected(mask: Mask, seeds: NDArray[np.uint8]) -> Mask:

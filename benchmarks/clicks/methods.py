@@ -72,7 +72,6 @@ def tuned(store: Store, which: ClickObject, settings: dict[str, Any]) -> dict[st
 OWN = ("accelsurf", "accelsurf-rerun", "accelsurf-start")
 METHODS = {
     **{name: Method(name, takes_size=True) for name in OWN},
-    "reading": Method("reading"),
     **{name: Method(name, peer.grid, peer=peer) for name, peer in PEERS.items()},
 }
 

@@ -7,25 +7,18 @@ from typing import Any
 import numpy as np
 
 from accelsurf.api.segment import segment
-from accelsurf.errors import InputError
+from accelsurf.clicks.model import ClickModel, Scene, click_model
+from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from benchmarks.clicks.games import Hints, Segmenter
 from benchmarks.clicks.person import Mask, PersonClick, ball_voxels
-from benchmarks.clicks.reading.session import ReadingSession
 
 
 def segmenter(name: str) -> Segmenter:
     """Our methods by name."""
-    return {"accelsurf": Refined, "accelsurf-rerun": Rerun, "accelsurf-start": StartAlone, "reading": read}[name]
-
-
-def read(image: Volume, hints: Hints) -> ReadingSession:
-    """Start a session with the learned reading; it takes exact and jittered clicks, no size, box or stroke."""
-    if hints.size_mm3 is not None or hints.box is not None:
-        raise InputError("reading: a size and a box are not known to it", "play the games plain, jitter and cvpr")
-    return ReadingSession(image)
+    return {"accelsurf": Refined, "accelsurf-rerun": Rerun, "accelsurf-start": StartAlone}[name]
 
 
 def text_of(click: PersonClick, image: Volume) -> str:
@@ -110,23 +103,25 @@ def sureness(result: Any) -> float | None:
 
 
 class StartAlone:
-    """The seeded model's own start, which the surface would begin from."""
+    """The object that the model of the clicks shows, from which the surface would begin."""
 
     def __init__(self, image: Volume, hints: Hints) -> None:
+        self.scene = Scene((image.as_float32(),), image.geometry.spacing)
         self.image, self.size = image, hints.size_mm3
+        if hints.box is not None:
+            self.scene = self.scene._replace(open=np.zeros(image.geometry.shape, np.bool_))
+            self.scene.open[hints.box] = True
         self.clicks = Clicks((), image.geometry.shape)
-        self.model: Any = None
+        self.model: ClickModel | None = None
 
     def click(self, click: PersonClick) -> Mask:
         """Labels after one click more."""
-        from accelsurf.energies.seeded.model import seeded_model
+        self.clicks = self.clicks.with_more([voxels_of(click, self.image)])
+        self.model = click_model(self.scene, self.clicks, size_mm3=self.size, previous=self.model)
+        return self.model.inside_on(whole_box(self.image.geometry.shape))
 
-        box, ball = ball_voxels(click, self.image.geometry)
-        side: Any = click.side
-        self.clicks = self.clicks.with_more([Click(side, box, ball)])
-        values = self.image.as_float32()
-        self.model = seeded_model(
-            [values], self.image.geometry.spacing, self.clicks, size_mm3=self.size, previous=self.model
-        )
-        start = self.model.start
-        return np.asarray(start if start.dtype == bool else start < 0)
+
+def voxels_of(click: PersonClick, image: Volume) -> Click:
+    """A click as its voxels."""
+    side: Any = click.side
+    return Click(side, *ball_voxels(click, image.geometry))

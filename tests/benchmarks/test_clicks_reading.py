@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.clicks.reading.features import Features, features_of_first, features_of_later
+from benchmarks.clicks.reading.network import Network, load, loss, save, trained
+from benchmarks.clicks.reading.session import WEIGHTS, ReadingSession
+from benchmarks.clicks.reading.windows import SCALES, inscribed_radius, window_around
 
 from accelsurf.image.volume import Volume
 from accelsurf.measure.metrics import dice
 from benchmarks.clicks import phantoms
 from benchmarks.clicks.person import PersonClick, next_click
 from benchmarks.clicks.reading.__main__ import first_rows, fitted, gathered, later_rows
-from benchmarks.clicks.reading.features import Features, features_of_first, features_of_later
-from benchmarks.clicks.reading.network import Network, load, loss, save, trained
 from benchmarks.clicks.reading.scenes import scene
-from benchmarks.clicks.reading.session import WEIGHTS, ReadingSession
-from benchmarks.clicks.reading.windows import SCALES, inscribed_radius, window_around
 
 SHAPE = (17, 21, 19)
 SPACING = (2.0, 1.0, 1.0)

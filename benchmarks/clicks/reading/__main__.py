@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from benchmarks.clicks.reading.features import Features, features_of_first, table_of
+from benchmarks.clicks.reading.network import Network, load, loss, save, trained
+from benchmarks.clicks.reading.session import WEIGHTS, ReadingSession
+from benchmarks.clicks.reading.windows import SCALES, Window, inscribed_radius
 from numpy.typing import NDArray
 
 from benchmarks.clicks.person import PersonClick, ball_voxels, next_click
-from benchmarks.clicks.reading.features import Features, features_of_first, table_of
-from benchmarks.clicks.reading.network import Network, load, loss, save, trained
 from benchmarks.clicks.reading.scenes import scene
-from benchmarks.clicks.reading.session import WEIGHTS, ReadingSession
-from benchmarks.clicks.reading.windows import SCALES, Window, inscribed_radius
 
 #: Objects of a scene that are clicked; windows of a click and blocks of a window that are learned from.
 OBJECTS, WINDOWS, BLOCKS = 3, 2, 900
