@@ -100,7 +100,9 @@ def _around(blocks: Floats) -> Floats:
     return np.asarray(ndimage.uniform_filter(blocks, AROUND, mode="constant"))
 
 
-def _at(blocks: Floats, steps: Sequence[int], where: NDArray[np.int64], shape: Sequence[int]) -> NDArray[np.floating]:
+def _at(
+    blocks: NDArray[np.floating], steps: Sequence[int], where: NDArray[np.int64], shape: Sequence[int]
+) -> NDArray[np.floating]:
     """Values of blocks at voxels, linear between their middles."""
     index = np.unravel_index(where, shape)
     places = [(along - 0.5 * (step - 1)) / step for along, step in zip(index, steps, strict=True)]

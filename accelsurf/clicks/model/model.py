@@ -289,7 +289,8 @@ def first_model(
     if size_mm3 is not None:
         score = _sized(score, size_mm3 / float(np.prod(scene.spacing)))
     answers = (taken, *(other for other in answers if other is not taken))
-    return _with_clicks(ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.spread()), scene)
+    made = ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.spread())
+    return _with_clicks(made, scene)
 
 
 def read_first(window: Window, network: Network) -> tuple[Floats, Levels]:
