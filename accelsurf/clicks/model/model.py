@@ -163,7 +163,7 @@ class Levels:
         """Volume (mm3) of what is connected to the click at a level."""
         return float(np.searchsorted(-self._sorted, -level, "left")) * self.window.block_mm3
 
-    def spread(self) -> float:
+    def volume_spread(self) -> float:
         """Logarithm of the volume from a low probability on over that from a high one."""
         return float(np.log(max(self.volume(LOW), 1e-9) / max(self.volume(HIGH), 1e-9)))
 
@@ -282,14 +282,14 @@ def first_model(
     tight = bounding_box(score < 0)
     assert tight is not None  # the click is in it
     margin = [int(AROUND * (s.stop - s.start)) + int(n) for s, n in zip(tight, window.steps, strict=True)]
-    kept = widened(tight, score.shape, margin)
-    box, score = placed_at(kept, corner_of(window.box)), score[kept].copy()
+    part = widened(tight, score.shape, margin)
+    box, score = placed_at(part, corner_of(window.box)), score[part].copy()
     if "boundary" in asked:
         score = _fitted(score, box, window, asked["boundary"], seed.click)
     if size_mm3 is not None:
         score = _sized(score, size_mm3 / float(np.prod(scene.spacing)))
     answers = (taken, *(other for other in answers if other is not taken))
-    made = ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.spread())
+    made = ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.volume_spread())
     return _with_clicks(made, scene)
 
 
