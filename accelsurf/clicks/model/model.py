@@ -160,9 +160,12 @@ class Levels:
         return float(np.log(max(self.volume(LOW), 1e-9) / max(self.volume(HIGH), 1e-9)))
 
     def of_volume(self, volume_mm3: float) -> Answer:
-        """The answer of about a volume."""
-        index = min(max(round(volume_mm3 / self.window.block_mm3), 1), len(self._sorted) - 1)
-        return Answer(float(0.5 * (self._sorted[index - 1] + self._sorted[index])), volume_mm3)
+        """The answer of about a volume, counted on voxels between the blocks."""
+        voxels = self.window.on_voxels(self.blocks).ravel().copy()
+        voxel_mm3 = float(np.prod(self.window.scene.spacing))
+        last = voxels.size - min(max(round(volume_mm3 / voxel_mm3), 1), voxels.size - 1)
+        voxels.partition([last - 1, last])
+        return Answer(0.5 * float(voxels[last - 1] + voxels[last]), volume_mm3)
 
     def answers(self) -> tuple[Answer, ...]:
         """The likeliest answer, and a larger and a smaller one where the volume changes least with the level."""
@@ -263,9 +266,13 @@ def first_model(
         found = connected_to((probability > taken.level) | window.mine, window.mine)
         if not _touches(found, window):
             break
-    field = _signed(probability - np.float32(taken.level), found)
+    # Of a stated size the level may be far from the middle: where values lie between blocks counts.
+    field = _signed((probability if size_mm3 is None else levels.blocks) - np.float32(taken.level), found)
     field[holes_filled(found) & ~found] = JUST
     score = -np.float32(STEEPNESS) * window.on_voxels(field)
+    if size_mm3 is not None:  # F is about -1 to 1 for any level
+        ends = np.maximum(np.float32(STEEPNESS) * np.array([1.0 - taken.level, taken.level], np.float32), JUST)
+        score = np.where(score < 0, score / ends[0], score / ends[1]).astype(np.float32)
     tight = bounding_box(score < 0)
     assert tight is not None  # the click is in it
     margin = [int(AROUND * (s.stop - s.start)) + int(n) for s, n in zip(tight, window.steps, strict=True)]
