@@ -93,21 +93,21 @@ def found(preset, image, *starts, **clicks):
 
 
 def test_one_bone_with_its_marrow_from_a_click():
-    """Compact bone around marrow, and another bone. Without the closing the marrow alone is found.
+    """Compact bone around marrow, and another bone. Without the closing much of the compact bone is missing.
 
     The surface lies half way between soft tissue, 50 HU, and the bound that values are cut at, 250 HU.
     """
     z, y, x = grid()
     body = x**2 + y**2 + (0.6 * z) ** 2 < 18**2
-    away = np.sqrt((x + 7) ** 2 + y**2 + (z / 3) ** 2)
-    marrow, other = away < 3.5, (x - 9) ** 2 + y**2 < 3**2
+    away = np.sqrt((x + 7) ** 2 + y**2 + (z / 1.5) ** 2)
+    marrow, other = away < 4, (x - 9) ** 2 + y**2 < 3**2
     values = -1000.0 + 1050 * body + 700 * (body & (away < 6) & ~marrow) + 700 * (body & other)
     bone = ndimage.binary_fill_holes(noisy(values, 0) > 150) & (x < 3)
-    image, click = noisy(values, 15), "ball:15,22,15,2vox"
+    image, click = noisy(values, 15), "ball:15,22,15,3vox"
     labels = found("ct-bone", image, inside=click)
-    assert dice(labels, bone) > 0.92 and labels[marrow & body].mean() > 0.95 and labels[other].mean() < 0.05
+    assert dice(labels, bone) > 0.88 and labels[marrow & body].mean() > 0.95 and labels[other].mean() < 0.05
     alone = segment(image, spacing=SPACING, preset="ct-bone", closing=0.0, inside=click).labels
-    assert dice(alone, bone) < 0.5
+    assert dice(alone, bone) < 0.8
 
 
 @pytest.mark.slow
