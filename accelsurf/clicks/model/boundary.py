@@ -1,0 +1,109 @@
+"""The object's boundary within a block: voxels near it go to the side that their values, and those around them, suit.
+
+A window's blocks may be several voxels wide. Near the boundary of what they say, the mean values of the object and of
+what is beyond are known block by block; a small network weighs how a voxel's value lies between them against what
+the blocks say of its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from accelsurf.clicks.model.network import Network
+from accelsurf.clicks.model.windows import Floats, Mask
+from accelsurf.image.blocks import block_means
+from accelsurf.image.smoothing import gaussian_mm
+
+#: Voxels are looked at up to this part of a block and so many voxels from the boundary.
+REACH, MORE = 0.75, 1.0
+#: Means are over so many blocks along each axis; voxels nearer to the boundary than so many count little in them.
+AROUND, MIXED, LITTLE = 3, 1.0, 0.02
+#: A spread is at least this part of the range of the values.
+MIN_RANGE = 1e-3
+#: Where both sides differ by so many spreads, the image counts half; where by more, it counts fully.
+CLEAR = 1.0
+#: Smoothing of the values that are looked at beside the voxel's own, in voxels.
+SMOOTHING = 1.0
+#: Features are cut at these: the place of a value, and logarithms of the contrast.
+MOST_BALANCE, MOST_CONTRAST = 3.0, 30.0
+
+
+def features_near(
+    image: Floats, spacing: Sequence[float], field: Floats, inside: Mask, steps: Sequence[int], near: Mask | None = None
+) -> tuple[dict[str, NDArray[np.floating]], NDArray[np.int64]]:
+    """Features of the voxels near a boundary, and which voxels those are, as flat indices.
+
+    Parameters
+    ----------
+    image : ndarray (nz, ny, nx), float32
+        The channel.
+    spacing : (hz, hy, hx)
+        mm.
+    field : ndarray (nz, ny, nx), float32
+        F by blocks, at voxels.
+    inside : ndarray (nz, ny, nx) of bool
+        Where it is below 0.
+    steps : (int, int, int)
+        Voxels of a block along each axis.
+    near : ndarray (nz, ny, nx) of bool, optional
+        Other voxels are left out.
+    """
+    mm = np.asarray(spacing)
+    width, finest = float(np.max(mm * steps)), float(mm[[n > 1 for n in image.shape]].min())
+    within, beyond = (ndimage.distance_transform_edt(part, sampling=mm) for part in (inside, ~inside))
+    distance = (beyond - within).astype(np.float32)  # from voxel to voxel: half a step off on either side
+    band = np.abs(distance) <= REACH * width + MORE * finest
+    where = np.flatnonzero(band if near is None else band & near)
+    counted = np.where(np.abs(distance) <= MIXED * finest, np.float32(LITTLE), np.float32(1.0))
+    blocks, sides = [int(n) for n in steps], []
+    for part in (counted * inside, counted * ~inside):
+        sums = [_around(block_means(values, blocks)) for values in (part, part * image, part * image * image)]
+        weight = np.maximum(sums[0], 1e-6)
+        sides.append([_at(part_sum / weight, blocks, where, image.shape) for part_sum in sums[1:]])
+    (mean_in, square_in), (mean_out, square_out) = sides
+    variance = 0.5 * (np.maximum(square_in - mean_in**2, 0.0) + np.maximum(square_out - mean_out**2, 0.0))
+    spread = np.sqrt(variance) + max(MIN_RANGE * float(np.ptp(image)), 1e-9)
+    half = 0.5 * (mean_out - mean_in)
+    least = np.maximum(np.abs(half), 0.05 * spread) * np.where(half < 0, -1.0, 1.0)
+    middle, smooth = 0.5 * (mean_in + mean_out), gaussian_mm(image, spacing, SMOOTHING * finest)
+    contrast = np.log(np.clip(2.0 * np.abs(half) / spread, 1.0 / MOST_CONTRAST, MOST_CONTRAST))
+    features: dict[str, NDArray[np.floating]] = {"contrast": contrast, "blocks": np.array(np.log2(width / finest))}
+    for name, values in (("value", image), ("smooth value", smooth)):
+        features[name] = np.clip((values.ravel()[where] - middle) / least, -MOST_BALANCE, MOST_BALANCE)
+        features[f"{name} by contrast"] = features[name] * np.minimum(np.exp(contrast), 8.0)
+    features["field"] = field.ravel()[where]
+    features["distance"] = distance.ravel()[where] / width
+    return features, where
+
+
+def at_boundary(
+    network: Network, image: Floats, spacing: Sequence[float], field: Floats, inside: Mask, steps: Sequence[int],
+    near: Mask | None = None,
+) -> Floats:
+    """Return 1 - 2 p of the probability p that a voxel is inside near a boundary with contrast, the field elsewhere.
+
+    The parameters are those of `features_near`.
+    """
+    features, where = features_near(image, spacing, field, inside, steps, near)
+    out, contrast = field.copy(), np.exp(features["contrast"])
+    clear = (contrast**4 / (contrast**4 + CLEAR**4)).astype(np.float32)
+    fitted = 1.0 - 2.0 * network.probability(features, where.shape)
+    out.ravel()[where] = clear * fitted + (1.0 - clear) * field.ravel()[where]
+    return out
+
+
+def _around(blocks: Floats) -> Floats:
+    return np.asarray(ndimage.uniform_filter(blocks, AROUND, mode="constant"))
+
+
+def _at(
+    blocks: NDArray[np.floating], steps: Sequence[int], where: NDArray[np.int64], shape: Sequence[int]
+) -> NDArray[np.floating]:
+    """Values of blocks at voxels, linear between their middles."""
+    index = np.unravel_index(where, shape)
+    places = [(along - 0.5 * (step - 1)) / step for along, step in zip(index, steps, strict=True)]
+    return np.asarray(ndimage.map_coordinates(blocks, places, order=1, mode="nearest"))
