@@ -59,6 +59,7 @@ PARTS = (
     ("accelsurf.clicks.model.features", "Looks.arrival", "arrival times"),
     ("accelsurf.clicks.model.features", "Looks.paths", "paths"),
     ("accelsurf.clicks.model.features", "Looks.walk", "walks"),
+    ("accelsurf.clicks.model.model", "at_boundary", "boundary"),
     ("accelsurf.clicks.model.network", "Network.probability", "network"),
     ("accelsurf.clicks.model.surface", "area_weight", "area's weight"),
     ("accelsurf.clicks.model.model", "mean_curvature", "area's weight"),

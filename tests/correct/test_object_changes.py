@@ -28,7 +28,7 @@ def scan():
     return accelsurf.Volume.from_array(image.astype(np.float32), SPACING)
 
 
-def press(own, radius=2.0):
+def press(own, radius=3.0):
     """A ball in the middle of one of the balls, as text."""
     z, y, x, _ = BALLS[own]
     return f"ball:{x},{y},{z},{radius}"

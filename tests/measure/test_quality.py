@@ -220,7 +220,7 @@ def test_a_result_of_a_click_that_fails_is_doubted_and_a_good_one_is_not():
     z, y, x = coordinates()
     truth, noise = z**2 + y**2 + x**2 < 12**2, np.random.default_rng(1).normal(0, 1, SHAPE)
     words = {"spacing": SPACING, "threads": 1}
-    good = segment(truth + 0.1 * noise, inside="ball:18.8,21.5,29.25,3", **words)
+    good = segment(truth + 0.1 * noise, inside="ball:18.8,21.5,29.25,6", **words)
     bad = segment(0.3 * noise, inside="ball:18.8,21.5,29.25,3", **words)  # there is nothing
     assert dice(good.labels > 0, truth) > 0.98 and good.quality.warnings == () and good.quality.probability > 0.9
     assert dice(bad.labels > 0, truth) < 0.7 and bad.quality.probability < quality.warning_threshold("clicks")

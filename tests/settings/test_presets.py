@@ -93,7 +93,7 @@ def found(preset, image, *starts, **clicks):
 
 
 def test_one_bone_with_its_marrow_from_a_click():
-    """Compact bone around marrow, and another bone. Without the closing much of the compact bone is missing.
+    """Compact bone around marrow, and another bone. Without the closing the marrow alone is found.
 
     The surface lies half way between soft tissue, 50 HU, and the bound that values are cut at, 250 HU.
     """
@@ -103,11 +103,11 @@ def test_one_bone_with_its_marrow_from_a_click():
     marrow, other = away < 4, (x - 9) ** 2 + y**2 < 3**2
     values = -1000.0 + 1050 * body + 700 * (body & (away < 6) & ~marrow) + 700 * (body & other)
     bone = ndimage.binary_fill_holes(noisy(values, 0) > 150) & (x < 3)
-    image, click = noisy(values, 15), "ball:15,22,15,3vox"
+    image, click = noisy(values, 15), "ball:15,22,15,2vox"
     labels = found("ct-bone", image, inside=click)
-    assert dice(labels, bone) > 0.88 and labels[marrow & body].mean() > 0.95 and labels[other].mean() < 0.05
+    assert dice(labels, bone) > 0.92 and labels[marrow & body].mean() > 0.95 and labels[other].mean() < 0.05
     alone = segment(image, spacing=SPACING, preset="ct-bone", closing=0.0, inside=click).labels
-    assert dice(alone, bone) < 0.8
+    assert dice(alone, bone) < 0.5
 
 
 @pytest.mark.slow
