@@ -53,8 +53,8 @@ from accelsurf.grid.clicks import Click, Clicks, Side
 #: A block is object from this probability on. A later inside click adds from `ADDED` on, an outside click removes from
 #: 1 - `ADDED` on: of an object with the Dice d a voxel is worth taking from d/2 on.
 FROM, ADDED = 0.47, 0.43
-#: An answer that covers more than this part of the open faces goes on beyond its window.
-TOUCHES = 0.02
+#: An answer goes on beyond its window where it covers this part of the section of the click's ball at the open faces.
+ACROSS = 0.25
 #: F in clicked voxels.
 CLICKED: dict[Side, float] = {"inside": -3.0, "outside": 3.0}
 #: F of voxels that the probability puts on the other side than the object's shape does: just on their side.
@@ -422,6 +422,7 @@ def _signed(probability: Floats, level: float, found: Mask) -> Floats:
 
 
 def _touches(found: Mask, window: Window) -> bool:
-    """Test if what was found goes on beyond the window."""
-    count = np.count_nonzero(window.faces)
-    return bool(count > 0 and np.count_nonzero(found & window.faces) > TOUCHES * count)
+    """Test if what was found goes on beyond the window: at its faces it is as wide as a part of the click's ball."""
+    across = np.pi * window.radius**2 / window.width**2
+    count = np.count_nonzero(found & window.faces)
+    return bool(count > 0 and count >= ACROSS * across)
