@@ -50,7 +50,8 @@ def test_other_answers_are_named_with_the_option_that_takes_one(step, tmp_path, 
     assert "may also mean" not in capsys.readouterr().out  # these would be numbered from that one
     assert report(path)["volume_mm3"] == pytest.approx(other, rel=0.2)
     assert report(path)["quality"]["answers"][0]["volume_mm3"] == pytest.approx(other)
-    assert run(path, "--inside", "point:20,20,12vox", "--size", f"{1e9 * other:.0f}um3") == 0
+    size = f"{other:.0f}mm3" if step == 1.0 else f"{1e9 * other:.0f}um3"
+    assert run(path, "--inside", "point:20,20,12vox", "--size", size) == 0
     assert "may also mean" not in capsys.readouterr().out
     assert report(path)["volume_mm3"] == pytest.approx(other, rel=0.3) and len(report(path)["quality"]["answers"]) == 1
 
