@@ -172,6 +172,11 @@ class Levels:
         index = min(max(round(volume_mm3 / self.window.block_mm3), 1), len(self._sorted) - 1)
         return Answer(float(0.5 * (self._sorted[index - 1] + self._sorted[index])), volume_mm3)
 
+    def nearest(self, answer: Answer) -> Answer:
+        """The answer that is most like one in a smaller window, whose volume may have been cut off there."""
+        volume = max(answer.volume_mm3, self.window.block_mm3)
+        return min(self.answers(), key=lambda found: abs(np.log(max(found.volume_mm3, 1e-9) / volume)))
+
     def answers(self) -> tuple[Answer, ...]:
         """The likeliest answer, and a larger and a smaller one where the volume changes least with the level."""
         first = Answer(FROM, self.volume(FROM))
@@ -267,16 +272,23 @@ def first_model(
         Which of the answers is taken, from 1.
     asked : mapping of str to Network
     """
-    for window in _windows(scene, [seed]):
-        if not _has_room(window, size_mm3):
-            continue
+    windows = _windows(scene, [seed], size_mm3)
+    for window in windows:
         probability, levels = read_first(window, asked["first"])
         answers = levels.answers() if size_mm3 is None else (levels.of_volume(size_mm3),)
-        taken = answers[min(answer, len(answers)) - 1]
-        found = connected_to((probability > taken.level) | window.mine, window.mine)
+        found = _object(probability, answers[0], window)
         if not _touches(found, window):
             break
-    field = _signed(probability, taken.level, found)
+    taken = answers[min(answer, len(answers)) - 1]
+    chosen = taken
+    if taken is not answers[0]:  # another answer may be larger than the window
+        found = _object(probability, taken, window)
+        while _touches(found, window) and (larger := next(windows, None)) is not None:
+            window = larger
+            probability, levels = read_first(window, asked["first"])
+            chosen = levels.nearest(taken)
+            found = _object(probability, chosen, window)
+    field = _signed(probability, chosen.level, found)
     field[holes_filled(found) & ~found] = JUST
     score = -window.on_voxels(field)
     tight = bounding_box(score < 0)
@@ -301,12 +313,16 @@ def read_first(window: Window, network: Network) -> tuple[Floats, Levels]:
 
 def sized_objects(scene: Scene, click: Click, size_mm3: float) -> Levels:
     """Objects around a click by their size, in a window with room for a size (mm3)."""
-    for window in _windows(scene, [seed_of(click, scene)]):
-        if _has_room(window, size_mm3):
-            _, levels = read_first(window, networks()["first"])
-            if not _touches(levels.blocks > levels.of_volume(size_mm3).level, window):
-                break
+    for window in _windows(scene, [seed_of(click, scene)], size_mm3):
+        _, levels = read_first(window, networks()["first"])
+        if not _touches(levels.blocks > levels.of_volume(size_mm3).level, window):
+            break
     return levels
+
+
+def _object(probability: Floats, answer: Answer, window: Window) -> Mask:
+    """Blocks of an answer."""
+    return connected_to((probability > answer.level) | window.mine, window.mine)
 
 
 def _fitted(
@@ -382,20 +398,24 @@ def asked_of(features: Features, network: Network, window: Window) -> Floats:
     return out
 
 
-def _windows(scene: Scene, seeds: Sequence[Seed]) -> Iterator[Window]:
-    """Windows around the last click, from near to far, until one holds all of the image.
+def _windows(scene: Scene, seeds: Sequence[Seed], size_mm3: float | None = None) -> Iterator[Window]:
+    """Windows around the last click with room for a size, from near to far, until one holds all of the image.
 
     Those of a click whose radius says little of the object's go on beyond the last scale.
     """
     for scale in SCALES:
         window = window_around(scene, seeds, scale)
-        yield window
+        has_room = _has_room(window, size_mm3)
+        if has_room:
+            yield window
         if not window.faces.any():
             return
-    while seeds[-1].is_limited and window.faces.any():
+    while window.faces.any() and (seeds[-1].is_limited or not has_room):
         scale = Scale(0.5 * scale.blocks, 2.0 * scale.reach)
         window = window_around(scene, seeds, scale)
-        yield window
+        has_room = _has_room(window, size_mm3)
+        if has_room:
+            yield window
 
 
 def _with_clicks(model: ClickModel, scene: Scene) -> ClickModel:
