@@ -115,7 +115,7 @@ def _of_size(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]
 
 
 def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
-    """Check that no click inside looks like the background or has values of two kinds, of which the model learns one."""
+    """Check that no click inside is like the background, or has values of two kinds, of which the model learns one."""
     low, width = prepared.context.scales[0]
     lines = []
     for click in () if evolving.context.clicks is None else evolving.context.clicks.clicks:

@@ -10,7 +10,7 @@ from accelsurf.evolution.loop import Stop
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import Level
-from accelsurf.measure.quality import Quality
+from accelsurf.measure.records import Quality
 from accelsurf.output import document
 from accelsurf.settings.run_config import RunConfig
 from tests.support.records import step_record

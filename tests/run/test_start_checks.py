@@ -121,7 +121,8 @@ def test_a_click_in_the_air_is_told_before_the_run(noise, click):
 def test_a_click_in_an_object_is_no_click_in_the_background():
     large = np.full(SHAPE, 100.0) + np.random.default_rng(2).normal(0, 5, SHAPE)
     large[:2], large[:, :2], large[:, :, -2:] = 0.0, 0.0, 0.0  # the object is 86 % of the image, up to its faces
-    for image, click in ((in_air(0.0), "ball:12,14,14,3vox"), (in_air(6.0), "point:30,25,25"), (large, "ball:20,20,20,8vox")):
+    black, noisy = in_air(0.0), in_air(6.0)
+    for image, click in ((black, "ball:12,14,14,3vox"), (noisy, "point:30,25,25"), (large, "ball:20,20,20,8vox")):
         assert not [line for line in lines(image, "clicks", inside=click) if line.startswith("click: ")]
 
 
