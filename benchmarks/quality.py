@@ -3,7 +3,7 @@
 Results are the objects that the model of clicks shows after each of a simulated person's first clicks: an exact game
 and a jittered one of each object of the clicks benchmark, and games in drawn scenes. A fold's results are judged by a
 model made without it; the model of the program is made of all. Rows are kept in benchmarks/results/quality.json and
-made again when the networks' weights are others, or with --again. One call writes them, the models into
+made again where the clicks' model, its code or its weights, is another, or with --again. One call writes them, the models into
 accelsurf/measure/good_result.json, and the page's figure and tables.
 """
 
@@ -17,7 +17,6 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import accelsurf
+from accelsurf.clicks import model as clicks_model
 from accelsurf.clicks.model import click_model
 from accelsurf.clicks.model.confidence import confidence_of
-from accelsurf.clicks.model.network import WEIGHTS
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import whole_box
@@ -112,8 +111,7 @@ def main() -> None:
 
 def gather(facts: dict[str, Any], options: argparse.Namespace) -> None:
     """Make the rows that are missing, or of other weights, and write them as they come."""
-    weights = hashlib.sha256((resources.files("accelsurf.clicks.model") / WEIGHTS).read_bytes()).hexdigest()[:16]
-    only, began = {name for name in options.only.split(",") if name}, time.monotonic()
+    made_by, only, began = model_digest(), {name for name in options.only.split(",") if name}, time.monotonic()
     names = [which.name for which in chosen()] if "ACCELSURF_VOLUMES" in os.environ else []
     if not names:
         print("ACCELSURF_VOLUMES is not set: phantoms and scenes only", file=sys.stderr)
@@ -122,13 +120,21 @@ def gather(facts: dict[str, Any], options: argparse.Namespace) -> None:
     kept = {} if options.again else facts["games"]
     missing = [
         name for name in names
-        if (name in only if only else True) and kept.get(name, {}).get("weights") != weights
+        if (name in only if only else True) and kept.get(name, {}).get("made_by") != made_by
     ]
     with ProcessPoolExecutor(options.jobs) as pool:
         for name, rows in zip(missing, pool.map(rows_of, missing), strict=True):
-            facts["games"][name] = {"weights": weights, "rows": rows}
+            facts["games"][name] = {"made_by": made_by, "rows": rows}
             FACTS.write_text(json.dumps(facts, indent=0) + "\n")
             print(f"{time.monotonic() - began:.0f} s {name}", [round(row["dice"], 2) for row in rows], flush=True)
+
+
+def model_digest() -> str:
+    """What the model of the clicks is: its code and weights."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(clicks_model.__file__).parent.glob("*.*")):
+        digest.update(file.name.encode() + file.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def rows_of(name: str) -> list[Row]:

@@ -58,7 +58,8 @@ class CroppedSession:
     image : Volume
     solver : callable
     settings : mapping
-        ``reach`` and what the solver takes; with ``implied`` what the clicks imply of the voxels around them (`benchmarks.clicks.implied`) counts as said here too.
+        ``reach`` and what the solver takes; with ``implied`` what the clicks imply of the voxels around them
+        (`benchmarks.clicks.implied`) counts as said.
     cap : int
         Voxels above which the crop is coarsened.
     drawn : Box, optional

@@ -74,9 +74,8 @@ def test_clicks_are_on_their_sides_and_an_outside_one_takes_a_part_off(two_balls
 
 def test_click_by_click_and_at_once_are_the_same_bytes(two_balls):
     scene = two_balls[0]
-    given = [
-        FIRST, click("outside", (12, 24, 23), 2.0), click("inside", (8, 14, 13), 1.5), click("outside", (3, 16, 14), 2.0)
-    ]
+    later = click("outside", (12, 24, 23), 2.0), click("inside", (8, 14, 13), 1.5), click("outside", (3, 16, 14), 2.0)
+    given = [FIRST, *later]
     model = None
     for count in range(1, len(given) + 1):
         model = click_model(scene, clicks(*given[:count]), previous=model)

@@ -61,7 +61,8 @@ def test_in_one_slice_a_disc():
     seed = seed_of(ball((0, 20, 25), 5.0, flat.spacing, (1, 40, 50)), flat)
     assert seed.radius == pytest.approx(5.0, rel=0.1)
     window = window_around(flat, [seed], SCALES[0])
-    assert window.values.shape[0] == 1 and window.count_of_ball == pytest.approx(np.pi * 100 / window.size[1] ** 2, rel=0.1)
+    assert window.values.shape[0] == 1
+    assert window.count_of_ball == pytest.approx(np.pi * 100 / window.size[1] ** 2, rel=0.1)
     assert not window.faces[:, 1:-1, 1:-1].any()
 
 
@@ -84,7 +85,8 @@ def test_a_part_of_an_image_has_the_windows_of_the_whole_or_says_that_it_is_too_
     image = random.normal(size=(60, 70, 80)).astype(np.float32)
     geometry = Geometry(image.shape, (1.0, 1.0, 1.0))
     click = ball((30, 35, 41), 2.0, shape=image.shape)
-    whole = window_around(Scene((image,), geometry.spacing), [seed_of(click, Scene((image,), geometry.spacing))], SCALES[0])
+    everything = Scene((image,), geometry.spacing)
+    whole = window_around(everything, [seed_of(click, everything)], SCALES[0])
     for low, high, fits in ((0, 60, True), (20, 42, False), (1, 60, True)):
         box = slice(low, high), slice(0, 70), slice(0, 80)
         part = Scene((image[box],), geometry.spacing, None, Window(geometry, box))
