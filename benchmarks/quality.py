@@ -3,8 +3,8 @@
 Results are the objects that the model of clicks shows after each of a simulated person's first clicks: an exact game
 and a jittered one of each object of the clicks benchmark, and games in drawn scenes. A fold's results are judged by a
 model made without it; the model of the program is made of all. Rows are kept in benchmarks/results/quality.json and
-made again where the clicks' model, its code or its weights, is another, or with --again. One call writes them, the models into
-accelsurf/measure/good_result.json, and the page's figure and tables.
+made again where the clicks' model, its code or its weights, is another, or with --again. One call writes them, the
+models into accelsurf/measure/good_result.json, and the page's figure and tables.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the probability says of objects of which it was wrong once: it is low where the result is, and not for a torus."""
+"""What the probability says of objects of which it was wrong once: it is low where the result is bad."""
 
 import numpy as np
 import pytest
