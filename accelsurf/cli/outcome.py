@@ -177,7 +177,7 @@ def _other_answers(quality: Quality) -> list[str]:
     others = [volume_text(answer.volume_mm3) for answer in quality.answers[1:]]
     return [
         f"the first click may also mean {' or '.join(others)}: "
-        + " or ".join(f"--answer {number}" for number in range(2, len(quality.answers) + 1))
+        + " or ".join(f"--answer {answer.number}" for answer in quality.answers[1:])
     ]
 
 

@@ -38,6 +38,7 @@ from accelsurf.viewer.actions.slices import READ_OUT
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import SIZE, Scene
+from accelsurf.viewer.window.answers_row import AnswersRow
 from accelsurf.viewer.window.appearance import page_of_help, palette, sheet
 from accelsurf.viewer.window.canvas_events import CanvasEvents
 from accelsurf.viewer.window.objects_panel import ObjectsPanel
@@ -288,7 +289,7 @@ IN_ROW = 4
 
 
 class ToolsPanel(Section):
-    """A button for each tool."""
+    """A button for each tool, and for each answer to the first click."""
 
     def __init__(self, actions: Actions) -> None:
         super().__init__("Mouse", actions)
@@ -306,9 +307,12 @@ class ToolsPanel(Section):
         self.radius.changed.connect(lambda value: self.ask("set_radius", value))
         grid.addWidget(QLabel(f"Radius of click, ball and brush ({shown['unit']})"), row, 0, 1, IN_ROW)
         grid.addWidget(self.radius, row + 1, 0, 1, IN_ROW)
+        self.answers = AnswersRow(actions)
+        grid.addWidget(self.answers, row + 2, 0, 1, IN_ROW)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show the tool in use, and its radius."""
+        """Show the tool in use, its radius, and what the first click may mean."""
+        self.answers.show_state(state)
         self.tools[state["tool"]].setChecked(True)
         if not self.radius.is_being_moved:
             self.radius.show_value(state["radius_row"]["value"])
