@@ -199,7 +199,7 @@ CHOICE = [
 ROW = f"""
 from PySide6.QtWidgets import QApplication
 app = QApplication([])
-from accelsurf.viewer.window.answers_row import AnswersRow
+from accelsurf.viewer.window.desktop import AnswersRow
 class Asked:
     def request(self, *request):
         print(*request)
