@@ -8,30 +8,16 @@ import pytest
 
 from accelsurf.api.segment import segment
 from accelsurf.errors import UsageError
-from accelsurf.grid.geometry import Geometry
-from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.actions.actions import Actions
 from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.page.page import document
-from tests.support import clicked_balls, viewing
+from tests.support import viewing
 from tests.support.offscreen import lines_of
 from tests.support.page_scripts import run_in_node
+from tests.support.part_and_whole import BEYOND, CLICK, SHAPE, part_and_whole
 
-SHAPE, SPACING = (24, 44, 46), (2.0, 1.0, 1.0)
 EVERYWHERE = tuple(slice(0, n) for n in SHAPE)
-CLICK = "ball:14,16,24,4"
-
-
-def part_and_whole():
-    """A bright ball that belongs to something larger and less bright, with noise: a click in it may mean either."""
-    def ball(middle, radius):
-        return clicked_balls.distance(middle, SHAPE, SPACING) <= radius
-
-    part = ball((12, 16, 14), 9.0)
-    whole = part | ball((12, 32, 32), 8.0) | ball((12, 24, 23), 6.0)
-    image = np.where(part, 100.0, 70.0 * whole) + np.random.default_rng(5).normal(0.0, 15.0, SHAPE)
-    return Volume(image.astype(np.float32), Geometry(SHAPE, SPACING)), part, whole
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +72,7 @@ def test_another_click_ends_the_choice_and_undoing_it_brings_it_back(image):
     volume, _, _ = image
     with Session(volume, config()) as session:
         until(lambda: session.status.answers)
-        session.add_click("outside", "ball:32,32,24,2").result()  # while it runs
+        session.add_click("outside", BEYOND).result()  # while it runs
         assert session.status.answers == ()
         with pytest.raises(UsageError, match="no answer 2"):
             session.take_answer(2).result()
@@ -94,7 +80,7 @@ def test_another_click_ends_the_choice_and_undoing_it_brings_it_back(image):
         until(lambda: session.status.answers)
         session.play()
         assert session.wait(60)
-        session.add_click("outside", "ball:32,32,24,2").result()  # after its end
+        session.add_click("outside", BEYOND).result()  # after its end
         assert session.wait(60) and session.status.refinements and session.status.answers == ()
         session.undo().result()
         until(lambda: session.status.answers)
@@ -170,7 +156,7 @@ def test_other_answers_are_outlines_in_the_slices_until_escape_or_a_click(action
     lines = one._lines["answers"][0].mapper.GetInput().n_cells
     actions.scene.cursor = (14.0, 16.0, 2.0)  # beside it
     assert lines > 10 and not one._lines["answers"][0].GetVisibility()
-    actions.session.add_click("outside", "ball:32,32,24,2").result(60)
+    actions.session.add_click("outside", BEYOND).result(60)
     assert actions.state()["first_answers"] == [] and actions.scene.marks.answers == ()
 
 

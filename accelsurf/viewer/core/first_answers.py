@@ -90,12 +90,12 @@ class FirstAnswers:
 
 def _numbers(run: Run) -> list[int]:
     """Numbers of the answers to the first click of a run, the taken one first; none unless it has one click alone."""
-    settings, context = run.settings, run.objects[0].context
-    if run.has_ids or not uses_model(settings.energy) or settings.size is not None:
+    context = run.objects[0].context
+    if run.has_ids or not uses_model(run.settings.energy):
         return []
     if context.clicks is None or [click.side for click in context.clicks.clicks] != ["inside"]:
         return []
-    if context.model_inputs.partition is not None:
+    if context.model_inputs.partition is not None or context.model_inputs.size_mm3 is not None:
         return []
     return [answer.number for answer in context.click_model().answers]
 
