@@ -197,19 +197,3 @@ def place_text(place: Iterable[float], steps: Sequence[float]) -> str:
     """
     digits = max(1, math.ceil(-math.log10(min(steps))))
     return ",".join(f"{value:.{digits}f}" for value in place)
-
-
-def size_option(mm3: float) -> str:
-    """Return a volume as ``--size`` takes it, to two digits.
-
-    Examples
-    --------
-    >>> size_option(1.5234e6), size_option(12.3), size_option(4.2e-7), size_option(5.12e-3), size_option(4e-13)
-    ('1500ml', '12mm3', '420um3', '5100000um3', '400000nm3')
-    """
-    units = {"ml": 1e3, "mm3": 1.0, "um3": 1e-9, "nm3": 1e-18}
-    unit = next((name for name, size in units.items() if mm3 >= size), "nm3")
-    if unit == "um3" and mm3 >= 1e-2:
-        unit = "mm3"
-    number = float(f"{mm3 / units[unit]:.2g}")
-    return f"{number:g}{unit}" if number < 1e5 else f"{number:.0f}{unit}"

@@ -17,9 +17,10 @@ def test_each_click_is_measured_by_part(tmp_path, monkeypatch):
     for row in facts["clicks"]:
         assert sum(row["parts"].values()) == pytest.approx(row["cpu_s"], rel=0.05, abs=0.01)
         assert row["wall_s"] > 0
-    for part in ("smoothing", "arrival times", "level by evidence", "learned answer", "first band", "steps"):
+    model = ("windows", "features", "arrival times", "paths", "walks", "network", "the model's object", "area's weight")
+    for part in (*model, "first band", "steps"):
         assert first["parts"][part] > 0, part
-    for part in ("arrival times", "boxes of the contests", "paths", "walks", "learned answer", "region", "steps"):
+    for part in (*model, "region", "steps"):
         assert later["parts"][part] > 0, part
     assert 0 < later["first_step_s"] <= later["wall_s"]
     page = refine.page_of(facts)

@@ -7,6 +7,7 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.image.volume import Volume
+from accelsurf.settings.wording import volume_text
 from tests.evolution.test_rests import LEAK, joined_balls
 
 SHAPE = (24, 40, 40)
@@ -32,24 +33,27 @@ def report(path):
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize(("step", "unit"), [(1.0, "mm3"), (2e-4, "um3")])
-def test_other_likely_sizes_are_named_with_the_option_that_takes_one(step, unit, tmp_path, capsys):
+@pytest.mark.parametrize("step", [1.0, 2e-4])
+def test_other_answers_are_named_with_the_option_that_takes_one(step, tmp_path, capsys):
     path = two_shells(tmp_path / "scan.nii.gz", step)
     assert run(path, "--inside", "point:20,20,12vox") == 0
     said = capsys.readouterr().out
-    (line,) = (line for line in said.splitlines() if "size by the first click" in line)
-    first = report(path)["quality"]["first_size"]
-    assert 0 < first["sureness"] < 0.95 and f"({first['sureness']:.0%} sure); else " in line
-    size = line.split("--size ")[1]
-    assert size.endswith(unit) and first["others"][0] == pytest.approx(
-        float(size.removesuffix(unit)) * {"mm3": 1.0, "um3": 1e-9}[unit], rel=0.05
-    )
+    (line,) = (line for line in said.splitlines() if "the first click may also mean" in line)
+    first, other = (answer["volume_mm3"] for answer in report(path)["quality"]["answers"])
+    assert line.endswith(f"may also mean {volume_text(other)}: --answer 2")
+    assert first < 500 * step**3 < 3000 * step**3 < other
     # A place in micrometres has the digits to be typed again.
     place = said.split("most doubtful near ")[1].split()[0]
-    assert run(path, "--inside", "point:20,20,12vox", "--size", size, "--outside", f"point:{place}") == 0
-    said = capsys.readouterr().out
-    assert "size by the first click" not in said and report(path)["quality"]["first_size"]["others"] == []
-    assert report(path)["volume_mm3"] < 2 * first["others"][0]
+    assert run(path, "--inside", "point:20,20,12vox", "--outside", f"point:{place}") in (0, 5)
+    capsys.readouterr()
+    assert run(path, "--inside", "point:20,20,12vox", "--answer", "2") == 0
+    assert "may also mean" not in capsys.readouterr().out  # these would be numbered from that one
+    assert report(path)["volume_mm3"] == pytest.approx(other, rel=0.2)
+    assert report(path)["quality"]["answers"][0]["volume_mm3"] == pytest.approx(other)
+    size = f"{other:.0f}mm3" if step == 1.0 else f"{1e9 * other:.0f}um3"
+    assert run(path, "--inside", "point:20,20,12vox", "--size", size) == 0
+    assert "may also mean" not in capsys.readouterr().out
+    assert report(path)["volume_mm3"] == pytest.approx(other, rel=0.3) and len(report(path)["quality"]["answers"]) == 1
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.api.segment import segment
+from accelsurf.clicks.model.confidence import Confidence
 from accelsurf.correct.refine import refine
-from accelsurf.energies.seeded import Proposal, Sureness
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.smoothing import gaussian_mm
@@ -203,7 +203,7 @@ def test_what_the_model_of_the_clicks_says_counts_for_all():
     seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), [], DONE
 
     def probability(**changes):
-        found = assess(*seen, sureness=Sureness(0.85, 1, 0.3, 0.9, Proposal(7000.0, 0.6))._replace(**changes))
+        found = assess(*seen, confidence=Confidence(0.85, 0.9, 0.3, ())._replace(**changes))
         assert click_features(found) == features(found, "converged", 7200.0)
         doubted = [words for words in found.warnings if words.startswith("doubt: ")]
         assert bool(doubted) == (found.probability < quality.warning_threshold("clicks"))
@@ -211,7 +211,6 @@ def test_what_the_model_of_the_clicks_says_counts_for_all():
 
     usual = probability()
     assert probability(overlap=0.95) > usual > probability(overlap=0.7) > 0.0
-    assert probability(corrections=3) > usual > probability(corrections=0, correction=None)
     assert probability(correction=0.1) > usual > probability(correction=0.9)
     assert probability(spread=0.2) > usual > probability(spread=1.8)
     assert probability(overlap=0.0, correction=99.0) < 0.02 < 0.98 < probability(overlap=1.0, correction=1e-9, spread=0)
@@ -224,13 +223,13 @@ def test_a_result_of_a_click_that_fails_is_doubted_and_a_good_one_is_not():
     good = segment(truth + 0.1 * noise, inside="ball:18.8,21.5,29.25,6", **words)
     bad = segment(0.3 * noise, inside="ball:18.8,21.5,29.25,3", **words)  # there is nothing
     assert dice(good.labels > 0, truth) > 0.98 and good.quality.warnings == () and good.quality.probability > 0.9
-    assert dice(bad.labels > 0, truth) < 0.7 and bad.quality.probability < 0.3
+    assert dice(bad.labels > 0, truth) < 0.7 and bad.quality.probability < quality.warning_threshold("clicks")
     (doubt,) = bad.quality.warnings
-    assert doubt.startswith("doubt: ") and "slightly more or less would be another object" in doubt
-    # A click into what was found is a correction, and how deep it went counts; one beside it is none.
+    assert doubt.startswith("doubt: ") and "% likely to be good" in doubt and "try --inside point:" in doubt
+    # A click into what was found is a correction, and how large it is counts; one beside it is none.
     beside, into = (refine(good, outside=f"ball:18.8,21.5,{at},1") for at in (45.0, 37.5))
-    assert [one.quality.corrections for one in (good, beside, into)] == [0, 0, 1]
-    assert into.quality.correction == pytest.approx((12 - 8.25) / 12, abs=0.1)
+    assert [one.quality.correction for one in (good, beside)] == [None, None]
+    assert into.quality.correction == pytest.approx(1 / 12, abs=0.03)
 
 
 def test_nothing_left_and_one_slice():

@@ -47,7 +47,7 @@ def finished(**changes):
             probability=0.75, next_click=(1.0, 2.0, 3.0), next_doubt=0.5, border_fraction=0.25, contrast=0.5,
             no_edge_fraction=0.125, evidence=0.5, clicked=0.0, beyond_clicks=None, inside_like=0.25, drift=0.1,
             compactness=0.9, parts_beyond_necks=1, growth=2.0, late_growth=0.01, unlike_learned=None, leaked=False,
-            level_overlap=None, corrections=None, correction=None, size_spread=None,
+            level_overlap=None, correction=None, size_spread=None,
             rests=(), warnings=(), notes=("border: 25% of it",),
         ),
     )

@@ -99,8 +99,8 @@ def test_one_bone_with_its_marrow_from_a_click():
     """
     z, y, x = grid()
     body = x**2 + y**2 + (0.6 * z) ** 2 < 18**2
-    away = np.sqrt((x + 7) ** 2 + y**2 + (z / 3) ** 2)
-    marrow, other = away < 3.5, (x - 9) ** 2 + y**2 < 3**2
+    away = np.sqrt((x + 7) ** 2 + y**2 + (z / 1.5) ** 2)
+    marrow, other = away < 4, (x - 9) ** 2 + y**2 < 3**2
     values = -1000.0 + 1050 * body + 700 * (body & (away < 6) & ~marrow) + 700 * (body & other)
     bone = ndimage.binary_fill_holes(noisy(values, 0) > 150) & (x < 3)
     image, click = noisy(values, 15), "ball:15,22,15,2vox"

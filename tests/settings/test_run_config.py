@@ -21,6 +21,7 @@ ODD = RunConfig(
     foreground=("ball:1,2,3,4",),
     background=("label:b.nii",),
     channel=("second.nii",),
+    answer=2,
     max_volume=1e5,
     smoothness=0.1 + 0.2,
     balance=1.25,

@@ -1,4 +1,4 @@
-"""How sure the model of the clicks is of its object, as numbers from which a probability is computed."""
+"""Confidence of the clicks' model in its object: numbers from which a probability is computed."""
 
 from __future__ import annotations
 

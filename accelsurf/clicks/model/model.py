@@ -53,8 +53,8 @@ from accelsurf.grid.clicks import Click, Clicks, Side
 #: A block is object from this probability on. A later inside click adds from `ADDED` on, an outside click removes from
 #: 1 - `ADDED` on: of an object with the Dice d a voxel is worth taking from d/2 on.
 FROM, ADDED = 0.47, 0.43
-#: An answer that covers more than this part of the open faces goes on beyond its window.
-TOUCHES = 0.02
+#: An answer goes on beyond its window where it covers this part of the section of the click's ball at the open faces.
+ACROSS = 0.25
 #: F in clicked voxels.
 CLICKED: dict[Side, float] = {"inside": -3.0, "outside": 3.0}
 #: F of voxels that the probability puts on the other side than the object's shape does: just on their side.
@@ -164,7 +164,7 @@ class Levels:
         """Volume (mm3) of what is connected to the click at a level."""
         return float(np.searchsorted(-self._sorted, -level, "left")) * self.window.block_mm3
 
-    def spread(self) -> float:
+    def volume_spread(self) -> float:
         """Logarithm of the volume from a low probability on over that from a high one."""
         return float(np.log(max(self.volume(LOW), 1e-9) / max(self.volume(HIGH), 1e-9)))
 
@@ -172,6 +172,11 @@ class Levels:
         """The answer of about a volume."""
         index = min(max(round(volume_mm3 / self.window.block_mm3), 1), len(self._sorted) - 1)
         return Answer(float(0.5 * (self._sorted[index - 1] + self._sorted[index])), volume_mm3)
+
+    def nearest(self, answer: Answer) -> Answer:
+        """The answer that is most like one in a smaller window, whose volume may have been cut off there."""
+        volume = max(answer.volume_mm3, self.window.block_mm3)
+        return min(self.answers(), key=lambda found: abs(np.log(max(found.volume_mm3, 1e-9) / volume)))
 
     def answers(self) -> tuple[Answer, ...]:
         """The likeliest answer, and a larger and a smaller one where the volume changes least with the level."""
@@ -269,29 +274,36 @@ def first_model(
         Which of the answers is taken, from 1.
     asked : mapping of str to Network
     """
-    for window in _windows(scene, [seed]):
-        if not _has_room(window, size_mm3):
-            continue
+    windows = _windows(scene, [seed], size_mm3)
+    for window in windows:
         probability, levels = read_first(window, asked["first"])
         answers = levels.answers() if size_mm3 is None else (levels.of_volume(size_mm3),)
-        taken = answers[min(answer, len(answers)) - 1]
-        found = connected_to((probability > taken.level) | window.mine, window.mine)
+        found = _object(probability, answers[0], window)
         if not _touches(found, window):
             break
-    field = _signed(probability, taken.level, found)
+    taken = answers[min(answer, len(answers)) - 1]
+    chosen = taken
+    if taken is not answers[0]:  # another answer may be larger than the window
+        found = _object(probability, taken, window)
+        while _touches(found, window) and (larger := next(windows, None)) is not None:
+            window = larger
+            probability, levels = read_first(window, asked["first"])
+            chosen = levels.nearest(taken)
+            found = _object(probability, chosen, window)
+    field = _signed(probability, chosen.level, found)
     field[holes_filled(found) & ~found] = JUST
     score = -window.on_voxels(field)
     tight = bounding_box(score < 0)
     assert tight is not None  # the click is in it
     margin = [int(AROUND * (s.stop - s.start)) + int(n) for s, n in zip(tight, window.steps, strict=True)]
-    kept = widened(tight, score.shape, margin)
-    box, score = placed_at(kept, corner_of(window.box)), score[kept].copy()
+    part = widened(tight, score.shape, margin)
+    box, score = placed_at(part, corner_of(window.box)), score[part].copy()
     if "boundary" in asked:
         score = _fitted(score, box, window, asked["boundary"], seed.click)
     if size_mm3 is not None:
         score = _sized(score, size_mm3 / float(np.prod(scene.spacing)))
     answers = (taken, *(other for other in answers if other is not taken))
-    made = ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.spread())
+    made = ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.volume_spread())
     return _with_clicks(made, scene)
 
 
@@ -303,12 +315,16 @@ def read_first(window: Window, network: Network) -> tuple[Floats, Levels]:
 
 def sized_objects(scene: Scene, click: Click, size_mm3: float) -> Levels:
     """Objects around a click by their size, in a window with room for a size (mm3)."""
-    for window in _windows(scene, [seed_of(click, scene)]):
-        if _has_room(window, size_mm3):
-            _, levels = read_first(window, networks()["first"])
-            if not _touches(levels.blocks > levels.of_volume(size_mm3).level, window):
-                break
+    for window in _windows(scene, [seed_of(click, scene)], size_mm3):
+        _, levels = read_first(window, networks()["first"])
+        if not _touches(levels.blocks > levels.of_volume(size_mm3).level, window):
+            break
     return levels
+
+
+def _object(probability: Floats, answer: Answer, window: Window) -> Mask:
+    """Blocks of an answer."""
+    return connected_to((probability > answer.level) | window.mine, window.mine)
 
 
 def _fitted(
@@ -384,20 +400,24 @@ def asked_of(features: Features, network: Network, window: Window) -> Floats:
     return out
 
 
-def _windows(scene: Scene, seeds: Sequence[Seed]) -> Iterator[Window]:
-    """Windows around the last click, from near to far, until one holds all of the image.
+def _windows(scene: Scene, seeds: Sequence[Seed], size_mm3: float | None = None) -> Iterator[Window]:
+    """Windows around the last click with room for a size, from near to far, until one holds all of the image.
 
     Those of a click whose radius says little of the object's go on beyond the last scale.
     """
     for scale in SCALES:
         window = window_around(scene, seeds, scale)
-        yield window
+        has_room = _has_room(window, size_mm3)
+        if has_room:
+            yield window
         if not window.faces.any():
             return
-    while seeds[-1].is_limited and window.faces.any():
+    while window.faces.any() and (seeds[-1].is_limited or not has_room):
         scale = Scale(0.5 * scale.blocks, 2.0 * scale.reach)
         window = window_around(scene, seeds, scale)
-        yield window
+        has_room = _has_room(window, size_mm3)
+        if has_room:
+            yield window
 
 
 def _with_clicks(model: ClickModel, scene: Scene) -> ClickModel:
@@ -424,6 +444,7 @@ def _signed(probability: Floats, level: float, found: Mask) -> Floats:
 
 
 def _touches(found: Mask, window: Window) -> bool:
-    """Test if what was found goes on beyond the window."""
-    count = np.count_nonzero(window.faces)
-    return bool(count > 0 and np.count_nonzero(found & window.faces) > TOUCHES * count)
+    """Test if what was found goes on beyond the window: at its faces it is as wide as a part of the click's ball."""
+    across = np.pi * window.radius**2 / window.width**2
+    count = np.count_nonzero(found & window.faces)
+    return bool(count > 0 and count >= ACROSS * across)
