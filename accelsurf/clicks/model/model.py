@@ -80,10 +80,11 @@ LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))
 
 
 class Answer(NamedTuple):
-    """An answer to the first click: from which probability on, and its volume, mm3."""
+    """An answer to the first click: from which probability on, its volume (mm3), and its number, 1 the likeliest."""
 
     level: float
     volume_mm3: float
+    number: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +196,8 @@ class Levels:
                 if (volume >= wanted if factor > 1.0 else 0.0 < volume <= wanted)
             ]
             others += [min(found)] if found else []
-        return (first, *(answer for _, answer in sorted(others)))
+        ordered = [answer for _, answer in sorted(others)]
+        return (first, *(answer._replace(number=number) for number, answer in enumerate(ordered, 2)))
 
 
 def click_model(
