@@ -287,18 +287,18 @@ def first_model(
     for window in windows:
         probability, levels = read_first(window, asked["first"])
         answers = levels.answers() if size_mm3 is None else (levels.of_volume(size_mm3),)
-        found = _object(probability, answers[0], window)
-        if not _touches(found, window):
+        found = object_of(probability, answers[0], window)
+        if not touches(found, window):
             break
     taken = answers[min(answer, len(answers)) - 1]
     chosen = taken
     if taken is not answers[0]:  # another answer may be larger than the window
-        found = _object(probability, taken, window)
-        while _touches(found, window) and (larger := next(windows, None)) is not None:
+        found = object_of(probability, taken, window)
+        while touches(found, window) and (larger := next(windows, None)) is not None:
             window = larger
             probability, levels = read_first(window, asked["first"])
             chosen = levels.nearest(taken)
-            found = _object(probability, chosen, window)
+            found = object_of(probability, chosen, window)
     field = _signed(probability, chosen.level, found)
     field[holes_filled(found) & ~found] = JUST
     score = -window.on_voxels(field)
@@ -326,12 +326,12 @@ def sized_objects(scene: Scene, click: Click, size_mm3: float) -> Levels:
     """Objects around a click by their size, in a window with room for a size (mm3)."""
     for window in _windows(scene, [seed_of(click, scene)], size_mm3):
         _, levels = read_first(window, networks()["first"])
-        if not _touches(levels.blocks > levels.of_volume(size_mm3).level, window):
+        if not touches(levels.blocks > levels.of_volume(size_mm3).level, window):
             break
     return levels
 
 
-def _object(probability: Floats, answer: Answer, window: Window) -> Mask:
+def object_of(probability: Floats, answer: Answer, window: Window) -> Mask:
     """Blocks of an answer."""
     return connected_to((probability > answer.level) | window.mine, window.mine)
 
@@ -376,7 +376,7 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
         probability = asked_of(features, asked["later"], window)
         probability[window.theirs] = 0.0
         found = connected_to(((probability > least) & ~side) | window.mine, window.mine)
-        if not _touches(found & ~side, window):
+        if not touches(found & ~side, window):
             break
     field = _signed(probability, least, found)
     field[side] = np.maximum(field[side], SIDE)
@@ -458,7 +458,7 @@ def _signed(probability: Floats, level: float, found: Mask) -> Floats:
     return np.where(found, np.maximum(field, JUST), np.minimum(field, -JUST)).astype(np.float32)
 
 
-def _touches(found: Mask, window: Window) -> bool:
+def touches(found: Mask, window: Window) -> bool:
     """Test if what was found goes on beyond the window: at its faces it is as wide as a part of the click's ball."""
     across = np.pi * window.radius**2 / window.width**2
     count = np.count_nonzero(found & window.faces)
