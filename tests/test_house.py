@@ -47,7 +47,7 @@ PRIVATE_WORDS = {
     *("books", "chosen", "coarsened", "contested", "feet", "fence", "fenced", "fences", "fewest", "flicker", "foot"),
     *("kept", "ledger", "remembered", "splat", "stirred", "strongest", "told", "twin", "wells"),
 }
-#: Words that terms of the field have replaced (record 0001); `energies/seeded` still has them, and is to be replaced.
+#: Words that terms of the field have replaced (record 0001).
 REPLACED_WORDS = {"disowned", "drafts", "fingers", "wheel", "wish", "won", "workplace"}
 #: The same for sequences of words.
 PRIVATE_NAMES = ("hold_back", "travel_dt", "asked_width", "one_slice", "of_patient", "regionsums")
@@ -181,7 +181,7 @@ def test_identifiers_are_made_of_the_words_of_the_field():
     found = []
     for path in modules(PACKAGE):
         private = PRIVATE_WORDS - KERNEL_WORDS if "kernels" in path.parts else PRIVATE_WORDS
-        private = private if "seeded" in path.parts else private | REPLACED_WORDS
+        private = private | REPLACED_WORDS
         for node, name in identifiers(parsed(path)):
             plain = name.lower()
             if words(name) & private or any(one in plain for one in PRIVATE_NAMES) or PRIVATE_CONSTANTS.search(name):

@@ -66,8 +66,8 @@ class LocalModel:
             On the grid of the model, as its object sees it.
         """
         before, clicks = self.state, self.state.clicks.with_later([click])
-        kept = Clicks(clicks.clicks[:-1], clicks.shape)
-        self.state = self._make(clicks, replace(before, clicks=kept))
+        first = Clicks(clicks.clicks[:-1], clicks.shape)
+        self.state = self._make(clicks, replace(before, clicks=first))
         box = enclosing(self.state.box, before.box)
         return ModelChange(box, self.state.inside_on(box) != before.inside_on(box), before)
 

@@ -17,6 +17,7 @@ from accelsurf.grid.boxes import Corner, bounding_box, box_at, corner_of, widene
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.levelset import LevelSet
+from accelsurf.run.background_check import background_share
 from accelsurf.run.evolving_object import EvolvingObject
 from accelsurf.run.preprocessing import PreprocessedInput
 from accelsurf.settings.wording import place_text, volume_text
@@ -114,14 +115,31 @@ def _of_size(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]
 
 
 def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
-    """Check that no click inside has values of two kinds, of which the model learns one."""
+    """Check that no click inside is like the background, or has values of two kinds, of which the model learns one."""
     low, width = prepared.context.scales[0]
     lines = []
     for click in () if evolving.context.clicks is None else evolving.context.clicks.clicks:
         if click.side == "inside":
+            lines += _background_line(click, evolving, prepared)
             values = low + width * prepared.images[0][click.box][click.mask].astype(np.float64)
             lines += _two_kinds_line(values, click, prepared.geometry, _option(evolving, True, has_ids))
     return lines
+
+
+def _background_line(click: Click, evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
+    """Check that a click inside does not look like the background of the image; of a part of one nothing is known."""
+    if evolving.context.model_inputs.window is not None:
+        return []
+    share = background_share(prepared.images[0], click)
+    if not share > 0:
+        return []
+    index = ndimage.center_of_mass(click.mask)
+    middle = [float(place) + side.start for place, side in zip(index, click.box, strict=True)]
+    place = place_text(prepared.geometry.index_to_world(middle), prepared.geometry.steps)
+    return [
+        f"click: the place inside near {place} looks like the background, which is {share:.0%} of the image; try "
+        "--inside at the object, unless the background is what you want"
+    ]
 
 
 def _two_kinds_line(values: NDArray[np.float64], click: Click, geometry: Geometry, option: str) -> list[str]:

@@ -29,7 +29,7 @@ CLEAR = 1.0
 #: Smoothing of the values that are looked at beside the voxel's own, in voxels.
 SMOOTHING = 1.0
 #: Features are cut at these: the place of a value, and logarithms of the contrast.
-MOST_BALANCE, MOST_CONTRAST = 3.0, 30.0
+MAX_BALANCE, MAX_CONTRAST = 3.0, 30.0
 
 
 def features_near(
@@ -70,10 +70,10 @@ def features_near(
     half = 0.5 * (mean_out - mean_in)
     least = np.maximum(np.abs(half), 0.05 * spread) * np.where(half < 0, -1.0, 1.0)
     middle, smooth = 0.5 * (mean_in + mean_out), gaussian_mm(image, spacing, SMOOTHING * finest)
-    contrast = np.log(np.clip(2.0 * np.abs(half) / spread, 1.0 / MOST_CONTRAST, MOST_CONTRAST))
+    contrast = np.log(np.clip(2.0 * np.abs(half) / spread, 1.0 / MAX_CONTRAST, MAX_CONTRAST))
     features: dict[str, NDArray[np.floating]] = {"contrast": contrast, "blocks": np.array(np.log2(width / finest))}
     for name, values in (("value", image), ("smooth value", smooth)):
-        features[name] = np.clip((values.ravel()[where] - middle) / least, -MOST_BALANCE, MOST_BALANCE)
+        features[name] = np.clip((values.ravel()[where] - middle) / least, -MAX_BALANCE, MAX_BALANCE)
         features[f"{name} by contrast"] = features[name] * np.minimum(np.exp(contrast), 8.0)
     features["field"] = field.ravel()[where]
     features["distance"] = distance.ravel()[where] / width

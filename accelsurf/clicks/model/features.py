@@ -203,7 +203,7 @@ def _ranks(order: NDArray[np.int64], shape: Sequence[int]) -> Floats:
 
 
 def _levels(name: str, times: Floats, order: NDArray[np.int64], looks: Looks) -> Features:
-    """How slow the front is where a block arrives, what differs beyond it, edges along it; volume to the likeliest."""
+    """Slowness of the front where a block arrives, what differs beyond it, edges along it; volume to the likeliest."""
     first, count = int(np.count_nonzero(looks.window.mine)), len(order)
     sizes = np.unique(np.geomspace(min(max(first, 8), 0.9 * count), 0.95 * count, 60).astype(np.int64))
     arrived = np.maximum(times.ravel()[order], 1e-9)

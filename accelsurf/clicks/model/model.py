@@ -80,10 +80,11 @@ LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))
 
 
 class Answer(NamedTuple):
-    """An answer to the first click: from which probability on, and its volume, mm3."""
+    """An answer to the first click: from which probability on, its volume (mm3), and its number, 1 the likeliest."""
 
     level: float
     volume_mm3: float
+    number: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +106,12 @@ class ClickModel:
         Logarithm of how much larger the first answer is from a low probability on than from a high one.
     correction : float or None
         Radius of the last click that corrected what was shown, over that of the object; None where none did.
+    kept : float or None
+        Dice of the object before that click with the object after it.
+    taken : float
+        Share of the object that the last click took away.
+    surprises : tuple of float
+        Of each click that corrected something: how sure the model was of the opposite there, the mean of |F| at most 1.
     is_partition : bool
         It is one of several objects that fill a space.
     """
@@ -116,6 +123,9 @@ class ClickModel:
     answers: tuple[Answer, ...] = ()
     spread: float = 0.0
     correction: float | None = None
+    kept: float | None = None
+    taken: float = 0.0
+    surprises: tuple[float, ...] = ()
     is_partition: bool = False
 
     def field_on(self, box: Box) -> Floats:
@@ -163,7 +173,7 @@ class Levels:
         """Volume (mm3) of what is connected to the click at a level."""
         return float(np.searchsorted(-self._sorted, -level, "left")) * self.window.block_mm3
 
-    def spread(self) -> float:
+    def volume_spread(self) -> float:
         """Logarithm of the volume from a low probability on over that from a high one."""
         return float(np.log(max(self.volume(LOW), 1e-9) / max(self.volume(HIGH), 1e-9)))
 
@@ -189,7 +199,8 @@ class Levels:
                 if (volume >= wanted if factor > 1.0 else 0.0 < volume <= wanted)
             ]
             others += [min(found)] if found else []
-        return (first, *(answer for _, answer in sorted(others)))
+        ordered = [answer for _, answer in sorted(others)]
+        return (first, *(answer._replace(number=number) for number, answer in enumerate(ordered, 2)))
 
 
 def click_model(
@@ -294,14 +305,14 @@ def first_model(
     tight = bounding_box(score < 0)
     assert tight is not None  # the click is in it
     margin = [int(AROUND * (s.stop - s.start)) + int(n) for s, n in zip(tight, window.steps, strict=True)]
-    kept = widened(tight, score.shape, margin)
-    box, score = placed_at(kept, corner_of(window.box)), score[kept].copy()
+    part = widened(tight, score.shape, margin)
+    box, score = placed_at(part, corner_of(window.box)), score[part].copy()
     if "boundary" in asked:
         score = _fitted(score, box, window, asked["boundary"], seed.click)
     if size_mm3 is not None:
         score = _sized(score, size_mm3 / float(np.prod(scene.spacing)))
     answers = (taken, *(other for other in answers if other is not taken))
-    made = ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.spread())
+    made = ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.volume_spread())
     return _with_clicks(made, scene)
 
 
@@ -358,7 +369,7 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
     inside = click.side == "inside"
     there = model.inside_on(click.box)[click.mask]
     if np.count_nonzero(there != inside) <= WRONG * there.size:
-        return _with_clicks(replace(model, clicks=known), scene)
+        return _with_clicks(replace(model, clicks=known, taken=0.0), scene)
     least = ADDED if inside else 1.0 - ADDED
     for window in _windows(scene, seeds):
         features, side = features_of_later(window, model.inside_on(window.box), len(seeds), model.count)
@@ -387,7 +398,13 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
         score[was_there] = before[was_there]
     after = replace(model, clicks=known, box=box, field=score, inside=score < 0)
     width = (0.75 * max(after.count, 1) * float(np.prod(scene.spacing)) / np.pi) ** (1 / 3)
-    return _with_clicks(replace(after, correction=seed.radius / width), scene)
+    # Of the two objects one lies in the other.
+    kept = 2.0 * min(model.count, after.count) / max(model.count + after.count, 1)
+    wrong = model.field_on(click.box)[click.mask] * (1.0 if inside else -1.0)
+    surprises = (*model.surprises, float(np.clip(wrong, -1.0, 1.0).mean()))
+    taken = 0.0 if inside else 1.0 - after.count / max(model.count, 1)
+    after = replace(after, correction=seed.radius / width, kept=kept, taken=taken, surprises=surprises)
+    return _with_clicks(after, scene)
 
 
 def asked_of(features: Features, network: Network, window: Window) -> Floats:

@@ -25,7 +25,7 @@ Spacing = tuple[float, float, float]
 #: Most blocks of a window; larger blocks are taken above.
 MOST = 42_000
 #: The object around a click is taken to be at least so many of the smallest spacings deep.
-LEAST_RADIUS = 1.5
+MIN_RADIUS = 1.5
 #: People click balls of half the object's depth: the object's inscribed radius is so many radii of the click.
 DEEPER = 2.0
 #: A click of at least so many of the smallest spacings is as large as clicks get.
@@ -46,7 +46,7 @@ SCALES = (Scale(3.6, 5.0), Scale(2.2, 9.0), Scale(1.3, 16.0), Scale(0.8, 30.0))
 
 
 class Scene(NamedTuple):
-    """What clicks are made in.
+    """Images that clicks are made in, and what is known of them.
 
     Attributes
     ----------
@@ -264,7 +264,7 @@ def seed_of(click: Click, scene: Scene) -> Seed:
 
 def inscribed_radius(seed: Seed, scene: Scene) -> float:
     """Radius (mm) of the largest ball in the object around a click, as far as the click tells."""
-    return max(DEEPER * seed.radius, LEAST_RADIUS * scene.step)
+    return max(DEEPER * seed.radius, MIN_RADIUS * scene.step)
 
 
 def window_around(scene: Scene, seeds: Sequence[Seed], scale: Scale, radius: float | None = None) -> Window:
