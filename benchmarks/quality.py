@@ -68,6 +68,8 @@ SIGNS = {
     "beyond_clicks": 1.0, "compactness": 1.0, "clicked": -1.0, "drift": -1.0,
     "burst": -1.0, "growth": -1.0, "unconverged": -1.0,
 }
+#: A warning is given below this probability: the result is probably not good.
+WARNED = 0.5
 #: Weight of the squares of the weights; a figure's point has at least so many results.
 RIDGE, MANY = 3.0, 10
 Row = dict[str, Any]
@@ -91,15 +93,13 @@ def main() -> None:
             facts["runs"][name] = list(runs_on(name))
     held = {name: entry["rows"] for name, entry in facts["games"].items() if entry["rows"]}
     said = judged(held)
-    runs: dict[str, list[Row]] = facts["runs"]
-    models = {
-        "clicks": {**trained(held, "click"), "threshold": best_threshold(held, said)},
-        "image": {**trained(runs, "image"), "threshold": best_threshold(runs, left_out(runs, "image"))},
-    }
-    models = {**json.loads(MODEL.read_text()), **(models if options.runs else {"clicks": models["clicks"]})}
+    models = json.loads(MODEL.read_text())
+    models["clicks"] = {**trained(held, "click"), "threshold": WARNED}
+    if options.runs:
+        models["image"] = {**trained(facts["runs"], "image"), "threshold": WARNED}
     MODEL.write_text(json.dumps(models, indent=1) + "\n")
     likely.calibrated_models.cache_clear()
-    facts["figures"] = every_figure(held, said, models["clicks"]["threshold"])
+    facts["figures"] = every_figure(held, said)
     FACTS.write_text(json.dumps(facts, indent=0) + "\n")
     put_table(PAGE, "quality", text_of(facts["figures"]))
     picture(facts["figures"])
@@ -291,26 +291,6 @@ def judged(rows: Rows) -> dict[str, list[float]]:
     return out
 
 
-def left_out(rows: Rows, kind: str) -> dict[str, list[float]]:
-    """The probabilities of each name's rows by a model that was made without them."""
-    return {
-        name: probabilities(trained({key: each for key, each in rows.items() if key != name}, kind), held, kind)
-        for name, held in rows.items()
-    }
-
-
-def best_threshold(rows: Rows, said: Mapping[str, Sequence[float]]) -> float:
-    """The probability with the least larger one of two shares: failures without a warning, good ones with one."""
-    p, d, w = table_of(rows, said)
-    failed, good = d < FAILED, d >= GOOD
-
-    def cost(limit: float) -> tuple[float, float]:
-        silent, false = (w[failed & (p >= limit)].sum(), w[good & (p < limit)].sum())
-        return float(max(silent, false)), float(silent + false)
-
-    return float(min(np.round(np.arange(0.05, 0.96, 0.01), 2), key=lambda limit: (*cost(float(limit)), limit)))
-
-
 def table_of(
     rows: Rows, said: Mapping[str, Sequence[float]]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -324,7 +304,7 @@ def table_of(
 # -- figures and the page -----------------------------------------------------------------------------------
 
 
-def every_figure(rows: Rows, said: Mapping[str, Sequence[float]], threshold: float) -> dict[str, Any]:
+def every_figure(rows: Rows, said: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     """The figures of all scans, of each fold, of the phantoms and of the drawn scenes."""
     fold_of = {name: str(each[0]["fold"]) for name, each in rows.items()}
     parts = {"all scans": {fold.name for fold in FOLDS}, **{f"fold {fold.name}": {fold.name} for fold in FOLDS},
@@ -333,11 +313,11 @@ def every_figure(rows: Rows, said: Mapping[str, Sequence[float]], threshold: flo
     for part, folds in parts.items():
         here = {name: each for name, each in rows.items() if fold_of[name] in folds}
         if here:
-            out[part] = figures(here, said, threshold)
+            out[part] = figures(here, said)
     return out
 
 
-def figures(rows: Rows, said: Mapping[str, Sequence[float]], threshold: float) -> dict[str, Any]:
+def figures(rows: Rows, said: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     """What of the results said to be good is, what of the failures is said to be, the curve, and what a hint does."""
     p, d, _ = table_of(rows, said)
     says, failed = p >= SAID, d < FAILED
@@ -348,13 +328,14 @@ def figures(rows: Rows, said: Mapping[str, Sequence[float]], threshold: float) -
             curve.append({"stated": float(p[here].mean()), "good": float((d[here] >= GOOD).mean()),
                           "results": int(here.sum())})
     doubted = [row for name, each in rows.items() for row, value in zip(each, said[name], strict=True)
-               if value < threshold and row["hinted"] is not None and row["person"] is not None]
+               if value < WARNED and row["hinted"] is not None and row["person"] is not None]
     gains = {key: np.array([row[key] - row["dice"] for row in doubted]) for key in ("hinted", "person")}
     return {
         "objects": len(rows), "results": len(p), "good": float((d >= GOOD).mean()), "said": int(says.sum()),
         "good_of_said": float((d[says] >= GOOD).mean()) if says.any() else None, "failed": int(failed.sum()),
         "said_of_failed": float(says[failed].mean()) if failed.any() else None,
-        "doubted_of_failed": float((p[failed] < threshold).mean()) if failed.any() else None, "curve": curve,
+        "doubted_of_good": float((p[d >= GOOD] < WARNED).mean()) if (d >= GOOD).any() else None,
+        "doubted_of_failed": float((p[failed] < WARNED).mean()) if failed.any() else None, "curve": curve,
         "hints": len(doubted),
         **{f"{key}_{what}": float(value) if len(doubted) else None for key, gain in gains.items()
            for what, value in (("raises", np.mean(gain > 0.005) if len(doubted) else 0.0),
@@ -365,12 +346,13 @@ def figures(rows: Rows, said: Mapping[str, Sequence[float]], threshold: float) -
 def text_of(found: Mapping[str, Mapping[str, Any]]) -> str:
     """The page's tables."""
     lines = head_of(("results of", "results", f"good (Dice {GOOD})", f"said to be good ({SAID:.0%})", "of these good",
-                     f"failed (below {FAILED})", "of these said to be good", "of these with a warning"))
+                     f"failed (below {FAILED})", "of these said to be good", "of these with a warning",
+                     "good ones with a warning"))
     for part, own in found.items():
-        shares = (own["good_of_said"], own["said_of_failed"], own["doubted_of_failed"])
-        of_said, of_failed, warned = ("-" if share is None else f"{share:.0%}" for share in shares)
+        keys = ("good_of_said", "said_of_failed", "doubted_of_failed", "doubted_of_good")
+        of_said, *rest = ("-" if own[key] is None else f"{own[key]:.0%}" for key in keys)
         cells = (part, str(own["results"]), f"{own['good']:.0%}", str(own["said"]), of_said, str(own["failed"]))
-        lines.append(row_of((*cells, of_failed, warned)))
+        lines.append(row_of((*cells, *rest)))
     lines += ["", *head_of(("results with a warning", "number", "a click at the doubtful place raises the Dice",
                             "by", "the person's own click raises it", "by"))]
     for part, own in found.items():
