@@ -12,7 +12,7 @@ NAMES = ("level_overlap", "size_spread", "rim", "drift", "correction", "kept", "
 
 def row(dice: float, overlap: float, fold: str = "1", **more: Any) -> dict[str, Any]:
     click = {**dict.fromkeys(NAMES, 0.0), "level_overlap": overlap, "size_spread": overlap}
-    return {"dice": dice, "click": click, "fold": fold, "hinted": None, "person": None, **more}
+    return {"dice": dice, "clicks": click, "fold": fold, "hinted": None, "person": None, **more}
 
 
 ROWS = {
@@ -21,14 +21,14 @@ ROWS = {
 
 
 def test_a_measure_that_counts_the_wrong_way_is_left_out() -> None:
-    model = quality.trained(ROWS, "click")
+    model = quality.trained(ROWS, "clicks")
     # The spread has the same values as the overlap, and may only lower the probability.
     assert model["features"]["size_spread"][2] == 0.0 < model["features"]["level_overlap"][2]
 
 
 def test_a_fold_is_judged_by_a_model_made_without_it() -> None:
     changed = {**ROWS, "object-4": [{**each, "dice": 0.99} for each in ROWS["object-4"]]}
-    before, after = quality.judged(ROWS), quality.judged(changed)
+    before, after = quality.judged(ROWS, "clicks"), quality.judged(changed, "clicks")
     for name, rows in ROWS.items():
         assert (before[name] == after[name]) == (rows[0]["fold"] == ROWS["object-4"][0]["fold"])
 
@@ -36,7 +36,7 @@ def test_a_fold_is_judged_by_a_model_made_without_it() -> None:
 def test_an_object_of_a_drawn_scene_counts_less() -> None:
     plain = {"a": [row(0.9, 1.0)], "b": [row(0.5, 1.0)]}
     drawn = {"a": [row(0.9, 1.0)], "b": [row(0.5, 1.0, quality.DRAWN)]}
-    assert quality.trained(drawn, "click")["constant"] > quality.trained(plain, "click")["constant"]
+    assert quality.trained(drawn, "clicks")["constant"] > quality.trained(plain, "clicks")["constant"]
     assert quality.table_of(drawn, {"a": [0.5], "b": [0.5]})[2].tolist() == [1.0, quality.SCENE_WEIGHT]
 
 
@@ -51,7 +51,7 @@ def test_figures_count_what_is_said_to_be_good() -> None:
     assert found["doubted_of_failed"] == 1.0 and found["doubted_of_good"] == 0.0 and found["hints"] == 2
     assert (found["hinted_raises"], found["person_raises"]) == pytest.approx((0.5, 1.0))
     assert (found["hinted_gain"], found["person_gain"]) == pytest.approx((0.05, 0.3))
-    text = quality.text_of({"all scans": found})
+    text = quality.text_of({"clicks": {"all scans": found}, "image": {}})
     assert "| all scans | 5 | 40% | 3 | 67% | 2 | 0% | 100% | 0% |" in text
     assert "| all scans | 2 | 50% | +0.050 | 100% | +0.300 |" in text
 
