@@ -1,4 +1,4 @@
-"""How likely a result is good, by its measures of quality, and what speaks most against it.
+"""Probability that a result is good, by its measures of quality, and what speaks most against it.
 
 The probability is a logistic model of a few measures, calibrated by ``scripts/study quality``. There are two:
 ``clicks`` for a result whose model of clicks says how sure it is, and ``image`` for all others. The study writes them
