@@ -165,19 +165,19 @@ def _judgement(result: Result) -> list[str]:
         if quality.next_click is not None:
             place = place_text(quality.next_click, result.geometry.steps)
             lines.append(f"{whose}{quality.probability:.0%} likely to be good; most doubtful near {place}")
-        lines += [f"{whose}{line}" for line in _other_answers(quality) if result.config.answer == 1]
+        lines += [f"{whose}{line}" for line in _other_answers(quality)]
         lines += [f"{whose}note: {note}" for note in quality.notes]
     return lines
 
 
 def _other_answers(quality: Quality) -> list[str]:
-    """A line about other answers to the first click than the likeliest, as long as no click has corrected that."""
+    """A line about other answers to the first click, as long as no click has corrected the one that was taken."""
     if len(quality.answers) < 2 or quality.correction is not None:
         return []
     others = [volume_text(answer.volume_mm3) for answer in quality.answers[1:]]
     return [
         f"the first click may also mean {' or '.join(others)}: "
-        + " or ".join(f"--answer {number}" for number in range(2, len(quality.answers) + 1))
+        + " or ".join(f"--answer {answer.number}" for answer in quality.answers[1:])
     ]
 
 

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 #: in units of the noise; relative growth over the last steps; share of the object unlike what was learned. A Gaussian
 #: has 1.2 % beyond the bounds.
 MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIKE = 0.2, 0.4, 2.0, 0.02, 20, 0.1
+#: An outside click is said to take away much from this share of the object on.
+MAX_TAKEN = 0.5
 #: A plateau is noted where the object has grown to so many times its size since.
 MIN_BURST = 1.1
 #: A gradient is an edge if it is above this percentile of the gradients inside the object, at least so many voxels from
@@ -137,10 +139,10 @@ def _along_surface(found: Evidence | None) -> dict[str, Any]:
 
 def _by_clicks(confidence: Confidence | None) -> dict[str, Any]:
     """The measures by the model of the clicks; without one they are None."""
-    overlap, spread, correction, kept, surprise, answers = confidence or (*(None,) * 5, ())
+    overlap, spread, correction, kept, taken, surprise, answers = confidence or (*(None,) * 6, ())
     return {
-        "level_overlap": overlap, "size_spread": spread, "correction": correction, "kept": kept, "surprise": surprise,
-        "answers": answers,
+        "level_overlap": overlap, "size_spread": spread, "correction": correction, "kept": kept, "taken": taken,
+        "surprise": surprise, "answers": answers,
     }
 
 
@@ -223,6 +225,11 @@ def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
         )
     if found.no_edge_fraction > MAX_WITHOUT_EDGE:
         notes.append(f"edge: under {found.no_edge_fraction:.0%} of the surface the image has no edge")
+    if found.taken is not None and found.taken > MAX_TAKEN:
+        notes.append(
+            f"outside: the last click outside took away {found.taken:.0%} of what was shown; where that was too much, "
+            "click inside"
+        )
     if found.parts_beyond_necks > 1:
         notes.append(
             f"necks: {found.parts_beyond_necks} large parts are connected by less than four voxels only; has it leaked?"

@@ -59,8 +59,9 @@ class Quality(NamedTuple):
         Volume at the end over that of the start.
     late_growth : float
         Relative change of the volume over the last 20 steps.
-    level_overlap, size_spread, correction, kept, surprise : float or None
-        How sure the model of the clicks is: ``overlap``, ``spread``, ``correction``, ``kept`` and ``surprise`` of
+    level_overlap, size_spread, correction, kept, taken, surprise : float or None
+        How sure the model of the clicks is: ``overlap``, ``spread``, ``correction``, ``kept``, ``taken`` and
+        ``surprise`` of
         `accelsurf.clicks.model.confidence.Confidence`; None without one.
     unlike_learned : float or None
         Share of the object, without the voxels next to its surface, whose values lie further than 2.5 standard
@@ -97,6 +98,7 @@ class Quality(NamedTuple):
     size_spread: float | None
     correction: float | None
     kept: float | None
+    taken: float | None
     surprise: float | None
     unlike_learned: float | None
     leaked: bool

@@ -59,7 +59,8 @@ class Hints(NamedTuple):
 class Session(Protocol):
     """One object being segmented: knows the scan, takes clicks, gives the labels so far on the whole grid.
 
-    Its attribute ``sureness``, if it has one, is its probability (0 to 1) that the labels are good, or None.
+    Its attribute ``sureness``, if it has one, is its probability (0 to 1) that the labels are good, or None. Its method
+    ``other_answers``, if it has one, returns labels that a person may choose in place of those after the first click.
     """
 
     def click(self, click: PersonClick) -> Mask:
@@ -107,8 +108,9 @@ def play(
     -------
     dict
         ``clicks``: for each the side, the voxel, the radius (mm), ``dice`` after it, the `surfaces`, ``sureness``,
-        ``wall_s`` and ``cpu_s``, and ``error`` where the segmenter refused it (the labels before stand). ``perfect``:
-        nothing is wrong any more.
+        ``wall_s`` and ``cpu_s``, and ``error`` where the segmenter refused it (the labels before stand); of the first,
+        where the segmenter has other answers, ``best_of_answers``: the Dice of the best of all. ``perfect``: nothing is
+        wrong any more.
     """
     image, truth = scene.image, scene.truth
     hints = hints_of(scene, variant, size_factor)
@@ -130,6 +132,11 @@ def play(
         record |= {"wall_s": time.perf_counter() - wall, "cpu_s": _cpu_seconds() - cpu}
         labels = within(found, scene.region)
         record |= {"dice": dice(labels, truth), "sureness": getattr(session, "sureness", None)}
+        if number == 0 and (others := getattr(session, "other_answers", None)) is not None:
+            # One more decision of the person; the game goes on from the first answer.
+            record["best_of_answers"] = max(
+                record["dice"], *(dice(within(other, scene.region), truth) for other in others()), 0.0
+            )
         if surface and (variant.startswith("cvpr") or number + 1 in BUDGETS):
             record |= surfaces(labels, truth, image.geometry.spacing)
         out.append(record)
@@ -216,8 +223,8 @@ def summary(games: Sequence[dict[str, Any]]) -> dict[str, Any]:
         ``dice`` and ``mean``: medians and means by budget. ``surface``: medians of the `surfaces` by budget, where they
         were measured. ``noc``: by level, the median of the clicks needed, ``played`` + 1 where it was never reached;
         ``never``: how many did not. ``within5``: share of the objects at .85 within five clicks. ``fell``: share of
-        clicks. ``confidence``: see `confidence`. ``refused``: clicks that the segmenter refused. Seconds, medians: of
-        first and later clicks.
+        clicks. ``best_of_answers``: see `best_of_answers`. ``confidence``: see `confidence`. ``refused``: clicks that
+        the segmenter refused. Seconds, medians: of first and later clicks.
     """
     played = min((len(game["clicks"]) for game in games if not game["perfect"]), default=max(BUDGETS))
     games = [{**game, "clicks": game["clicks"][:played]} for game in games]
@@ -233,10 +240,26 @@ def summary(games: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "never": {level: found.count(None) for level, found in needed.items()},
         "within5": sum(n is not None and n <= 5 for n in needed[0.85]) / len(games) if played >= 5 else None,
         "fell": sum(n for n, _ in counts) / max(sum(n for _, n in counts), 1),
+        "best_of_answers": best_of_answers(games),
         "confidence": confidence(games)._asdict(),
         "refused": sum("error" in click for game in games for click in game["clicks"]),
         **seconds(games),
     }
+
+
+def best_of_answers(games: Sequence[dict[str, Any]]) -> tuple[float, float] | None:
+    """Median and mean of the Dice after the first click where the person takes the best answer; None unless all games
+    have it.
+
+    Examples
+    --------
+    >>> answered = [{"clicks": [{"dice": 0.5, "best_of_answers": value}]} for value in (0.5, 0.75, 1.0)]
+    >>> best_of_answers(answered), best_of_answers([*answered, {"clicks": [{"dice": 0.5}]}])
+    ((0.75, 0.75), None)
+    """
+    values = [game["clicks"][0].get("best_of_answers") for game in games]
+    known = [float(value) for value in values if value is not None]
+    return (statistics.median(known), statistics.fmean(known)) if known and len(known) == len(values) else None
 
 
 def _surfaces_after(games: Sequence[dict[str, Any]], budget: int) -> dict[str, float | None]:

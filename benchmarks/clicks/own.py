@@ -120,6 +120,12 @@ class StartAlone:
         self.model = click_model(self.scene, self.clicks, size_mm3=self.size, previous=self.model)
         return self.model.inside_on(whole_box(self.image.geometry.shape))
 
+    def other_answers(self) -> list[Mask]:
+        """Labels of the other answers to the clicks so far, which a person may choose after the first one."""
+        others = [] if self.model is None else [answer.number for answer in self.model.answers[1:]]
+        models = [click_model(self.scene, self.clicks, size_mm3=self.size, answer=number) for number in others]
+        return [model.inside_on(whole_box(self.image.geometry.shape)) for model in models]
+
 
 def voxels_of(click: PersonClick, image: Volume) -> Click:
     """A click as its voxels."""

@@ -40,6 +40,8 @@ KINDS = {
 CHALLENGES = {"cvpr": "first a point", "cvpr-box": "first a box and a point in it"}
 #: Goals: medians of the Dice over the scans' folds after so many exact clicks; of each fold after five.
 WANTED, WANTED_IN_FOLD = {1: 0.68, 2: 0.79, 3: 0.83, 5: 0.87, 10: 0.90}, 0.75
+#: What a row is of in which the person has chosen among up to three answers to the first click.
+BEST_OF_ANSWERS = "best of its answers (one more decision of the person)"
 Games = Mapping[str, Mapping[str, dict[str, Any]]]
 
 
@@ -178,7 +180,7 @@ def text_of(
 
 
 def method_rows(methods: Mapping[str, dict[str, Any]]) -> list[str]:
-    """A row per method: medians, and means in brackets."""
+    """A row per method: medians, and means in brackets; one more where a person may choose among answers."""
     head = ("method", *(f"Dice {n}" for n in BUDGETS), *(f"clicks to {level:.2f}" for level in LEVELS),
             "within 5", "fell", "s first", "s later", "CPU s")
     lines = head_of(head)
@@ -189,6 +191,10 @@ def method_rows(methods: Mapping[str, dict[str, Any]]) -> list[str]:
         units = "first_wall_s", "later_wall_s", "later_cpu_s"
         times = ["" if found[key] is None else f"{found[key]:.2f}" for key in units]
         lines.append(row_of((name, *dice, *noc, within, f"{found['fell']:.1%}", *times)))
+        best = found.get("best_of_answers")
+        if best is not None:
+            row = f"{name}, {BEST_OF_ANSWERS}", f"{best[0]:.3f} ({best[1]:.3f})"
+            lines.append(row_of((*row, *[""] * (len(head) - len(row)))))
     return lines
 
 

@@ -199,7 +199,7 @@ def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
     assert good.probability == pytest.approx(1 / (1 + np.exp(-total)))
 
 
-USUAL = Confidence(overlap=0.85, spread=0.9, correction=0.3, kept=0.9, surprise=0.3, answers=())
+USUAL = Confidence(overlap=0.85, spread=0.9, correction=0.3, kept=0.9, taken=0.0, surprise=0.3, answers=())
 
 
 def told_of(confidence, mask=None):
@@ -364,3 +364,9 @@ def test_it_takes_less_memory_than_the_solver():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 16 * inside.size
+
+
+def test_an_outside_click_that_takes_most_is_said():
+    lines = [told_of(USUAL._replace(taken=share)).notes for share in (0.3, 0.7)]
+    assert not any(line.startswith("outside:") for line in lines[0])
+    assert any(line.startswith("outside: the last click outside took away 70%") for line in lines[1])

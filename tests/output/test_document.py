@@ -48,7 +48,7 @@ def finished(**changes):
             contrast=0.5,
             no_edge_fraction=0.125, evidence=0.5, clicked=0.0, beyond_clicks=None, inside_like=0.25, drift=0.1,
             compactness=0.9, parts_beyond_necks=1, growth=2.0, late_growth=0.01, unlike_learned=None, leaked=False,
-            level_overlap=None, size_spread=None, correction=None, kept=None, surprise=None,
+            level_overlap=None, size_spread=None, correction=None, kept=None, taken=None, surprise=None,
             rests=(), warnings=(), notes=("border: 25% of it",),
         ),
     )

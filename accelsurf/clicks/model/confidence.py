@@ -26,6 +26,8 @@ class Confidence(NamedTuple):
         Radius of the last click that corrected what was shown, over the object's; None where there was none.
     kept : float or None
         Dice of the object before that click with the object after it.
+    taken : float
+        Share of the object that the last click took away.
     surprise : float or None
         How sure the model was of the opposite where clicks corrected it, mean over them: 1 where it was certain.
     answers : tuple of Answer
@@ -36,6 +38,7 @@ class Confidence(NamedTuple):
     spread: float
     correction: float | None
     kept: float | None
+    taken: float
     surprise: float | None
     answers: tuple[Answer, ...]
 
@@ -53,4 +56,4 @@ def confidence_of(model: ClickModel) -> Confidence | None:
     both = smaller + int(np.count_nonzero(connected_to(model.field < LEVEL, clicked)))
     overlap = 2.0 * smaller / both if both else 0.0
     surprise = float(np.mean(model.surprises)) if model.surprises else None
-    return Confidence(overlap, model.spread, model.correction, model.kept, surprise, model.answers)
+    return Confidence(overlap, model.spread, model.correction, model.kept, model.taken, surprise, model.answers)

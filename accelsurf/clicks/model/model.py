@@ -80,10 +80,11 @@ LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))
 
 
 class Answer(NamedTuple):
-    """An answer to the first click: from which probability on, and its volume, mm3."""
+    """An answer to the first click: from which probability on, its volume (mm3), and its number, 1 the likeliest."""
 
     level: float
     volume_mm3: float
+    number: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +108,8 @@ class ClickModel:
         Radius of the last click that corrected what was shown, over that of the object; None where none did.
     kept : float or None
         Dice of the object before that click with the object after it.
+    taken : float
+        Share of the object that the last click took away.
     surprises : tuple of float
         Of each click that corrected something: how sure the model was of the opposite there, the mean of |F| at most 1.
     is_partition : bool
@@ -121,6 +124,7 @@ class ClickModel:
     spread: float = 0.0
     correction: float | None = None
     kept: float | None = None
+    taken: float = 0.0
     surprises: tuple[float, ...] = ()
     is_partition: bool = False
 
@@ -195,7 +199,8 @@ class Levels:
                 if (volume >= wanted if factor > 1.0 else 0.0 < volume <= wanted)
             ]
             others += [min(found)] if found else []
-        return (first, *(answer for _, answer in sorted(others)))
+        ordered = [answer for _, answer in sorted(others)]
+        return (first, *(answer._replace(number=number) for number, answer in enumerate(ordered, 2)))
 
 
 def click_model(
@@ -364,7 +369,7 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
     inside = click.side == "inside"
     there = model.inside_on(click.box)[click.mask]
     if np.count_nonzero(there != inside) <= WRONG * there.size:
-        return _with_clicks(replace(model, clicks=known), scene)
+        return _with_clicks(replace(model, clicks=known, taken=0.0), scene)
     least = ADDED if inside else 1.0 - ADDED
     for window in _windows(scene, seeds):
         features, side = features_of_later(window, model.inside_on(window.box), len(seeds), model.count)
@@ -397,7 +402,8 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
     kept = 2.0 * min(model.count, after.count) / max(model.count + after.count, 1)
     wrong = model.field_on(click.box)[click.mask] * (1.0 if inside else -1.0)
     surprises = (*model.surprises, float(np.clip(wrong, -1.0, 1.0).mean()))
-    after = replace(after, correction=seed.radius / width, kept=kept, surprises=surprises)
+    taken = 0.0 if inside else 1.0 - after.count / max(model.count, 1)
+    after = replace(after, correction=seed.radius / width, kept=kept, taken=taken, surprises=surprises)
     return _with_clicks(after, scene)
 
 

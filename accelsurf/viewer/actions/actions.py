@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from accelsurf.errors import AccelsurfError, UsageError
+from accelsurf.viewer.actions.answers import AnswersFeature
 from accelsurf.viewer.actions.box import BoxFeature
 from accelsurf.viewer.actions.files import FilesFeature
 from accelsurf.viewer.actions.frames import FramesFeature
@@ -39,6 +40,7 @@ FEATURES: tuple[type[Feature], ...] = (
     TouchFeature,
     ObjectsFeature,
     CorrectionsFeature,
+    AnswersFeature,
     HistoryFeature,
     SettingsFeature,
     BoxFeature,

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from accelsurf.viewer.actions.answers import AnswersFeature
 from accelsurf.viewer.actions.frames import FramesFeature
 from accelsurf.viewer.actions.settings_rows import amount, from_read, read_in
 from accelsurf.viewer.actions.slices import SlicesFeature
@@ -111,7 +112,7 @@ class MouseFeature(Feature):
     def requests(self) -> Mapping[str, Callable[..., None]]:
         return {
             "tool": self._use,
-            "no_tool": lambda: self._use("look"),
+            "no_tool": self._look,
             "radius": self._radius,
             "set_radius": lambda value: self._radius(from_read(value, self._per)),
             "scale_radius": lambda factor: self._radius(self.actions.radius * number(factor, 0.1, 10.0)),
@@ -130,7 +131,7 @@ class MouseFeature(Feature):
 
     def keys(self) -> Mapping[str, Key]:
         return {
-            "Escape": Key("no_tool", (), "look; what is being drawn is dropped"),
+            "Escape": Key("no_tool", (), "look; what is being drawn is dropped, outlines of other answers too"),
             "[": Key("scale_radius", (1 / 1.25,), "smaller ball and brush"),
             "]": Key("scale_radius", (1.25,), "larger ball and brush"),
         }
@@ -160,6 +161,10 @@ class MouseFeature(Feature):
         self.tool = tool
         self.actions.scene.mark_ball(None)
         self.actions.note(tool.tip)
+
+    def _look(self) -> None:
+        self._use("look")
+        self.actions.feature(AnswersFeature).hide()
 
     def _radius(self, mm: Any) -> None:
         self.actions.radius = number(mm, 0.0, float(max(self.actions.scene.geometry.extent_mm)))

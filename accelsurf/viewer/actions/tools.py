@@ -79,7 +79,7 @@ class Size(Tool):
     """Presses in an object and draws its size out."""
 
     name, key, text = "size", "S", "Size"
-    tip = "Press in the object and drag outwards until the outline fits: a click and a size"
+    tip = "Press in the object and drag outwards until the outline fits: a click and a size; or a click alone"
 
     def __init__(self, actions: AllActions) -> None:
         super().__init__(actions)
@@ -106,8 +106,10 @@ class Size(Tool):
             self.actions.scene.mark_size(drag, self.drag_mm)
 
     def release(self) -> None:
-        if self._dragging is not None and self.drag_mm > 0:
-            self.actions.ask(self.actions.session.release(self.drag_mm))
+        if self._dragging is not None:
+            # Who moves by less than a voxel has not dragged: the hand was not still.
+            is_dragged = self.drag_mm >= finest(self.actions.scene.geometry)
+            self.actions.ask(self.actions.session.release(self.drag_mm if is_dragged else 0.0))
         self.leave()
 
     def leave(self) -> None:

@@ -25,6 +25,7 @@ from accelsurf.run.run import Run
 from accelsurf.settings.labels import colored, named
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.corrected_run import Corrections
+from accelsurf.viewer.core.first_answers import FirstAnswers
 from accelsurf.viewer.core.restarted import FROM_CLICKS
 from accelsurf.viewer.core.size_drag import SizeDrag
 
@@ -34,6 +35,7 @@ class Steered(Protocol):
 
     run: Run
     corrections: Corrections
+    answers: FirstAnswers
 
     @property
     def is_playing(self) -> bool:
@@ -159,8 +161,8 @@ class ObjectCommands:
         return drag
 
     def release(self, drag_mm: float) -> None:
-        """Begin the object that was pressed with the size that a drag stands for: alone another run, which plays,
-        else beside the others.
+        """Begin the object that was pressed with the size that a drag stands for, or without one for a drag of 0: alone
+        another run, which plays, else beside the others.
 
         Raises
         ------
@@ -170,18 +172,36 @@ class ObjectCommands:
         if self._drag is None:
             raise UsageError("nothing was pressed, so there is no size to take", "press in the object first")
         (drag, object_id), self._drag = self._drag, None
-        size, ids = drag.size_text(drag_mm), self.ids
+        size, ids = drag.size_text(drag_mm) if drag_mm > 0 else None, self.ids
+        words = drag.click if size is None else f"{drag.click}, size {size}"
         if len(ids) == 1 and object_id in (None, ids[0]) and not self.has_ids:
             settings: dict[str, Any] = {"inside": (drag.click,), "outside": (), "start": FROM_CLICKS}
-            settings |= {"energy": "seeded", "size": size}
-            said = f"inside: {drag.click}, size {size}"
+            settings |= {"energy": "seeded", "size": size, "answer": 1}
+            said = f"inside: {words}"
             self._timeline.start_with(settings, said)
             # Who lets go has said all that the object needs, as beside others, where the run goes on too.
             self._timeline.play()
             return self._timeline.say(said)
         id = object_id or ids[0]
-        said = f"{'object' if id in ids else 'new object'} {id}: {drag.click}, size {size}"
-        return self._timeline.refine({"new": id, "inside": [drag.click], "size": size}, said)
+        said = f"{'object' if id in ids else 'new object'} {id}: {words}"
+        sized = {} if size is None else {"size": size}
+        return self._timeline.refine({"new": id, "inside": [drag.click], **sized}, said)
+
+    def take_answer(self, number: int) -> None:
+        """Play another run, of another answer to the first click; of the one that is taken nothing changes.
+
+        Raises
+        ------
+        UsageError
+            When there is no such answer, or something was corrected.
+        """
+        timeline = self._timeline
+        settings = timeline.answers.settings_of(timeline.run, timeline.corrections.wanted, number)
+        said = f"answer {number} to the first click"
+        if number != timeline.run.settings.answer:
+            timeline.start_with(settings, said)
+            timeline.play()
+        timeline.say(said)
 
     # -- merge, split, remove ------------------------------------------------------------------------------
 

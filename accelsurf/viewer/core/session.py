@@ -254,8 +254,15 @@ class Session:
         return self._do(lambda timeline: timeline.objects.press(ball, size_mm3, object_id))
 
     def release(self, drag_mm: float) -> Future[None]:
-        """Play another run from what was pressed, of a size that a drag of so many mm stands for; others stay."""
+        """Play another run from what was pressed, of a size that a drag of so many mm stands for; others stay.
+
+        With 0 it is a click alone, and the image says how large the object is.
+        """
         return self._do(lambda timeline: timeline.objects.release(drag_mm))
+
+    def take_answer(self, number: int) -> Future[None]:
+        """Play another run, of another answer to the first click, one of `Status.answers` by its number."""
+        return self._do(lambda timeline: timeline.objects.take_answer(number))
 
     def objects(self, work: Callable[[ObjectCommands], Any]) -> Future[None]:
         """Have objects merged, split, removed, named or coloured; all or nothing."""
@@ -350,11 +357,14 @@ class Session:
         """Carry out commands, and make steps while the timeline plays, until the session is closed."""
         while True:
             looks = self._uncertainty.is_wanted(self._version, timeline.stop is not None) and not timeline.is_playing
-            command = self._commands.next(not timeline.is_playing, IDLE if looks else None)
+            answers = timeline.answers.is_wanted(timeline.run)
+            command = self._commands.next(not timeline.is_playing and not answers, IDLE if looks else None)
             if command is not None:
                 self._carry_out(command, timeline)
             elif self._commands.is_closed:
                 return
+            elif answers and not self._views.is_due(self._version, False):
+                self._find_answer(timeline)
             elif timeline.is_playing:
                 self._step(timeline)
             elif looks:
@@ -394,6 +404,16 @@ class Session:
         self._uncertainty.postpone()
         message = timeline.message if error is None else error_line(error)
         self._status = timeline.status(message, error is not None)
+
+    def _find_answer(self, timeline: Timeline) -> None:
+        """Find what one more answer to the first click shows."""
+        try:
+            timeline.answers.find_next(timeline.run)
+            found = timeline.answers.offered(timeline.run, timeline.corrections.wanted)
+        except Exception as error:
+            self._status = self._status._replace(message=error_line(error), failed=True)
+        else:
+            self._status = self._status._replace(answers=found)
 
     def _look_for_uncertain(self, timeline: Timeline) -> None:
         """Find where to click next, when it has been idle for some time."""

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import StepRecord, Stop
@@ -15,6 +15,9 @@ from accelsurf.settings.labels import LabelTable
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.change_log import ChangeLine
 from accelsurf.viewer.core.frame import Frame
+
+if TYPE_CHECKING:
+    from accelsurf.viewer.core.first_answers import FirstAnswer
 
 #: What a session can save; ``run`` is the configuration that repeats the run.
 SAVED_KINDS = ("labels", "mesh", "picture", "trace", "report", "run")
@@ -71,6 +74,8 @@ class Status(NamedTuple):
         Where to click next, the most uncertain location first; found some time after the run's end.
     terms : sequence of dict
         Of the energy of the first object, with every setting resolved, see `ResolvedEnergy`.
+    answers : tuple of FirstAnswer
+        To the first click, to choose from; found some time after it, none once something was corrected.
     """
 
     ready: bool
@@ -92,6 +97,7 @@ class Status(NamedTuple):
     rests: tuple[int, ...] = ()
     uncertain: tuple[UncertainLocation, ...] = ()
     terms: Sequence[dict[str, Any]] = ()
+    answers: tuple[FirstAnswer, ...] = ()
 
     @classmethod
     def preparing(cls, config: RunConfig, message: str, failed: bool) -> Status:

@@ -17,6 +17,7 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core import saving
 from accelsurf.viewer.core.change_log import ChangeLog, Moment, edits_with, in_words
 from accelsurf.viewer.core.corrected_run import Corrections
+from accelsurf.viewer.core.first_answers import FirstAnswers
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.core.object_commands import ObjectCommands
 from accelsurf.viewer.core.restarted import restart_message, restarted
@@ -127,6 +128,7 @@ class Timeline:
     corrections : Corrections
     log : ChangeLog
     objects : ObjectCommands
+    answers : FirstAnswers
     """
 
     def __init__(
@@ -142,7 +144,7 @@ class Timeline:
         self._playing, self._last_step, self._message = False, -1, ""
         self.log, self.corrections = ChangeLog(), Corrections(config.refine, on_progress)
         self._written: set[Path] = set()
-        self.objects = ObjectCommands(self, config)
+        self.objects, self.answers = ObjectCommands(self, config), FirstAnswers()
         self.run = Run(volume, config.replace(refine=()), None, self._channels)
         self._present = self.run.checkpoint()
         self.checkpoints.add(self._present)
@@ -198,6 +200,7 @@ class Timeline:
             changes=self.log.lines,
             rests=self._rests(),
             terms=self.run.objects[0].made.terms,
+            answers=self.answers.offered(self.run, self.corrections.wanted),
         )
 
     def _rests(self) -> tuple[int, ...]:

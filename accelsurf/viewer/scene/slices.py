@@ -5,6 +5,7 @@ Contours are cuts of surfaces, functions of the image and drags: segments (n, 2,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -314,6 +315,12 @@ class SliceTile:
         if drag is not None and volume_mm3 is not None:
             lines = self._drag.lines(drag, volume_mm3, self.stack, self.index)
         self._draw_lines("size", lines, MARK, 2.2)
+
+    def mark_answers(self, answers: Sequence[SurfaceFrame]) -> None:
+        """Draw thin dashed outlines of other answers to the first click."""
+        lines = [dashed(surface_lines(surface, self.stack, self.index)) for surface in answers]
+        if lines or "answers" in self._lines:
+            self._draw_lines("answers", np.concatenate([NONE, *lines]), MARK, 1.4)
 
     def mark_places(self, places: NDArray[np.float64]) -> None:
         """Draw a diamond in a larger one at each of these indices (z, y, x), (n, 3), that lies in this slice."""

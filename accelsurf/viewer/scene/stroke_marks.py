@@ -1,4 +1,4 @@
-"""Marks: strokes as they are painted, voxels in the slices at once and beads in 3D; and uncertain locations.
+"""Marks: strokes as they are painted, voxels in the slices at once and beads in 3D; uncertain locations; answers.
 
 In 3D the beads are drawn over what is there, so that the surface, which takes longer, is not drawn anew for each.
 """
@@ -16,6 +16,7 @@ from accelsurf.clicks.reading import segment_voxels
 from accelsurf.grid.clicks import SIDES, Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.slice_stack import SliceStack
+from accelsurf.viewer.core.frame import SurfaceFrame
 from accelsurf.viewer.scene.colors import INSIDE, OUTSIDE
 from accelsurf.viewer.scene.redraw import Redraw
 from accelsurf.viewer.scene.shapes import Texture
@@ -48,6 +49,8 @@ class Marks:
     ----------
     places : tuple of (float, float, float)
         Uncertain locations (x, y, z), world mm.
+    answers : tuple of SurfaceFrame
+        Other answers to the first click.
     """
 
     def __init__(
@@ -59,6 +62,7 @@ class Marks:
         self._strokes: dict[int, list[Click]] = {}
         self._last = 0
         self.places: tuple[tuple[float, float, float], ...] = ()
+        self.answers: tuple[SurfaceFrame, ...] = ()
 
     def new_stroke(self) -> int:
         """Begin a stroke; returns its number."""
@@ -98,13 +102,20 @@ class Marks:
             self._space.mark_places(np.array(self.places).reshape(-1, 3))
         self.show_slices()
 
+    def show_answers(self, answers: Sequence[SurfaceFrame]) -> None:
+        """Draw outlines of other answers to the first click in place of those drawn before."""
+        self.answers = tuple(answers)
+        for layer in self._layers:
+            layer.tile.mark_answers(self.answers)
+
     def show_slices(self) -> None:
-        """Draw strokes and places in the slices that are shown now."""
+        """Draw strokes, places and answers in the slices that are shown now."""
         pieces = [piece for stroke in self._strokes.values() for piece in stroke]
         index = np.array([self._geometry.world_to_index(place) for place in self.places]).reshape(-1, 3)
         for layer in self._layers:
             layer.show(pieces)
             layer.tile.mark_places(index)
+            layer.tile.mark_answers(self.answers)
 
 
 def voxels_of(piece: Click, stack: SliceStack, number: int) -> tuple[slice, slice, NDArray[np.bool_]] | None:

@@ -34,6 +34,7 @@ from pyvistaqt import QtInteractor
 from accelsurf.image.grey_window import parse_window
 from accelsurf.image.volume import Volume
 from accelsurf.viewer.actions.actions import Actions, IdleDrawing
+from accelsurf.viewer.actions.answers import KEYS
 from accelsurf.viewer.actions.slices import READ_OUT
 from accelsurf.viewer.core.sequence_view import SequenceView
 from accelsurf.viewer.core.session import Session
@@ -288,7 +289,7 @@ IN_ROW = 4
 
 
 class ToolsPanel(Section):
-    """A button for each tool."""
+    """A button for each tool, and for each answer to the first click."""
 
     def __init__(self, actions: Actions) -> None:
         super().__init__("Mouse", actions)
@@ -306,12 +307,59 @@ class ToolsPanel(Section):
         self.radius.changed.connect(lambda value: self.ask("set_radius", value))
         grid.addWidget(QLabel(f"Radius of click, ball and brush ({shown['unit']})"), row, 0, 1, IN_ROW)
         grid.addWidget(self.radius, row + 1, 0, 1, IN_ROW)
+        self.answers = AnswersRow(actions)
+        grid.addWidget(self.answers, row + 2, 0, 1, IN_ROW)
 
     def show_state(self, state: Mapping[str, Any]) -> None:
-        """Show the tool in use, and its radius."""
+        """Show the tool in use, its radius, and what the first click may mean."""
+        self.answers.show_state(state)
         self.tools[state["tool"]].setChecked(True)
         if not self.radius.is_being_moved:
             self.radius.show_value(state["radius_row"]["value"])
+
+
+class AnswersRow(QWidget):
+    """What the first click may mean, a button for each answer; only while there is a choice.
+
+    Attributes
+    ----------
+    buttons : dict of int to QPushButton
+        By the number of the answer.
+    """
+
+    def __init__(self, actions: Actions) -> None:
+        super().__init__()
+        self.buttons = {number: self._made(number, actions) for number in KEYS}
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(2)
+        column.addWidget(QLabel(f"The first click may mean: keys {' '.join(KEYS.values())}"))
+        column.addLayout(in_row(*self.buttons.values()))
+        self._shown: Any = None
+        self.hide()
+
+    def _made(self, number: int, actions: Actions) -> QPushButton:
+        made = button("", f"Show this one; dashed outlines are of the others ({KEYS[number]})")
+        made.setCheckable(True)
+        made.clicked.connect(lambda: actions.request("take_answer", number))
+        return made
+
+    def show_state(self, state: Mapping[str, Any]) -> None:
+        """Show the answers, the taken one pressed."""
+        answers = state["first_answers"]
+        if answers == self._shown and [self.buttons[each["number"]].isChecked() for each in answers] == [
+            each["taken"] for each in answers
+        ]:
+            return
+        self._shown = answers
+        self.setVisible(bool(answers))
+        for made in self.buttons.values():
+            made.hide()
+        for answer in answers:
+            made = self.buttons[answer["number"]]
+            made.setText(f"{answer['key']} \N{MIDDLE DOT} {answer['volume']}")
+            made.setChecked(answer["taken"])
+            made.show()
 
 
 class ChangesBar(QWidget):
