@@ -12,7 +12,7 @@ from accelsurf.clicks.model import ClickModel
 from accelsurf.clicks.model import Scene as Images
 from accelsurf.clicks.model.boundary import features_near
 from accelsurf.clicks.model.features import Features, features_of_first, features_of_later
-from accelsurf.clicks.model.model import first_model, object_of, read_first, touches, with_click
+from accelsurf.clicks.model.model import first_blocks, first_model, with_click
 from accelsurf.clicks.model.network import Network
 from accelsurf.clicks.model.windows import SCALES, Seed, Window, seed_of, window_around
 from accelsurf.grid.boxes import whole_box, widened
@@ -199,7 +199,7 @@ def boundary_rows(seed: int, networks: Mapping[str, Network]) -> list[Rows]:
             game.answer()
         if game.model is None:
             continue
-        first = window_around(game.scene, game.seeds[:1], SCALES[scale_of_first(game)])
+        first = first_blocks(game.scene, game.seeds[0], network=networks["first"]).window
         steps = [int(step) for step in first.steps]
         box = widened(game.model.box, truth.shape, [2 * step + 2 for step in steps])
         inside, wanted = game.model.inside_on(box), truth[box]
@@ -211,13 +211,3 @@ def boundary_rows(seed: int, networks: Mapping[str, Network]) -> list[Rows]:
         rows = random.choice(len(where), min(NEAR, len(where)), replace=False)
         out.append(rows_of(features, wanted.ravel()[where[rows]], rows, seed))
     return out
-
-
-def scale_of_first(game: Game) -> int:
-    """Number of the scale that the first click's answer fits into."""
-    for number in range(len(SCALES)):
-        window = window_around(game.scene, game.seeds[:1], SCALES[number])
-        probability, levels = read_first(window, game.networks["first"])
-        if not touches(object_of(probability, levels.answers()[0], window), window):
-            break
-    return number

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from accelsurf.clicks.model.features import features_of_first
+from accelsurf.clicks.model.model import first_blocks
 from accelsurf.clicks.model.network import Network
 from accelsurf.clicks.model.windows import SCALES, Window
 from benchmarks.clicks.reading.around import Layers, backward, forward, started
-from benchmarks.clicks.reading.games import OBJECTS, OFTEN, Game, scale_of_first
+from benchmarks.clicks.reading.games import OBJECTS, OFTEN, Game
 from benchmarks.clicks.reading.scenes import scene
 
 Floats = NDArray[np.floating]
@@ -61,8 +62,11 @@ def lessons_of_first(seed: int, networks: Mapping[str, Network]) -> list[Lesson]
             continue
         game.seeds.append(click)
         is_drawn = random.random() < DRAWN
-        scale = int(random.choice(len(SCALES), p=OFTEN)) if is_drawn else scale_of_first(game)
-        out.append(_lesson(game.window(scale), networks["first"], truth, seed))
+        if is_drawn:
+            window = game.window(int(random.choice(len(SCALES), p=OFTEN)))
+        else:
+            window = first_blocks(game.scene, click, network=networks["first"]).window
+        out.append(_lesson(window, networks["first"], truth, seed))
     return out
 
 
