@@ -23,17 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import accelsurf
 from accelsurf.clicks import model as clicks_model
 from accelsurf.clicks.model import click_model
 from accelsurf.clicks.model.confidence import confidence_of
-from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import whole_box
-from accelsurf.image.volume import Volume
 from accelsurf.measure import likely, quality
 from accelsurf.measure.metrics import dice
-from accelsurf.phantoms import recipes
 from accelsurf.run.preprocessing import apply, scale_of
 from benchmarks.clicks.folds import FOLDS, PHANTOMS
 from benchmarks.clicks.games import BASE, FAILED, GOOD, SAID, Hints
@@ -54,20 +50,15 @@ CLICKS, GAMES = 5, (None, 0)
 #: counts beside one of a scan.
 SCENES, OF_SCENE, SCENE_WEIGHT = range(900_000, 900_040), 2, 0.25
 DRAWN = "scenes"
-#: Runs with other energies: phantoms, noise in parts of the contrast, and settings.
-RUN_PHANTOMS = ("ball", "ball_anisotropic", "ball_small", "box", "cube", "disc", "torus", "two_balls")
-NOISE = (0.3, 1.0)
-ENERGIES: tuple[dict[str, Any], ...] = (
-    {}, {"energy": "threshold:learned,learned", "smoothness": 0.5}, {"energy": "local-region"},
-    {"presmooth": "1vox", "smoothness": 0.3}, {"energy": "threshold:learned,learned", "presmooth": "1vox"},
-)
-#: Which way each feature may count; 0 for either.
+#: Which way each feature may count.
 SIGNS = {
-    "level_overlap": 1.0, "size_spread": -1.0, "correction": -1.0, "kept": 1.0, "surprise": -1.0,
-    "rim": -1.0, "contrast": 1.0, "evidence": 1.0, "inside_like": -1.0, "no_edge": -1.0, "border": -1.0,
-    "beyond_clicks": 1.0, "compactness": 1.0, "clicked": -1.0, "drift": -1.0,
-    "burst": -1.0, "growth": -1.0, "unconverged": -1.0,
+    "level_overlap": 1.0, "size_spread": -1.0, "correction": -1.0, "kept": 1.0, "surprise": -1.0, "rim": -1.0,
+    "drift": -1.0, "no_edge": -1.0,
 }
+#: The models: by the clicks' model and the image, and by the image alone.
+KINDS: tuple[likely.ModelKind, ...] = ("clicks", "image")
+#: A warning is given below this probability: the result is probably not good.
+WARNED = 0.5
 #: Weight of the squares of the weights; a figure's point has at least so many results.
 RIDGE, MANY = 3.0, 10
 Row = dict[str, Any]
@@ -80,29 +71,19 @@ def main() -> None:
     parser.add_argument("--only", default="", help="make these rows, separated by commas; the others are kept")
     parser.add_argument("--again", action="store_true", help="make rows again that are kept")
     parser.add_argument("--fit", action="store_true", help="make no rows: calibrate on those of the JSON")
-    parser.add_argument("--runs", action="store_true", help="also run other energies on phantoms, for the other model")
     parser.add_argument("--jobs", type=int, default=1, help="processes (1)")
     options = parser.parse_args()
-    facts = json.loads(FACTS.read_text())
+    facts = json.loads(FACTS.read_text()) if FACTS.exists() else {"games": {}}
     if not options.fit:
         gather(facts, options)
-    if options.runs:
-        for name in RUN_PHANTOMS:
-            facts["runs"][name] = list(runs_on(name))
     held = {name: entry["rows"] for name, entry in facts["games"].items() if entry["rows"]}
-    said = judged(held)
-    runs: dict[str, list[Row]] = facts["runs"]
-    models = {
-        "clicks": {**trained(held, "click"), "threshold": best_threshold(held, said)},
-        "image": {**trained(runs, "image"), "threshold": best_threshold(runs, left_out(runs, "image"))},
-    }
-    models = {**json.loads(MODEL.read_text()), **(models if options.runs else {"clicks": models["clicks"]})}
+    models = {kind: {**trained(held, kind), "threshold": WARNED} for kind in KINDS}
     MODEL.write_text(json.dumps(models, indent=1) + "\n")
     likely.calibrated_models.cache_clear()
-    facts["figures"] = every_figure(held, said, models["clicks"]["threshold"])
+    facts["figures"] = {kind: every_figure(held, judged(held, kind)) for kind in KINDS}
     FACTS.write_text(json.dumps(facts, indent=0) + "\n")
     put_table(PAGE, "quality", text_of(facts["figures"]))
-    picture(facts["figures"])
+    picture(facts["figures"]["clicks"])
     print(text_of(facts["figures"]))
 
 
@@ -110,7 +91,7 @@ def main() -> None:
 
 
 def gather(facts: dict[str, Any], options: argparse.Namespace) -> None:
-    """Make the rows that are missing, or of other weights, and write them as they come."""
+    """Make the rows that are missing, or of another model, and write them as they come."""
     made_by, only, began = model_digest(), {name for name in options.only.split(",") if name}, time.monotonic()
     names = [which.name for which in chosen()] if "ACCELSURF_VOLUMES" in os.environ else []
     if not names:
@@ -194,36 +175,13 @@ def row_of_result(player: StartAlone, found: NDArray[np.bool_], clicked: NDArray
         after = click_model(player.scene, clicks, previous=player.model).inside_on(whole_box(geometry.shape))
         hinted = dice(within(after, scene.region), scene.truth)
     return {
-        "dice": round(value, 4), "click": {name: round(each, 4) for name, each in features.items()},
+        "dice": round(value, 4), "clicks": _rounded(features), "image": _rounded(likely.image_features(measured)),
         "hinted": hinted, "person": None,
     }
 
 
-def runs_on(name: str) -> Iterator[Row]:
-    """Runs with other energies on a phantom, half of them leaks into a half of the same brightness."""
-    recipe = recipes.load_recipe(name)
-    for noise in NOISE:
-        made = recipes.make(recipe.changed(noise=noise * abs(recipe.contrast)))
-        truth = np.asarray(made.truth.array > 0)
-        half = truth.copy()
-        half[:, :, truth.shape[2] // 2 :] = False
-        for part in (truth, half) if half.any() else (truth,):
-            click = next_click(part, None, made.image.geometry)
-            assert click is not None
-            start = "ball:" + ",".join(map(repr, (*click.centre, click.radius)))
-            for settings in ENERGIES:
-                yield from of_run(made.image, part, {"start": start, "max_steps": 200, **settings})
-
-
-def of_run(image: Volume, truth: NDArray[np.bool_], options: Mapping[str, Any]) -> Iterator[Row]:
-    """The row of a run; none where it failed."""
-    try:
-        result = accelsurf.segment(image, threads=1, **options)
-    except AccelsurfError:
-        return
-    if result.objects[0].has_surface and result.quality is not None:
-        features = likely.image_features(result.quality, result.stop.reason, result.volume_mm3)
-        yield {"dice": dice(np.asarray(result.labels > 0), truth), "image": features}
+def _rounded(features: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(value, 4) for name, value in features.items()}
 
 
 # -- the model ----------------------------------------------------------------------------------------------
@@ -281,34 +239,14 @@ def probabilities(model: Mapping[str, Any], rows: Iterable[Mapping[str, Any]], k
     return out
 
 
-def judged(rows: Rows) -> dict[str, list[float]]:
+def judged(rows: Rows, kind: str) -> dict[str, list[float]]:
     """The probabilities of the rows by models that were made without their fold."""
     folds = {name: str(each[0]["fold"]) for name, each in rows.items()}
     out: dict[str, list[float]] = {}
     for fold in sorted(set(folds.values())):
-        model = trained({name: each for name, each in rows.items() if folds[name] != fold}, "click")
-        out |= {name: probabilities(model, each, "click") for name, each in rows.items() if folds[name] == fold}
+        model = trained({name: each for name, each in rows.items() if folds[name] != fold}, kind)
+        out |= {name: probabilities(model, each, kind) for name, each in rows.items() if folds[name] == fold}
     return out
-
-
-def left_out(rows: Rows, kind: str) -> dict[str, list[float]]:
-    """The probabilities of each name's rows by a model that was made without them."""
-    return {
-        name: probabilities(trained({key: each for key, each in rows.items() if key != name}, kind), held, kind)
-        for name, held in rows.items()
-    }
-
-
-def best_threshold(rows: Rows, said: Mapping[str, Sequence[float]]) -> float:
-    """The probability with the least larger one of two shares: failures without a warning, good ones with one."""
-    p, d, w = table_of(rows, said)
-    failed, good = d < FAILED, d >= GOOD
-
-    def cost(limit: float) -> tuple[float, float]:
-        silent, false = (w[failed & (p >= limit)].sum(), w[good & (p < limit)].sum())
-        return float(max(silent, false)), float(silent + false)
-
-    return float(min(np.round(np.arange(0.05, 0.96, 0.01), 2), key=lambda limit: (*cost(float(limit)), limit)))
 
 
 def table_of(
@@ -324,7 +262,7 @@ def table_of(
 # -- figures and the page -----------------------------------------------------------------------------------
 
 
-def every_figure(rows: Rows, said: Mapping[str, Sequence[float]], threshold: float) -> dict[str, Any]:
+def every_figure(rows: Rows, said: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     """The figures of all scans, of each fold, of the phantoms and of the drawn scenes."""
     fold_of = {name: str(each[0]["fold"]) for name, each in rows.items()}
     parts = {"all scans": {fold.name for fold in FOLDS}, **{f"fold {fold.name}": {fold.name} for fold in FOLDS},
@@ -333,11 +271,11 @@ def every_figure(rows: Rows, said: Mapping[str, Sequence[float]], threshold: flo
     for part, folds in parts.items():
         here = {name: each for name, each in rows.items() if fold_of[name] in folds}
         if here:
-            out[part] = figures(here, said, threshold)
+            out[part] = figures(here, said)
     return out
 
 
-def figures(rows: Rows, said: Mapping[str, Sequence[float]], threshold: float) -> dict[str, Any]:
+def figures(rows: Rows, said: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     """What of the results said to be good is, what of the failures is said to be, the curve, and what a hint does."""
     p, d, _ = table_of(rows, said)
     says, failed = p >= SAID, d < FAILED
@@ -348,13 +286,14 @@ def figures(rows: Rows, said: Mapping[str, Sequence[float]], threshold: float) -
             curve.append({"stated": float(p[here].mean()), "good": float((d[here] >= GOOD).mean()),
                           "results": int(here.sum())})
     doubted = [row for name, each in rows.items() for row, value in zip(each, said[name], strict=True)
-               if value < threshold and row["hinted"] is not None and row["person"] is not None]
+               if value < WARNED and row["hinted"] is not None and row["person"] is not None]
     gains = {key: np.array([row[key] - row["dice"] for row in doubted]) for key in ("hinted", "person")}
     return {
         "objects": len(rows), "results": len(p), "good": float((d >= GOOD).mean()), "said": int(says.sum()),
         "good_of_said": float((d[says] >= GOOD).mean()) if says.any() else None, "failed": int(failed.sum()),
         "said_of_failed": float(says[failed].mean()) if failed.any() else None,
-        "doubted_of_failed": float((p[failed] < threshold).mean()) if failed.any() else None, "curve": curve,
+        "doubted_of_good": float((p[d >= GOOD] < WARNED).mean()) if (d >= GOOD).any() else None,
+        "doubted_of_failed": float((p[failed] < WARNED).mean()) if failed.any() else None, "curve": curve,
         "hints": len(doubted),
         **{f"{key}_{what}": float(value) if len(doubted) else None for key, gain in gains.items()
            for what, value in (("raises", np.mean(gain > 0.005) if len(doubted) else 0.0),
@@ -362,15 +301,18 @@ def figures(rows: Rows, said: Mapping[str, Sequence[float]], threshold: float) -
     }
 
 
-def text_of(found: Mapping[str, Mapping[str, Any]]) -> str:
+def text_of(figures: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
     """The page's tables."""
+    found = figures["clicks"]
     lines = head_of(("results of", "results", f"good (Dice {GOOD})", f"said to be good ({SAID:.0%})", "of these good",
-                     f"failed (below {FAILED})", "of these said to be good", "of these with a warning"))
-    for part, own in found.items():
-        shares = (own["good_of_said"], own["said_of_failed"], own["doubted_of_failed"])
-        of_said, of_failed, warned = ("-" if share is None else f"{share:.0%}" for share in shares)
+                     f"failed (below {FAILED})", "of these said to be good", "of these with a warning",
+                     "good ones with a warning"))
+    alone = {f"{part}, by the image alone": own for part, own in figures["image"].items() if part == "all scans"}
+    for part, own in (*found.items(), *alone.items()):
+        keys = ("good_of_said", "said_of_failed", "doubted_of_failed", "doubted_of_good")
+        of_said, *rest = ("-" if own[key] is None else f"{own[key]:.0%}" for key in keys)
         cells = (part, str(own["results"]), f"{own['good']:.0%}", str(own["said"]), of_said, str(own["failed"]))
-        lines.append(row_of((*cells, of_failed, warned)))
+        lines.append(row_of((*cells, *rest)))
     lines += ["", *head_of(("results with a warning", "number", "a click at the doubtful place raises the Dice",
                             "by", "the person's own click raises it", "by"))]
     for part, own in found.items():

@@ -1,4 +1,4 @@
-"""How likely a result is good, by its measures of quality, and what speaks most against it.
+"""Probability that a result is good, by its measures of quality, and what speaks most against it.
 
 The probability is a logistic model of a few measures, calibrated by ``scripts/study quality``. There are two:
 ``clicks`` for a result whose model of clicks says how sure it is, and ``image`` for all others. The study writes them
@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from accelsurf.measure.records import Quality
 
-#: What counts for an object without clicks as its volume over theirs, where no click has corrected it (radii), as
-#: compactness where no surface was measured; what a correction keeps, and how it surprises.
-USUAL_BEYOND, USUAL_CORRECTION, USUAL_COMPACTNESS, USUAL_KEPT, USUAL_SURPRISE = 20.0, 0.37, 0.49, 0.77, 0.3
+#: What counts where no click has corrected a result: radius of a correction (object's radii), what it keeps (Dice), and
+#: how sure the model was of the opposite.
+USUAL_CORRECTION, USUAL_KEPT, USUAL_SURPRISE = 0.37, 0.77, 0.3
 #: The file with the models of the probability.
 MODEL_FILE = "good_result.json"
 #: Names of the models.
@@ -32,10 +32,9 @@ def model_kind(found: Quality) -> ModelKind:
     return "image" if found.level_overlap is None else "clicks"
 
 
-def features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]:
+def features(found: Quality) -> dict[str, float]:
     """Return the features of the probability, by name."""
-    clicks = click_features(found)
-    return image_features(found, reason, volume_mm3) if clicks is None else clicks
+    return click_features(found) or image_features(found)
 
 
 def click_features(found: Quality) -> dict[str, float] | None:
@@ -53,8 +52,17 @@ def click_features(found: Quality) -> dict[str, float] | None:
         "kept": _log_odds(USUAL_KEPT if found.kept is None else found.kept),
         "surprise": USUAL_SURPRISE if found.surprise is None else found.surprise,
         "rim": found.rim_fraction,
-        "drift": math.log1p(min(found.drift, 20.0)),
+        "drift": _drift(found),
     }
+
+
+def image_features(found: Quality) -> dict[str, float]:
+    """Return the features of surface and image, whatever made the result."""
+    return {"rim": found.rim_fraction, "drift": _drift(found), "no_edge": found.no_edge_fraction}
+
+
+def _drift(found: Quality) -> float:
+    return math.log1p(min(found.drift, 20.0))
 
 
 def _log_odds(share: float) -> float:
@@ -62,55 +70,20 @@ def _log_odds(share: float) -> float:
     return math.log(share / (1.0 - share))
 
 
-def image_features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]:
-    """Return the features of the surface, the image and the run."""
-    burst = max((volume_mm3 / note.volume_mm3 for note in found.rests[:1] if note.volume_mm3 > 0), default=1.0)
-    return {
-        "contrast": math.log(min(max(found.contrast, 0.1), 100.0)),
-        "evidence": found.evidence,
-        "clicked": found.clicked,
-        "beyond_clicks": math.log(min(max(found.beyond_clicks or USUAL_BEYOND, 1.0), 1000.0)),
-        "inside_like": found.inside_like,
-        "drift": math.log1p(min(found.drift, 20.0)),
-        "compactness": _round(found),
-        "border": min(found.border_fraction, 1.0),
-        "burst": math.log(min(max(burst, 1.0), 20.0)),
-        "growth": math.log(min(max(found.growth, 0.1), 1000.0)),
-        "no_edge": found.no_edge_fraction,
-        "unconverged": float(reason not in ("converged", "rested")),
-    }
-
-
-def _round(found: Quality) -> float:
-    """The compactness as a feature: 0 of a ball; that of most objects where no surface was measured."""
-    return math.log(min(max(found.compactness or USUAL_COMPACTNESS, 1e-3), 1.0))
-
-
 def why(found: Quality) -> str:
     """The measure that speaks most against it, in words."""
     words = {
-        "contrast": f"the contrast across the surface is {found.contrast:.1f} times the noise",
-        "evidence": f"little holds the surface: evidence {found.evidence:.2f}",
-        "clicked": "it is hardly larger than its clicks",
-        "beyond_clicks": f"it is {found.beyond_clicks or USUAL_BEYOND:.3g} times its clicks",
-        "inside_like": f"beyond {found.inside_like:.0%} of the surface the image is like the object",
-        "drift": f"values drift by {found.drift:.1f} deviations from its middle outwards",
-        "compactness": f"the shape is far from compact, {found.compactness:.2f}",
-        "border": f"{found.border_fraction:.0%} of the surface lies on the volume's border",
-        "burst": "it broke through after a rest",
-        "growth": f"it grew {found.growth:.3g} times",
-        "no_edge": f"under {found.no_edge_fraction:.0%} of the surface the image has no edge",
-        "unconverged": "it did not converge",
         "level_overlap": "slightly more or less would be another object",
         "size_spread": "other sizes are likely too",
         "rim": f"it is thin or small: {found.rim_fraction:.0%} of its voxels lie at its surface",
+        "drift": f"its values change from its middle outwards, by {found.drift:.1f} deviations",
+        "no_edge": f"under {found.no_edge_fraction:.0%} of the surface the image has no edge",
     }
     if found.correction is not None and found.kept is not None:
         words["correction"] = f"the last click was a large one, {found.correction:.2g} radii of the object"
         words["kept"] = f"the last click changed much of it: of before it keeps a Dice of {found.kept:.2f}"
         words["surprise"] = "clicks were needed where it had been sure of the opposite"
-    last = found.rests[0].volume_mm3 if found.rests else 0.0
-    return words[lowest_term(model_kind(found), features(found, "converged", last), words)]
+    return words[lowest_term(model_kind(found), features(found), words)]
 
 
 @functools.cache

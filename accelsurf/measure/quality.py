@@ -81,7 +81,7 @@ def assess(
     """
     found = measured(labels, image, geometry, history, stop, learned, plateaus, clicked, confidence)
     last = history[-1].volume_mm3 if history else 0.0
-    found = found._replace(probability=probability_good(model_kind(found), features(found, stop.reason, last)))
+    found = found._replace(probability=probability_good(model_kind(found), features(found)))
     warnings = _warnings(found, stop, last, labels > 0, geometry)
     return found._replace(warnings=tuple(warnings), notes=tuple(_notes(found, last, geometry)))
 

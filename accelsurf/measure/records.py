@@ -1,4 +1,4 @@
-"""What is known of the quality of a result: the record that reports, tables and viewers have."""
+"""Record of the quality of a result, as reports, tables and viewers have it."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ from accelsurf.evolution.records import Stop
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import Geometry
+from accelsurf.measure import likely
 from accelsurf.measure.metrics import dice
 from accelsurf.measure.quality import assess
 
@@ -69,7 +70,8 @@ def first_answer(name, noise):
 def test_a_failure_is_not_said_to_be_good(name, noise):
     value, found = first_answer(name, noise)
     assert value >= FAILED or found.probability < SAID
-    assert value >= FAILED or [line for line in found.warnings if line.startswith("doubt: ")]
+    doubted = [line for line in found.warnings if line.startswith("doubt: probably not right (")]
+    assert bool(doubted) == (found.probability < likely.warning_threshold("clicks"))
 
 
 def test_what_a_click_in_mere_noise_finds_is_not_said_to_be_good():

@@ -193,7 +193,7 @@ def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
     assert good.probability > likely.warning_threshold("image") > bad.probability
     model = likely.calibrated_models()["image"]
     total = model["constant"] + sum(
-        weight * (features(good, "converged", 7200.0)[name] - mean) / deviation
+        weight * (features(good)[name] - mean) / deviation
         for name, (mean, deviation, weight) in model["features"].items()
     )
     assert good.probability == pytest.approx(1 / (1 + np.exp(-total)))
@@ -213,7 +213,7 @@ def told_of(confidence, mask=None):
 def test_what_the_model_of_the_clicks_says_counts_for_all():
     def probability(**changes):
         found = told_of(USUAL._replace(**changes))
-        assert click_features(found) == features(found, "converged", 7200.0)
+        assert click_features(found) == features(found)
         doubted = [words for words in found.warnings if words.startswith("doubt: ")]
         assert bool(doubted) == (found.probability < likely.warning_threshold("clicks"))
         return found.probability
