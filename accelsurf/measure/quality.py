@@ -1,19 +1,10 @@
-"""Quality of a result: measures of surface and image that need no reference, and the place to look at next.
-
-The probability that a result is good is a logistic model of a few measures, calibrated by ``scripts/study quality``.
-There are two: ``clicks`` for a result whose model of clicks says how sure it is, and ``image`` for all others. The
-study writes them into the file beside this one: for each feature its mean, standard deviation and weight; the constant
-term; and the probability below which a warning is given.
-"""
+"""Quality of a result: measures of surface and image that need no reference, and the place to look at next."""
 
 from __future__ import annotations
 
-import functools
-import json
 import math
-from collections.abc import Collection, Mapping, Sequence
-from importlib import resources
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +14,11 @@ from accelsurf.grid.boxes import Box, bounding_box, slabs
 from accelsurf.grid.geometry import Geometry, axis_steps
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.measure import evidence as places
+from accelsurf.measure.likely import features, model_kind, probability_good, warning_threshold, why
+from accelsurf.measure.records import PlateauNote, Quality
 from accelsurf.settings.wording import place_text, volume_text
 
 if TYPE_CHECKING:
-    from accelsurf.clicks.model import Answer
     from accelsurf.clicks.model.confidence import Confidence
     from accelsurf.evolution.records import StepRecord, Stop
     from accelsurf.measure.evidence import Evidence
@@ -35,11 +27,10 @@ if TYPE_CHECKING:
 #: in units of the noise; relative growth over the last steps; share of the object unlike what was learned. A Gaussian
 #: has 1.2 % beyond the bounds.
 MAX_ON_BORDER, MAX_WITHOUT_EDGE, MIN_CONTRAST, MAX_GROWTH, LAST_STEPS, MAX_UNLIKE = 0.2, 0.4, 2.0, 0.02, 20, 0.1
+#: An outside click is said to take away much from this share of the object on.
+MAX_TAKEN = 0.5
 #: A plateau is noted where the object has grown to so many times its size since.
 MIN_BURST = 1.1
-#: What counts for an object without clicks as its volume over theirs, where no click has corrected it (radii), and as
-#: compactness where no surface was measured.
-USUAL_BEYOND, USUAL_CORRECTION, USUAL_COMPACTNESS = 20.0, 0.37, 0.49
 #: A gradient is an edge if it is above this percentile of the gradients inside the object, at least so many voxels from
 #: its surface, and above this fraction of the image's range over the scale that gradients are computed at.
 INTERIOR_PERCENTILE, INTERIOR_DEPTH, MIN_EDGE = 75.0, 3, 0.005
@@ -50,110 +41,11 @@ MIN_SLAB_HALOS = 4
 #: A part counts from this fraction of the object's volume on; a neck is at most so many voxels to either side; so many
 #: parts are examined.
 LARGE_PART, NECK, MAX_PARTS = 0.05, 2, 200
-#: The file with the models of the probability.
-MODEL_FILE = "good_result.json"
-#: Names of the models.
-ModelKind = Literal["clicks", "image"]
-
-
 class ValueRange(NamedTuple):
     """An interval of the image's values."""
 
     low: float
     high: float
-
-
-class PlateauNote(NamedTuple):
-    """A plateau of the front: its ``step``, its ``volume_mm3`` then, and the ``place`` (x, y, z; mm, LPS) near which
-    the front broke through at step ``left_at``.
-    """
-
-    step: int
-    volume_mm3: float
-    left_at: int
-    place: tuple[float, float, float]
-
-
-class Quality(NamedTuple):
-    """Measures of a result that need no reference.
-
-    Attributes
-    ----------
-    probability : float
-        That the result is good (a Dice of 0.8 or more), by a logistic model of the measures below; how it was
-        calibrated stands in docs/explanation/quality.md.
-    next_click : (x, y, z) or None
-        World mm (LPS): the most uncertain place, where to click next.
-    next_doubt : float
-        Uncertainty there, 0 to 1.
-    border_fraction : float
-        Share of the object's surface that lies on the volume's border.
-    contrast : float
-        Median difference of the image across the surface, in units of how much it differs within the object over the
-        same distance.
-    no_edge_fraction : float
-        Share of the surface where the image has no edge: a gradient within the lower three quarters of those inside the
-        object.
-    evidence : float
-        Mean evidence of the image for the surface, 0 to 1: an edge, and beyond it values unlike the object's.
-    clicked : float
-        Mean evidence of clicks: 1 where all of the surface lies beside one.
-    beyond_clicks : float or None
-        Volume of the object over that of the clicked voxels in it; None without clicks.
-    inside_like : float
-        Share of the surface beyond which the image has values of the object.
-    drift : float
-        Difference of the object's values between shells around its middle, in units of their deviation.
-    compactness : float
-        36 pi V^2/A^3, 1 for a ball; in one slice 4 pi A/L^2.
-    parts_beyond_necks : int
-        Large parts that remain when necks of less than four voxels are removed; 1 for a compact object.
-    growth : float
-        Volume at the end over that of the start.
-    late_growth : float
-        Relative change of the volume over the last 20 steps.
-    level_overlap, size_spread, correction : float or None
-        How sure the model of the clicks is: ``overlap``, ``spread`` and ``correction`` of
-        `accelsurf.clicks.model.confidence.Confidence`; None without one.
-    unlike_learned : float or None
-        Share of the object, without the voxels next to its surface, whose values lie further than 2.5 standard
-        deviations from the mean of those that it was learned from; None where no model was learned once.
-    leaked : bool
-        Whether it grew beyond ``max_volume``.
-    rests : tuple of PlateauNote
-        Plateaus of the front before it broke through.
-    warnings : tuple of str
-        What is uncertain, each with a command to try next.
-    notes : tuple of str
-        Remarks worth knowing and mostly harmless.
-    answers : tuple of Answer
-        To the first click: the one that was taken, and others that are likely; none without a model of clicks.
-    """
-
-    probability: float
-    next_click: tuple[float, float, float] | None
-    next_doubt: float
-    border_fraction: float
-    contrast: float
-    no_edge_fraction: float
-    evidence: float
-    clicked: float
-    beyond_clicks: float | None
-    inside_like: float
-    drift: float
-    compactness: float
-    parts_beyond_necks: int
-    growth: float
-    late_growth: float
-    level_overlap: float | None
-    size_spread: float | None
-    correction: float | None
-    unlike_learned: float | None
-    leaked: bool
-    rests: tuple[PlateauNote, ...]
-    warnings: tuple[str, ...]
-    notes: tuple[str, ...]
-    answers: tuple[Answer, ...] = ()
 
 
 def assess(
@@ -187,16 +79,39 @@ def assess(
     confidence : Confidence, optional
         Of the model of the clicks.
     """
+    found = measured(labels, image, geometry, history, stop, learned, plateaus, clicked, confidence)
+    last = history[-1].volume_mm3 if history else 0.0
+    found = found._replace(probability=probability_good(model_kind(found), features(found)))
+    warnings = _warnings(found, stop, last, labels > 0, geometry)
+    return found._replace(warnings=tuple(warnings), notes=tuple(_notes(found, last, geometry)))
+
+
+def measured(
+    labels: NDArray[np.uint8],
+    image: NDArray[np.float32],
+    geometry: Geometry,
+    history: Sequence[StepRecord],
+    stop: Stop,
+    learned: ValueRange | None = None,
+    plateaus: Sequence[PlateauNote] = (),
+    clicked: NDArray[np.bool_] | None = None,
+    confidence: Confidence | None = None,
+) -> Quality:
+    """Measure the quality of a result, without its probability, warnings and notes.
+
+    The parameters are those of `assess`.
+    """
     inside, spacing = labels > 0, geometry.spacing
     finest = [row for row in history if row.level == 0]
     first, last = (history[0].volume_mm3, history[-1].volume_mm3) if history else (0.0, 0.0)
     before = finest[max(-LAST_STEPS - 1, -len(finest))].volume_mm3 if finest else 0.0
     found, volume = places.gather(inside, image, spacing, clicked), np.count_nonzero(inside) * geometry.voxel_volume
     place, uncertainty = (None, 0.0) if found is None else places.uncertain_places(found, spacing, volume)[0]
-    measured = Quality(
+    return Quality(
         probability=0.0,
         next_click=None if place is None else _world(geometry, place),
         next_doubt=uncertainty,
+        rim_fraction=_rim_fraction(inside),
         border_fraction=_border_fraction(inside, spacing),
         **_along_surface(found),
         no_edge_fraction=no_edge_fraction(inside, image, spacing),
@@ -212,10 +127,6 @@ def assess(
         warnings=(),
         notes=(),
     )
-    likely = probability_good(model_kind(measured), features(measured, stop.reason, last))
-    measured = measured._replace(probability=likely)
-    warnings, notes = _warnings(measured, stop, last, inside, geometry), _notes(measured, last, geometry)
-    return measured._replace(warnings=tuple(warnings), notes=tuple(notes))
 
 
 def _along_surface(found: Evidence | None) -> dict[str, Any]:
@@ -228,57 +139,11 @@ def _along_surface(found: Evidence | None) -> dict[str, Any]:
 
 def _by_clicks(confidence: Confidence | None) -> dict[str, Any]:
     """The measures by the model of the clicks; without one they are None."""
-    overlap, spread, correction, answers = confidence or (None, None, None, ())
-    return {"level_overlap": overlap, "size_spread": spread, "correction": correction, "answers": answers}
-
-
-def model_kind(found: Quality) -> ModelKind:
-    """Return the model that tells the probability."""
-    return "image" if found.level_overlap is None else "clicks"
-
-
-def features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]:
-    """Return the features of the probability, by name."""
-    clicks = click_features(found)
-    return image_features(found, reason, volume_mm3) if clicks is None else clicks
-
-
-def click_features(found: Quality) -> dict[str, float] | None:
-    """Return the features of the model of the clicks; None without one."""
-    if found.level_overlap is None or found.size_spread is None:
-        return None
-    overlap = min(max(found.level_overlap, 0.01), 0.99)
-    correction = USUAL_CORRECTION if found.correction is None else found.correction
+    overlap, spread, correction, kept, taken, surprise, answers = confidence or (*(None,) * 6, ())
     return {
-        "level_overlap": math.log(overlap / (1.0 - overlap)),
-        "correction": math.log(min(max(correction, 0.03), 5.0)),
-        "size_spread": min(found.size_spread, 3.0),
-        "compactness": _round(found),
+        "level_overlap": overlap, "size_spread": spread, "correction": correction, "kept": kept, "taken": taken,
+        "surprise": surprise, "answers": answers,
     }
-
-
-def image_features(found: Quality, reason: str, volume_mm3: float) -> dict[str, float]:
-    """Return the features of the surface, the image and the run."""
-    burst = max((volume_mm3 / note.volume_mm3 for note in found.rests[:1] if note.volume_mm3 > 0), default=1.0)
-    return {
-        "contrast": math.log(min(max(found.contrast, 0.1), 100.0)),
-        "evidence": found.evidence,
-        "clicked": found.clicked,
-        "beyond_clicks": math.log(min(max(found.beyond_clicks or USUAL_BEYOND, 1.0), 1000.0)),
-        "inside_like": found.inside_like,
-        "drift": math.log1p(min(found.drift, 20.0)),
-        "compactness": _round(found),
-        "border": min(found.border_fraction, 1.0),
-        "burst": math.log(min(max(burst, 1.0), 20.0)),
-        "growth": math.log(min(max(found.growth, 0.1), 1000.0)),
-        "no_edge": found.no_edge_fraction,
-        "unconverged": float(reason not in ("converged", "rested")),
-    }
-
-
-def _round(found: Quality) -> float:
-    """The compactness as a feature: 0 of a ball; that of most objects where no surface was measured."""
-    return math.log(min(max(found.compactness or USUAL_COMPACTNESS, 1e-3), 1.0))
 
 
 def _beyond(inside: NDArray[np.bool_], clicked: NDArray[np.bool_]) -> float:
@@ -308,9 +173,11 @@ def _warnings(
     if found.leaked:
         warnings.append(f"leak: {stop.message}; try {_against_leak(found, there, geometry)}")
     if found.probability < warning_threshold(model_kind(found)) and found.next_click is not None:
-        click = f"look at {there} first and try --inside point:{there}, or --outside if it is not the object"
+        # No place is named: a click where the surface has the least evidence was found to help in few cases.
         sure = f"{found.probability:.0%} likely to be good"
-        warnings.append(f"doubt: probably not right ({_why(found)}; {sure}); {click}")
+        warnings.append(
+            f"doubt: probably not right ({why(found)}; {sure}); try --inside or --outside where it is most wrong"
+        )
     if found.next_click is None and stop.reason not in ("vanished", "filled"):
         tried = f"; try --inside ball:{_larger_ball(inside, geometry)}" if inside.any() else ""
         warnings.append(f"doubt: its surface cannot be judged, at {volume_text(last)}{tried}")
@@ -337,30 +204,6 @@ def _larger_ball(inside: NDArray[np.bool_], geometry: Geometry) -> str:
     return f"{place_text(_world(geometry, middle.tolist()), geometry.steps)},{radius:.2g}"
 
 
-def _why(found: Quality) -> str:
-    """The measure that speaks most against it, in words."""
-    words = {
-        "contrast": f"the contrast across the surface is {found.contrast:.1f} times the noise",
-        "evidence": f"little holds the surface: evidence {found.evidence:.2f}",
-        "clicked": "it is hardly larger than its clicks",
-        "beyond_clicks": f"it is {found.beyond_clicks or USUAL_BEYOND:.3g} times its clicks",
-        "inside_like": f"beyond {found.inside_like:.0%} of the surface the image is like the object",
-        "drift": f"values drift by {found.drift:.1f} deviations from its middle outwards",
-        "compactness": f"the shape is far from compact, {found.compactness:.2f}",
-        "border": f"{found.border_fraction:.0%} of the surface lies on the volume's border",
-        "burst": "it broke through after a rest",
-        "growth": f"it grew {found.growth:.3g} times",
-        "no_edge": f"under {found.no_edge_fraction:.0%} of the surface the image has no edge",
-        "unconverged": "it did not converge",
-        "level_overlap": "slightly more or less would be another object",
-        "size_spread": "other sizes are likely too",
-    }
-    if found.correction is not None:
-        words["correction"] = f"the last click was {found.correction:.2g} radii away from what was found before"
-    last = found.rests[0].volume_mm3 if found.rests else 0.0
-    return words[lowest_term(model_kind(found), features(found, "converged", last), words)]
-
-
 def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
     notes = []
     for plateau in found.rests:
@@ -382,6 +225,11 @@ def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
         )
     if found.no_edge_fraction > MAX_WITHOUT_EDGE:
         notes.append(f"edge: under {found.no_edge_fraction:.0%} of the surface the image has no edge")
+    if found.taken is not None and found.taken > MAX_TAKEN:
+        notes.append(
+            f"outside: the last click outside took away {found.taken:.0%} of what was shown; where that was too much, "
+            "click inside"
+        )
     if found.parts_beyond_necks > 1:
         notes.append(
             f"necks: {found.parts_beyond_necks} large parts are connected by less than four voxels only; has it leaked?"
@@ -409,6 +257,16 @@ def _border_fraction(inside: NDArray[np.bool_], spacing: tuple[float, float, flo
         total += area * float(np.count_nonzero(m[1:] != m[:-1]))
     total += on_border
     return on_border / total if total > 0 else 0.0
+
+
+def _rim_fraction(inside: NDArray[np.bool_]) -> float:
+    """Share of the object's voxels with a neighbour outside; beyond the array the object goes on."""
+    box = bounding_box(inside, 1)
+    if box is None:
+        return 1.0
+    part = inside[box]
+    deep = np.count_nonzero(ndimage.binary_erosion(part, border_value=1))
+    return 1.0 - float(deep) / float(np.count_nonzero(part))
 
 
 def _unlike_fraction(inside: NDArray[np.bool_], image: NDArray[np.float32], learned: ValueRange) -> float:
@@ -507,35 +365,3 @@ def _deeper_than_neck(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         there = tuple(slice(max(0, o), n - max(0, -o)) for o, n in zip(offset, mask.shape, strict=True))
         deep[here] &= mask[there]
     return deep
-
-
-@functools.cache
-def calibrated_models() -> dict[str, dict[str, Any]]:
-    """Return the models by kind: ``features`` (name: mean, deviation, weight), ``constant``, ``threshold``."""
-    text = (resources.files("accelsurf.measure") / MODEL_FILE).read_text(encoding="utf-8")
-    found: dict[str, dict[str, Any]] = json.loads(text)
-    return found
-
-
-def warning_threshold(kind: ModelKind) -> float:
-    """Return the probability below which a warning is given."""
-    return float(calibrated_models()[kind]["threshold"])
-
-
-def probability_good(kind: ModelKind, features: Mapping[str, float]) -> float:
-    """Return the probability that a result with these features is good, 0 to 1."""
-    total = float(calibrated_models()[kind]["constant"]) + sum(_terms(kind, features).values())
-    return 1.0 / (1.0 + math.exp(-max(min(total, 50.0), -50.0)))
-
-
-def lowest_term(kind: ModelKind, features: Mapping[str, float], names: Collection[str]) -> str:
-    """Return which of the features that are named lowers the probability most."""
-    terms = _terms(kind, features)
-    return min((name for name in terms if name in names), key=terms.__getitem__)
-
-
-def _terms(kind: ModelKind, features: Mapping[str, float]) -> dict[str, float]:
-    return {
-        name: weight * (features[name] - mean) / deviation
-        for name, (mean, deviation, weight) in calibrated_models()[kind]["features"].items()
-    }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -30,10 +31,20 @@ _OUTLYING, FAR = 2.0, 4.0
 #: A click has values of two kinds if more than this part lies beyond so many of its median-based spreads: of a normal
 #: distribution, and of one with tails, hardly any do. What is less is left out by a model that learns robustly.
 _OTHER_KIND, _BEYOND_KIND = 0.1, 6.0
-#: Fewest voxels of a start that outliers are looked for in; the surroundings are sampled at about so many voxels.
+#: Fewest voxels of a start that outliers are looked for in; surroundings and image are sampled at about so many voxels.
 MIN_VOXELS, SAMPLES = 20, 1 << 18
 #: The area cannot pull in a start whose curvature it weighs less than this part of the squared contrast.
 _SAFE = 0.25
+#: What looks like the background has at least this part of the image; values are like the click within so many spreads.
+_COMMON, _WITHIN = 0.05, 4.0
+#: A click is background where more than this part of it has the image's least or largest value.
+_ONE_VALUE = 0.9
+#: Values lie at an end of the image's range within this part of it.
+_END = 0.15
+#: A click of fewer voxels is looked at with so many voxels around it.
+_FEW, _AROUND = 20, 2
+#: The part around the click has at least this part of the image's corners.
+_CORNERS = 0.75
 
 
 class Bounds(NamedTuple):
@@ -114,14 +125,75 @@ def _of_size(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]
 
 
 def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
-    """Check that no click inside has values of two kinds, of which the model learns one."""
+    """Check that no click inside is like the background, or has values of two kinds, of which the model learns one."""
     low, width = prepared.context.scales[0]
     lines = []
     for click in () if evolving.context.clicks is None else evolving.context.clicks.clicks:
         if click.side == "inside":
+            lines += _background_line(click, evolving, prepared)
             values = low + width * prepared.images[0][click.box][click.mask].astype(np.float64)
             lines += _two_kinds_line(values, click, prepared.geometry, _option(evolving, True, has_ids))
     return lines
+
+
+def _background_line(click: Click, evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
+    """Check that a click inside does not look like the background of the image; of a part of one nothing is known."""
+    if evolving.context.model_inputs.window is not None:
+        return []
+    share = _background_share(prepared.images[0], click)
+    if not share > 0:
+        return []
+    index = ndimage.center_of_mass(click.mask)
+    middle = [float(place) + side.start for place, side in zip(index, click.box, strict=True)]
+    place = place_text(prepared.geometry.index_to_world(middle), prepared.geometry.steps)
+    return [
+        f"click: the place inside near {place} looks like the background, which is {share:.0%} of the image; try "
+        "--inside at the object, unless the background is what you want"
+    ]
+
+
+def _background_share(image: NDArray[np.float32], click: Click) -> float:
+    """Return the share of an image that is background like a click; 0 where the click does not look like it.
+
+    The values under the click are the image's least or largest one with no spread, and many voxels have it. Or they
+    lie at an end of the range, and what is like them and connected to the click reaches most corners of the image.
+
+    Parameters
+    ----------
+    image : ndarray (nz, ny, nx), float32
+        Whole, 0 and 1 at its percentiles.
+    click : Click
+    """
+    every = max(1, int(np.ceil((image.size / SAMPLES) ** (1.0 / max(sum(n > 1 for n in image.shape), 1)))))
+    steps = [every if n > 1 else 1 for n in image.shape]
+    thin = image[tuple(slice(None, None, step) for step in steps)]
+    values = image[click.box][click.mask]
+    if values.size < _FEW:
+        around = [_AROUND if n > 1 else 0 for n in image.shape]
+        values = image[widened(click.box, image.shape, (around[0], around[1], around[2]))]
+    middle = float(np.median(values))
+    same = thin == np.float32(middle)
+    is_extreme = middle in (float(thin.min()), float(thin.max()))
+    if is_extreme and thin.min() < thin.max() and same.mean() >= _COMMON and (values == middle).mean() > _ONE_VALUE:
+        return float(same.mean())
+    if _END < middle < 1.0 - _END:
+        return 0.0
+    spread = max(NORMAL_MAD * float(np.median(np.abs(values - middle))), 0.01)
+    parts, _ = ndimage.label(np.abs(thin - middle) <= _WITHIN * spread)
+    voxels = (np.argwhere(click.mask) + [side.start for side in click.box]) // steps
+    mine = np.unique(parts[tuple(voxels.T)])
+    mine = mine[mine > 0]
+    if not mine.size:
+        return 0.0
+    part = int(mine[np.argmax(np.bincount(parts.ravel())[mine])])
+    share = float((parts == part).mean())
+    at_corners = [parts[place] == part for place in _corner_voxels(parts.shape)]
+    return share if share >= _COMMON and np.mean(at_corners) >= _CORNERS and share < 1.0 else 0.0
+
+
+def _corner_voxels(shape: Sequence[int]) -> list[tuple[int, ...]]:
+    """Voxels at the corners of an array, each once."""
+    return list(itertools.product(*((0, n - 1) if n > 1 else (0,) for n in shape)))
 
 
 def _two_kinds_line(values: NDArray[np.float64], click: Click, geometry: Geometry, option: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""The study of how sure results are: which rows a model sees, whose probabilities are whose, what is counted."""
+"""The study of how sure results are: whose probabilities are whose, what a weight may be, what is counted."""
 
 from typing import Any
 
@@ -7,24 +7,17 @@ import pytest
 
 from benchmarks import quality
 
-
-def row(dice: float, overlap: float, game: str = "exact") -> dict[str, Any]:
-    clicks = {"level_overlap": overlap, "corrections": 0.0, "correction": 0.0, "size_spread": overlap}
-    return {"dice": dice, "clicks": clicks, "image": {}, "game": game, "at_wrong": None}
+NAMES = ("level_overlap", "size_spread", "rim", "drift", "correction", "kept", "surprise")
 
 
-ROWS = {f"object-{i}": [row(0.5 + 0.02 * i + 0.1 * k, i + 5.0 * k) for k in range(3)] for i in range(10)}
+def row(dice: float, overlap: float, fold: str = "1", **more: Any) -> dict[str, Any]:
+    click = {**dict.fromkeys(NAMES, 0.0), "level_overlap": overlap, "size_spread": overlap}
+    return {"dice": dice, "clicks": click, "fold": fold, "hinted": None, "person": None, **more}
 
 
-def test_shares_are_of_all_results_by_weight() -> None:
-    quiet, truth = np.array([True, True, False, False]), np.array([0.6, 0.9, 0.6, 0.9])
-    assert quality.shares(quiet, truth, np.array([1.0, 1.0, 1.0, 2.0])) == (0.2, 0.4)
-
-
-def test_only_rows_with_clicks_make_the_model_of_clicks() -> None:
-    phantoms = {"ball": [{"dice": 0.9, "image": {"drift": 1.0}}]}
-    assert quality.rows_of({**ROWS, **phantoms}, "clicks") == ROWS
-    assert quality.rows_of({**ROWS, **phantoms}, "image") == {**ROWS, **phantoms}
+ROWS = {
+    f"object-{i}": [row(0.5 + 0.02 * i + 0.1 * k, i + 5.0 * k, str(1 + i % 3)) for k in range(3)] for i in range(12)
+}
 
 
 def test_a_measure_that_counts_the_wrong_way_is_left_out() -> None:
@@ -33,15 +26,37 @@ def test_a_measure_that_counts_the_wrong_way_is_left_out() -> None:
     assert model["features"]["size_spread"][2] == 0.0 < model["features"]["level_overlap"][2]
 
 
-def test_an_object_is_judged_by_a_model_made_without_it() -> None:
-    changed = {**ROWS, "object-4": [{**one, "dice": 0.99} for one in ROWS["object-4"]]}
-    assert quality.crossed(ROWS, "object-4", "clicks") == quality.crossed(changed, "object-4", "clicks")
-    assert quality.crossed(ROWS, "object-5", "clicks") != quality.crossed(changed, "object-5", "clicks")
+def test_a_fold_is_judged_by_a_model_made_without_it() -> None:
+    changed = {**ROWS, "object-4": [{**each, "dice": 0.99} for each in ROWS["object-4"]]}
+    before, after = quality.judged(ROWS, "clicks"), quality.judged(changed, "clicks")
+    for name, rows in ROWS.items():
+        assert (before[name] == after[name]) == (rows[0]["fold"] == ROWS["object-4"][0]["fold"])
 
 
-def test_figures_count_silent_failures_and_false_alarms() -> None:
-    judged = {"one": [(row(0.6, 0.0), 0.8), (row(0.9, 0.0), 0.8)], "two": [(row(0.9, 0.0), 0.3)]}
-    found = quality.figures(judged, 0.5)
-    # Each object counts the same: the first one's failure is a quarter, the second one's alarm a half.
-    assert (found["silent"], found["false"]) == pytest.approx((0.25, 0.5))
-    assert (found["silent_of_failures"], found["false_of_good"]) == pytest.approx((1.0, 2.0 / 3.0))
+def test_an_object_of_a_drawn_scene_counts_less() -> None:
+    plain = {"a": [row(0.9, 1.0)], "b": [row(0.5, 1.0)]}
+    drawn = {"a": [row(0.9, 1.0)], "b": [row(0.5, 1.0, quality.DRAWN)]}
+    assert quality.trained(drawn, "clicks")["constant"] > quality.trained(plain, "clicks")["constant"]
+    assert quality.table_of(drawn, {"a": [0.5], "b": [0.5]})[2].tolist() == [1.0, quality.SCENE_WEIGHT]
+
+
+def test_figures_count_what_is_said_to_be_good() -> None:
+    rows = {
+        "one": [row(0.5, 0.0, hinted=0.6, person=0.8), row(0.9, 0.0), row(0.75, 0.0)],
+        "two": [row(0.9, 0.0), row(0.4, 0.0, hinted=0.4, person=0.7)],
+    }
+    found = quality.figures(rows, {"one": [0.2, 0.9, 0.8], "two": [0.75, 0.1]})
+    assert (found["results"], found["said"], found["failed"]) == (5, 3, 2)
+    assert (found["good_of_said"], found["said_of_failed"]) == pytest.approx((2 / 3, 0.0))
+    assert found["doubted_of_failed"] == 1.0 and found["doubted_of_good"] == 0.0 and found["hints"] == 2
+    assert (found["hinted_raises"], found["person_raises"]) == pytest.approx((0.5, 1.0))
+    assert (found["hinted_gain"], found["person_gain"]) == pytest.approx((0.05, 0.3))
+    text = quality.text_of({"clicks": {"all scans": found}, "image": {}})
+    assert "| all scans | 5 | 40% | 3 | 67% | 2 | 0% | 100% | 0% |" in text
+    assert "| all scans | 2 | 50% | +0.050 | 100% | +0.300 |" in text
+
+
+def test_nothing_said_to_be_good_has_no_share() -> None:
+    found = quality.figures({"one": [row(0.9, 0.0)]}, {"one": [0.2]})
+    assert found["good_of_said"] is None and found["said_of_failed"] is None and found["hints"] == 0
+    assert np.isclose(found["good"], 1.0)

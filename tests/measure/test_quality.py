@@ -13,9 +13,11 @@ from accelsurf.evolution.records import Stop
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.image.volume import Volume
-from accelsurf.measure import quality
+from accelsurf.measure import likely
+from accelsurf.measure.likely import click_features, features
 from accelsurf.measure.metrics import dice
-from accelsurf.measure.quality import PlateauNote, ValueRange, assess, click_features, features
+from accelsurf.measure.quality import ValueRange, assess
+from accelsurf.measure.records import PlateauNote
 from accelsurf.output.document import describe_quality, to_json
 from accelsurf.starts import starts
 from tests.support.records import step_record
@@ -140,7 +142,7 @@ def test_the_command_warns_of_doubt_and_notes_the_rest(case, tmp_path, capsys):
     assert cli.execute([*words, "-o", str(tmp_path / "one")]) == 0
     told = capsys.readouterr()
     assert ("warning: doubt: " in told.err) == (case == "edge")
-    assert ("try --inside point:" in told.err) == (case == "edge")
+    assert ("try --inside or --outside where it is most wrong" in told.err) == (case == "edge")
     assert "likely to be good; most doubtful near " in told.out
     noted = case in ("border", "necks", "edge")
     assert (f"note: {case}: " in told.out) == noted and "note: " not in told.err.replace("note: compiling", "")
@@ -188,48 +190,85 @@ def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
     image = (r < 12) + np.random.default_rng(1).normal(0, 0.05, SHAPE)
     history = [step_record(0, volume_mm3=900.0), step_record(9, volume_mm3=7200.0, area_mm2=1810.0)]
     good, bad = (look(mask, image, history) for mask in (r < 12, (r < 7) | ((x > 0) & (r < 16))))
-    assert good.probability > quality.warning_threshold("image") > bad.probability
-    model = quality.calibrated_models()["image"]
+    assert good.probability > likely.warning_threshold("image") > bad.probability
+    model = likely.calibrated_models()["image"]
     total = model["constant"] + sum(
-        weight * (features(good, "converged", 7200.0)[name] - mean) / deviation
+        weight * (features(good)[name] - mean) / deviation
         for name, (mean, deviation, weight) in model["features"].items()
     )
     assert good.probability == pytest.approx(1 / (1 + np.exp(-total)))
 
 
-def test_what_the_model_of_the_clicks_says_counts_for_all():
-    z, y, x = coordinates()
-    mask = z**2 + y**2 + x**2 < 12**2
-    seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), [], DONE
+USUAL = Confidence(overlap=0.85, spread=0.9, correction=0.3, kept=0.9, taken=0.0, surprise=0.3, answers=())
 
+
+def told_of(confidence, mask=None):
+    """Quality of a ball, or of a mask, with a confidence of the model of the clicks."""
+    z, y, x = coordinates()
+    mask = z**2 + y**2 + x**2 < 12**2 if mask is None else mask
+    seen = mask.astype(np.uint8), mask.astype(np.float32), Geometry(SHAPE, SPACING), [], DONE
+    return assess(*seen, confidence=confidence)
+
+
+def test_what_the_model_of_the_clicks_says_counts_for_all():
     def probability(**changes):
-        found = assess(*seen, confidence=Confidence(0.85, 0.9, 0.3, ())._replace(**changes))
-        assert click_features(found) == features(found, "converged", 7200.0)
+        found = told_of(USUAL._replace(**changes))
+        assert click_features(found) == features(found)
         doubted = [words for words in found.warnings if words.startswith("doubt: ")]
-        assert bool(doubted) == (found.probability < quality.warning_threshold("clicks"))
+        assert bool(doubted) == (found.probability < likely.warning_threshold("clicks"))
         return found.probability
 
     usual = probability()
-    assert probability(overlap=0.95) > usual > probability(overlap=0.7) > 0.0
-    assert probability(correction=0.1) > usual > probability(correction=0.9)
-    assert probability(spread=0.2) > usual > probability(spread=1.8)
-    assert probability(overlap=0.0, correction=99.0) < 0.02 < 0.98 < probability(overlap=1.0, correction=1e-9, spread=0)
+    for better, worse in (
+        ({"overlap": 0.95}, {"overlap": 0.7}), ({"correction": 0.1}, {"correction": 0.9}),
+        ({"kept": 0.98}, {"kept": 0.6}), ({"surprise": 0.0}, {"surprise": 0.9}), ({"spread": 0.2}, {"spread": 1.8}),
+    ):
+        # A measure that was found to tell nothing has no weight; none counts the wrong way.
+        assert probability(**better) >= usual >= probability(**worse)
+    assert probability(overlap=0.0, correction=5.0, kept=0.2, surprise=1.0, spread=3.0) < 0.05
+    assert probability(overlap=1.0, correction=0.03, kept=1.0, surprise=0.0, spread=0.0) > 0.95
 
 
-def test_a_result_of_a_click_that_fails_is_doubted_and_a_good_one_is_not():
+def test_neither_the_compactness_nor_the_number_of_clicks_is_a_feature():
+    names = set(likely.calibrated_models()["clicks"]["features"])
+    assert names == set(click_features(told_of(USUAL))) and not names & {"compactness", "corrections", "clicks"}
+
+
+@pytest.mark.parametrize(("feature", "changes", "words"), [
+    ("level_overlap", {"overlap": 0.1}, "slightly more or less would be another object"),
+    ("size_spread", {"spread": 3.0}, "other sizes are likely too"),
+    ("correction", {"correction": 5.0}, "the last click was a large one, 5 radii of the object"),
+    ("kept", {"kept": 0.02}, "the last click changed much of it"),
+    ("surprise", {"surprise": 1.0}, "clicks were needed where it had been sure of the opposite"),
+])
+def test_a_doubt_names_what_speaks_most_against_the_result(feature, changes, words):
+    sure = USUAL._replace(overlap=0.98, spread=0.2, correction=0.1, kept=0.98, surprise=0.0)
+    weight = likely.calibrated_models()["clicks"]["features"][feature][2]
+    assert (words in likely.why(told_of(sure._replace(**changes)))) == (weight != 0)
+
+
+def test_thin_objects_and_those_whose_values_drift_are_told_so():
     z, y, x = coordinates()
-    truth, noise = z**2 + y**2 + x**2 < 12**2, np.random.default_rng(1).normal(0, 1, SHAPE)
+    thin = told_of(USUAL, (np.abs(z) < 0.8) & (np.abs(y) < 12) & (np.abs(x) < 12))
+    assert thin.rim_fraction == 1.0 and thin.probability < told_of(USUAL).probability
+    assert "it is thin or small: 100% of its voxels lie at its surface" in likely.why(thin)
+
+
+def test_nothing_is_doubted_and_a_ball_is_not():
+    truth, noise = sum(axis**2 for axis in coordinates()) < 12**2, np.random.default_rng(1).normal(0, 1, SHAPE)
     words = {"spacing": SPACING, "threads": 1}
     good = segment(truth + 0.1 * noise, inside="ball:18.8,21.5,29.25,6", **words)
     bad = segment(0.3 * noise, inside="ball:18.8,21.5,29.25,3", **words)  # there is nothing
-    assert dice(good.labels > 0, truth) > 0.98 and good.quality.warnings == () and good.quality.probability > 0.9
-    assert dice(bad.labels > 0, truth) < 0.7 and bad.quality.probability < quality.warning_threshold("clicks")
+    assert dice(good.labels > 0, truth) > 0.95 and good.quality.warnings == () and good.quality.probability > 0.8
+    assert bad.quality.probability < 0.3
     (doubt,) = bad.quality.warnings
-    assert doubt.startswith("doubt: ") and "% likely to be good" in doubt and "try --inside point:" in doubt
-    # A click into what was found is a correction, and how large it is counts; one beside it is none.
+    assert doubt.startswith("doubt: probably not right (")
+    assert doubt.endswith("likely to be good); try --inside or --outside where it is most wrong")
+    # A click into what was found is a correction, and how deep it went counts; one beside it is none.
     beside, into = (refine(good, outside=f"ball:18.8,21.5,{at},1") for at in (45.0, 37.5))
-    assert [one.quality.correction for one in (good, beside)] == [None, None]
+    assert good.quality.correction is None and beside.quality.correction is None
     assert into.quality.correction == pytest.approx(1 / 12, abs=0.03)
+    assert into.quality.kept < 1.0 and into.quality.surprise > 0.3
 
 
 def test_nothing_left_and_one_slice():
@@ -325,3 +364,9 @@ def test_it_takes_less_memory_than_the_solver():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 16 * inside.size
+
+
+def test_an_outside_click_that_takes_most_is_said():
+    lines = [told_of(USUAL._replace(taken=share)).notes for share in (0.3, 0.7)]
+    assert not any(line.startswith("outside:") for line in lines[0])
+    assert any(line.startswith("outside: the last click outside took away 70%") for line in lines[1])

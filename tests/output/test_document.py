@@ -10,7 +10,7 @@ from accelsurf.evolution.loop import Stop
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import Level
-from accelsurf.measure.quality import Quality
+from accelsurf.measure.records import Quality
 from accelsurf.output import document
 from accelsurf.settings.run_config import RunConfig
 from tests.support.records import step_record
@@ -44,10 +44,11 @@ def finished(**changes):
         given=(),
         run_history=[step_record(0), step_record(1), step_record(2, kinetic=0.25)],
         quality=Quality(
-            probability=0.75, next_click=(1.0, 2.0, 3.0), next_doubt=0.5, border_fraction=0.25, contrast=0.5,
+            probability=0.75, next_click=(1.0, 2.0, 3.0), next_doubt=0.5, rim_fraction=0.1, border_fraction=0.25,
+            contrast=0.5,
             no_edge_fraction=0.125, evidence=0.5, clicked=0.0, beyond_clicks=None, inside_like=0.25, drift=0.1,
             compactness=0.9, parts_beyond_necks=1, growth=2.0, late_growth=0.01, unlike_learned=None, leaked=False,
-            level_overlap=None, correction=None, size_spread=None,
+            level_overlap=None, size_spread=None, correction=None, kept=None, taken=None, surprise=None,
             rests=(), warnings=(), notes=("border: 25% of it",),
         ),
     )

@@ -103,6 +103,29 @@ def test_no_note_on_clicks_in_noise_with_tails_or_across_an_edge_of_few_voxels()
         assert lines(image, "clicks", inside=click) == []
 
 
+def in_air(noise):
+    """Two cubes of 100 in air that is black or has noise."""
+    image = np.random.default_rng(2).normal(0, noise, SHAPE) if noise else np.zeros(SHAPE)
+    image[10:18, 10:18, 8:16] += 100.0
+    image[20:30, 20:30, 26:36] += 100.0
+    return image.astype(np.float32)
+
+
+@pytest.mark.parametrize("noise", [0.0, 6.0])
+@pytest.mark.parametrize("click", ["ball:6,32,30,3vox", "point:6,32,30"])
+def test_a_click_in_the_air_is_told_before_the_run(noise, click):
+    (line,) = (line for line in lines(in_air(noise), "clicks", inside=click) if line.startswith("click: "))
+    assert "looks like the background" in line and "; try --inside" in line
+
+
+def test_a_click_in_an_object_is_no_click_in_the_background():
+    large = np.full(SHAPE, 100.0) + np.random.default_rng(2).normal(0, 5, SHAPE)
+    large[:2], large[:, :2], large[:, :, -2:] = 0.0, 0.0, 0.0  # the object is 86 % of the image, up to its faces
+    black, noisy = in_air(0.0), in_air(6.0)
+    for image, click in ((black, "ball:12,14,14,3vox"), (noisy, "point:30,25,25"), (large, "ball:20,20,20,8vox")):
+        assert not [line for line in lines(image, "clicks", inside=click) if line.startswith("click: ")]
+
+
 def test_a_size_that_the_image_does_not_have_is_told():
     (line,) = lines(start="clicks", inside="ball:20,20,20,3vox", size="250ml")
     assert line == "size: 250 ml was given, and the image has 76.8 ml: the object will fill it; try it without --size"

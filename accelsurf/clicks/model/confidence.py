@@ -24,6 +24,12 @@ class Confidence(NamedTuple):
         Logarithm of how much larger the first answer is at a low probability than at a high one.
     correction : float or None
         Radius of the last click that corrected what was shown, over the object's; None where there was none.
+    kept : float or None
+        Dice of the object before that click with the object after it.
+    taken : float
+        Share of the object that the last click took away.
+    surprise : float or None
+        How sure the model was of the opposite where clicks corrected it, mean over them: 1 where it was certain.
     answers : tuple of Answer
         To the first click: the one that was taken, and others that are likely.
     """
@@ -31,6 +37,9 @@ class Confidence(NamedTuple):
     overlap: float
     spread: float
     correction: float | None
+    kept: float | None
+    taken: float
+    surprise: float | None
     answers: tuple[Answer, ...]
 
 
@@ -46,4 +55,5 @@ def confidence_of(model: ClickModel) -> Confidence | None:
     smaller = int(np.count_nonzero(model.inside & (model.field < -LEVEL)))
     both = smaller + int(np.count_nonzero(connected_to(model.field < LEVEL, clicked)))
     overlap = 2.0 * smaller / both if both else 0.0
-    return Confidence(overlap, model.spread, model.correction, model.answers)
+    surprise = float(np.mean(model.surprises)) if model.surprises else None
+    return Confidence(overlap, model.spread, model.correction, model.kept, model.taken, surprise, model.answers)

@@ -106,6 +106,12 @@ class ClickModel:
         Logarithm of how much larger the first answer is from a low probability on than from a high one.
     correction : float or None
         Radius of the last click that corrected what was shown, over that of the object; None where none did.
+    kept : float or None
+        Dice of the object before that click with the object after it.
+    taken : float
+        Share of the object that the last click took away.
+    surprises : tuple of float
+        Of each click that corrected something: how sure the model was of the opposite there, the mean of |F| at most 1.
     is_partition : bool
         It is one of several objects that fill a space.
     """
@@ -117,6 +123,9 @@ class ClickModel:
     answers: tuple[Answer, ...] = ()
     spread: float = 0.0
     correction: float | None = None
+    kept: float | None = None
+    taken: float = 0.0
+    surprises: tuple[float, ...] = ()
     is_partition: bool = False
 
     def field_on(self, box: Box) -> Floats:
@@ -387,7 +396,7 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
     inside = click.side == "inside"
     there = model.inside_on(click.box)[click.mask]
     if np.count_nonzero(there != inside) <= WRONG * there.size:
-        return _with_clicks(replace(model, clicks=known), scene)
+        return _with_clicks(replace(model, clicks=known, taken=0.0), scene)
     least = ADDED if inside else 1.0 - ADDED
     for window in _windows(scene, seeds):
         features, side = features_of_later(window, model.inside_on(window.box), len(seeds), model.count)
@@ -416,7 +425,13 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
         score[was_there] = before[was_there]
     after = replace(model, clicks=known, box=box, field=score, inside=score < 0)
     width = (0.75 * max(after.count, 1) * float(np.prod(scene.spacing)) / np.pi) ** (1 / 3)
-    return _with_clicks(replace(after, correction=seed.radius / width), scene)
+    # Of the two objects one lies in the other.
+    kept = 2.0 * min(model.count, after.count) / max(model.count + after.count, 1)
+    wrong = model.field_on(click.box)[click.mask] * (1.0 if inside else -1.0)
+    surprises = (*model.surprises, float(np.clip(wrong, -1.0, 1.0).mean()))
+    taken = 0.0 if inside else 1.0 - after.count / max(model.count, 1)
+    after = replace(after, correction=seed.radius / width, kept=kept, taken=taken, surprises=surprises)
+    return _with_clicks(after, scene)
 
 
 def asked_of(features: Features, network: Network, window: Window) -> Floats:

@@ -23,6 +23,8 @@ Random = np.random.Generator
 SIDE, BASE_SEED = 88, 2026
 #: Objects have at least so many voxels, at most this part of the scene, and at least this depth.
 LEAST_VOXELS, MOST_PART, LEAST_DEPTH, MOST_OBJECTS = 100, 0.6, 1.6, 4
+#: Part of the objects that are two labels which touch, and part of those that have their holes filled.
+JOINED, FILLED = 0.12, 0.15
 
 
 def scene(seed: int) -> tuple[Volume, list[Mask]]:
@@ -46,7 +48,14 @@ def _objects(random: Random, labels: Labels, spacing: Sequence[float]) -> list[M
     """The largest parts of some labels."""
     out: list[Mask] = []
     for label in random.permutation(np.unique(labels[labels > 0]))[:12]:
-        parts, _ = ndimage.label(labels == label)
+        wanted = labels == label
+        kind = random.random()
+        if kind < JOINED:
+            around = labels[ndimage.binary_dilation(wanted) & ~wanted]
+            around = around[around > 0]
+            if len(around):
+                wanted |= labels == np.bincount(around).argmax()
+        parts, _ = ndimage.label(ndimage.binary_fill_holes(wanted) if kind < JOINED + FILLED else wanted)
         counts = np.bincount(parts.ravel())[1:]
         mask = parts == counts.argmax() + 1
         if LEAST_VOXELS <= counts.max() <= MOST_PART * mask.size and len(out) < MOST_OBJECTS:
@@ -247,7 +256,8 @@ def _add_blobs(random: Random, labels: Labels, warp: float, large: bool) -> None
 def _add_tubes(random: Random, labels: Labels) -> None:
     first, joined = int(labels.max()) + 1, random.random() < 0.4
     for number in range(int(random.integers(1, 6))):
-        radius, curl = _between(random, 1.3, 9.0), random.uniform(0.03, 0.3)
+        thin = random.random() < 0.35
+        radius, curl = _between(random, 0.9, 2.5) if thin else _between(random, 1.3, 9.0), random.uniform(0.03, 0.3)
         todo = [(random.uniform(0.1, 0.9, 3) * SIDE, random.standard_normal(3), radius, 0)]
         while todo:
             place, way, radius, branching = todo.pop()
@@ -256,12 +266,12 @@ def _add_tubes(random: Random, labels: Labels) -> None:
                 place = place + way / np.linalg.norm(way) * max(1.0, 0.45 * radius)
                 if (place < -6).any() or (place > SIDE + 6).any():
                     break
-                here = max(radius * (1.0 + 0.1 * random.standard_normal()), 1.0)
+                here = max(radius * (1.0 + 0.1 * random.standard_normal()), 0.8 if thin else 1.0)
                 low, high = np.maximum(np.floor(place - here), 0).astype(int), np.ceil(place + here).astype(int) + 1
                 box = tuple(slice(a, max(b, 0)) for a, b in zip(low, high, strict=True))
                 z, y, x = (np.arange(*s.indices(SIDE)) - p for s, p in zip(box, place, strict=True))
                 ball = z[:, None, None] ** 2 + y[:, None] ** 2 + x**2 < here**2
                 labels[box][ball] = first if joined else first + number
-                if branching < 3 and random.random() < 0.05:
+                if branching < 3 and random.random() < (0.1 if thin else 0.05):
                     thinner = radius * random.uniform(0.6, 0.9)
                     todo.append((place, way + random.standard_normal(3), thinner, branching + 1))

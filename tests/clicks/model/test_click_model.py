@@ -227,3 +227,13 @@ def test_a_whole_image_may_be_the_click():
     everything = Click("inside", whole_box((4, 5, 6)), np.ones((4, 5, 6), bool))
     model = click_model(Scene((image,), SPACING), Clicks((everything,), (4, 5, 6)))
     assert shown(model, (4, 5, 6)).all()
+
+
+def test_what_an_outside_click_took_away_is_known(two_balls):
+    scene = two_balls[0]
+    first = click_model(scene, clicks(FIRST))
+    cut = click_model(scene, clicks(FIRST, click("outside", (12, 16, 20), 4.0)), previous=first)
+    share = 1 - cut.count / first.count
+    assert cut.taken == pytest.approx(share) and confidence_of(cut).taken == cut.taken
+    added = click_model(scene, clicks(FIRST, click("outside", (12, 16, 20), 4.0), click("inside", (12, 16, 23), 1.0)))
+    assert added.taken == 0.0
