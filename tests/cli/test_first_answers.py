@@ -58,12 +58,12 @@ def other_answers(text):
 def test_the_other_answer_has_another_volume_and_each_run_names_the_other(scan, second, tmp_path, capsys):
     _, part, whole = part_and_whole()
     assert run("segment", scan, "-o", tmp_path / "first", *WORDS) == 0
-    assert other_answers(capsys.readouterr().out) == ["2"]
+    assert other_answers(capsys.readouterr().out) in (["2"], ["2", "3"])
     assert run("segment", scan, "-o", tmp_path / "again", *WORDS, "--answer", 2) == 0
-    assert other_answers(capsys.readouterr().out) == ["1"]
+    assert other_answers(capsys.readouterr().out) in (["1"], ["1", "3"])
     assert dice(labels_of(tmp_path / "first"), part) > 0.85 and dice(labels_of(second), whole) > 0.9
-    assert [answer["number"] for answer in answers_of(tmp_path / "first")] == [1, 2]
-    assert [answer["number"] for answer in answers_of(second)] == [2, 1]
+    assert [answer["number"] for answer in answers_of(tmp_path / "first")][:2] == [1, 2]
+    assert [answer["number"] for answer in answers_of(second)][:2] == [2, 1]
     assert sorted(map(str, answers_of(tmp_path / "first"))) == sorted(map(str, answers_of(second)))
 
 

@@ -42,13 +42,15 @@ def dice(found, truth):
 
 
 def numbers(session):
-    return [(answer.number, answer.is_taken) for answer in session.status.answers]
+    """Of the first two answers; there may be a third."""
+    return [(answer.number, answer.is_taken) for answer in session.status.answers[:2]]
 
 
 def test_an_answer_is_taken_as_one_change_and_the_run_is_that_of_the_setting(image):
     volume, part, whole = image
     with Session(volume, config()) as session:
-        first, second = until(lambda: session.status.answers)
+        offered = until(lambda: session.status.answers)
+        first, second = offered[:2]
         assert numbers(session) == [(1, True), (2, False)] and second.volume_mm3 > 1.4 * first.volume_mm3
         assert dice(second.surface.inside(EVERYWHERE), whole) > 0.9
         assert first.surface is None and dice(second.surface.inside(EVERYWHERE), part) < 0.8
@@ -59,14 +61,14 @@ def test_an_answer_is_taken_as_one_change_and_the_run_is_that_of_the_setting(ima
         assert dice(back.inside(EVERYWHERE), part) > 0.85
         inside = viewing.look(session, lambda run: run.objects[0].surface.psi < 0).result()
         assert np.array_equal(inside, segment(volume, config=config(answer=2)).labels > 0)
-        assert [answer.volume_mm3 for answer in session.status.answers] == [first.volume_mm3, second.volume_mm3]
+        assert [answer.volume_mm3 for answer in session.status.answers] == [answer.volume_mm3 for answer in offered]
         session.take_answer(2).result()  # is shown already
         assert session.wait(60) and len(session.status.changes) == 1
         session.undo().result()
         assert session.wait(60) and session.status.settings.answer == 1
         until(lambda: numbers(session) == [(1, True), (2, False)])
-        with pytest.raises(UsageError, match="no answer 3"):
-            session.take_answer(3).result()
+        with pytest.raises(UsageError, match="no answer 4"):
+            session.take_answer(4).result()
 
 
 def test_another_click_ends_the_choice_and_undoing_it_brings_it_back(image):
@@ -139,20 +141,21 @@ def actions(image, scene_of):
 
 def test_other_answers_are_outlines_in_the_slices_until_escape_or_a_click(actions):
     said = until(lambda: actions.state()["first_answers"])
-    assert [(one["number"], one["key"], one["taken"]) for one in said] == [(1, "7", True), (2, "8", False)]
+    assert [(one["number"], one["key"], one["taken"]) for one in said[:2]] == [(1, "7", True), (2, "8", False)]
     assert all(one["volume"].endswith("ml") for one in said)
-    assert len(actions.scene.marks.answers) == 1 and actions.changed
+    others = len(said) - 1
+    assert len(actions.scene.marks.answers) == others and actions.changed
     drawn = actions.scene.screenshot()
     actions.request("key", "Escape")
     said = actions.state()["first_answers"]
-    assert len(said) == 2 and actions.scene.marks.answers == ()  # the line stays, and the keys
+    assert len(said) == others + 1 and actions.scene.marks.answers == ()  # the line stays, and the keys
     plain = actions.scene.screenshot()
     space = (slice(None), slice(None, 480))
     assert np.array_equal(drawn[space], plain[space]) and not np.array_equal(drawn, plain)
     actions.request("key", "8")
     viewing.settle(actions)
-    until(lambda: [one["taken"] for one in actions.state()["first_answers"]] == [False, True])
-    assert len(actions.scene.marks.answers) == 1 and actions.session.status.settings.answer == 2
+    until(lambda: [one["taken"] for one in actions.state()["first_answers"][:2]] == [False, True])
+    assert len(actions.scene.marks.answers) == others and actions.session.status.settings.answer == 2
     one = actions.scene.slice_tiles["axial"]
     lines = one._lines["answers"][0].mapper.GetInput().n_cells
     actions.scene.cursor = (14.0, 16.0, 2.0)  # beside it
@@ -163,7 +166,7 @@ def test_other_answers_are_outlines_in_the_slices_until_escape_or_a_click(action
 
 def test_a_request_that_fits_nothing_is_refused(actions):
     until(lambda: actions.state()["first_answers"])
-    for value, words in ((3, "no answer 3"), (4, "from 1 to 3"), ("x", "expected a number")):
+    for value, words in ((0, "from 1 to 3"), (4, "from 1 to 3"), ("x", "expected a number")):
         actions.request("take_answer", value)
         actions.session.wait(60)
         actions.collect_results()

@@ -292,15 +292,15 @@ def first_blocks(
         if not _touches(found, window):
             break
     taken = answers[min(answer, len(answers)) - 1]
-    chosen = taken
+    shown = taken
     if taken is not answers[0]:  # another answer may be larger than the window
         found = _object(probability, taken, window)
         while _touches(found, window) and (larger := next(windows, None)) is not None:
             window = larger
             probability, levels = read_first(window, network)
-            chosen = levels.nearest(taken)
-            found = _object(probability, chosen, window)
-    field = _signed(probability, chosen.level, found)
+            shown = levels.nearest(taken)
+            found = _object(probability, shown, window)
+    field = _signed(probability, shown.level, found)
     field[holes_filled(found) & ~found] = JUST
     return FirstBlocks(window, field, levels, (taken, *(other for other in answers if other is not taken)))
 
