@@ -35,7 +35,7 @@ _OTHER_KIND, _BEYOND_KIND = 0.1, 6.0
 MIN_VOXELS, SAMPLES = 20, 1 << 18
 #: The area cannot pull in a start whose curvature it weighs less than this part of the squared contrast.
 _SAFE = 0.25
-#: What looks like the background is at least this part of the image; values within so many of its spreads are like a click.
+#: Background is at least this part of the image; values within so many of its spreads are like a click.
 _COMMON, _WITHIN = 0.05, 4.0
 #: A click is background where more than this part of it has the image's least or largest value.
 _ONE_VALUE = 0.9
