@@ -31,11 +31,11 @@ _OUTLYING, FAR = 2.0, 4.0
 #: A click has values of two kinds if more than this part lies beyond so many of its median-based spreads: of a normal
 #: distribution, and of one with tails, hardly any do. What is less is left out by a model that learns robustly.
 _OTHER_KIND, _BEYOND_KIND = 0.1, 6.0
-#: Fewest voxels of a start that outliers are looked for in; surroundings and image are sampled at about so many.
+#: Fewest voxels of a start that outliers are looked for in; surroundings and image are sampled at about so many voxels.
 MIN_VOXELS, SAMPLES = 20, 1 << 18
 #: The area cannot pull in a start whose curvature it weighs less than this part of the squared contrast.
 _SAFE = 0.25
-#: Background is at least this part of the image; values within so many of its spreads are like a click.
+#: What looks like the background has at least this part of the image; values are like the click within so many spreads.
 _COMMON, _WITHIN = 0.05, 4.0
 #: A click is background where more than this part of it has the image's least or largest value.
 _ONE_VALUE = 0.9

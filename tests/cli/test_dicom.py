@@ -47,7 +47,7 @@ def test_a_series_is_segmented_where_it_lies(tmp_path, capsys):
     middle = ball_series(tmp_path / "study" / "a")
     Series(uid="1.2.3.8").stacked(5).write(tmp_path / "study" / "b")
     place = ",".join(f"{part:.3f}" for part in middle)
-    words = ["segment", str(tmp_path / "study"), "-o", str(tmp_path / "out"), "--inside", f"point:{place}"]
+    words = ["segment", str(tmp_path / "study"), "-o", str(tmp_path / "out"), "--inside", f"ball:{place},3"]
     assert cli.execute(words) == 3
     assert "2 volumes are in it" in capsys.readouterr().err
     assert cli.execute([*words, "--series", "1.2.3.4.5", "--threads", "1"]) == 0
@@ -92,7 +92,7 @@ def test_the_result_goes_back_as_dicom_the_same_bytes_twice(tmp_path):
     middle = ball_series(tmp_path / "scan")
     place = ",".join(f"{part:.3f}" for part in middle)
     for out in ("one", "two"):
-        words = ["segment", str(tmp_path / "scan"), "-o", str(tmp_path / out), "--inside", f"point:{place}"]
+        words = ["segment", str(tmp_path / "scan"), "-o", str(tmp_path / out), "--inside", f"ball:{place},3"]
         words += ["--threads", "1", "--name", "ball", "--also", "dicom-seg,dicom-labelmap,rtstruct,seg.nrrd"]
         assert cli.execute(words) == 0
     names = [f"scan_{name}.dcm" for name in ("segmentation", "labelmap", "rtstruct")]

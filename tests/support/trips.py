@@ -157,7 +157,7 @@ def _is_click(value: Any) -> bool:
         return value.startswith(("ball:", "point:", "path:")) and value not in (SEED, START)
     if type(value).__name__ == "Click":
         return bool(value.box[2].start <= NEW[0] < value.box[2].stop)
-    if isinstance(value, (tuple, list, np.ndarray)) and len(value) == 3:
+    if isinstance(value, (tuple, list, np.ndarray)) and getattr(value, "shape", (3,)) == (3,) and len(value) == 3:
         if all(isinstance(each, (float, int)) for each in value):
             return any(np.abs(np.subtract(value, place)).max() < 0.6 for place in (NEW, NEW[::-1]))
     return type(value).__name__ == "Picked"

@@ -260,6 +260,51 @@ def in_order(clicks: Clicks) -> Clicks:
     return Clicks((first, *(click for click in clicks.clicks if click is not first)), clicks.shape)
 
 
+class FirstBlocks(NamedTuple):
+    """An answer to the first click, on blocks.
+
+    Attributes
+    ----------
+    window : Window
+    field : ndarray (nz, ny, nx) float32
+        Of its blocks, above 0 in the answer's.
+    levels : Levels
+    answers : tuple of Answer
+        This one, and others that are likely.
+    """
+
+    window: Window
+    field: Floats
+    levels: Levels
+    answers: tuple[Answer, ...]
+
+
+def first_blocks(
+    scene: Scene, seed: Seed, size_mm3: float | None = None, answer: int = 1, network: Network | None = None
+) -> FirstBlocks:
+    """Return an answer to the first click on blocks, which is what it shows but for its boundary; see `first_model`."""
+    network = networks()["first"] if network is None else network
+    windows = _windows(scene, [seed], size_mm3)
+    for window in windows:
+        probability, levels = read_first(window, network)
+        answers = levels.answers() if size_mm3 is None else (levels.of_volume(size_mm3),)
+        found = _object(probability, answers[0], window)
+        if not _touches(found, window):
+            break
+    taken = answers[min(answer, len(answers)) - 1]
+    chosen = taken
+    if taken is not answers[0]:  # another answer may be larger than the window
+        found = _object(probability, taken, window)
+        while _touches(found, window) and (larger := next(windows, None)) is not None:
+            window = larger
+            probability, levels = read_first(window, network)
+            chosen = levels.nearest(taken)
+            found = _object(probability, chosen, window)
+    field = _signed(probability, chosen.level, found)
+    field[holes_filled(found) & ~found] = JUST
+    return FirstBlocks(window, field, levels, (taken, *(other for other in answers if other is not taken)))
+
+
 def first_model(
     scene: Scene,
     seed: Seed,
@@ -283,24 +328,7 @@ def first_model(
         Which of the answers is taken, from 1.
     asked : mapping of str to Network
     """
-    windows = _windows(scene, [seed], size_mm3)
-    for window in windows:
-        probability, levels = read_first(window, asked["first"])
-        answers = levels.answers() if size_mm3 is None else (levels.of_volume(size_mm3),)
-        found = _object(probability, answers[0], window)
-        if not _touches(found, window):
-            break
-    taken = answers[min(answer, len(answers)) - 1]
-    chosen = taken
-    if taken is not answers[0]:  # another answer may be larger than the window
-        found = _object(probability, taken, window)
-        while _touches(found, window) and (larger := next(windows, None)) is not None:
-            window = larger
-            probability, levels = read_first(window, asked["first"])
-            chosen = levels.nearest(taken)
-            found = _object(probability, chosen, window)
-    field = _signed(probability, chosen.level, found)
-    field[holes_filled(found) & ~found] = JUST
+    window, field, levels, answers = first_blocks(scene, seed, size_mm3, answer, asked["first"])
     score = -window.on_voxels(field)
     tight = bounding_box(score < 0)
     assert tight is not None  # the click is in it
@@ -311,7 +339,6 @@ def first_model(
         score = _fitted(score, box, window, asked["boundary"], seed.click)
     if size_mm3 is not None:
         score = _sized(score, size_mm3 / float(np.prod(scene.spacing)))
-    answers = (taken, *(other for other in answers if other is not taken))
     made = ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.volume_spread())
     return _with_clicks(made, scene)
 

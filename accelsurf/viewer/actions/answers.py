@@ -41,7 +41,7 @@ class AnswersFeature(Feature):
         drawn = () if answers == self._hidden else answers
         if drawn != self._drawn:
             self._drawn = drawn
-            self.actions.scene.marks.show_answers([answer.surface for answer in drawn if not answer.is_taken])
+            self.actions.scene.marks.show_answers([answer.surface for answer in drawn if answer.surface is not None])
         return {
             "first_answers": [
                 {

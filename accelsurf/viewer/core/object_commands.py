@@ -291,4 +291,6 @@ def size_drag_of(run: Run, ball: str, size_mm3: float = 0.0, taken: BoxMask | No
     axis = geometry.slice_axis
     thickness = None if axis is None else geometry.spacing[axis]
     most = max(window.volume_mm3 / ROOM, size_mm3) if window.faces.any() else math.inf
-    return SizeDrag(ball, times, corner_of(first), geometry.voxel_volume, most, thickness)
+    drag = SizeDrag(ball, times, corner_of(first), geometry.voxel_volume, most, thickness)
+    drag.level_of(size_mm3)  # sorts here, and not when the drag begins
+    return drag

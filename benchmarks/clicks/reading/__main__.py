@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import hashlib
 import json
 import time
@@ -15,6 +16,7 @@ import numpy as np
 
 import accelsurf.clicks.model
 from accelsurf.clicks.model.network import WEIGHTS, Network, load, save
+from benchmarks.clicks.reading import lessons
 from benchmarks.clicks.reading.games import Rows, boundary_rows, first_rows, later_rows
 from benchmarks.clicks.reading.training import loss, trained
 
@@ -24,6 +26,8 @@ PLACE = Path(accelsurf.clicks.model.__file__).with_name(WEIGHTS)
 HIDDEN, BATCH = {"first": (64, 32), "later": (64, 32), "boundary": (16,)}, {"boundary": 1024}
 #: Passes over the rows; part of the scenes that is held back; scenes of a file of rows.
 PASSES, HELD, CHUNK = 2, 0.08, 20
+#: Scenes of whole windows, as a part of those of rows; steps over windows.
+AROUND, STEPS = 0.4, 1500
 
 
 def gathered(work: Path, name: str, first: int, count: int, make: Callable[[int], list[Rows]], jobs: int) -> Rows:
@@ -73,7 +77,7 @@ def fitted(name: str, rows: Rows, passes: int) -> tuple[Network, dict[str, float
     return network, {key: round(float(value), 4) for key, value in figures.items()}
 
 
-def train(work: Path, scenes: int, jobs: int, passes: int, out: Path) -> dict[str, object]:
+def train(work: Path, scenes: int, jobs: int, passes: int, steps: int, out: Path) -> dict[str, object]:
     """Train all networks; later clicks in two rounds, the second on games of the first."""
     work.mkdir(parents=True, exist_ok=True)
     began, record = time.monotonic(), dict[str, object]()
@@ -92,6 +96,12 @@ def train(work: Path, scenes: int, jobs: int, passes: int, out: Path) -> dict[st
     near = gathered(work, "near", 300_000, scenes // 3, partial(boundary_rows, networks=dict(networks)), jobs)
     fit("boundary", "boundary", near)
     save(out, networks)
+    networks = load(out)  # as they are asked
+    seeds = range(400_000, 400_000 + round(AROUND * scenes))
+    seen = lessons.written(work, "around", seeds, partial(lessons.lessons_of_first, networks=networks), jobs)
+    layers, record["around"] = lessons.fitted(seen, steps, jobs)
+    networks["first"] = dataclasses.replace(networks["first"], around=tuple(layers))
+    save(out, networks)
     record["minutes"] = round((time.monotonic() - began) / 60.0, 1)
     record["sha256"] = hashlib.sha256(out.read_bytes()).hexdigest()
     out.with_suffix(".json").write_text(json.dumps(record, indent=1) + "\n")
@@ -107,8 +117,9 @@ def main() -> None:
     training.add_argument("--scenes", type=int, default=1200)
     training.add_argument("--jobs", type=int, default=2)
     training.add_argument("--passes", type=int, default=PASSES)
+    training.add_argument("--steps", type=int, default=STEPS, help="of the network that sees a block's surroundings")
     training.add_argument("--out", type=Path, default=PLACE)
-    training.set_defaults(run=lambda a: print(train(a.work, a.scenes, a.jobs, a.passes, a.out)))
+    training.set_defaults(run=lambda a: print(train(a.work, a.scenes, a.jobs, a.passes, a.steps, a.out)))
     showing = commands.add_parser("show", help="print what the weights are")
     showing.set_defaults(run=lambda a: print({n: (w.parameters, w.names) for n, w in load(PLACE).items()}))
     asked = parser.parse_args()

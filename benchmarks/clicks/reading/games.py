@@ -12,7 +12,7 @@ from accelsurf.clicks.model import ClickModel
 from accelsurf.clicks.model import Scene as Images
 from accelsurf.clicks.model.boundary import features_near
 from accelsurf.clicks.model.features import Features, features_of_first, features_of_later
-from accelsurf.clicks.model.model import first_model, with_click
+from accelsurf.clicks.model.model import first_blocks, first_model, with_click
 from accelsurf.clicks.model.network import Network
 from accelsurf.clicks.model.windows import SCALES, Seed, Window, seed_of, window_around
 from accelsurf.grid.boxes import whole_box, widened
@@ -199,7 +199,8 @@ def boundary_rows(seed: int, networks: Mapping[str, Network]) -> list[Rows]:
             game.answer()
         if game.model is None:
             continue
-        steps = _steps_of_first(game)
+        first = first_blocks(game.scene, game.seeds[0], network=networks["first"]).window
+        steps = [int(step) for step in first.steps]
         box = widened(game.model.box, truth.shape, [2 * step + 2 for step in steps])
         inside, wanted = game.model.inside_on(box), truth[box]
         total = np.count_nonzero(inside) + np.count_nonzero(wanted)
@@ -210,13 +211,3 @@ def boundary_rows(seed: int, networks: Mapping[str, Network]) -> list[Rows]:
         rows = random.choice(len(where), min(NEAR, len(where)), replace=False)
         out.append(rows_of(features, wanted.ravel()[where[rows]], rows, seed))
     return out
-
-
-def _steps_of_first(game: Game) -> list[int]:
-    """Voxels of a block of the window in which the first click was answered."""
-    for scale in SCALES:
-        window = window_around(game.scene, game.seeds[:1], scale)
-        count = np.prod([s.stop - s.start for s in window.box])
-        if game.model is not None and count >= game.model.field.size:
-            break
-    return [int(step) for step in window.steps]
