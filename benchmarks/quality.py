@@ -52,7 +52,7 @@ SCENES, OF_SCENE, SCENE_WEIGHT = range(900_000, 900_040), 2, 0.25
 DRAWN = "scenes"
 #: Which way each feature may count.
 SIGNS = {
-    "level_overlap": 1.0, "size_spread": -1.0, "correction": -1.0, "kept": 1.0, "surprise": -1.0, "rim": -1.0,
+    "level_overlap": 1.0, "size_spread": -1.0, "correction": -1.0, "unchanged": 1.0, "surprise": -1.0, "rim": -1.0,
     "drift": -1.0, "no_edge": -1.0,
 }
 #: The models: by the clicks' model and the image, and by the image alone.
