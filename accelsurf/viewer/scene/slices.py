@@ -320,7 +320,7 @@ class SliceTile:
         """Draw thin dashed outlines of other answers to the first click."""
         lines = [dashed(surface_lines(surface, self.stack, self.index)) for surface in answers]
         if lines or "answers" in self._lines:
-            self._draw_lines("answers", np.concatenate([NONE, *lines]), MARK, 1.4)
+            self._draw_lines("answers", np.concatenate([NONE, *lines]), MARK, 1.8)
 
     def mark_places(self, places: NDArray[np.float64]) -> None:
         """Draw a diamond in a larger one at each of these indices (z, y, x), (n, 3), that lies in this slice."""

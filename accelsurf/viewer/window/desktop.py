@@ -319,7 +319,7 @@ class ToolsPanel(Section):
 
 
 class AnswersRow(QWidget):
-    """What the first click may mean, a button for each answer; only while there is a choice.
+    """A line and a button for each answer to the first click; only while there is a choice.
 
     Attributes
     ----------
