@@ -316,7 +316,7 @@ def text_of(figures: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
     lines += ["", *head_of(("results with a warning", "number", "a click at the doubtful place raises the Dice",
                             "by", "the person's own click raises it", "by"))]
     for part, own in found.items():
-        if own["hints"]:
+        if own["hints"] and not part.startswith("fold"):
             told = [f"{own[f'{key}_raises']:.0%} {own[f'{key}_gain']:+.3f}" for key in ("hinted", "person")]
             lines.append(row_of((part, str(own["hints"]), *" ".join(told).split())))
     return "\n".join(lines) + "\n"
