@@ -52,7 +52,7 @@ SCENES, OF_SCENE, SCENE_WEIGHT = range(900_000, 900_040), 2, 0.25
 DRAWN = "scenes"
 #: Which way each feature may count.
 SIGNS = {
-    "level_overlap": 1.0, "size_spread": -1.0, "correction": -1.0, "kept": 1.0, "surprise": -1.0, "rim": -1.0,
+    "level_overlap": 1.0, "size_spread": -1.0, "correction": -1.0, "unchanged": 1.0, "surprise": -1.0, "rim": -1.0,
     "drift": -1.0, "no_edge": -1.0,
 }
 #: The models: by the clicks' model and the image, and by the image alone.
@@ -316,7 +316,7 @@ def text_of(figures: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
     lines += ["", *head_of(("results with a warning", "number", "a click at the doubtful place raises the Dice",
                             "by", "the person's own click raises it", "by"))]
     for part, own in found.items():
-        if own["hints"]:
+        if own["hints"] and not part.startswith("fold"):
             told = [f"{own[f'{key}_raises']:.0%} {own[f'{key}_gain']:+.3f}" for key in ("hinted", "person")]
             lines.append(row_of((part, str(own["hints"]), *" ".join(told).split())))
     return "\n".join(lines) + "\n"

@@ -11,7 +11,7 @@ from accelsurf.io.headers import UNIT_KEY
 from accelsurf.settings.wording import place_text, size_text, volume_text
 
 if TYPE_CHECKING:
-    from accelsurf.measure.records import Quality
+    from accelsurf.measure.likely import Quality
     from accelsurf.run.result import Result, SegmentedObject
 
 EMPTY = ("vanished", "filled")

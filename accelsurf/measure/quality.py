@@ -14,8 +14,15 @@ from accelsurf.grid.boxes import Box, bounding_box, slabs
 from accelsurf.grid.geometry import Geometry, axis_steps
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.measure import evidence as places
-from accelsurf.measure.likely import features, model_kind, probability_good, warning_threshold, why
-from accelsurf.measure.records import PlateauNote, Quality
+from accelsurf.measure.likely import (
+    PlateauNote,
+    Quality,
+    features,
+    model_kind,
+    probability_good,
+    warning_threshold,
+    why,
+)
 from accelsurf.settings.wording import place_text, volume_text
 
 if TYPE_CHECKING:
@@ -139,10 +146,10 @@ def _along_surface(found: Evidence | None) -> dict[str, Any]:
 
 def _by_clicks(confidence: Confidence | None) -> dict[str, Any]:
     """The measures by the model of the clicks; without one they are None."""
-    overlap, spread, correction, kept, taken, surprise, answers = confidence or (*(None,) * 6, ())
+    overlap, spread, correction, unchanged, taken, surprise, answers = confidence or (*(None,) * 6, ())
     return {
-        "level_overlap": overlap, "size_spread": spread, "correction": correction, "kept": kept, "taken": taken,
-        "surprise": surprise, "answers": answers,
+        "level_overlap": overlap, "size_spread": spread, "correction": correction, "unchanged": unchanged,
+        "taken": taken, "surprise": surprise, "answers": answers,
     }
 
 

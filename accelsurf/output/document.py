@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
     from accelsurf.grid.window import Window
     from accelsurf.io.file_set import FileSet
-    from accelsurf.measure.records import Quality
+    from accelsurf.measure.likely import Quality
     from accelsurf.run.result import Result, SegmentedObject
     from accelsurf.settings.run_config import RunConfig
 

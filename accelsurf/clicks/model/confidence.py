@@ -24,7 +24,7 @@ class Confidence(NamedTuple):
         Logarithm of how much larger the first answer is at a low probability than at a high one.
     correction : float or None
         Radius of the last click that corrected what was shown, over the object's; None where there was none.
-    kept : float or None
+    unchanged : float or None
         Dice of the object before that click with the object after it.
     taken : float
         Share of the object that the last click took away.
@@ -37,7 +37,7 @@ class Confidence(NamedTuple):
     overlap: float
     spread: float
     correction: float | None
-    kept: float | None
+    unchanged: float | None
     taken: float
     surprise: float | None
     answers: tuple[Answer, ...]
@@ -56,4 +56,4 @@ def confidence_of(model: ClickModel) -> Confidence | None:
     both = smaller + int(np.count_nonzero(connected_to(model.field < LEVEL, clicked)))
     overlap = 2.0 * smaller / both if both else 0.0
     surprise = float(np.mean(model.surprises)) if model.surprises else None
-    return Confidence(overlap, model.spread, model.correction, model.kept, model.taken, surprise, model.answers)
+    return Confidence(overlap, model.spread, model.correction, model.unchanged, model.taken, surprise, model.answers)

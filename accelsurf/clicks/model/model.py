@@ -106,7 +106,7 @@ class ClickModel:
         Logarithm of how much larger the first answer is from a low probability on than from a high one.
     correction : float or None
         Radius of the last click that corrected what was shown, over that of the object; None where none did.
-    kept : float or None
+    unchanged : float or None
         Dice of the object before that click with the object after it.
     taken : float
         Share of the object that the last click took away.
@@ -123,7 +123,7 @@ class ClickModel:
     answers: tuple[Answer, ...] = ()
     spread: float = 0.0
     correction: float | None = None
-    kept: float | None = None
+    unchanged: float | None = None
     taken: float = 0.0
     surprises: tuple[float, ...] = ()
     is_partition: bool = False
@@ -426,11 +426,11 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
     after = replace(model, clicks=known, box=box, field=score, inside=score < 0)
     width = (0.75 * max(after.count, 1) * float(np.prod(scene.spacing)) / np.pi) ** (1 / 3)
     # Of the two objects one lies in the other.
-    kept = 2.0 * min(model.count, after.count) / max(model.count + after.count, 1)
+    unchanged = 2.0 * min(model.count, after.count) / max(model.count + after.count, 1)
     wrong = model.field_on(click.box)[click.mask] * (1.0 if inside else -1.0)
     surprises = (*model.surprises, float(np.clip(wrong, -1.0, 1.0).mean()))
     taken = 0.0 if inside else 1.0 - after.count / max(model.count, 1)
-    after = replace(after, correction=seed.radius / width, kept=kept, taken=taken, surprises=surprises)
+    after = replace(after, correction=seed.radius / width, unchanged=unchanged, taken=taken, surprises=surprises)
     return _with_clicks(after, scene)
 
 
