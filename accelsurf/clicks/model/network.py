@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from accelsurf.clicks.model.around import logits_around
 from accelsurf.kernels.dense import layer
 
 Floats = NDArray[np.float32]
 #: Features are cut at so many standard deviations.
 CUT = 5.0
+#: Windows are filled up to a multiple of this, for blocks of blocks.
+MULTIPLE = 4
 #: Logits of single blocks are cut here.
 MAX_LOGIT = 9.2
 #: The networks that come with the package; how they were trained stands in the file of the same name, .json.
 WEIGHTS = "weights.npz"
+
+
+class Layer(NamedTuple):
+    """Dense layer: ``weights`` (n, m) and ``biases`` (m,), float32."""
+
+    weights: Floats
+    biases: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,16 +43,16 @@ class Network:
         Of the features, in their order.
     middle, spread : ndarray (n,) float32
         What features are standardised by; an unknown feature, nan, counts as its mean.
-    layers : tuple of (weights (n, m), biases (m,)) float32
-    around : tuple of (weights, biases) float32
-        Layers of `accelsurf.clicks.model.around`, which see the answers around a block; none: there are none.
+    layers : tuple of Layer
+    around : tuple of Layer
+        Those of `logits_around`, which see the answers around a block; none: there are none.
     """
 
     names: tuple[str, ...]
     middle: Floats
     spread: Floats
-    layers: tuple[tuple[Floats, Floats], ...]
-    around: tuple[tuple[Floats, Floats], ...] = ()
+    layers: tuple[Layer, ...]
+    around: tuple[Layer, ...] = ()
 
     def probability(self, features: Mapping[str, NDArray[np.floating]], shape: tuple[int, ...]) -> Floats:
         """Probability of each block, by features of this shape, or of no dimension where they are the same for all."""
@@ -73,6 +81,55 @@ class Network:
     def parameters(self) -> int:
         """Number of weights and biases."""
         return sum(w.size + b.size for w, b in (*self.layers, *self.around))
+
+
+def logits_around(layers: Sequence[Layer], features: Floats, answer: Floats) -> Floats:
+    """Logits of each block by what is around it: convolutions at three resolutions.
+
+    The first layer works on blocks; then come means of 2x2x2 blocks and of 4x4x4, and the way back, where what was seen
+    before is added. Each layer but the last has a rectifier.
+
+    Parameters
+    ----------
+    layers : sequence of (weights, biases)
+        Eight; the rows of a convolution's weights are those of the neighbours (z, y, x), the last axis first, and in
+        each the channels.
+    features : ndarray (n, nz, ny, nx), float32
+        Standardised.
+    answer : ndarray (nz, ny, nx), float32
+        Logits by the first network, to which the others are added.
+    """
+    given = np.concatenate([features, answer[None] / np.float32(2.0)])
+    given = np.pad(given, [(0, 0), *((0, -n % MULTIPLE) for n in answer.shape)], mode="edge")
+    near = _single(given, layers[0])
+    half = _cube(_cube(_halved(near), layers[1]), layers[2])
+    quarter = _cube(_cube(_halved(half), layers[3]), layers[4])
+    half = _cube(half + _doubled(quarter), layers[5])
+    near = _cube(near + _doubled(half), layers[6])
+    z, y, x = answer.shape
+    return np.asarray(_single(near, layers[7], False)[0, :z, :y, :x] + answer)
+
+
+def _single(values: Floats, dense: Layer, is_rectified: bool = True) -> Floats:
+    out = layer(np.ascontiguousarray(values.reshape(len(values), -1)), *dense, is_rectified)
+    return np.asarray(out).reshape(-1, *values.shape[1:])
+
+
+def _cube(values: Floats, dense: Layer) -> Floats:
+    """A layer on the 3x3x3 neighbours of each block, 0 beyond the window."""
+    padded = np.pad(values, [(0, 0), (1, 1), (1, 1), (1, 1)])
+    _, nz, ny, nx = values.shape
+    shifted = [padded[:, z : z + nz, y : y + ny, x : x + nx] for z in range(3) for y in range(3) for x in range(3)]
+    return _single(np.concatenate(shifted), dense)
+
+
+def _halved(values: Floats) -> Floats:
+    n, nz, ny, nx = values.shape
+    return values.reshape(n, nz // 2, 2, ny // 2, 2, nx // 2, 2).mean((2, 4, 6), dtype=np.float32)
+
+
+def _doubled(values: Floats) -> Floats:
+    return values.repeat(2, 1).repeat(2, 2).repeat(2, 3)
 
 
 @lru_cache(maxsize=1)
@@ -109,11 +166,11 @@ def load(file: Path | IO[bytes]) -> dict[str, Network]:
         return out
 
 
-def _layers(held: Mapping[str, NDArray[np.generic]], name: str) -> tuple[tuple[Floats, Floats], ...]:
+def _layers(held: Mapping[str, NDArray[np.generic]], name: str) -> tuple[Layer, ...]:
     """Layers of a network in a file, by its name and their numbers."""
     out, number = [], 0
     while f"{name}.{number}.weights" in held:
         weights, biases = (held[f"{name}.{number}.{part}"].astype(np.float32) for part in ("weights", "biases"))
-        out.append((np.ascontiguousarray(weights), biases))
+        out.append(Layer(np.ascontiguousarray(weights), biases))
         number += 1
     return tuple(out)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import accelsurf.clicks.model
-from accelsurf.clicks.model.network import WEIGHTS, Network, load, save
+from accelsurf.clicks.model.network import WEIGHTS, Layer, Network, load, save
 from benchmarks.clicks.reading import lessons
 from benchmarks.clicks.reading.games import Rows, boundary_rows, first_rows, later_rows
 from benchmarks.clicks.reading.training import loss, trained
@@ -100,7 +100,7 @@ def train(work: Path, scenes: int, jobs: int, passes: int, steps: int, out: Path
     seeds = range(400_000, 400_000 + round(AROUND * scenes))
     seen = lessons.written(work, "around", seeds, partial(lessons.lessons_of_first, networks=networks), jobs)
     layers, record["around"] = lessons.fitted(seen, steps, jobs)
-    networks["first"] = dataclasses.replace(networks["first"], around=tuple(layers))
+    networks["first"] = dataclasses.replace(networks["first"], around=tuple(Layer(*pair) for pair in layers))
     save(out, networks)
     record["minutes"] = round((time.monotonic() - began) / 60.0, 1)
     record["sha256"] = hashlib.sha256(out.read_bytes()).hexdigest()

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from accelsurf.clicks.model.network import CUT, Network
+from accelsurf.clicks.model.network import CUT, Layer, Network
 
 Floats = NDArray[np.float32]
 #: Rows in a step of the training, its largest step and decay of the weights; part of the steps in which steps grow.
@@ -63,7 +63,7 @@ def trained(
                 second[i] += 0.001 * (slope**2 - second[i])
                 change = (first[i] / (1.0 - 0.9**step)) / (np.sqrt(second[i] / (1.0 - 0.999**step)) + 1e-8)
                 parts[i] -= np.float32(rate) * (change + DECAY * parts[i] * (i % 2 == 0))
-    return Network(tuple(names), middle, spread, tuple(zip(parts[::2], parts[1::2], strict=True)))
+    return Network(tuple(names), middle, spread, tuple(map(Layer, parts[::2], parts[1::2])))
 
 
 def _slopes(parts: Sequence[Floats], values: Floats, wanted: Floats) -> list[Floats]:

@@ -6,13 +6,13 @@ from importlib import resources
 
 import numpy as np
 
-from accelsurf.clicks.model.network import WEIGHTS, Network, load, networks, save
+from accelsurf.clicks.model.network import WEIGHTS, Layer, Network, load, networks, save
 
 
 def made():
     random = np.random.default_rng(2)
     layers = tuple(
-        (random.normal(size=size).astype(np.float32), random.normal(size=size[1]).astype(np.float32))
+        Layer(random.normal(size=size).astype(np.float32), random.normal(size=size[1]).astype(np.float32))
         for size in ((2, 4), (4, 1))
     )
     return Network(("a", "b"), np.array([1.0, 0.0], np.float32), np.array([2.0, 1.0], np.float32), layers)
