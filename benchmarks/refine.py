@@ -249,7 +249,7 @@ def page_of(facts: dict[str, Any]) -> str:
         "Made by `scripts/benchmark refine --render`; do not edit. A simulated person clicks where the result is most "
         "wrong (record 0023). Seconds are what a person waits with the compiled code in memory: of a first click the "
         "whole run, of a later one the correction. Each is the fastest of "
-        f"{REPEATS}. `benchmarks/notes/clicks-time.md` says what was done for it.",
+        f"{REPEATS}.",
         "",
         f"{facts['threads']} threads, {facts['cores']} cores, load {facts['load']:.1f} at the beginning. Where that is "
         "more than the cores, a person would wait less on an idle machine, and the processor's seconds, of the same "

@@ -13,7 +13,7 @@ from accelsurf.grid.geometry import axis_steps
 #: Of a normal distribution: median absolute second difference, in standard deviations.
 SECOND_DIFFERENCE = 0.6745 * 6.0**0.5
 #: Area weight of `area_against_noise` where the noise is as strong as the contrast, in voxels of the smallest spacing:
-#: what the clicks' model takes there, too (`accelsurf.energies.seeded.edge`).
+#: what the clicks' model takes there, too (`accelsurf.clicks.model.surface`).
 WEIGHT = 0.3
 #: Second differences of about so many voxels tell the noise of an image.
 SAMPLES = 1 << 18
