@@ -88,9 +88,9 @@ def test_a_preset_overrides_what_was_chosen_and_gives_way_to_the_next(session):
     assert {key: getattr(now, key) for key in PRESETS["mr-brain"].settings} == dict(PRESETS["mr-brain"].settings)
     assert now.cfl == 0.3 and now.preset == "mr-brain"
     assert "preset mr-brain: " in session.status.message and "energy chan-vese" in session.status.message
-    session.restart_with(preset="mr-ventricle").result(60)
+    session.restart_with(preset="fluorescence-nucleus").result(60)
     now = session.status.settings
-    assert (now.energy, now.smoothness, now.balance, now.epsilon) == ("threshold:,auto", 0.5, 1.0, 1.5)
+    assert (now.energy, now.presmooth, now.balance, now.epsilon) == ("local-region", "1vox", 1.0, 1.5)
     session.restart_with(preset=None).result(60)
     assert session.status.settings.energy == "chan-vese" and session.status.settings.cfl == 0.3
 
