@@ -32,8 +32,8 @@ def test_every_preset_says_what_each_value_means_and_where_it_was_tried(name):
 
 
 def test_values_beside_a_preset_win_wherever_they_come_from(tmp_path, capsys):
-    assert RunConfig(preset="ct-bone", closing=0.5).closing == 0.5
-    assert RunConfig(preset="ct-bone", closing=0.0).closing == 0.0  # also where it is the default
+    assert RunConfig(preset="ct-skeleton", presmooth=0.5).presmooth == 0.5
+    assert RunConfig(preset="mr-cord", levels="auto").levels == "auto"  # also where it is the default
     file = tmp_path / "run.toml"
     file.write_text('preset = "mr-brain"\nbalance = 1.7\n')
     config = RunConfig.from_toml(file)
@@ -48,14 +48,14 @@ def test_values_beside_a_preset_win_wherever_they_come_from(tmp_path, capsys):
 
 
 def test_a_preset_replaces_the_values_of_another_but_not_those_that_were_set():
-    config = RunConfig(preset="ct-bone", tolerance=0.3).replace(preset="mr-brain")
+    config = RunConfig(preset="ct-skeleton", tolerance=0.3).replace(preset="mr-brain")
     assert config == RunConfig(preset="mr-brain", tolerance=0.3)
     assert config.replace(preset=None) == RunConfig(tolerance=0.3)
-    assert RunConfig(preset="ct-bone").replace(presmooth=1.0).preset == "ct-bone"
+    assert RunConfig(preset="ct-skeleton").replace(presmooth=1.0).preset == "ct-skeleton"
 
 
 def test_a_preset_that_is_none_is_one_clear_line():
-    with pytest.raises(UsageError, match="preset: ct-bones was given, expected ct-bone, ct-skeleton"):
+    with pytest.raises(UsageError, match="preset: ct-bones was given, expected ct-skeleton, mr-brain"):
         RunConfig(preset="ct-bones")
     with pytest.raises(UsageError, match="preset"):
         RunConfig(preset=3)
@@ -92,24 +92,6 @@ def found(preset, image, *starts, **clicks):
     return result.labels
 
 
-def test_one_bone_with_its_marrow_from_a_click():
-    """Compact bone around marrow, and another bone. Without the closing the marrow alone is found.
-
-    The surface lies half way between soft tissue, 50 HU, and the bound that values are cut at, 250 HU.
-    """
-    z, y, x = grid()
-    body = x**2 + y**2 + (0.6 * z) ** 2 < 18**2
-    away = np.sqrt((x + 7) ** 2 + y**2 + (z / 1.5) ** 2)
-    marrow, other = away < 4, (x - 9) ** 2 + y**2 < 3**2
-    values = -1000.0 + 1050 * body + 700 * (body & (away < 6) & ~marrow) + 700 * (body & other)
-    bone = ndimage.binary_fill_holes(noisy(values, 0) > 150) & (x < 3)
-    image, click = noisy(values, 15), "ball:15,22,15,2vox"
-    labels = found("ct-bone", image, inside=click)
-    assert dice(labels, bone) > 0.92 and labels[marrow & body].mean() > 0.95 and labels[other].mean() < 0.05
-    alone = segment(image, spacing=SPACING, preset="ct-bone", closing=0.0, inside=click).labels
-    assert dice(alone, bone) < 0.5
-
-
 @pytest.mark.slow
 def test_bone_between_soft_tissue_with_contrast_agent():
     z, y, x = grid()
@@ -118,12 +100,6 @@ def test_bone_between_soft_tissue_with_contrast_agent():
     vessel = ((x - 6) ** 2 + y**2 < 4**2) & body
     image = noisy(-1000.0 + 1050 * body + 650 * bone + 100 * vessel, 15)
     assert dice(found("ct-skeleton", image), bone) > 0.9
-
-
-def test_a_preset_of_clicks_asks_for_one():
-    with pytest.raises(UsageError, match="without a click inside") as caught:
-        segment(np.eye(24)[None] * np.ones((24, 1, 1)), preset="ct-bone", start="ball:12,12,12,5")
-    assert "--inside" in caught.value.hint
 
 
 def test_brain_on_zeros_with_dim_remains_of_the_stripping():
