@@ -52,7 +52,6 @@ class Case:
 
 
 _BRAIN, _OBLIQUE, _CT = "mri_brain256", "mri_brain_oblique", "ct_abdomen_hires"
-_VENTRICLES = "--start ball:144,100,115,4vox --start ball:109,97,117,4vox"
 _LIVER = "--inside ball:163,318,19,8vox --inside ball:151,313,0,8vox --inside ball:155,277,19,8vox"
 _CORD = " ".join(
     f"--start ball:{place},2.5vox"
@@ -75,11 +74,9 @@ CASES: dict[str, Case] = {
     "brain, ball": Case(_BRAIN, "--start ball:126,110,130,30vox"),
     "oblique brain, preset": Case(_OBLIQUE, "--start center --preset mr-brain"),
     "oblique brain, no option": Case(_OBLIQUE, "--start center"),
-    "ventricles, balls and preset": Case(_BRAIN, f"{_VENTRICLES} --preset mr-ventricle", (4, 43)),
     "cord, balls and preset": Case("mri_cord_iso", f"{_CORD} --preset mr-cord"),
-    "liver, three clicks by eye": Case(_CT, f"{_LIVER} --preset ct-organ", (5,)),
-    "spleen, a click by eye": Case(_CT, "--inside ball:372,311,9,8vox --preset ct-organ", (1,)),
-    "aorta, ball and preset": Case(_CT, "--start ball:263,299,11,7vox --preset ct-vessel", (52,)),
+    "liver, three clicks by eye": Case(_CT, _LIVER, (5,)),
+    "spleen, a click by eye": Case(_CT, "--inside ball:372,311,9,8vox", (1,)),
     "bones": Case(_CT, "--preset ct-skeleton", _BONES),
     "head phantom": Case("ct_phantom_oblique", "--preset ct-skeleton", reference=False),
 }

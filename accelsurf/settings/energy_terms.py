@@ -234,7 +234,7 @@ TERMS: Registry[TermSpec] = Registry(
     ),
     TermSpec(
         "seeded",
-        "what lies nearer to the clicks inside than to those outside and the surroundings; needs --inside",
+        "what small networks read from the image around the clicks; needs --inside",
         f"{_MAKERS}:seeded",
         {"area": Number(0.0, help="weight of the area beside --smoothness, mm; of the model unless given")},
         uses=("size", "answer"),

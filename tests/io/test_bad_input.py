@@ -71,7 +71,7 @@ BAD = [
     (("--energy", "likelihood:yes"), 2, "gauss or histogram"),
     (("--smoothness", "-1"), 2, "at least 0"),
     (("--presmooth", "1voxel"), 2, "such as 1.5vox"),
-    (("--preset", "ct-bones"), 2, "ct-bone, ct-skeleton"),
+    (("--preset", "ct-bones"), 2, "ct-skeleton, mr-brain"),
     (("--levels", "9"), 2, "expected at most"),
     (("--start", "ball:500,0,0,5"), 3, "no voxel centre is inside it"),
     (("--start", "ball:12,11,10"), 2, "4 numbers"),

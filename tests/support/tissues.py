@@ -1,4 +1,4 @@
-"""Phantoms of tissue with exact labels: cells between membranes, a bone with marrow, a tumour with a rim, an organelle.
+"""Phantoms of tissue with exact labels: cells between membranes, a tumour with a rim, an organelle.
 
 What they have and the solids of recipes lack: several brightnesses in one object, or neighbours of the same brightness.
 """
@@ -75,22 +75,6 @@ def membrane_cells(
     centres = [np.unravel_index(int(np.argmax(np.where(found == n, inner, -1.0))), shape) for n in range(1, count + 1)]
     image = _finished(wall.astype(float), 0.7, noise, random)
     return image, found, np.array(centres, np.int64)
-
-
-def bone(shape: Shape = (40, 64, 64), *, noise: float = 18.0, seed: int = 0) -> tuple[Image, Labels]:
-    """A vertebral body in HU: marrow with trabeculae in a shell of compact bone, 3 voxels thick, beside soft tissue and
-    a second bone.
-    """
-    random = np.random.default_rng(seed)
-    z, y, x = _from_middle(shape)
-    body = (np.abs(x) / 17) ** 4 + (np.abs(y) / 14) ** 4 + (np.abs(z) / 11) ** 4
-    inside, marrow = body < 1, ndimage.binary_erosion(body < 1, iterations=3)
-    trabeculae = ndimage.gaussian_filter(random.normal(0, 1, shape), 1.2)
-    other = (np.abs(x) / 17) ** 4 + (np.abs(y) / 14) ** 4 + (np.abs(z - 25) / 11) ** 4 < 1
-    values = np.full(shape, 50.0)
-    values[inside | other] = 650.0
-    values[marrow] = 190.0 + 60.0 * trabeculae[marrow] / trabeculae.std()
-    return _finished(values, 0.6, noise, random), inside.astype(np.int32)
 
 
 def tumour(shape: Shape = (40, 64, 64), *, noise: float = 8.0, seed: int = 0) -> tuple[Image, Labels]:

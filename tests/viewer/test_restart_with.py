@@ -6,7 +6,7 @@ import pytest
 from accelsurf.api.segment import segment
 from accelsurf.errors import InputError, UsageError
 from accelsurf.image.volume import Volume
-from accelsurf.settings.presets import PRESETS
+from accelsurf.settings.presets import PRESETS, Preset
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.session import Session
 from tests.support.steering import at, labels_of
@@ -63,7 +63,7 @@ def test_it_is_one_change_that_can_be_undone(session):
 BAD = [
     ({"energy": "chan-vesee"}, UsageError, "chan-vese"), ({"presmooth": -1}, UsageError, "presmooth"),
     ({"roi": "1,2,3"}, UsageError, "roi"), ({"mask": "/nowhere.nii.gz"}, InputError, "nowhere"),
-    ({"preset": "ct-boone"}, UsageError, "ct-bone"), ({"what": 1}, UsageError, "what"),
+    ({"preset": "ct-boone"}, UsageError, "ct-skeleton"), ({"what": 1}, UsageError, "what"),
     ({"roi": "0,0,0,3,3,3vox"}, InputError, "start"), ({"energy": "seeded"}, UsageError, "inside"),
 ]  # fmt: skip
 
@@ -88,21 +88,30 @@ def test_a_preset_overrides_what_was_chosen_and_gives_way_to_the_next(session):
     assert {key: getattr(now, key) for key in PRESETS["mr-brain"].settings} == dict(PRESETS["mr-brain"].settings)
     assert now.cfl == 0.3 and now.preset == "mr-brain"
     assert "preset mr-brain: " in session.status.message and "energy chan-vese" in session.status.message
-    session.restart_with(preset="mr-ventricle").result(60)
+    session.restart_with(preset="fluorescence-nucleus").result(60)
     now = session.status.settings
-    assert (now.energy, now.smoothness, now.balance, now.epsilon) == ("threshold:,auto", 0.5, 1.0, 1.5)
+    assert (now.energy, now.presmooth, now.balance, now.epsilon) == ("local-region", "1vox", 1.0, 1.5)
     session.restart_with(preset=None).result(60)
     assert session.status.settings.energy == "chan-vese" and session.status.settings.cfl == 0.3
 
 
-def test_a_preset_of_clicks_waits_for_them_and_then_begins_from_them(session, tmp_path):
-    session.restart_with(preset="nuclei").result(60)
+@pytest.fixture
+def of_clicks():
+    """Name of a preset that begins from clicks."""
+    settings = {"energy": "seeded", "start": ("clicks",), "presmooth": "1vox"}
+    preset = Preset("toy-clicks", "Toys by a click.", settings, dict.fromkeys(settings, "toys"), {"a toy": "well"})
+    with PRESETS.register(preset):
+        yield preset.name
+
+
+def test_a_preset_of_clicks_waits_for_them_and_then_begins_from_them(session, of_clicks, tmp_path):
+    session.restart_with(preset=of_clicks).result(60)
     now = session.status.settings
     assert (now.presmooth, now.energy, now.start) == ("1vox", "chan-vese", (START,))
     assert session.status.message.endswith("now click in the object, or draw its size")
     session.add_click("inside", "point:17,15,16").result(60)
     session.add_click("outside", "point:1,1,1").result(60)
-    session.restart_with(preset="nuclei").result(60)
+    session.restart_with(preset=of_clicks).result(60)
     now = session.status.settings
     assert (now.energy, now.start, now.inside, now.outside) == (
         "seeded", ("clicks",), ("point:17,15,16",), ("point:1,1,1",),
@@ -112,8 +121,8 @@ def test_a_preset_of_clicks_waits_for_them_and_then_begins_from_them(session, tm
     assert segment(volume(), config=RunConfig.from_toml(toml)).labels.tobytes() == saved
 
 
-def test_a_press_after_such_a_preset_keeps_what_it_says_of_the_image(session):
-    session.restart_with(preset="nuclei").result(60)
+def test_a_press_after_such_a_preset_keeps_what_it_says_of_the_image(session, of_clicks):
+    session.restart_with(preset=of_clicks).result(60)
     drag = session.press("ball:17,15,16,3").result(60)
     assert drag.click
     session.release(10.0).result(60)

@@ -87,8 +87,8 @@ def test_each_kind_of_row_has_what_it_needs():
     assert not diffusion["restarts"] and rows["levels"]["restarts"]
     assert {one["name"]: one["help"] for one in flow["names"]} == names_of("flow")
     assert [one["name"] for one in rows["preset"]["names"]] == ["", *PRESETS]
-    vessel = next(one["help"] for one in rows["preset"]["names"] if one["name"] == "ct-vessel")
-    assert PRESETS["ct-vessel"].summary in vessel and "smoothness 0.5" in vessel
+    skeleton = next(one["help"] for one in rows["preset"]["names"] if one["name"] == "ct-skeleton")
+    assert PRESETS["ct-skeleton"].summary in skeleton and "smoothness 0.2" in skeleton
 
 
 @pytest.mark.parametrize("name", [name for name, term in TERMS.items() if term.sees_image])
@@ -127,10 +127,10 @@ def test_a_setting_that_may_change_is_an_edit_and_a_fixed_one_begins_another_run
 
 
 def test_a_preset_is_chosen_and_says_what_it_changes(actions):
-    status = ask(actions, "set", "preset", "mr-ventricle")
-    assert status.settings.energy == "threshold:,auto" and status.settings.preset == "mr-ventricle"
+    status = ask(actions, "set", "preset", "fluorescence-nucleus")
+    assert status.settings.energy == "local-region" and status.settings.preset == "fluorescence-nucleus"
     assert actions.state()["message"] == (
-        "from the start: preset mr-ventricle: energy threshold:,auto, smoothness 0.5"
+        "from the start: preset fluorescence-nucleus: energy local-region, start otsu, presmooth 1vox"
     )
     status = ask(actions, "undo")
     assert status.settings.preset is None and status.settings.energy == "chan-vese"
