@@ -55,7 +55,7 @@ def test_a_series_is_segmented_where_it_lies(tmp_path, capsys):
     centre = labels.geometry.index_to_world(np.argwhere(labels.array).mean(axis=0))
     assert np.linalg.norm(centre - middle) < 0.4
     volume = json.loads((tmp_path / "out" / "study_report.json").read_text())["volume_mm3"]
-    assert volume == pytest.approx(4 / 3 * np.pi * 9**3, rel=0.06)
+    assert volume == pytest.approx(4 / 3 * np.pi * 9**3, rel=0.1)
 
 
 def test_a_gap_ends_with_code_3_unless_it_is_to_be_filled(tmp_path, capsys):

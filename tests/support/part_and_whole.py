@@ -21,5 +21,5 @@ def part_and_whole() -> tuple[Volume, NDArray[Any], NDArray[Any]]:
 
     part = ball((12, 16, 14), 9.0)
     whole = part | ball((12, 32, 32), 8.0) | ball((12, 24, 23), 5.0)
-    image = np.where(part, 100.0, 60.0 * whole) + np.random.default_rng(5).normal(0.0, 15.0, SHAPE)
+    image = np.where(part, 100.0, 75.0 * whole) + np.random.default_rng(5).normal(0.0, 15.0, SHAPE)
     return Volume(image.astype(np.float32), Geometry(SHAPE, SPACING)), part, whole
