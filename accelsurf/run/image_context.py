@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 _LEARNED_DEVIATIONS = 2.5
 #: No voxel is nearer to the first surface of the clicks' model than this part of half a voxel.
 _MIN_DEPTH = 0.02
+#: A stated size counts as at most this part of the image.
+_FILLS = 0.75
 #: Weight of the area of objects that fill a space, of the smallest spacing.
 _PARTITION_AREA = 0.3
 #: The problem and the hint where likelihood has no sample.
@@ -256,6 +258,8 @@ class ImageContext:
                 if previous is None and before is not None and before.clicks is not None and before.clicks.ids():
                     previous = before.click_model()
                 scene = Scene(tuple(self.images), self.spacing, mask, window)
+                if size is not None:  # what fills the image has no surface
+                    size = min(size, _FILLS * float(np.prod(scene.whole_shape) * np.prod(self.spacing)))
                 made = click_model(scene, self.clicks, size_mm3=size, answer=answer, previous=previous)
             self._model.append(made)
         return self._model[0]

@@ -240,7 +240,7 @@ def test_several_objects_by_clicks(energy, tmp_path):
     # What is no object competes, and is left out.
     assert [one.id for one in result.objects] == [1, 7] and set(np.unique(labels)) == {0, 1, 7}
     # The click outside of 7 lies within its ball, and cuts off what is nearer to it.
-    assert 1500 < (labels == 1).sum() < 2600 and 1000 < (labels == 7).sum() < 2600
+    assert 1500 < (labels == 1).sum() and 1000 < (labels == 7).sum() < 2600
 
 
 def test_models_of_several_objects_are_the_same_on_any_number_of_threads(tmp_path):
