@@ -43,20 +43,11 @@ class Trial(NamedTuple):
     tuned: tuple[str, ...] = ()
 
 
-#: By clicks. Spongy vertebrae, a rib and a skull; lumens; and so on: all objects of the kind.
+#: By clicks.
 TRIALS = {
-    "ct-bone": Trial(("vertebra-L3", "vertebra-L4", "vertebra-L2", "skull", "vertebra-T12", "rib-right-6"),
-                     ("ct_abdomen_hires",)),
-    "ct-vessel": Trial(("aorta", "vena-cava"), ("ct_abdomen_hires",)),
-    "mr-vessel": Trial(("aorta-mra", "vessel-b-1", "vessel-b-3", "vessel-b-5", "vessel-b-7", "vessel-1", "vessel-4",
-                        "vessel-7", "vessel-10")),
-    "mr-white-matter": Trial(("white-matter", "macaque-white-matter", "mean-white"), ("mri_brain_oblique",)),
-    "mr-ventricle": Trial(("ventricle-right", "third-ventricle", "macaque-ventricle-left", "macaque-fourth-ventricle"),
-                          ("mri_brain256",)),
+    "mr-white-matter": Trial(("macaque-white-matter", "mean-white", "white-matter"), ("mri_brain_oblique",)),
     "mr-cord": Trial(("cord", "cord-grey-matter"), ("mri_cord_iso",)),
-    "nuclei": Trial(tuple(each.name for each in objects() if each.family == "nuclei" and each.chosen
-                          and each.volume != "phantom"), ("fluo_nuclei1136",)),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)

@@ -104,7 +104,7 @@ def of_clicks():
         yield preset.name
 
 
-def test_a_preset_of_clicks_waits_for_them_and_then_begins_from_them(session, of_clicks, tmp_path):
+def test_a_preset_of_clicks_waits_for_them_and_then_begins_from_them(of_clicks, session, tmp_path):
     session.restart_with(preset=of_clicks).result(60)
     now = session.status.settings
     assert (now.presmooth, now.energy, now.start) == ("1vox", "chan-vese", (START,))
@@ -121,7 +121,7 @@ def test_a_preset_of_clicks_waits_for_them_and_then_begins_from_them(session, of
     assert segment(volume(), config=RunConfig.from_toml(toml)).labels.tobytes() == saved
 
 
-def test_a_press_after_such_a_preset_keeps_what_it_says_of_the_image(session, of_clicks):
+def test_a_press_after_such_a_preset_keeps_what_it_says_of_the_image(of_clicks, session):
     session.restart_with(preset=of_clicks).result(60)
     drag = session.press("ball:17,15,16,3").result(60)
     assert drag.click
