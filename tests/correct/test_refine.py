@@ -596,12 +596,12 @@ def test_clicks_of_one_side_move_the_surface_to_that_side_alone(image, side):
 
 
 def test_a_correction_ends_when_its_energy_has_been_lowest(image):
-    """So many steps after that, whatever its motion."""
+    """At most so many steps after that, whatever its motion."""
     before = first_run(image, "seeded")
     after = refine(before, inside=f"ball:{world(12, 14, 48)},2")
     steps = after.history[len(before.history) - 1 :]
     low = int(np.argmin([record.potential for record in steps[:-1]]))
-    assert after.stop.reason == "converged" and len(steps) - 1 == low + PATIENCE
+    assert after.stop.reason == "converged" and len(steps) - 1 <= low + PATIENCE
     assert steps[-1].potential == pytest.approx(steps[low].potential, rel=1e-9)
 
 
