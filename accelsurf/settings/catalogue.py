@@ -67,7 +67,7 @@ def viewer_settings(where: Literal["first", "more"]) -> tuple[str, ...]:
     Examples
     --------
     >>> viewer_settings("first")
-    ('preset', 'energy', 'smoothness', 'presmooth', 'size', 'max_volume', 'levels', 'roi')
+    ('preset', 'energy', 'smoothness', 'presmooth', 'size', 'answer', 'max_volume', 'levels', 'roi')
     """
     shown = [key for key in SettingFields.model_fields if entry(key).viewer == where]
     return tuple(key for group in VIEWER_GROUPS for key in shown if entry(key).group is group)
