@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 EMPTY = ("vanished", "filled")
 #: The checks before the first step that foretell these, see `accelsurf.run.start_checks`.
-CAUSES = {"vanished": ("start", "area"), "filled": ("size", "window", "start")}
+CAUSES = {"vanished": ("start", "area"), "filled": ("window", "start")}
 _LATER = "raise --max-steps; the outputs show how far it got"
 _LOOK = "look at the picture; without --strict it is a warning"
 _REPORT = "use a smaller --cfl; and please report this image and its settings"

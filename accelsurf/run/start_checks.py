@@ -119,8 +119,8 @@ def _of_size(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]
     if size is None or size < whole:
         return []
     return [
-        f"size: {volume_text(size)} was given, and the image has {volume_text(whole)}: the object will fill it; "
-        "try it without --size"
+        f"size: {volume_text(size)} was given, and the image has {volume_text(whole)}; try it without "
+        "--size"
     ]
 
 

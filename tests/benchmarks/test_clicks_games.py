@@ -13,7 +13,7 @@ from accelsurf.errors import UsageError
 from accelsurf.image.volume import Volume
 from benchmarks.clicks import __main__ as program
 from benchmarks.clicks import games, methods, objects, peers, tables
-from benchmarks.clicks.domain import CroppedSession, block_mean, coarsened_seeds, crop, enlarged, outer_faces
+from benchmarks.clicks.domain import CroppedSession, coarsened_seeds, crop, outer_faces
 from benchmarks.clicks.games import Hints, play, summary
 from benchmarks.clicks.measures import surfaces
 from benchmarks.clicks.objects import ClickObject, Scene
@@ -328,19 +328,12 @@ def test_what_lies_beyond_a_drawn_box_is_outside() -> None:
     assert seen == [(13, 25, 25), (24, 40, 40)]
 
 
-def test_coarse_grids_lose_no_seed_and_keep_means() -> None:
-    values = np.arange(7 * 4, dtype=np.float32).reshape(1, 7, 4)
-    coarse = block_mean(values, (1, 3, 2))
-    assert coarse.shape == (1, 3, 2) and coarse[0, 0, 0] == values[0, :3, :2].mean() and coarse[0, 2, 1] == 26.5
+def test_coarse_grids_lose_no_seed() -> None:
     seeds = np.zeros((1, 7, 4), np.uint8)
     seeds[0, 6, 3], seeds[0, 0, 0] = 1, 2
     assert coarsened_seeds(seeds, (1, 3, 2))[0, 2, 1] == 1 and coarsened_seeds(seeds, (1, 3, 2))[0, 0, 0] == 2
     seeds[0, 1, 1] = 1
     assert coarsened_seeds(seeds, (1, 3, 2))[0, 0, 0] == 0
-    # A plane stays a plane between the centres of the blocks.
-    plane = np.broadcast_to(np.arange(12.0, dtype=np.float32), (1, 12, 12)).copy()
-    back = enlarged(block_mean(plane, (1, 1, 3)), (1, 1, 3), plane.shape)
-    assert np.allclose(back[0, 0, 1:11], plane[0, 0, 1:11])
 
 
 def test_the_shortest_path_goes_around_a_wall() -> None:

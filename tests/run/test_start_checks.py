@@ -128,7 +128,7 @@ def test_a_click_in_an_object_is_no_click_in_the_background():
 
 def test_a_size_that_the_image_does_not_have_is_told():
     (line,) = lines(start="clicks", inside="ball:20,20,20,3vox", size="250ml")
-    assert line == "size: 250 ml was given, and the image has 76.8 ml: the object will fill it; try it without --size"
+    assert line == "size: 250 ml was given, and the image has 76.8 ml; try it without --size"
 
 
 def test_a_few_outliers_do_not_change_what_is_learned():

@@ -17,7 +17,7 @@ from accelsurf.viewer.core.session import Session
 from accelsurf.viewer.scene.scene import Scene
 from tests.support import viewing
 
-COMMON = ["preset", "energy", "smoothness", "presmooth", "size", "max_volume", "levels", "roi"]
+COMMON = ["preset", "energy", "smoothness", "presmooth", "size", "answer", "max_volume", "levels", "roi"]
 
 
 def rows_of(actions):
