@@ -32,7 +32,6 @@ PICTURES = {
     "both": "tutorial-objects", "liver_look.png": "tutorial-liver-look", "liver": "tutorial-liver",
     "brain_look.png": "tutorial-ventricle-look", "ventricle": "tutorial-ventricle",
     "nuclei_look.png": "tutorial-nucleus-look", "nucleus": "tutorial-nucleus",
-    "nucleus refined": "tutorial-nucleus-refined",
 }  # fmt: skip
 COLOURS = 256
 #: Folder of a run -> scan, and label of the reference.
