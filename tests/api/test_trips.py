@@ -10,7 +10,7 @@ LIMITS = {
     "volume, from a click": 40,
     "config, from a ball": 50,
     "config, from a click": 50,
-    "click after the end": 34,
+    "click after the end": 26,
     "click after the end of a run from a ball": 20,
 }
 
