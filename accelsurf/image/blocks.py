@@ -11,6 +11,29 @@ from numpy.typing import NDArray
 from accelsurf.kernels.blocks import sums_along
 
 
+def coarsening(counts: Sequence[int], spacing: Sequence[float], most: int) -> tuple[int, int, int]:
+    """Whole steps by which a grid is coarsened to at most so many voxels, the finest axis first.
+
+    Parameters
+    ----------
+    counts : (int, int, int)
+        Number of voxels along z, y, x.
+    spacing : (hz, hy, hx)
+        mm.
+    most : int
+
+    Examples
+    --------
+    >>> coarsening((40, 40, 40), (3.0, 1.0, 1.0), 20000)
+    (1, 2, 2)
+    """
+    steps = [1, 1, 1]
+    while math.prod(-(-n // step) for n, step in zip(counts, steps, strict=True)) > most:
+        axis = min((i for i in range(3) if steps[i] < counts[i]), key=lambda i: (steps[i] * spacing[i], -i))
+        steps[axis] += 1
+    return steps[0], steps[1], steps[2]
+
+
 def block_means(values: NDArray[np.float32], steps: Sequence[int]) -> NDArray[np.float32]:
     """Means of blocks; those at the far ends may be smaller.
 

@@ -80,8 +80,7 @@ class Quality(NamedTuple):
         Relative change of the volume over the last 20 steps.
     level_overlap, size_spread, correction, unchanged, taken, surprise : float or None
         How sure the model of the clicks is: ``overlap``, ``spread``, ``correction``, ``unchanged``, ``taken`` and
-        ``surprise`` of
-        `accelsurf.clicks.model.confidence.Confidence`; None without one.
+        ``surprise`` of `accelsurf.clicks.model.confidence.Confidence`; None without one.
     unlike_learned : float or None
         Share of the object, without the voxels next to its surface, whose values lie further than 2.5 standard
         deviations from the mean of those that it was learned from; None where no model was learned once.

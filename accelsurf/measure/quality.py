@@ -48,6 +48,8 @@ MIN_SLAB_HALOS = 4
 #: A part counts from this fraction of the object's volume on; a neck is at most so many voxels to either side; so many
 #: parts are examined.
 LARGE_PART, NECK, MAX_PARTS = 0.05, 2, 200
+
+
 class ValueRange(NamedTuple):
     """An interval of the image's values."""
 

@@ -164,8 +164,7 @@ def _background_share(image: NDArray[np.float32], click: Click) -> float:
         Whole, 0 and 1 at its percentiles.
     click : Click
     """
-    every = max(1, int(np.ceil((image.size / SAMPLES) ** (1.0 / max(sum(n > 1 for n in image.shape), 1)))))
-    steps = [every if n > 1 else 1 for n in image.shape]
+    steps = _thinning(image.shape)
     thin = image[tuple(slice(None, None, step) for step in steps)]
     values = image[click.box][click.mask]
     if values.size < _FEW:
@@ -189,6 +188,12 @@ def _background_share(image: NDArray[np.float32], click: Click) -> float:
     share = float((parts == part).mean())
     at_corners = [parts[place] == part for place in _corner_voxels(parts.shape)]
     return share if share >= _COMMON and np.mean(at_corners) >= _CORNERS and share < 1.0 else 0.0
+
+
+def _thinning(shape: Sequence[int]) -> list[int]:
+    """Steps along each axis that leave about `SAMPLES` voxels."""
+    every = max(1, int(np.ceil((math.prod(shape) / SAMPLES) ** (1.0 / max(sum(n > 1 for n in shape), 1)))))
+    return [every if n > 1 else 1 for n in shape]
 
 
 def _corner_voxels(shape: Sequence[int]) -> list[tuple[int, ...]]:
@@ -275,12 +280,12 @@ def _surroundings_line(
     margins = [int(np.ceil(SHELL[1] * radius / h)) for h in spacing]
     box = widened(tight, inside.shape, (margins[0], margins[1], margins[2]))
     part = inside[box]
-    every = max(1, int(np.ceil((part.size / SAMPLES) ** (1.0 / max(sum(n > 1 for n in part.shape), 1)))))
-    thin = tuple(slice(None, None, every if n > 1 else 1) for n in part.shape)
+    steps = _thinning(part.shape)
+    thin = tuple(slice(None, None, step) for step in steps)
     part, values = part[thin], image[box][thin]
     if not part.any():
         return ""
-    away = ndimage.distance_transform_edt(~part, sampling=[h * every for h in spacing])
+    away = ndimage.distance_transform_edt(~part, sampling=[h * step for h, step in zip(spacing, steps, strict=True)])
     shell = (away > (SHELL[0] - 1.0) * radius) & (away < SHELL[1] * radius)
     if not shell.any():
         return ""

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box, connected_to, enclosing, whole_box, widened
 from accelsurf.grid.clicks import SIDES, Click, Clicks, Side
 from accelsurf.grid.geometry import Geometry
-from accelsurf.image.blocks import block_means, on_voxels
+from accelsurf.image.blocks import block_means, coarsening, on_voxels
 from accelsurf.image.volume import Volume
-from benchmarks.clicks.implied import coarsening, implied
+from benchmarks.clicks.implied import implied
 from benchmarks.clicks.person import Mask, PersonClick, ball_voxels
 
 INSIDE, OUTSIDE = 1, 2
@@ -87,7 +87,7 @@ class CroppedSession:
             box = widened(self.drawn, geometry.shape, (1, 1, 1))
         for click_box, _ in (ball_voxels(each, geometry) for each in self.clicks):
             box = enclosing(box, click_box)
-        steps = coarsening(box, geometry.spacing, self.cap)
+        steps = coarsening([side.stop - side.start for side in box], geometry.spacing, self.cap)
         hints = self._hints(box) if self.settings.get("implied") else []
         domain = made(self.image.array, geometry, self.clicks, box, steps, margin, hints, self.drawn)
         field = np.asarray(self.solver(domain, self.settings), np.float32)

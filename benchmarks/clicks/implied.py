@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.clicks.model.fronts import robust
-from accelsurf.grid.boxes import Box, common, connected_to, overlap, whole_box, widened
+from accelsurf.grid.boxes import Box, common, connected_to, overlap, widened
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.image.blocks import block_means
+from accelsurf.image.blocks import block_means, coarsening
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -73,7 +73,7 @@ def half_width(mask: Mask, spacing: Spacing, shape: Sequence[int]) -> float:
     around = np.pad(mask, [(1, 1) if n > 1 else (0, 0) for n in shape])
     if around.all():
         return 0.0
-    steps = coarsening(whole_box(around.shape), spacing, MOST)
+    steps = coarsening(around.shape, spacing, MOST)
     coarse = block_means(around.astype(np.float32), steps) == 1.0
     found = float(ndimage.distance_transform_edt(coarse, sampling=np.multiply(spacing, steps)).max())
     # A thin stroke fills no block of a coarsened box.
@@ -101,7 +101,7 @@ def _implied_by(
     larger = common(widened(box, shape, margin), within)
     near = [other for other in against if overlap(other.box, larger)]
     seen = larger if near else box
-    steps = coarsening(seen, spacing, MOST)
+    steps = coarsening([s.stop - s.start for s in seen], spacing, MOST)
     alike = _looks_alike(images, click, seen, steps)
 
     def distance(clicked: Sequence[Click]) -> Image:
@@ -137,18 +137,3 @@ def _with_changes(part: Image, spread: float) -> float:
     """A spread, or `MIN_CHANGE` times the median change between neighbours where that is more."""
     changes = [np.abs(np.diff(part, axis=axis)).ravel() for axis in range(3) if part.shape[axis] > 1]
     return max(spread, MIN_CHANGE * float(np.median(np.concatenate(changes)))) if changes else spread
-
-
-def coarsening(box: Box, spacing: Spacing, most: int) -> tuple[int, int, int]:
-    """Whole steps by which a box is coarsened to at most so many voxels, the finest axis first.
-
-    Examples
-    --------
-    >>> coarsening((slice(0, 40), slice(0, 40), slice(0, 40)), (3.0, 1.0, 1.0), 20000)
-    (1, 2, 2)
-    """
-    counts, steps = [s.stop - s.start for s in box], [1, 1, 1]
-    while np.prod([-(-n // step) for n, step in zip(counts, steps, strict=True)]) > most:
-        axis = min((i for i in range(3) if steps[i] < counts[i]), key=lambda i: (steps[i] * spacing[i], -i))
-        steps[axis] += 1
-    return steps[0], steps[1], steps[2]

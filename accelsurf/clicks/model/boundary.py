@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from accelsurf.clicks.model.fronts import MIN_RANGE
 from accelsurf.clicks.model.network import Network
 from accelsurf.clicks.model.windows import Floats, Mask
 from accelsurf.image.blocks import block_means
@@ -22,8 +23,6 @@ from accelsurf.image.smoothing import gaussian_mm
 REACH, MORE = 0.75, 1.0
 #: Means are over so many blocks along each axis; voxels nearer to the boundary than so many count little in them.
 AROUND, MIXED, LITTLE = 3, 1.0, 0.02
-#: A spread is at least this part of the range of the values.
-MIN_RANGE = 1e-3
 #: Where both sides differ by so many spreads, the image counts half; where by more, it counts fully.
 CLEAR = 1.0
 #: Smoothing of the values that are looked at beside the voxel's own, in voxels.

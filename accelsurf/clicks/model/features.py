@@ -67,10 +67,9 @@ class Looks:
 
     def arrival(self, seeds: Mask, median: float, spread: float) -> Floats:
         """Arrival times of a front from seeds, slower at edges and where values differ from the median."""
-        begin = np.where(seeds, np.float32(0.0), np.float32(np.inf))
         edge = EDGE * max(self.noise, 1e-6 * spread) / self.window.step
         tissue = Tissue(np.array([median]), np.array([spread]), np.array([edge]), np.array(COST))
-        return field_of([self.values], self.window.size.tolist()).times(tissue, begin, np.flatnonzero(seeds))
+        return field_of([self.values], self.window.size.tolist()).times_from(tissue, seeds)
 
     def paths(self, seeds: Mask) -> Floats:
         """Geodesic distance from seeds, where a change of the values is what costs."""

@@ -49,6 +49,12 @@ class Field(NamedTuple):
         return flat.reshape(self.shape)
 
 
+    def times_from(self, tissue: Tissue, seeds: Mask, cap: Floats = _NO_CAP) -> Floats:
+        """Times (nz, ny, nx) from ``seeds``, where they are 0; ``cap`` as of `times`."""
+        begin = np.where(seeds, np.float32(0.0), np.float32(np.inf))
+        return self.times(tissue, begin, np.flatnonzero(seeds), cap)
+
+
 def field_of(images: Sequence[Floats], spacing: Sequence[float], open: Mask | None = None) -> Field:
     """The channels for fronts on their grid; a single one is not copied."""
     nz, ny, nx = images[0].shape

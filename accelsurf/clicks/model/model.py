@@ -28,6 +28,7 @@ from accelsurf.clicks.model.windows import (
     Seed,
     Spacing,
     Window,
+    radius_of_count,
     seed_of,
     window_around,
 )
@@ -165,7 +166,7 @@ class Levels:
     def __init__(self, probability: Floats, window: Window) -> None:
         self.window = window
         top = np.where(window.mine, np.float32(1.0), probability)
-        start = np.where(window.mine, top, np.minimum(probability, np.float32(0.0)))
+        start = np.where(window.mine, top, np.float32(0.0))
         self.blocks: Floats = reconstruction(start, top, "dilation").astype(np.float32)
         self._sorted = np.sort(self.blocks.ravel())[::-1]
 
@@ -235,12 +236,17 @@ def click_model(
         When no click is inside; LeavesWindow when it looks beyond the scene's part.
     """
     ordered, using = in_order(clicks), networks() if asked is None else asked
-    seeds = [seed_of(click, scene) for click in ordered.clicks]
+    seeds: list[Seed] = []  # clicks are read when they are first needed: of many objects most are far from each other
     model, done = previous, 0 if previous is None else len(previous.clicks)
     if model is None or done == 0 or not ordered.starts_with(in_order(model.clicks)):
+        seeds.append(seed_of(ordered.clicks[0], scene))
         model, done = first_model(scene, seeds[0], ordered.shape, size_mm3, answer, using), 1
-    for number in range(done, len(seeds)):
-        model = with_click(model, scene, seeds[: number + 1], using)
+    for number, click in enumerate(ordered.clicks[done:], done):
+        if _is_right(model, click):
+            model = _with_right_click(model, click, scene)
+            continue
+        seeds += [seed_of(each, scene) for each in ordered.clicks[len(seeds) : number + 1]]
+        model = with_click(model, scene, seeds, using)
     return replace(model, clicks=clicks)
 
 
@@ -349,15 +355,6 @@ def read_first(window: Window, network: Network) -> tuple[Floats, Levels]:
     return probability, Levels(probability, window)
 
 
-def sized_objects(scene: Scene, click: Click, size_mm3: float) -> Levels:
-    """Objects around a click by their size, in a window with room for a size (mm3)."""
-    for window in _windows(scene, [seed_of(click, scene)], size_mm3):
-        _, levels = read_first(window, networks()["first"])
-        if not _touches(levels.blocks > levels.of_volume(size_mm3).level, window):
-            break
-    return levels
-
-
 def _object(probability: Floats, answer: Answer, window: Window) -> Mask:
     """Blocks of an answer."""
     return connected_to((probability > answer.level) | window.mine, window.mine)
@@ -389,14 +386,24 @@ def _has_room(window: Window, size_mm3: float | None) -> bool:
     return size_mm3 is None or not window.faces.any() or window.volume_mm3 >= ROOM * size_mm3
 
 
+def _is_right(model: ClickModel, click: Click) -> bool:
+    """Test if a click is on its side already, but for a small part of it."""
+    there = model.inside_on(click.box)[click.mask]
+    return int(np.count_nonzero(there != (click.side == "inside"))) <= WRONG * there.size
+
+
+def _with_right_click(model: ClickModel, click: Click, scene: Scene) -> ClickModel:
+    """The model after one more click that is on its side already: its own voxels alone may change."""
+    after = replace(model, clicks=model.clicks.with_more([click]), taken=0.0)
+    is_beyond = click.side == "outside" and not overlap(click.box, model.box)
+    return after if is_beyond else _with_clicks(after, scene)
+
+
 def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Mapping[str, Network]) -> ClickModel:
-    """The model after one more click, the last of ``seeds``; the others are those that it was made from."""
+    """The model after one more click that corrects it, the last of ``seeds``; it was made from the others."""
     seed, known = seeds[-1], model.clicks.with_more([seeds[-1].click])
     click = seed.click
     inside = click.side == "inside"
-    there = model.inside_on(click.box)[click.mask]
-    if np.count_nonzero(there != inside) <= WRONG * there.size:
-        return _with_clicks(replace(model, clicks=known, taken=0.0), scene)
     least = ADDED if inside else 1.0 - ADDED
     for window in _windows(scene, seeds):
         features, side = features_of_later(window, model.inside_on(window.box), len(seeds), model.count)
@@ -424,7 +431,7 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
         score[part] = _fitted(score[part], placed_at(part, corner_of(box)), window, asked["boundary"], None, near)
         score[was_there] = before[was_there]
     after = replace(model, clicks=known, box=box, field=score, inside=score < 0)
-    width = (0.75 * max(after.count, 1) * float(np.prod(scene.spacing)) / np.pi) ** (1 / 3)
+    width = radius_of_count(max(after.count, 1), scene)
     # Of the two objects one lies in the other.
     unchanged = 2.0 * min(model.count, after.count) / max(model.count + after.count, 1)
     wrong = model.field_on(click.box)[click.mask] * (1.0 if inside else -1.0)

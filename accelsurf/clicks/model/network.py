@@ -67,7 +67,7 @@ class Network:
         out = np.empty((len(self.names), *shape), np.float32)
         for row, name, middle, spread in zip(out, self.names, self.middle, self.spread, strict=True):
             found = np.broadcast_to(np.asarray(features[name], np.float32), shape)
-            row[...] = np.clip(np.nan_to_num((found - middle) / spread, nan=0.0), -CUT, CUT)
+            row[...] = standardised(found, middle, spread)
         return out
 
     def logits(self, values: Floats) -> Floats:
@@ -81,6 +81,11 @@ class Network:
     def parameters(self) -> int:
         """Number of weights and biases."""
         return sum(w.size + b.size for w, b in (*self.layers, *self.around))
+
+
+def standardised(values: Floats, middle: Floats, spread: Floats) -> Floats:
+    """Values less their means, in their standard deviations, cut; 0 where unknown."""
+    return np.clip(np.nan_to_num((values - middle) / spread, nan=0.0), -CUT, CUT).astype(np.float32)
 
 
 def logits_around(layers: Sequence[Layer], features: Floats, answer: Floats) -> Floats:

@@ -97,9 +97,9 @@ def basins_of(images: Sequence[Floats], spacing: Spacing, clicks: tuple[Click, .
     firsts = {click.owner: click for click in reversed(clicks) if click.owner != NO_OBJECT}
     tissue = _common([learned(smooth, spacing, click) for click in firsts.values()])
     seeds = [_voxels(click, field.shape) for click in clicks]
-    begin = np.full(field.shape, np.inf, np.float32)
-    begin.ravel()[np.concatenate(seeds)] = 0.0
-    times = field.times(tissue, begin, np.unique(np.concatenate(seeds)))
+    clicked = np.zeros(field.shape, np.bool_)
+    clicked.ravel()[np.concatenate(seeds)] = True
+    times = field.times_from(tissue, clicked)
     return Basins(field, tissue, clicks, times, _nearest(times, seeds))
 
 
@@ -186,8 +186,7 @@ def partition_model(
     field = field_of(found.field.images_on(box), spacing, None if mask is None else mask[box])
     others = field.times(found.tissue, times, np.flatnonzero(seeds))
     # Where others come earlier it is none of the object's: the march need not go there.
-    begin = np.where(inside[box], np.float32(0.0), np.float32(np.inf))
-    mine = field.times(found.tissue, begin, np.flatnonzero(inside[box]), others.ravel())
+    mine = field.times_from(found.tissue, inside[box], others.ravel())
     force = balance(mine, others)
     force[inside[box]], force[outside[box]] = CLICKED["inside"], CLICKED["outside"]
     start = connected_to(force < 0, inside[box])

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from accelsurf.clicks.model.windows import Floats, Mask, Spacing
 from accelsurf.grid.boxes import bounding_box
-from accelsurf.image.blocks import block_means
+from accelsurf.image.blocks import block_means, coarsening
 from accelsurf.image.noise import SECOND_DIFFERENCE
 
 #: Noise and contrast are read off within so many voxels of the boundary, along each axis.
@@ -96,11 +96,7 @@ def mean_curvature(inside: Mask, spacing: Spacing) -> float:
     if box is None or inside.all():
         return 0.0
     # Where the volume ends there is no boundary; elsewhere there is room for the outer surface.
-    steps = [1, 1, 1]
-    counts = [s.stop - s.start for s in box]
-    while np.prod([-(-n // step) for n, step in zip(counts, steps, strict=True)]) > MOST:
-        axis = min((i for i in range(3) if steps[i] < counts[i]), key=lambda i: (steps[i] * spacing[i], -i))
-        steps[axis] += 1
+    steps = coarsening([s.stop - s.start for s in box], spacing, MOST)
     h = np.multiply(spacing, steps)
     axes = [axis for axis, n in enumerate(inside.shape) if n > 1]
     apart = APART * float(h[axes].min())

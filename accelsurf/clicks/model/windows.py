@@ -245,9 +245,9 @@ def seed_of(click: Click, scene: Scene) -> Seed:
     # Beyond a face of the image the click may go on: there is no end of it there.
     sides = zip(click.box, scene.corner, scene.whole_shape, strict=True)
     ends = [(s.start + first > 0, s.stop + first < n) for s, first, n in sides]
+    if mask.all() and not np.any(ends):  # all of the image is clicked: it ends there
+        ends = [(n > 1 or not scene.is_flat, n > 1 or not scene.is_flat) for n in mask.shape]
     padded = np.pad(mask, np.array(ends, np.int64))
-    if padded.all():  # all of the image is clicked
-        padded = np.pad(mask, 1)[1:]
     depth = ndimage.distance_transform_edt(padded, sampling=spacing)
     depth = depth[tuple(slice(int(a), int(a) + n) for (a, _), n in zip(ends, mask.shape, strict=True))]
     largest, count = float(depth.max()), int(np.count_nonzero(mask))
@@ -255,11 +255,16 @@ def seed_of(click: Click, scene: Scene) -> Seed:
     core = core[:: -(-len(core) // CORE_VOXELS)]
     apart = (((core - core.mean(axis=0)) * spacing) ** 2).sum(axis=1)
     core = core[np.argsort(apart, kind="stable")] + [side.start for side in click.box]
-    area = count * float(np.prod(spacing[1:]))
-    ball = float(np.sqrt(area / np.pi) if scene.is_flat else (0.75 * area * spacing[0] / np.pi) ** (1 / 3))
+    ball = radius_of_count(count, scene)
     is_cut = not np.all(np.array(ends)[np.array(scene.whole_shape) > 1])
     radius = largest if is_cut and count > 1 else min(ball, largest)
     return Seed(click, core, radius, count == 1 or radius >= LARGEST * scene.step)
+
+
+def radius_of_count(count: int, scene: Scene) -> float:
+    """Radius (mm) of a ball, in a flat image of a disc, of so many voxels."""
+    area = count * float(np.prod(scene.spacing[1:]))
+    return float(np.sqrt(area / np.pi) if scene.is_flat else (0.75 * area * scene.spacing[0] / np.pi) ** (1 / 3))
 
 
 def inscribed_radius(seed: Seed, scene: Scene) -> float:
@@ -267,7 +272,7 @@ def inscribed_radius(seed: Seed, scene: Scene) -> float:
     return max(DEEPER * seed.radius, MIN_RADIUS * scene.step)
 
 
-def window_around(scene: Scene, seeds: Sequence[Seed], scale: Scale, radius: float | None = None) -> Window:
+def window_around(scene: Scene, seeds: Sequence[Seed], scale: Scale) -> Window:
     """The window around the last of some clicks.
 
     Parameters
@@ -276,8 +281,6 @@ def window_around(scene: Scene, seeds: Sequence[Seed], scale: Scale, radius: flo
     seeds : sequence of Seed
         Of those before the last the ones that lie in the window count.
     scale : Scale
-    radius : float, optional
-        Inscribed radius of the object, mm; that by the click if not given.
 
     Raises
     ------
@@ -285,8 +288,8 @@ def window_around(scene: Scene, seeds: Sequence[Seed], scale: Scale, radius: flo
         When it comes near an open face of the scene's part.
     """
     last, mm, shape = seeds[-1], np.asarray(scene.spacing), np.array(scene.whole_shape)
-    radius = inscribed_radius(last, scene) if radius is None else radius
-    block, corner = max(radius / scale.blocks, scene.step), np.array(scene.corner)
+    radius, corner = inscribed_radius(last, scene), np.array(scene.corner)
+    block = max(radius / scale.blocks, scene.step)
     while True:
         steps = np.maximum(np.rint(block / mm).astype(np.int64), 1)
         extent, middle = scale.reach * radius / mm, last.core[0] + corner

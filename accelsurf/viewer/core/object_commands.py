@@ -14,7 +14,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from accelsurf.clicks.model import Scene
-from accelsurf.clicks.model.model import ROOM, sized_objects
+from accelsurf.clicks.model.model import ROOM, first_blocks
+from accelsurf.clicks.model.windows import seed_of
 from accelsurf.clicks.reading import read_clicks
 from accelsurf.errors import UsageError
 from accelsurf.grid.boxes import corner_of, placed_at
@@ -284,8 +285,8 @@ def size_drag_of(run: Run, ball: str, size_mm3: float = 0.0, taken: BoxMask | No
     if taken is not None:
         passes = np.ones(context.images[0].shape, np.bool_) if passes is None else passes
         passes[taken.box] &= ~taken.mask
-    levels = sized_objects(Scene(tuple(context.images), context.spacing, passes), click, size_mm3)
-    window = levels.window
+    scene = Scene(tuple(context.images), context.spacing, passes)
+    window, _, levels, _ = first_blocks(scene, seed_of(click, scene), size_mm3)
     times = np.float32(1.0) - window.on_voxels(levels.blocks)
     first = placed_at(window.box, run.prepared.first)
     axis = geometry.slice_axis

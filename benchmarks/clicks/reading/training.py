@@ -8,16 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from accelsurf.clicks.model.network import CUT, Layer, Network
+from accelsurf.clicks.model.network import Layer, Network, standardised
 
 Floats = NDArray[np.float32]
 #: Rows in a step of the training, its largest step and decay of the weights; part of the steps in which steps grow.
 BATCH, STEP, DECAY, WARM = 4096, 4e-3, 1e-4, 0.1
-
-
-def standardised(table: Floats, middle: Floats, spread: Floats) -> Floats:
-    """Features less their means in their standard deviations, cut; 0 where unknown."""
-    return np.clip(np.nan_to_num((table - middle) / spread, nan=0.0), -CUT, CUT).astype(np.float32)
 
 
 def trained(

@@ -6,7 +6,7 @@ import pytest
 from accelsurf.clicks.model import Scene, click_model
 from accelsurf.clicks.model.confidence import confidence_of
 from accelsurf.clicks.model.features import features_of_first, features_of_later
-from accelsurf.clicks.model.model import sized_objects
+from accelsurf.clicks.model.model import first_blocks
 from accelsurf.clicks.model.windows import SCALES, seed_of, window_around
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
@@ -116,7 +116,7 @@ def test_a_size_is_met_and_other_answers_are_larger_or_smaller(two_balls):
         size = part * truth.sum() * voxel
         model = click_model(scene, clicks(FIRST), size_mm3=size)
         assert model.count * voxel == pytest.approx(size, rel=0.3)
-        levels = sized_objects(scene, FIRST, size)
+        levels = first_blocks(scene, seed_of(FIRST, scene), size).levels
         assert levels.of_volume(size).level == model.answers[0].level
     usual = click_model(scene, clicks(FIRST))
     for number, answer in enumerate(usual.answers[1:], 2):
@@ -237,3 +237,13 @@ def test_what_an_outside_click_took_away_is_known(two_balls):
     assert cut.taken == pytest.approx(share, abs=0.02) and confidence_of(cut).taken == cut.taken
     added = click_model(scene, clicks(FIRST, click("outside", (12, 16, 20), 4.0), click("inside", (12, 16, 23), 1.0)))
     assert added.taken == 0.0
+
+
+def test_clicks_in_far_objects_cost_no_reading_and_change_nothing(two_balls, monkeypatch):
+    scene = two_balls[0]
+    first = click_model(scene, clicks(FIRST))
+    far = [click("outside", (1, y, x))._replace(owner=2) for y in (1, 42) for x in (1, 44)]
+    read = []
+    monkeypatch.setattr("accelsurf.clicks.model.model.seed_of", lambda *given: read.append(given) or seed_of(*given))
+    many = click_model(scene, clicks(FIRST, *far))
+    assert many.field.tobytes() == first.field.tobytes() and len(read) == 1
