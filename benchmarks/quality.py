@@ -34,8 +34,8 @@ from accelsurf.run.preprocessing import apply, scale_of
 from benchmarks.clicks.folds import FOLDS, PHANTOMS
 from benchmarks.clicks.games import BASE, FAILED, GOOD, SAID, Hints
 from benchmarks.clicks.objects import Scene, chosen, load
-from benchmarks.clicks.own import StartAlone, voxels_of
-from benchmarks.clicks.person import PersonClick, next_click
+from benchmarks.clicks.own import StartAlone
+from benchmarks.clicks.person import PersonClick, next_click, voxels_of
 from benchmarks.clicks.reading.scenes import scene as drawn_scene
 from benchmarks.clicks.references import within
 from benchmarks.pages import head_of, put_table, row_of
@@ -143,7 +143,7 @@ def in_game(scene: Scene, seed: int | None) -> Iterator[Row]:
         if click is None:
             break
         found = player.click(click)
-        voxels = voxels_of(click, image)
+        voxels = voxels_of(click, image.geometry)
         clicked[voxels.box] |= voxels.mask
         labels = within(found, scene.region)
         if before is not None and before["hinted"] is not None:
@@ -171,7 +171,7 @@ def row_of_result(player: StartAlone, found: NDArray[np.bool_], clicked: NDArray
         z, y, x = (int(i) for i in np.rint(geometry.world_to_index(measured.next_click)))
         side = "inside" if scene.truth[z, y, x] else "outside"
         point = PersonClick(side, (z, y, x), measured.next_click, 0.5 * min(geometry.spacing))
-        clicks = player.clicks.with_more([voxels_of(point, scene.image)])
+        clicks = player.clicks.with_more([voxels_of(point, scene.image.geometry)])
         after = click_model(player.scene, clicks, previous=player.model).inside_on(whole_box(geometry.shape))
         hinted = dice(within(after, scene.region), scene.truth)
     return {

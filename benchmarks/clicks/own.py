@@ -9,11 +9,11 @@ import numpy as np
 from accelsurf.api.segment import segment
 from accelsurf.clicks.model import ClickModel, Scene, click_model
 from accelsurf.grid.boxes import whole_box
-from accelsurf.grid.clicks import Click, Clicks
+from accelsurf.grid.clicks import Clicks
 from accelsurf.image.volume import Volume
 from accelsurf.settings.run_config import RunConfig
 from benchmarks.clicks.games import Hints, Segmenter
-from benchmarks.clicks.person import Mask, PersonClick, ball_voxels
+from benchmarks.clicks.person import Mask, PersonClick, voxels_of
 
 
 def segmenter(name: str) -> Segmenter:
@@ -116,7 +116,7 @@ class StartAlone:
 
     def click(self, click: PersonClick) -> Mask:
         """Labels after one click more."""
-        self.clicks = self.clicks.with_more([voxels_of(click, self.image)])
+        self.clicks = self.clicks.with_more([voxels_of(click, self.image.geometry)])
         self.model = click_model(self.scene, self.clicks, size_mm3=self.size, previous=self.model)
         return self.model.inside_on(whole_box(self.image.geometry.shape))
 
@@ -125,9 +125,3 @@ class StartAlone:
         others = [] if self.model is None else [answer.number for answer in self.model.answers[1:]]
         models = [click_model(self.scene, self.clicks, size_mm3=self.size, answer=number) for number in others]
         return [model.inside_on(whole_box(self.image.geometry.shape)) for model in models]
-
-
-def voxels_of(click: PersonClick, image: Volume) -> Click:
-    """A click as its voxels."""
-    side: Any = click.side
-    return Click(side, *ball_voxels(click, image.geometry))

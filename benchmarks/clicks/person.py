@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from accelsurf.grid.boxes import Box, bounding_box
+from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 
 Mask = NDArray[np.bool_]
@@ -180,6 +181,11 @@ def click_of_challenge(truth: Mask, labels: Mask | None, geometry: Geometry) -> 
     at = int(index[depth > depth.max() - TIE * min(geometry.spacing)].min())
     side_name = "inside" if truth.flat[at] else "outside"
     return _click(side_name, at, 0.0, truth, geometry)._replace(radius=0.5 * min(geometry.spacing))
+
+
+def voxels_of(click: PersonClick, geometry: Geometry) -> Click:
+    """A click as its voxels."""
+    return Click("inside" if click.side == "inside" else "outside", *ball_voxels(click, geometry))
 
 
 def ball_voxels(click: PersonClick, geometry: Geometry) -> tuple[Box, Mask]:

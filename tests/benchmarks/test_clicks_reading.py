@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelsurf.clicks.model.network import Network, networks
+from accelsurf.clicks.model.network import Layer, Network, logits_around, networks
+from benchmarks.clicks.reading import around
 from benchmarks.clicks.reading.__main__ import fitted, gathered
 from benchmarks.clicks.reading.games import boundary_rows, first_rows, later_rows
 from benchmarks.clicks.reading.scenes import scene
@@ -22,6 +23,39 @@ def test_a_network_learns() -> None:
     table[::7, 3] = np.nan
     network = trained(list("abcd"), table[:50_000], wanted[:50_000], (16, 8), 6, 200)
     assert loss(network, table[50_000:], wanted[50_000:]) < 0.15  # of the mean alone it is .69
+
+
+def some_layers(random: np.random.Generator, features: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Layers of random weights, so that each counts."""
+    return [(0.3 * random.standard_normal(w.shape), 0.3 * random.standard_normal(b.shape))
+            for w, b in around.started(features)]
+
+
+@pytest.mark.parametrize("shape", [(6, 7, 5), (4, 8, 4), (1, 9, 2)])
+def test_what_is_trained_on_windows_is_what_the_program_asks(shape: tuple[int, int, int]) -> None:
+    random = np.random.default_rng(2)
+    layers = [(w.astype(np.float32), b.astype(np.float32)) for w, b in some_layers(random, 3)]
+    values, answer = random.standard_normal((*shape, 3)).astype(np.float32), random.standard_normal(shape)
+    expected, _ = around.forward(layers, values, answer.astype(np.float32))
+    first = np.ascontiguousarray(np.moveaxis(values, -1, 0))
+    found = logits_around([Layer(*layer) for layer in layers], first, answer.astype(np.float32))
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
+
+
+def test_slopes_on_windows_are_those_of_differences() -> None:
+    random = np.random.default_rng(1)
+    layers = some_layers(random, 3)
+    values, answer, wanted = (random.standard_normal((6, 7, 5, n)) for n in (3, 1, 1))
+    _, held = around.forward(layers, values, answer[..., 0])
+    slopes = around.backward(layers, held, wanted[..., 0])
+    for i, layer in enumerate(layers):
+        for j, part in enumerate(layer):
+            way, sides = random.standard_normal(part.shape), []
+            for step in (1e-6, -1e-6):
+                moved = [list(pair) for pair in layers]
+                moved[i][j] = part + step * way
+                sides.append(float((around.forward(moved, values, answer[..., 0])[0] * wanted[..., 0]).sum()))
+            assert (sides[0] - sides[1]) / 2e-6 == pytest.approx(float((slopes[i][j] * way).sum()), rel=1e-3, abs=1e-3)
 
 
 def test_scenes_are_the_same_for_a_seed_and_their_objects_are_whole() -> None:

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from accelsurf import cli
 from accelsurf.api.segment import segment, segment_objects
@@ -13,6 +12,7 @@ from accelsurf.measure.metrics import dice
 from accelsurf.settings.presets import PRESETS
 from accelsurf.settings.run_config import RunConfig
 from tests.support import tissues
+from tests.support.tissue_scan import SPACING, grid, noisy
 
 
 def run(*words):
@@ -72,18 +72,6 @@ def test_info_lists_them(capsys):
 
 # ------------------------------------------------------------------------------------------------ on phantoms
 
-SHAPE, SPACING = (30, 44, 48), (2.0, 1.0, 0.8)
-
-
-def grid():
-    axes = [(np.arange(n) - 0.5 * (n - 1)) * h for n, h in zip(SHAPE, SPACING, strict=True)]
-    return np.meshgrid(*axes, indexing="ij")
-
-
-def noisy(values, noise, seed=1):
-    """Values blurred by a scanner of 0.7 mm resolution, with noise."""
-    blurred = ndimage.gaussian_filter(values.astype(np.float32), [0.7 / h for h in SPACING])
-    return blurred + np.random.default_rng(seed).normal(0, noise, SHAPE).astype(np.float32)
 
 
 def found(preset, image, *starts, **clicks):

@@ -16,9 +16,8 @@ from accelsurf.clicks.model.model import first_blocks, first_model, with_click
 from accelsurf.clicks.model.network import Network
 from accelsurf.clicks.model.windows import SCALES, Seed, Window, seed_of, window_around
 from accelsurf.grid.boxes import whole_box, widened
-from accelsurf.grid.clicks import Click
 from accelsurf.image.volume import Volume
-from benchmarks.clicks.person import MOST_SPACINGS, PersonClick, ball_voxels, next_click
+from benchmarks.clicks.person import MOST_SPACINGS, PersonClick, ball_voxels, next_click, voxels_of
 from benchmarks.clicks.reading.scenes import scene
 
 Random = np.random.Generator
@@ -70,18 +69,19 @@ class Game:
         self.model: ClickModel | None = None
         self.labels = np.zeros(volume.geometry.shape, np.bool_)
 
-    def next(self) -> Seed | None:
-        """The next click; None where nothing is wrong."""
+    def click(self) -> bool:
+        """Add the next click; False where nothing is wrong."""
         labels = self.labels if self.seeds else None
         click = next_click(self.truth, labels, self.volume.geometry, None if self.is_exact else self.random)
         if click is None:
-            return None
+            return False
         part = 1.0
         if self.random.random() < SMALLER:
             part = float(np.exp(self.random.uniform(np.log(SMALLEST), 0.0)))
         radius = max(min(part * click.radius, self.largest), 0.5 * min(self.scene.spacing))
-        seed = seed_of(voxels_of(click._replace(radius=radius), self.volume), self.scene)
-        return seed._replace(is_limited=seed.is_limited or radius >= self.largest * (1 - 1e-6))
+        seed = seed_of(voxels_of(click._replace(radius=radius), self.volume.geometry), self.scene)
+        self.seeds.append(seed._replace(is_limited=seed.is_limited or radius >= self.largest * (1 - 1e-6)))
+        return True
 
     def window(self, number: int) -> Window:
         """A window around the last click, by number of its scale."""
@@ -114,10 +114,11 @@ class Game:
         return ball_voxels(PersonClick("inside", (z, y, x), (0.0, 0.0, 0.0), wide), self.volume.geometry)
 
 
-def voxels_of(click: PersonClick, volume: Volume) -> Click:
-    """A click as its voxels."""
-    box, ball = ball_voxels(click, volume.geometry)
-    return Click("inside" if click.side == "inside" else "outside", box, ball)
+def games(seed: int, kind: int, objects: int, networks: Mapping[str, Network]) -> Iterator[Game]:
+    """Games for some objects of a scene, not begun; each ``kind`` has its own random numbers."""
+    volume, truths = scene(seed)
+    for number, truth in enumerate(truths[:objects]):
+        yield Game(volume, truth, np.random.default_rng([seed, number, kind]), networks)
 
 
 def sampled(
@@ -139,75 +140,61 @@ def rows_of(features: Features, wanted: NDArray[np.floating], rows: NDArray[np.i
 
 def first_rows(seed: int) -> list[Rows]:
     """Rows of first clicks in a scene."""
-    volume, objects = scene(seed)
     out = []
-    for number, truth in enumerate(objects[:OBJECTS]):
-        random = np.random.default_rng([seed, number, 1])
-        game = Game(volume, truth, random, {})
-        click = game.next()
-        if click is None:
+    for game in games(seed, 1, OBJECTS, {}):
+        if not game.click():
             continue
-        game.seeds.append(click)
-        for scale in random.choice(len(SCALES), WINDOWS, replace=False, p=OFTEN):
+        for scale in game.random.choice(len(SCALES), WINDOWS, replace=False, p=OFTEN):
             window = game.window(int(scale))
             features = features_of_first(window)
-            out.append(sampled(features, window.means(truth), np.arange(window.values.size), seed, random))
+            everywhere = np.arange(window.values.size)
+            out.append(sampled(features, window.means(game.truth), everywhere, seed, game.random))
     return out
 
 
 def later_rows(seed: int, networks: Mapping[str, Network]) -> list[Rows]:
     """Rows of later clicks of games in a scene."""
-    volume, objects = scene(seed)
     out: list[Rows] = []
-    for number, truth in enumerate(objects[: OBJECTS - 1]):
-        random = np.random.default_rng([seed, number, 2])
-        game = Game(volume, truth, random, networks)
-        for count in range(int(random.integers(2, CLICKS + 1))):
-            click = game.next()
-            if click is None:
+    for game in games(seed, 2, OBJECTS - 1, networks):
+        for count in range(int(game.random.integers(2, CLICKS + 1))):
+            if not game.click():
                 break
-            game.seeds.append(click)
             if count:
-                out += _rows_of_last(game, seed, random)
+                out += _rows_of_last(game, seed)
             game.answer()
     return out
 
 
-def _rows_of_last(game: Game, seed: int, random: Random) -> Iterator[Rows]:
-    for scale in random.choice(len(SCALES), WINDOWS, replace=False, p=OFTEN):
+def _rows_of_last(game: Game, seed: int) -> Iterator[Rows]:
+    for scale in game.random.choice(len(SCALES), WINDOWS, replace=False, p=OFTEN):
         window = game.window(int(scale))
         features, side = game.later_features(window)
         free = np.flatnonzero(~side)
         if len(free):
             share = window.means(game.truth)
             share = share if game.seeds[-1].click.side == "inside" else 1.0 - share
-            yield sampled(features, share, free, seed, random)
+            yield sampled(features, share, free, seed, game.random)
 
 
 def boundary_rows(seed: int, networks: Mapping[str, Network]) -> list[Rows]:
     """Rows of voxels near the boundary after a few clicks in a scene."""
-    volume, objects = scene(seed)
     out: list[Rows] = []
-    for number, truth in enumerate(objects[: OBJECTS - 1]):
-        random = np.random.default_rng([seed, number, 3])
-        game = Game(volume, truth, random, networks)
-        for _ in range(int(random.integers(1, 4))):
-            click = game.next()
-            if click is None:
+    for game in games(seed, 3, OBJECTS - 1, networks):
+        for _ in range(int(game.random.integers(1, 4))):
+            if not game.click():
                 break
-            game.seeds.append(click)
             game.answer()
         if game.model is None:
             continue
         first = first_blocks(game.scene, game.seeds[0], network=networks["first"]).window
         steps = [int(step) for step in first.steps]
-        box = widened(game.model.box, truth.shape, [2 * step + 2 for step in steps])
-        inside, wanted = game.model.inside_on(box), truth[box]
+        box = widened(game.model.box, game.truth.shape, [2 * step + 2 for step in steps])
+        inside, wanted = game.model.inside_on(box), game.truth[box]
         total = np.count_nonzero(inside) + np.count_nonzero(wanted)
         if 2 * np.count_nonzero(inside & wanted) < LEAST_DICE * total:
             continue
         image, field = game.scene.images[0][box], game.model.field_on(box)
         features, where = features_near(image, game.scene.spacing, field, inside, steps)
-        rows = random.choice(len(where), min(NEAR, len(where)), replace=False)
+        rows = game.random.choice(len(where), min(NEAR, len(where)), replace=False)
         out.append(rows_of(features, wanted.ravel()[where[rows]], rows, seed))
     return out

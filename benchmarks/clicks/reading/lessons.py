@@ -22,8 +22,7 @@ from accelsurf.clicks.model.model import first_blocks
 from accelsurf.clicks.model.network import Network
 from accelsurf.clicks.model.windows import SCALES, Window
 from benchmarks.clicks.reading.around import Layers, backward, forward, started
-from benchmarks.clicks.reading.games import OBJECTS, OFTEN, Game
-from benchmarks.clicks.reading.scenes import scene
+from benchmarks.clicks.reading.games import OBJECTS, OFTEN, games
 
 Floats = NDArray[np.floating]
 #: Windows of a step, its largest rate, part of the steps in which it grows, and the decay of weights.
@@ -52,21 +51,15 @@ class Lesson(NamedTuple):
 
 def lessons_of_first(seed: int, networks: Mapping[str, Network]) -> list[Lesson]:
     """Windows of first clicks in a scene, a window an object."""
-    volume, masks = scene(seed)
     out = []
-    for number, truth in enumerate(masks[:OBJECTS]):
-        random = np.random.default_rng([seed, number, 4])
-        game = Game(volume, truth, random, networks)
-        click = game.next()
-        if click is None:
+    for game in games(seed, 4, OBJECTS, networks):
+        if not game.click():
             continue
-        game.seeds.append(click)
-        is_drawn = random.random() < DRAWN
-        if is_drawn:
-            window = game.window(int(random.choice(len(SCALES), p=OFTEN)))
+        if game.random.random() < DRAWN:
+            window = game.window(int(game.random.choice(len(SCALES), p=OFTEN)))
         else:
-            window = first_blocks(game.scene, click, network=networks["first"]).window
-        out.append(_lesson(window, networks["first"], truth, seed))
+            window = first_blocks(game.scene, game.seeds[0], network=networks["first"]).window
+        out.append(_lesson(window, networks["first"], game.truth, seed))
     return out
 
 
