@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import atexit
 import os
+import re
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
@@ -26,6 +27,9 @@ from accelsurf.cli.interrupts import (
 )
 from accelsurf.errors import AccelsurfError
 from accelsurf.version import __version__
+
+if TYPE_CHECKING:
+    from cyclopts.help import HelpFormatter
 
 INTERRUPTED = 130
 
@@ -44,14 +48,6 @@ EXIT_CODES = {
     143: "ended by SIGTERM; nothing is written, an earlier result stays",
 }
 
-app = App(
-    name="accelsurf",
-    help="Surfaces of objects in 3D images, by level sets with momentum.",
-    help_epilogue="Every command takes --help, and --debug to show the full traceback of an error.",
-    version=__version__,
-    help_format="plaintext",
-    suppress_keyboard_interrupt=False,  # it would end the process without a line
-)
 #: Commands and their help; each is the function of this name in the module of this name.
 _COMMANDS = {
     "look": "Show slices of an image with a grid in mm, without a run.",
@@ -66,13 +62,38 @@ _COMMANDS = {
     "warmup": "Compile all kernels now, so that no run waits for it.",
     "info": "Show versions, names, exit codes and settings.",
 }
-for _name, _help in _COMMANDS.items():
-    app.command(f"accelsurf.cli.{_name}:{_name}", name=_name, help=_help)
-app.command(
-    "accelsurf.cli.completion:install_completion",
-    name="--install-completion",
-    help="Complete commands, options and names with TAB in this shell.",
-)
+#: Shows all options of a command.
+HELP_ALL = "--help-all"
+#: A value that begins with a minus sign, as of coordinates.
+_NEGATIVE = re.compile(r"-\.?\d")
+
+
+def made_app(formatter: HelpFormatter | None = None) -> App:
+    """Make the parser of the command line.
+
+    Parameters
+    ----------
+    formatter : HelpFormatter, optional
+        Draws the help; cyclopts' own draws all of it.
+    """
+    app = App(
+        name="accelsurf",
+        help="Surfaces of objects in 3D images, by level sets with momentum.",
+        help_epilogue="Every command takes --help, --help-all, and --debug to show the full traceback of an error. "
+        "accelsurf SCAN is accelsurf view SCAN.",
+        version=__version__,
+        help_format="plaintext",
+        help_formatter=formatter,
+        suppress_keyboard_interrupt=False,  # it would end the process without a line
+    )
+    for name, text in _COMMANDS.items():
+        app.command(f"accelsurf.cli.{name}:{name}", name=name, help=text)
+    app.command(
+        "accelsurf.cli.completion:install_completion",
+        name="--install-completion",
+        help="Complete commands, options and names with TAB in this shell.",
+    )
+    return app
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
@@ -150,6 +171,8 @@ def execute(argv: Sequence[str]) -> int:
 def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
     """Run a command; print its error."""
     try:
+        app = _app_for(arguments)
+        arguments = _as_parsed(arguments)
         code = int(app(arguments, exit_on_error=False, print_error=False, result_action="return_value") or 0)
     except CycloptsError as error:
         command = " ".join(["accelsurf", *(error.command_chain or ())])
@@ -176,6 +199,37 @@ def _run(arguments: list[str], debug: bool, interrupts: Interrupts) -> int:
         return _say(1, f"{type(error).__name__}: {error}", hint)
     interrupts.report()
     return code
+
+
+def _app_for(arguments: Sequence[str]) -> App:
+    """The parser; with short help where a command of many options is asked for it."""
+    if HELP_ALL in arguments or not {"--help", "-h"}.intersection(arguments):
+        return made_app()
+    from accelsurf.cli.short_help import COMMANDS, ShortHelp
+
+    return made_app(ShortHelp() if arguments[0] in COMMANDS else None)
+
+
+def _as_parsed(arguments: Sequence[str]) -> list[str]:
+    """Write arguments as the parser takes them.
+
+    A value with a minus sign is joined to its option, as the parser would take it for an option; a scan alone is
+    looked at.
+
+    Examples
+    --------
+    >>> _as_parsed(["look", "ct.nii", "--at", "-10,20,5"])
+    ['look', 'ct.nii', '--at=-10,20,5']
+    """
+    out: list[str] = []
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in _COMMANDS and os.path.exists(arguments[0]):
+        out.append("view")
+    for word in arguments:
+        if _NEGATIVE.match(word) and out and out[-1].startswith("--") and "=" not in out[-1] and out[-1] != "--":
+            out[-1] = f"{out[-1]}={word}"
+        else:
+            out.append("--help" if word == HELP_ALL else word)
+    return out
 
 
 def _say(code: int, message: str, hint: str) -> int:

@@ -31,11 +31,11 @@ def install_completion(
     """
     from cyclopts.completion.detect import ShellDetectionError
 
-    from accelsurf.cli import app
+    from accelsurf.cli import made_app
     from accelsurf.io.files import write_bytes
 
     try:
-        path = app.install_completion(shell=shell, output=output, add_to_startup=output is None)
+        path = made_app().install_completion(shell=shell, output=output, add_to_startup=output is None)
     except ShellDetectionError:
         raise UsageError("--shell: the shell that runs this is not known", "as in --shell bash") from None
     except OSError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
@@ -26,16 +26,19 @@ def info(
     as_json: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
     reading: ReadSettings | None = None,  # type: ignore[valid-type]
 ) -> int:
-    """Show versions, names, exit codes and settings; or of an image its size, voxels, type, levels and chunks.
+    """Show versions, names, exit codes and settings; or what an image is, or the results in a folder.
 
     Parameters
     ----------
     image
-        An image; its voxels are not read where its format allows that.
+        An image, whose voxels are not read where its format allows that; or a folder of results.
     as_json
         Print JSON; without an image with the schema of the configuration.
     """
     if image is not None:
+        if reports := sorted(image.glob("*_report.json")):
+            _show_results(reports, as_json)
+            return 0
         _show_image(image, as_json, run_config(reading).reading)
         return 0
     from accelsurf.output.document import to_json
@@ -76,6 +79,42 @@ def _show_image(path: Path, as_json: bool, requested: ReadOptions) -> None:
     _print_table({key.replace("_", " "): str(value) for key, value in description.items() if value is not None})
     for number, level in enumerate(levels):
         print(f"  level {number}: size {level['size']}, spacing {level['spacing']}")
+
+
+def _show_results(reports: Sequence[Path], as_json: bool) -> None:
+    """Print what the results of a folder are, by their reports."""
+    from accelsurf.cli.interrupts import MAX_HINT, printable
+    from accelsurf.io.files import read_json
+    from accelsurf.output.document import to_json
+
+    documents = [read_json(path) for path in reports]
+    if as_json:
+        print(to_json({"results": documents}))
+        return
+    for path, document in zip(reports, documents, strict=True):
+        print(path.name.removesuffix("_report.json"))
+        lines = {name: printable(text, MAX_HINT) for name, text in _summary(document).items()}
+        _print_table(lines or {"report": "is not of a run"})
+
+
+def _summary(report: object) -> dict[str, str]:
+    """What a report says of image, end, volume and quality; without what it does not say."""
+    document = report if isinstance(report, dict) else {}
+    source, stop, quality = (_part(document, name) for name in ("input", "stop", "quality"))
+    out = {"image": source.get("path"), "ended": stop.get("message") or document.get("error")}
+    volume, probability = document.get("volume_mm3"), quality.get("probability")
+    if isinstance(volume, int | float):
+        out["volume"] = f"{volume:.6g} mm3"
+    if isinstance(probability, int | float):
+        out["likely good"] = f"{probability:.0%}"
+    warnings = quality.get("warnings")
+    out["warning"] = "; ".join(map(str, warnings)) if isinstance(warnings, list) else None
+    return {name: str(value) for name, value in out.items() if value}
+
+
+def _part(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    part = document.get(name)
+    return part if isinstance(part, dict) else {}
 
 
 def _listing(path: Path) -> list[dict[str, Any]] | None:

@@ -60,3 +60,17 @@ def test_frames_of_a_nifti_are_time_points_where_it_says_time_and_else_named_as_
     assert is_said or said["warning"].endswith("3 volumes, which segment reads as channels and track as frames")
     sequence = io.read_sequence(path)
     assert (sequence.times, sequence.time_unit, sequence.frame_values) == (times, unit, 24)
+
+
+def test_a_folder_of_results_is_summed_up(tmp_path, capsys):
+    said = {"input": {"path": "scan.nii"}, "stop": {"message": "it moved"}, "volume_mm3": 1307.7147, "quality": {
+        "probability": 0.93, "warnings": ["doubt: a\x1b[2J b"]}}
+    (tmp_path / "scan_report.json").write_text(json.dumps(said))
+    (tmp_path / "odd_report.json").write_text('["no report", 1]')
+    (tmp_path / "worse_report.json").write_text('{"input": 3, "quality": {"probability": "x", "warnings": {}}}')
+    assert cli.execute(["info", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("odd\n  report  is not of a run\nscan\n") and text.endswith("worse\n  report  is not of a run\n")
+    assert all(said in text for said in ("scan.nii", "it moved", "1307.71 mm3", "93%")) and "\x1b" not in text
+    assert cli.execute(["info", str(tmp_path), "--json"]) == 0
+    assert said in json.loads(capsys.readouterr().out)["results"]

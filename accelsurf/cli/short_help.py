@@ -1,0 +1,38 @@
+"""Help on one screen: the options that most people use, a sentence each; ``--help-all`` shows the rest."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cyclopts.help import DefaultFormatter
+
+if TYPE_CHECKING:
+    from cyclopts.help import HelpPanel
+    from rich.console import Console, ConsoleOptions
+
+#: Commands with so many options that their help is cut, and options that it shows.
+COMMANDS = ("segment", "refine", "view", "movie", "batch", "track")
+SHOWN = {
+    "--answer", "--case", "--frame", "--inside", "--input", "--labels", "--objects", "--outside", "--output", "--overwrite", "--preset",
+    "--resume", "--size", "--smoothness", "--start", "--to-edges", "--track",
+}  # fmt: skip
+
+
+class ShortHelp(DefaultFormatter):
+    """Draws those entries of a panel that are `SHOWN`, each with the first sentence of its text."""
+
+    def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
+        """Draw a panel, or nothing where none of its entries is shown."""
+        entries = [
+            entry.copy(description=_first_sentence(entry.description))
+            for entry in panel.entries
+            if SHOWN.intersection(entry.positive_names)
+        ]
+        if entries:
+            super().__call__(console, options, panel.copy(entries=entries))
+
+
+def _first_sentence(description: object) -> object:
+    """The text up to its first full stop."""
+    text = getattr(getattr(description, "primary_renderable", description), "plain", "")
+    return text.partition(". ")[0].rstrip(".")
