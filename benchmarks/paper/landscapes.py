@@ -136,7 +136,7 @@ def two_rooms(thick: float) -> Callable[[int], tuple[Array, Array]]:
     return make
 
 
-ONE = {"inside": INSIDE}
+ONE, IN_ROOM = {"inside": INSIDE}, {"inside": Ball(2.0, -1.0, 10.0, 6.0)}
 LANDSCAPES = {
     "white noise": Landscape("the box in white noise as strong as the contrast", white(1.0), THREE),
     "weak contrast": Landscape(
@@ -153,7 +153,7 @@ LANDSCAPES = {
     ),
     "texture": Landscape("the box filled with a gyroid of 10 voxels, noise 0.2", textured(0.7, 10.0), ONE),
     "two rooms": Landscape(
-        "the box beside another one, behind a dark wall of 2 voxels; noise 0.2", two_rooms(2.0),
-        {"inside": Ball(2.0, -1.0, 10.0, 6.0)},
+        "the box beside another one, behind a dark wall of 2 voxels; noise 0.2", two_rooms(2.0), IN_ROOM
     ),
+    "thin wall": Landscape("the same behind a wall of 1 voxel", two_rooms(1.0), IN_ROOM),
 }
