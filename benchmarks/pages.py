@@ -12,7 +12,7 @@ def put_table(page: Path, study: str, text: str, command: str = "scripts/study")
     """Put what a study found in place of what stands between its comments."""
     begin = f"<!-- {command} {study} writes this table -->"
     before, rest = page.read_text().split(begin)
-    page.write_text(f"{before}{begin}\n\n{text}\n{END}{rest.split(END)[1]}")
+    page.write_text(f"{before}{begin}\n\n{text}\n{END}{rest.split(END, 1)[1]}")
 
 
 def row_of(cells: Iterable[str]) -> str:
