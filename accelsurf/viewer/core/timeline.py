@@ -100,7 +100,7 @@ class CheckpointHistory:
 
 
 #: Why an object has ended for good: there is nothing to continue from.
-FINAL_REASONS = ("vanished", "filled", "diverged", "leaked")
+FINAL_REASONS = ("vanished", "filled", "diverged", "leaked", "given")
 
 
 class Timeline:
@@ -259,6 +259,11 @@ class Timeline:
         """Why the objects that have ended did."""
         return [evolving.stop.reason for evolving in self.run.objects if evolving.stop is not None]
 
+    @property
+    def _is_given(self) -> bool:
+        """True if the run is of a label map, which corrections alone change."""
+        return self.run.prepared.other_labels is not None
+
     def single_step(self) -> None:
         """Have one step more made than was asked for; pause after it."""
         self.play(1 + (self._last_step if self._playing else self.step_number))
@@ -369,7 +374,7 @@ class Timeline:
             When one is no ball or lies outside, or there is no such object.
         """
         object_id = self._whose(balls[0], object_id)
-        if self.run.stop is not None and self.objects.is_beside(object_id):
+        if self._is_given or (self.run.stop is not None and self.objects.is_beside(object_id)):
             return self.add_click("inside" if kind == "add" else "outside", balls, object_id)
         rows = [{"step": self.step_number, kind: ball, "object": self.objects.of_run(object_id)} for ball in balls]
         said = balls_in_words(kind, balls, object_id)
@@ -390,7 +395,7 @@ class Timeline:
             return self.objects.begin_object(object_id, side, where)
         clicks: dict[str, Any] = {side: list(where), "object": object_id}
         said = clicks_in_words(side, where, object_id)
-        is_final = all(reason in FINAL_REASONS for reason in self._reasons())
+        is_final = all(reason in FINAL_REASONS for reason in self._reasons()) and not self._is_given
         if self.run.stop is not None and (self.objects.is_beside(object_id) or not is_final):
             (refinement,) = RunConfig(refine=[clicks]).refine
             before, self._message = self._now(), self.corrections.correct(self.run, refinement, said)
