@@ -10,6 +10,7 @@ import csv
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -94,7 +95,8 @@ def read_points(file: str, side: str, geometry: Geometry) -> NDArray[np.int64]:
             raise InputError(f"{file}: a point has a coordinate that is no finite number", f"expected {_EXPECTED}")
         flat = [row if len(row) == 3 else (*row, 0.0) for row in rows]  # napari's, of one slice
         if flat:
-            found.append(point_voxels([suffix.in_lps(row) for row in flat], file, side, geometry, suffix.vox))
+            placed = [suffix.in_lps(row) for row in flat]
+            found.append(point_voxels(placed, Path(file).name, side, geometry, suffix.vox))
     if not found:
         raise InputError(f"{file}: it has no point", f"expected {_EXPECTED}")
     return np.concatenate(found)

@@ -24,8 +24,8 @@ ONE = "object"
 
 
 def entries_of(result: Result, table: LabelTable) -> list[LabelEntry]:
-    """Return the name and the colour of each object, in order of their ids."""
-    return [table[segmented.id] for segmented in result.objects]
+    """Return the name and the colour of each label, in order: of the objects, and of those that a mended map has."""
+    return [table[label] for label in result.label_ids]
 
 
 def check_label_settings(config: RunConfig, volume: Volume, overwrite: bool = False) -> None:
@@ -70,7 +70,7 @@ def into_image(result: Result, image: Path, overwrite: bool) -> None:
     labels = result.labels_volume()
     kind = io.label_type(int(labels.array.max()))
     volume = labels.with_array(labels.array.astype(kind))
-    volume.metadata[LABELS_KEY] = table_of(result.config).of(segmented.id for segmented in result.objects).to_json()
+    volume.metadata[LABELS_KEY] = table_of(result.config).of(result.label_ids).to_json()
     ome_labels.put(image, volume, group, overwrite)
 
 

@@ -286,6 +286,14 @@ class Result:
             labels[segmented.box][segmented.labels > 0] = segmented.id
         return labels
 
+    @property
+    def label_ids(self) -> tuple[int, ...]:
+        """Ids of the objects, and the other labels of a map that is mended; in rising order."""
+        ids = {segmented.id for segmented in self.objects}
+        if self.other_labels is not None:
+            ids |= {int(label) for label in np.unique(self.other_labels) if label > 0}
+        return tuple(sorted(ids))
+
     @cached_property
     def psi(self) -> NDArray[np.float32]:
         """The smallest psi of all objects, mm, negative inside of any; a constant away from all."""

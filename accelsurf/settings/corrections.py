@@ -27,8 +27,8 @@ _KINDS: dict[str, tuple[str, ...]] = {
     "to_edges": ("islands", "holes", "object"), "islands": ("holes", "object"), "holes": ("object",),
     "": ("inside", "outside", "near", "object"),
 }
-_WHOLE = ("to_edges", "islands", "holes")
-_AFTER_END = ("inside", "outside", "near", "object", "new", "size", "merge", "split", "remove", *_WHOLE)
+_OF_WHOLE = ("to_edges", "islands", "holes")
+_AFTER_END = ("inside", "outside", "near", "object", "new", "size", "merge", "split", "remove", *_OF_WHOLE)
 SettingName = Literal["edit", "refine", "correct"]
 
 
@@ -234,8 +234,8 @@ def corrections_in_order(table: Mapping[str, Any]) -> tuple[Correction, ...]:
         When there is none, or one says two things at once.
     """
     given = {key: value for key, value in table.items() if value not in (None, (), "", [])}
-    whole = {key: value for key, value in given.items() if key in _WHOLE}
-    rest = {key: value for key, value in given.items() if key not in _WHOLE}
+    whole = {key: value for key, value in given.items() if key in _OF_WHOLE}
+    rest = {key: value for key, value in given.items() if key not in _OF_WHOLE}
     if not whole or not {"inside", "outside"} & rest.keys():
         return corrections_of({**given})
     named = {"object": given["object"]} if "object" in given else {}

@@ -100,7 +100,7 @@ class CheckpointHistory:
 
 
 #: Why an object has ended for good: there is nothing to continue from.
-FINAL_REASONS = ("vanished", "filled", "diverged", "leaked", "given")
+FINAL_REASONS = ("vanished", "filled", "diverged", "leaked")
 
 
 class Timeline:
@@ -239,6 +239,8 @@ class Timeline:
         """
         run = self.run
         stop = run.stop
+        if self._is_given:
+            raise UsageError("the surface is that of a label map, which clicks alone change", "click where it is wrong")
         if stop is not None and all(reason in FINAL_REASONS for reason in self._reasons()):
             raise UsageError(f"the run has ended: {stop.message}", "go back, change the settings, or restart")
         if stop is not None and "max-steps" in self._reasons():
@@ -395,7 +397,7 @@ class Timeline:
             return self.objects.begin_object(object_id, side, where)
         clicks: dict[str, Any] = {side: list(where), "object": object_id}
         said = clicks_in_words(side, where, object_id)
-        is_final = all(reason in FINAL_REASONS for reason in self._reasons()) and not self._is_given
+        is_final = all(reason in FINAL_REASONS for reason in self._reasons())
         if self.run.stop is not None and (self.objects.is_beside(object_id) or not is_final):
             (refinement,) = RunConfig(refine=[clicks]).refine
             before, self._message = self._now(), self.corrections.correct(self.run, refinement, said)
