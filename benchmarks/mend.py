@@ -192,7 +192,8 @@ def play(case: Case) -> list[dict[str, Any]]:
         given = _state(case, labels)
         began, volume = time.perf_counter(), f"{0.05 * mask.sum() * np.prod(spacing):.6f}mm3"
         refiner = Refiner(given)
-        refiner.apply(Correction(to_edges=TO_EDGES * h, islands=volume, holes=volume, object=case.id))
+        edges = None if way == "spotted" else TO_EDGES * h
+        refiner.apply(Correction(to_edges=edges, islands=volume, holes=volume, object=case.id))
         after = refiner.result().labels
         seconds = time.perf_counter() - began
         assert np.array_equal(after[(labels > 0) & (labels != case.id)], labels[(labels > 0) & (labels != case.id)])

@@ -62,7 +62,7 @@ def has_own_columns(file: str) -> bool:
         return False
     first = next((line for line in _lines(file) if not line.startswith("#")), "")
     columns = {name.strip() for name in first.split(",")}
-    return any(own <= columns for own in _OWN)
+    return any(names <= columns for names in _OWN)
 
 
 def read_points(file: str, side: str, geometry: Geometry) -> NDArray[np.int64]:

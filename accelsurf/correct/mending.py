@@ -43,15 +43,17 @@ Mask = NDArray[np.bool_]
 Spacing = tuple[float, float, float]
 #: Sigma of the windows on both sides of the border: so many times how far it may move, and at least so many of the
 #: largest spacings; they end at so many sigmas.
-WINDOW, LEAST_WINDOW, ENDS = 1.5, 2.0, 2.5
+WINDOW, MIN_WINDOW, ENDS = 1.5, 2.0, 2.5
 #: Voxels nearer to the border than so many of the smallest spacings count little in them.
 MIXED, LITTLE = 1.0, 0.1
 #: Both sides are learned so many times, each time from the object that the last time showed.
 ROUNDS = 2
 #: Pull to the old place at the rim of the band, of the pull of the clearest edge.
-OLD_PLACE = 0.15
+OLD_PLACE = 0.3
+#: Where the squared difference of both sides is so many of their variances, an edge counts half.
+CLEAR = 1.0
 #: A voxel is at most so many times likelier on one side; least variance of a side, of the image's range squared.
-CLEAREST, LEAST_VARIANCE = 3.0, 1e-4
+CLEAREST, MIN_VARIANCE = 3.0, 1e-4
 #: Smoothing of the image before it is looked at, and weight of the area, both of the smallest spacing: stair steps go.
 SMOOTHING, AREA = 0.5, 0.1
 #: The border of the band is bounded on so many of the largest spacings to either side.
@@ -148,7 +150,7 @@ def _object_of(objects: CorrectedObjects, correction: Correction) -> int:
 
 def _sigma(most: float, spacing: Spacing) -> float:
     """Sigma of the windows, mm."""
-    return max(WINDOW * most, LEAST_WINDOW * max(spacing))
+    return max(WINDOW * most, MIN_WINDOW * max(spacing))
 
 
 def edge_field(
@@ -214,10 +216,10 @@ def _pull(
         mean = around(here * image) / total
         means.append(mean)
         variances.append(np.maximum(around(here * image * image) / total - mean * mean, 0.0))
-    variance = 0.5 * (variances[0] + variances[1]) + np.float32(LEAST_VARIANCE)
+    variance = 0.5 * (variances[0] + variances[1]) + np.float32(MIN_VARIANCE)
     likelier = ((smooth - means[0]) ** 2 - (smooth - means[1]) ** 2) / (2.0 * variance)
     contrast = (means[0] - means[1]) ** 2 / variance
-    pull = contrast / (contrast + 1.0) * np.clip(likelier, -CLEAREST, CLEAREST) / CLEAREST
+    pull = contrast / (contrast + np.float32(CLEAR)) * np.clip(likelier, -CLEAREST, CLEAREST) / CLEAREST
     return np.asarray(pull, np.float32)
 
 
@@ -252,13 +254,13 @@ def _tidied(
         for text in (correction.islands, correction.holes)
     ]
     inside = outcome.psi < 0
-    held, kept_out = (np.zeros(inside.size, np.bool_) for _ in range(2))
-    held[clicks.cells[clicks.high < 0]], kept_out[clicks.cells[clicks.low > 0]] = True, True
+    held, beyond = (np.zeros(inside.size, np.bool_) for _ in range(2))
+    held[clicks.cells[clicks.high < 0]], beyond[clicks.cells[clicks.low > 0]] = True, True
     after = inside
     if sizes[0] is not None:
         after = after & ~islands_of(after, sizes[0], held.reshape(inside.shape))
     if sizes[1] is not None:
-        after = after | (holes_of(after, sizes[1], kept_out.reshape(inside.shape)) & is_open)
+        after = after | (holes_of(after, sizes[1], beyond.reshape(inside.shape)) & is_open)
     if np.array_equal(after, inside):
         return outcome
     width = half_width(objects.models.settings_of(objects.ids[0]))
@@ -290,8 +292,8 @@ def islands_of(inside: Mask, most: float, held: Mask | None = None) -> Mask:
     return np.asarray(small[parts])
 
 
-def holes_of(inside: Mask, most: float, kept_out: Mask | None = None) -> Mask:
-    """Return the parts of less than so many voxels that an object encloses, but for those with ``kept_out`` voxels.
+def holes_of(inside: Mask, most: float, beyond: Mask | None = None) -> Mask:
+    """Return the parts of less than so many voxels that an object encloses, but for those with ``beyond`` voxels.
 
     A part that reaches a face of the array is not enclosed; of one slice the faces within it count.
 
@@ -309,6 +311,6 @@ def holes_of(inside: Mask, most: float, kept_out: Mask | None = None) -> Mask:
     for axis in (axis for axis, n in enumerate(inside.shape) if n > 1):
         for end in (0, -1):
             small[np.unique(np.take(parts, end, axis=axis))] = False
-    if kept_out is not None:
-        small[np.unique(parts[kept_out])] = False
+    if beyond is not None:
+        small[np.unique(parts[beyond])] = False
     return np.asarray(small[parts])

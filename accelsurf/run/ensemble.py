@@ -228,8 +228,8 @@ def overall_stop(stops: Sequence[Stop]) -> Stop:
     """Why several ended: ``converged`` if all that moved did, ``vanished`` if none remains, else the worst."""
     counts: Counter[StopReason] = Counter(stop.reason for stop in stops)
     worst = next((reason for reason in _WORST if counts[reason]), None)
-    kept: tuple[StopReason, ...] = ("converged", "given", "vanished")
-    left = next((reason for reason in kept if counts[reason]), kept[-1])
+    good: tuple[StopReason, ...] = ("converged", "given", "vanished")
+    left = next((reason for reason in good if counts[reason]), good[-1])
     message = ", ".join(f"{count} {reason}" for reason, count in sorted(counts.items()))
     steps, longest = max(stop.steps for stop in stops), max(stop.time for stop in stops)
     return Stop(worst or left, steps, longest, f"of {len(stops)} objects {message}")

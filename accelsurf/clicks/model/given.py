@@ -11,11 +11,23 @@ from scipy import ndimage
 
 from accelsurf.clicks.model.model import AROUND, CLICKED, WRONG, ClickModel, with_click
 from accelsurf.clicks.model.network import Network, networks
-from accelsurf.clicks.model.windows import Floats, Mask, Scene, Spacing, seed_of
-from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, overlap, shared, widened
+from accelsurf.clicks.model.windows import Floats, Mask, Scene, Seed, Spacing, seed_of
+from accelsurf.grid.boxes import (
+    Box,
+    bounding_box,
+    box_at,
+    connected_to,
+    corner_of,
+    enclosing,
+    overlap,
+    shared,
+    widened,
+)
 from accelsurf.grid.clicks import Click, Clicks
 from accelsurf.grid.geometry import axis_steps
 
+#: A click changes the mask within so many of its radii, and at least so many of the smallest spacings.
+NEAR, MIN_NEAR = 4.0, 4.0
 #: F rises from 0 at the mask's boundary to 1 within so many of the smallest spacings, and falls to -1 as far inside.
 RAMP = 2.0
 
@@ -40,6 +52,7 @@ def model_of_mask(given: GivenMask, shape: tuple[int, int, int], spacing: Spacin
 
     Examples
     --------
+    >>> from accelsurf.grid.boxes import whole_box
     >>> mask = np.zeros((1, 9, 9), bool)
     >>> mask[0, 3:6, 3:6] = True
     >>> model = model_of_mask(GivenMask(whole_box(mask.shape), mask), mask.shape, (1.0, 1.0, 1.0))
@@ -76,7 +89,7 @@ def corrected_model(
     previous: ClickModel | None = None,
     asked: Mapping[str, Network] | None = None,
 ) -> ClickModel:
-    """Return the model of a mask after clicks: what they change is read from the image, all else is the mask.
+    """Return the model of a mask after clicks: what they change is read from the image near them, all else is the mask.
 
     Parameters
     ----------
@@ -98,13 +111,48 @@ def corrected_model(
     model = previous if previous is not None and goes_on else model_of_mask(given, scene.shape, scene.spacing)
     using = networks() if asked is None else asked
     seeds = [seed_of(click, scene) for click in clicks.clicks]
+    core = [seed_of(_core_of(given, scene.spacing), scene)] if given.mask.any() else []
     for number, click in enumerate(clicks.clicks[len(model.clicks) :], len(model.clicks)):
         there = model.inside_on(click.box)[click.mask]
         if int(np.count_nonzero(there != (click.side == "inside"))) <= WRONG * there.size:
             model = _with_right_click(model, click)
         else:
-            model = with_click(model, scene, seeds[: number + 1], using)
+            # The networks read later clicks beside a first one: the middle of the mask stands for it.
+            after = with_click(model, scene, [*core, *seeds[: number + 1]], using)
+            model = _near_click(after, model, seeds[number], scene)
     return replace(model, clicks=clicks)
+
+
+def _core_of(given: GivenMask, spacing: Spacing) -> Click:
+    """Return a ball of half its depth in the middle of a mask, as a person would click it."""
+    margin = [1 if n > 1 else 0 for n in given.mask.shape]
+    around = np.pad(given.mask, [(m, m) for m in margin])
+    depth = ndimage.distance_transform_edt(around, sampling=spacing)
+    middle = np.unravel_index(int(np.argmax(depth)), depth.shape)
+    axes = np.ogrid[tuple(slice(0, n) for n in depth.shape)]
+    far = sum(((axis - at) * h) ** 2 for axis, at, h in zip(axes, middle, spacing, strict=True))
+    ball = (far <= (0.5 * depth[middle]) ** 2) & around
+    tight = bounding_box(ball)
+    assert tight is not None  # its middle is in it
+    z, y, x = (b.start + t.start - m for b, t, m in zip(given.box, tight, margin, strict=True))
+    mask = np.ascontiguousarray(ball[tight])
+    return Click("inside", box_at((z, y, x), mask.shape), mask)
+
+
+def _near_click(after: ClickModel, before: ClickModel, seed: Seed, scene: Scene) -> ClickModel:
+    """The model after a click where it is near that and connected to it, the one before elsewhere."""
+    click, spacing = seed.click, scene.spacing
+    reach = max(NEAR * seed.radius, MIN_NEAR * scene.step)
+    part = widened(click.box, after.clicks.shape, [int(reach / h) + 1 for h in spacing])
+    clicked = click.mask_on(part)
+    near = ndimage.distance_transform_edt(~clicked, sampling=spacing) <= reach
+    changed = (after.field_on(part) != before.field_on(part)) & near
+    changed = connected_to(changed | clicked, clicked)
+    box = enclosing(after.box, click.box)
+    field = before.field_on(box)
+    here, there = shared(corner_of(box), field.shape, corner_of(part), changed.shape)
+    field[here] = np.where(changed[there], after.field_on(part)[there], field[here])
+    return replace(after, box=box, field=field, inside=field < 0)
 
 
 def _with_right_click(model: ClickModel, click: Click) -> ClickModel:
