@@ -234,7 +234,7 @@ def completed(objects: CorrectedObjects, correction: Correction, base: Result) -
     if here is None or here != (correction.object or here):
         where = "no object" if here is None else f"object {here}"
         raise InputError(f"refine: {correction.split} lies in {where}", "click in the part that is to be split off")
-    new = correction.new or max(objects.ids) + 1
+    new = correction.new or max(base.label_ids + tuple(objects.ids)) + 1
     if new in objects.ids or new > MAX_ID:
         raise UsageError(f"refine: new {new} was given with split, expected an id that no object has")
     return correction.model_copy(update={"object": here, "new": new})

@@ -148,8 +148,15 @@ class Refiner:
         All or nothing: of a correction that raises, whatever it raises, nothing stays, and it is none for `undo`.
         """
         objects, number = self._objects, len(self.config.refine)
+        others = self._result.other_labels
+        if others is not None and correction.object is None and len(objects.ids) == 1 and correction.is_of_one:
+            correction = correction.model_copy(update={"object": objects.ids[0]})
         if correction.split is not None:
             correction = object_changes.completed(objects, correction, self._result)
+        if others is not None and correction.new is not None and (others == correction.new).any():
+            raise UsageError(
+                f"refine: new {correction.new} was given, which is a label that is not to change", "take another id"
+            )
         self._undo.append(self.config)
         objects.begin_correction()
         try:

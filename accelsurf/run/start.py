@@ -83,6 +83,14 @@ def start_of_run(
         As of `accelsurf.segment`.
     """
     if config.labels is not None or labels_given is not None:
+        if part is not None:
+            raise UsageError(
+                "labels: a label map was given, and the image is read in parts", "let it be read into memory"
+            )
+        if objects is not None or arrays or clicks:
+            raise UsageError(
+                "labels: a label map was given with a start, a mask, objects or clicks", "give clicks to refine"
+            )
         return _start_of_labels(volume, config, channels, labels_given)
     labels = config.objects if objects is None else objects
     surfaces = surfaces_of(labels)

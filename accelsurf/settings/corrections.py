@@ -164,6 +164,11 @@ class Correction(BaseModel):
         return "clicks" if self.new is None else "new"
 
     @property
+    def is_of_one(self) -> bool:
+        """True if it changes an object that is there: by clicks, or as a whole."""
+        return self.kind in ("clicks", "mend")
+
+    @property
     def removed_id(self) -> int | None:
         """The object that is taken away from a finished run; None if none is."""
         return self.remove if isinstance(self.remove, int) else None

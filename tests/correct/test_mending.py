@@ -113,6 +113,15 @@ def test_an_outside_click_alone_takes_away_near_it(scene):
     assert np.array_equal(result.labels == RIGHT, truth == RIGHT)
 
 
+def test_a_mended_border_is_taken_back(scene, files):
+    refiner = Refiner(accelsurf.segment(scene[0], labels=f"{files[1]}@{LEFT}", threads=1))
+    before = refiner.result().labels
+    refiner.apply(corrections_of("to_edges=2 islands=2mm3")[0])
+    assert not np.array_equal(refiner.result().labels, before)
+    refiner.undo()
+    assert np.array_equal(refiner.result().labels, before) and refiner.config.refine == ()
+
+
 def shifted(labels, id):
     """A label map in which an object lies 2 voxels away, with an island and a hole."""
     out = np.where(labels == id, 0, labels)
@@ -194,7 +203,7 @@ def test_what_is_refused_of_a_correction(words, said):
 def test_a_state_of_a_map_that_was_mended_is_read_again(files, tmp_path):
     scan, mask = files
     words = (scan, "--labels", f"{mask}@{LEFT}", "-o", tmp_path / "out", "--to-edges", 2, "--quiet")
-    assert run("refine", *words, "--inside", CLICK, "--object", LEFT) == 0
+    assert run("refine", *words, "--inside", CLICK) == 0  # a single object need not be named
     first = (tmp_path / "out" / "balls_seg.nii.gz").read_bytes()
     again = ("segment", scan, "--config", tmp_path / "out" / "balls_run.toml", "--quiet", "-o")
     assert run(*again, tmp_path / "again") == 0
@@ -231,6 +240,11 @@ def test_a_map_that_cannot_be_used_is_refused_in_a_line(scene, files, tmp_path, 
     clash.unlink()
     with pytest.raises(GeometryError, match="an array of shape"):
         refine(scene[0], labels=scene[1][1:], to_edges=1)
+    for options in ({"new": OTHER, "inside": CLICK}, {"split": "point:13,14,14", "new": OTHER}):
+        with pytest.raises(UsageError, match=f"new {OTHER} was given, which is a label"):
+            refine(scene[0], labels=f"{mask}@{LEFT}", **options)
+    with pytest.raises(UsageError, match="a label map was given with a start"):
+        accelsurf.segment(scene[0], labels=str(mask), start=[(13, 14, 14, 4)])
     with pytest.raises(UsageError, match="roi: it was given with labels"):
         RunConfig(labels="a.nii", roi="0,0,0,1,1,1")
     with pytest.raises(UsageError, match="given with a result"):
