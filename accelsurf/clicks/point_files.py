@@ -10,17 +10,12 @@ import csv
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from accelsurf.errors import InputError
-from accelsurf.grid.geometry import Geometry
 from accelsurf.io.files import bytes_within
 from accelsurf.settings import budgets
-from accelsurf.settings.coordinates import UNITS_MM, Suffix
+from accelsurf.settings.coordinates import UNITS_MM, Coordinates, Suffix
 from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
 
@@ -65,21 +60,17 @@ def has_own_columns(file: str) -> bool:
     return any(names <= columns for names in _OWN)
 
 
-def read_points(file: str, side: str, geometry: Geometry) -> NDArray[np.int64]:
-    """Return the voxels (n, 3), z y x, in which the points of a file lie, in its order.
+def read_points(file: str) -> list[Coordinates]:
+    """Return the points of a file, in its order.
 
     Parameters
     ----------
     file : str
-    side : str
-        Names the option in messages.
-    geometry : Geometry
-        The image's grid.
 
     Raises
     ------
     InputError
-        When it cannot be read, is of another form or too large, or a point lies outside of the volume.
+        When it cannot be read, is of another form or too large, or has no point.
     """
     lower = file.lower()
     if lower.endswith(".json"):
@@ -91,35 +82,13 @@ def read_points(file: str, side: str, geometry: Geometry) -> NDArray[np.int64]:
     budgets.POINTS.check(sum(len(points.rows) for points in sets), file)
     found = []
     for rows, suffix in sets:
-        if rows and not all(abs(value) <= starts.MAX_LENGTH for row in rows for value in row):
+        if not all(abs(value) <= starts.MAX_LENGTH for row in rows for value in row):
             raise InputError(f"{file}: a point has a coordinate that is no finite number", f"expected {_EXPECTED}")
         flat = [row if len(row) == 3 else (*row, 0.0) for row in rows]  # napari's, of one slice
-        if flat:
-            placed = [suffix.in_lps(row) for row in flat]
-            found.append(point_voxels(placed, Path(file).name, side, geometry, suffix.vox))
+        found += [Coordinates(suffix.in_lps(row), suffix.vox) for row in flat]
     if not found:
         raise InputError(f"{file}: it has no point", f"expected {_EXPECTED}")
-    return np.concatenate(found)
-
-
-def point_voxels(
-    points: Sequence[Sequence[float]], name: str, side: str, geometry: Geometry, vox: bool = False
-) -> NDArray[np.int64]:
-    """Return the voxels (n, 3), z y x, in which points (x, y, z) lie.
-
-    Raises
-    ------
-    InputError
-        When one lies outside the volume.
-    """
-    places = np.array([[float(v) for v in point[:3]] for point in points])
-    index = places[:, ::-1] if vox else np.array([geometry.world_to_index(tuple(place)) for place in places])
-    voxels = np.floor(index + 0.5).astype(np.int64)
-    beyond = ((voxels < 0) | (voxels >= np.array(geometry.shape))).any(axis=1)
-    if beyond.any():
-        given = ",".join(f"{v:g}" for v in places[int(np.flatnonzero(beyond)[0])])
-        raise InputError(f"{side} {shown(name)!r}: {given} lies outside of the volume", starts.extent_hint(geometry))
-    return voxels
+    return found
 
 
 def _of_markups(file: str) -> list[_Points]:

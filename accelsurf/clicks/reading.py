@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.point_files import has_own_columns, point_voxels, read_points
+from accelsurf.clicks.point_files import has_own_columns, read_points
 from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid.boxes import (
     Box,
@@ -203,8 +204,10 @@ def read_clicks(
         if is_point_file(text) and has_own_columns(text.strip()):
             out += _stroke(text, text.strip(), side, window, id)
         elif is_point_file(text):
-            voxels = read_points(text.strip(), side, window.geometry)
-            out += _within(window, [click_of_voxels(side, voxel[np.newaxis], id) for voxel in voxels])
+            name = Path(text.strip()).name
+            for point in read_points(text.strip()):
+                voxels = point_voxels([point.numbers], name, side, window.geometry, point.vox)
+                out += _within(window, [click_of_voxels(side, voxels, id)])
         elif kind == "point" or (not colon and "," in kind):
             point = _point(text, rest if colon else kind)
             voxels = point_voxels([point.numbers], text, side, window.geometry, point.vox)
@@ -311,6 +314,26 @@ def voxel_named(index: NDArray[np.int64], geometry: Geometry, first: Sequence[in
     world = ",".join(f"{value:.4g}" for value in geometry.index_to_world(place.astype(float)))
     voxel = ",".join(str(int(i)) for i in place[::-1])
     return f"voxel {voxel} (x,y,z; {world} mm)"
+
+
+def point_voxels(
+    points: Sequence[Sequence[float]], name: str, side: str, geometry: Geometry, vox: bool = False
+) -> NDArray[np.int64]:
+    """Return the voxels (n, 3), z y x, in which points (x, y, z) lie.
+
+    Raises
+    ------
+    InputError
+        When one lies outside the volume.
+    """
+    places = np.array([[float(v) for v in point[:3]] for point in points])
+    index = places[:, ::-1] if vox else np.array([geometry.world_to_index(tuple(place)) for place in places])
+    voxels = np.floor(index + 0.5).astype(np.int64)
+    beyond = ((voxels < 0) | (voxels >= np.array(geometry.shape))).any(axis=1)
+    if beyond.any():
+        given = ",".join(f"{v:g}" for v in places[int(np.flatnonzero(beyond)[0])])
+        raise InputError(f"{side} {shown(name)!r}: {given} lies outside of the volume", starts.extent_hint(geometry))
+    return voxels
 
 
 def click_of_mask(side: Side, mask: NDArray[np.bool_], id: int = 1) -> Click:

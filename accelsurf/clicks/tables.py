@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from accelsurf.clicks import reading
-from accelsurf.clicks.point_files import point_voxels
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import bounding_box, corner_of, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
@@ -79,7 +78,7 @@ def _click_of_row(line: dict[str, str], number: int, vox: bool, geometry: Geomet
     if id == NO_OBJECT and side == "outside":
         raise InputError(f"{name}: id 0 is no object, so nothing is outside of it", "write inside, or an object's id")
     if numbers[3] == 0:
-        return reading.click_of_voxels(side, point_voxels([numbers], name, side, geometry, vox), id)
+        return reading.click_of_voxels(side, reading.point_voxels([numbers], name, side, geometry, vox), id)
     return reading.click_of_numbers(side, numbers, vox, geometry, id)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.clicks.point_files import point_voxels
+from accelsurf.clicks.reading import point_voxels
 from accelsurf.correct.corrected_surface import CorrectedSurface, count_inside, part_of_image, stop_of_whole
 from accelsurf.correct.local_evolution import LocalOutcome, Stepping, evolve_to_end, measures_of
 from accelsurf.correct.models import check_id, point_click

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.point_files import point_voxels
-from accelsurf.clicks.reading import click_of_mask, click_of_numbers, click_of_voxels, read_clicks
+from accelsurf.clicks.reading import click_of_mask, click_of_numbers, click_of_voxels, point_voxels, read_clicks
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry

@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 
-from accelsurf.clicks.point_files import read_points
 from accelsurf.clicks.reading import read_clicks
 from accelsurf.errors import InputError, UsageError
 from accelsurf.grid.geometry import Geometry
@@ -20,6 +19,12 @@ VOXELS = [[3, 4, 6], [7, 9, 12]]
 PLACES = [GRID.index_to_world(np.array(voxel, float)).tolist() for voxel in VOXELS]
 FCSV = "# Markups fiducial file version = 4.11\n# CoordinateSystem = {}\n" \
     "# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
+
+
+def read_points(file, grid=GRID):
+    """Voxels of the points of a file, as clicks."""
+    clicks = read_clicks([file], "inside", Volume(np.zeros(grid.shape, np.float32), grid))
+    return [(np.argwhere(click.mask)[0] + [s.start for s in click.box]).tolist() for click in clicks]
 
 
 def lps(point):
@@ -103,7 +108,7 @@ def test_points_lie_where_their_program_has_put_them(name, tmp_path):
 def test_points_of_one_slice_have_two_numbers(tmp_path):
     flat = Geometry((1, 16, 20), (1.0, 1.0, 0.5))
     (tmp_path / "flat.csv").write_text(table("index,axis-0,axis-1", [(0, 4, 6)]))
-    assert read_points(str(tmp_path / "flat.csv"), "inside", flat).tolist() == [[0, 4, 6]]
+    assert read_points(str(tmp_path / "flat.csv"), flat) == [[0, 4, 6]]
 
 
 def deep(levels):
@@ -152,18 +157,18 @@ def test_a_file_that_is_no_such_file_is_refused_in_a_line(name, tmp_path):
     content, said = HOSTILE[name]
     (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(InputError, match=said) as caught:
-        read_points(str(tmp_path / name), "inside", GRID)
+        read_points(str(tmp_path / name))
     assert "\n" not in str(caught.value.message) and name in caught.value.message
 
 
 def test_points_that_are_not_placed_are_left_out(tmp_path):
     (tmp_path / "a.mrk.json").write_text(without(0, positionStatus="undefined", position=None))
-    assert read_points(str(tmp_path / "a.mrk.json"), "inside", GRID).tolist() == VOXELS[1:]
+    assert read_points(str(tmp_path / "a.mrk.json")) == VOXELS[1:]
 
 
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(InputError, match="missing.fcsv"):
-        read_points(str(tmp_path / "missing.fcsv"), "inside", GRID)
+        read_points(str(tmp_path / "missing.fcsv"))
 
 
 @pytest.mark.parametrize(
