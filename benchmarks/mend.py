@@ -97,8 +97,8 @@ def grown(truth: Mask, spacing: tuple[float, ...], random: np.random.Generator) 
 
 
 def cut(truth: Mask, spacing: tuple[float, ...], random: np.random.Generator) -> Mask:
-    """A bite out of the border, and a leak elsewhere, of half the object's depth or more."""
-    radius = max(0.7 * float(ndimage.distance_transform_edt(truth, sampling=spacing).max()), 2 * max(spacing))
+    """A bite out of the border, and a leak elsewhere, as deep as the object or deeper."""
+    radius = max(1.2 * float(ndimage.distance_transform_edt(truth, sampling=spacing).max()), 3 * max(spacing))
     border = np.argwhere(truth & ~ndimage.binary_erosion(truth))
     bite, leak = (_ball(truth.shape, spacing, border[i], radius) for i in random.integers(len(border), size=2))
     return (truth & ~bite) | (leak & ~bite)
@@ -175,15 +175,18 @@ def needed(after: list[float], wanted: float, first: int = 0) -> int | None:
     return next((first + number for number, value in enumerate(after) if value >= wanted), None)
 
 
-def play(case: Case) -> Iterator[dict[str, Any]]:
-    """Rows of the table of one object."""
+def play(case: Case, ways: list[str], known: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Rows of the table of one object; ``known`` are its rows so far."""
     truth, spacing, h = case.truth, case.image.geometry.spacing, min(case.image.geometry.spacing)
-    click = next_click(truth, None, case.image.geometry)
-    assert click is not None
-    anew = accelsurf.segment(case.image, inside=text_of(click))
-    from_nothing = clicks_from(case, Refiner(anew), anew.labels > 0)
-    for way, worsen in WORSE.items():
-        mask = worsen(truth, spacing, np.random.default_rng(case.id)) & (truth | (case.labels == 0))
+    if known:
+        from_nothing = known[0]["from_nothing"]
+    else:
+        click = next_click(truth, None, case.image.geometry)
+        assert click is not None
+        anew = accelsurf.segment(case.image, inside=text_of(click))
+        from_nothing = clicks_from(case, Refiner(anew), anew.labels > 0)
+    for way in ways:
+        mask = WORSE[way](truth, spacing, np.random.default_rng(case.id)) & (truth | (case.labels == 0))
         labels = np.where(mask, case.id, np.where(truth, 0, case.labels)).astype(case.labels.dtype)
         given = _state(case, labels)
         began, volume = time.perf_counter(), f"{0.05 * mask.sum() * np.prod(spacing):.6f}mm3"
@@ -255,12 +258,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tuning", action="store_true")
     parser.add_argument("--render", action="store_true")
+    parser.add_argument("--ways", default=",".join(WORSE), help="masks that are played; the rows of others stay")
     options = parser.parse_args()
     if not options.render:
-        rows: list[dict[str, Any]] = []
+        ways = options.ways.split(",")
+        before = json.loads(JSON.read_text())["rows"] if set(ways) < set(WORSE) and not options.tuning else []
+        rows: list[dict[str, Any]] = [row for row in before if row["way"] not in ways]
         for case in cases(TUNED if options.tuning else REPORTED, scans_folder()):
             print(f"{case.scan} {case.id}: {int(case.truth.sum())} voxels", flush=True)
-            for row in play(case):
+            known = [row for row in before if (row["scan"], row["id"]) == (case.scan, case.id)]
+            for row in play(case, ways, known):
                 rows.append(row)
                 if not options.tuning:
                     JSON.write_text(json.dumps({"to_edges": TO_EDGES, "rows": rows}, indent=1) + "\n")
