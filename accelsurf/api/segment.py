@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from accelsurf.correct.finished import OnObjectStep, finished, result_of
 from accelsurf.correct.refine import with_corrections
-from accelsurf.errors import InputError, UsageError
+from accelsurf.errors import UsageError
 from accelsurf.evolution.records import Step, StepRecord
 from accelsurf.grid.clicks import SIDES
 from accelsurf.image.volume import Volume, plain_array
 from accelsurf.io import LazyVolume
-from accelsurf.run.arguments import given_clicks, psi_of, split_given, with_options
+from accelsurf.run.arguments import as_volume, given_clicks, psi_of, split_given, with_options
 from accelsurf.run.checkpoint_file import CheckpointFile
 from accelsurf.run.result import Result
 from accelsurf.run.run import Run
@@ -212,7 +212,7 @@ def _run_of(
     checkpoints: CheckpointFile | None = None,
 ) -> Run:
     """The run for the arguments of `segment`, `evolve` or `segment_objects`."""
-    first = _as_volume(volume, spacing)
+    first = as_volume(volume, spacing)
     others = [_as_channel(channel, first) for channel in channels]
     texts, given = split_given(options)
     clicks = [click for side in SIDES if side in given for click in given_clicks(side, given.pop(side), first)]
@@ -227,14 +227,6 @@ def _run_of(
             f"checkpoint: {config.checkpoint} was given without a file for it", "give segment() checkpoint_to=FILE"
         )
     return Run(first, config, energy, others, objects, arrays, clicks)
-
-
-def _as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
-    if isinstance(volume, Volume):
-        if spacing is not None:
-            raise InputError("spacing given together with a Volume, which has its own", "leave spacing out")
-        return volume
-    return Volume.from_array(volume, 1.0 if spacing is None else spacing)
 
 
 def _as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:

@@ -17,6 +17,7 @@ from accelsurf.io.files import naming
 from accelsurf.io.headers import name_of
 from accelsurf.output.folder import FILE_KINDS, PLACES
 from accelsurf.settings import budgets
+from accelsurf.settings.coordinates import is_point_file
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.track_config import FRAME_SETTINGS, setting_entry
 from accelsurf.settings.track_fields import TrackFields
@@ -28,7 +29,7 @@ IMAGE, ID, REFERENCE = "image", "id", "reference"
 CORRECTIONS = "correct"
 #: Endings of tables.
 SUFFIXES = (".csv", ".tsv")
-_FILES = ("mask", "objects", "channel")
+_FILES = ("mask", "objects", "labels", "channel")
 
 
 def read_rows(path: Path, what: str, parse: Callable[[list[str], Any], list[T]]) -> list[T]:
@@ -164,6 +165,8 @@ def _with_paths(key: str, text: str, base: Path) -> str:
     if key == CORRECTIONS:
         return _correction(text, base)
     kind, colon, name = text.partition(":")
+    if key in PLACES and is_point_file(text):
+        return str(base / text)
     return f"{kind}:{base / name}" if key in PLACES and colon and kind in FILE_KINDS else text
 
 

@@ -202,14 +202,12 @@ def _place(text: str, geometry: Geometry) -> tuple[float, float, float]:
     """
     import numpy as np
 
-    voxels = text.endswith("vox")
-    try:
-        numbers = [float(part) for part in text.removesuffix("vox").split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 3 or not np.isfinite(numbers).all():
+    from accelsurf.settings.coordinates import coordinates_of
+
+    found = coordinates_of(text)
+    if found is None or len(found.numbers) != 3 or not np.isfinite(found.numbers).all():
         raise UsageError(f"--at: {text[:40]!r} was given, expected X,Y,Z in mm, or indices as 12,40,7vox")
-    index = np.array(numbers[::-1]) if voxels else geometry.world_to_index(numbers)
+    index = np.array(found.numbers[::-1]) if found.vox else geometry.world_to_index(found.numbers)
     if not ((index >= -0.5) & (index <= np.array(geometry.shape) - 0.5)).all():
         corners = geometry.corners_world()
         spans = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(corners.min(axis=0), corners.max(axis=0), strict=True))

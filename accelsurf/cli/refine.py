@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from accelsurf.cli.options import FILES, RUN, Display, File, Overwrite, Switch, required
-from accelsurf.errors import InputError, OutputError
-from accelsurf.settings.corrections import Correction, corrections_of
+from accelsurf.errors import InputError, OutputError, UsageError
+from accelsurf.settings.corrections import Correction, corrections_in_order
 
 if TYPE_CHECKING:
     from accelsurf.cli.case import Finished, Log, Place
@@ -49,6 +49,26 @@ class ObjectOptions:
     remove: Annotated[str | None, Parameter(group=RUN)] = None
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class WholeOptions:
+    """Options that mend an object as a whole, before the clicks.
+
+    Parameters
+    ----------
+    to_edges
+        Bring the whole border to the image's edges, by at most so many mm; no click is needed.
+    islands
+        Remove parts of the object that are smaller than this, as 50mm3; the largest stays.
+    holes
+        Fill what the object encloses that is smaller than this, as 50mm3.
+    """
+
+    to_edges: Annotated[float | None, Parameter(group=RUN, metavar="MM")] = None
+    islands: Annotated[str | None, Parameter(group=RUN, metavar="VOLUME")] = None
+    holes: Annotated[str | None, Parameter(group=RUN, metavar="VOLUME")] = None
+
+
 @dataclass(frozen=True)
 class _Source:
     """A finished run in a folder: its ``report``, the first part of its files' ``name``, and its ``image``."""
@@ -67,6 +87,8 @@ def refine(
     near: Annotated[str, Parameter(group=RUN)] = "auto",
     object: Annotated[str | None, Parameter(group=RUN)] = None,
     objects: ObjectOptions | None = None,
+    whole: WholeOptions | None = None,
+    labels: Annotated[str | None, Parameter(group=FILES, metavar="FILE[@IDS]", show_default=False)] = None,
     output: Annotated[Path | None, Parameter(name=("--output", "-o"), group=FILES)] = None,
     image: File = None,
     overwrite: Overwrite = False,
@@ -79,10 +101,13 @@ def refine(
     folder is given. A correction that fails leaves them as they are. What accelsurf segment or refine wrote with its
     state (NAME_state.npz) can be refined; NAME_run.toml has all settings and corrections, for segment --config.
 
+    With --labels an image and a label map are given in place of a result: a mask that is nearly right, whoever made it.
+    What is not asked for keeps its labels and is not entered.
+
     Parameters
     ----------
     result
-        Folder with the outputs of a run, or its report where several runs are in the folder.
+        Folder with the outputs of a run, or its report where several runs are in the folder; with --labels the image.
     inside
         Voxels that are in the object, and stay in it: point:X,Y,Z, path:X,Y,Z,R;..., stroke:FILE, or as --start; may
         be repeated. All clicks of one command are one correction.
@@ -92,8 +117,10 @@ def refine(
         How far from the clicks the surface may move, mm; auto is what the clicks are about.
     object
         Id of the object that is corrected, where there are several.
+    labels
+        Label map on the image's grid that is mended; FILE@2,5-9: only the objects with these ids.
     output
-        Folder for the outputs, in place of the run's own; made when missing.
+        Folder for the outputs, in place of the run's own; made when missing. Needed with --labels.
     image
         The image, where it is not any more where the run found it.
     overwrite
@@ -102,7 +129,9 @@ def refine(
         Exit with 4 when the correction ends before it has converged, with 5 when the result is doubtful.
     """
     given = {"inside": inside, "outside": outside, "near": near, "object": object, **vars(objects or ObjectOptions())}
-    (correction,) = corrections_of({key: value for key, value in given.items() if value is not None})
+    corrections = corrections_in_order({**given, **vars(whole or WholeOptions())})
+    if labels is not None:
+        return _mend(required(result, "the image"), labels, corrections, output, image, overwrite, strict, display)
     from accelsurf.cli.case import Place, run_case
     from accelsurf.cli.progress import Watcher
 
@@ -112,19 +141,38 @@ def refine(
     place = Place(source.image, folder, source.name, overwrite or in_place, has_checkpoint=False)
     if in_place and not overwrite:
         _refuse_changed(place, source)
-    compute = _CorrectedRun(source, correction, in_place)
+    compute = _CorrectedRun(source, corrections, in_place)
     watcher = Watcher(display or Display())
-    done = run_case(place, config.replace(refine=(*config.refine, correction)), watcher, strict, compute)
+    done = run_case(place, config.replace(refine=(*config.refine, *corrections)), watcher, strict, compute)
     if display is None or not display.quiet:
         _print_summary(done, compute)
+    return done.code
+
+
+def _mend(
+    image: Path, labels: str, corrections: tuple[Correction, ...], output: Path | None, other: Path | None,
+    overwrite: bool, strict: bool, display: Display | None,
+) -> int:
+    """Mend a label map; the outputs are those of a run that begins with it."""
+    from accelsurf.cli.case import Place, run_case
+    from accelsurf.cli.progress import Watcher
+    from accelsurf.settings.run_config import RunConfig
+
+    if other is not None:
+        raise UsageError("--image: was given with --labels", "the image comes first: refine SCAN --labels MASK")
+    config = RunConfig(labels=labels, refine=corrections)
+    place = Place.for_image(image, required(output, "-o DIR, the output folder,"), overwrite)
+    done = run_case(place, config, Watcher(display or Display()), strict)
+    if display is None or not display.quiet:
+        print("\n".join(done.summary_lines(place.name)))
     return done.code
 
 
 class _CorrectedRun:
     """Computes a corrected result, in place of a run from the start."""
 
-    def __init__(self, source: _Source, correction: Correction, in_place: bool) -> None:
-        self._source, self._correction, self._in_place = source, correction, in_place
+    def __init__(self, source: _Source, corrections: tuple[Correction, ...], in_place: bool) -> None:
+        self._source, self._corrections, self._in_place = source, corrections, in_place
         self._changes: tuple[Any, ...] = ()
 
     def __call__(self, place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
@@ -136,7 +184,8 @@ class _CorrectedRun:
         _check_image(self._source, log.checksum)
         with watcher.watch(place.name, config.max_steps):
             refiner = Refiner(log.timed("load", lambda: restored(self._source.state, volume, more)))
-            self._changes = refiner.apply(self._correction, on_step=watcher.on_step)
+            for correction in self._corrections:
+                self._changes += refiner.apply(correction, on_step=watcher.on_step)
         result = refiner.result()
         if result.stop.reason == "interrupted" and self._in_place:
             raise KeyboardInterrupt  # the result that stands is a finished one

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelsurf.clicks.point_files import has_own_columns, read_points
 from accelsurf.errors import AccelsurfError, InputError, UsageError
 from accelsurf.grid.boxes import (
     Box,
@@ -32,6 +34,7 @@ from accelsurf.grid.window import Window
 from accelsurf.image.volume import Volume
 from accelsurf.io.files import read_table
 from accelsurf.settings import budgets
+from accelsurf.settings.coordinates import Coordinates, coordinates_of, is_point_file, split_suffix
 from accelsurf.settings.wording import shown
 from accelsurf.starts import starts
 
@@ -63,15 +66,14 @@ def _parse_path(text: str) -> tuple[Floats, bool]:
     [[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 4.0]]
     """
     budgets.PATH.check(len(text), "a path", kind=UsageError)
-    rest = text.strip().removeprefix("path:")
-    is_vox = rest.endswith("vox")
+    rest, suffix = split_suffix(text.strip().removeprefix("path:"))
     try:
-        rows = [[float(value) for value in row.split(",")] for row in rest.removesuffix("vox").split(";")]
+        rows = [suffix.in_lps([float(value) for value in row.split(",")]) for row in rest.split(";")]
     except ValueError:
-        rows = [[]]
+        rows = [()]
     if any(len(row) != 4 or not 0 <= row[3] or not all(abs(v) <= starts.MAX_LENGTH for v in row) for row in rows):
         raise UsageError(f"click {shown(text)!r}: x, y, z and a radius for each place expected", f"as in {_PATH_FORM}")
-    return np.array(rows), is_vox
+    return np.array(rows), suffix.vox
 
 
 def _click_of_path(text: str, side: Side, geometry: Geometry, id: int = 1) -> Click:
@@ -175,7 +177,8 @@ def read_clicks(
     Parameters
     ----------
     texts : iterable of str
-        ``point:X,Y,Z``, ``path:X,Y,Z,R;X,Y,Z,R;...``, ``stroke:FILE``, or a start.
+        ``point:X,Y,Z``, ``X,Y,Z`` alone, ``path:X,Y,Z,R;X,Y,Z,R;...``, ``stroke:FILE``, a file of points of another
+        program, or a start.
     side : {"inside", "outside"}
     volume : Volume
         The image.
@@ -197,9 +200,17 @@ def read_clicks(
     out: list[Click] = []
     window = window or Window(volume.geometry, whole_box(volume.geometry.shape))
     for text in texts:
-        kind, _, rest = text.strip().partition(":")
-        if kind == "point":
-            voxels = point_voxels([_point(text, rest)], text, side, window.geometry, rest.endswith("vox"))
+        kind, colon, rest = text.strip().partition(":")
+        if is_point_file(text) and has_own_columns(text.strip()):
+            out += _stroke(text, text.strip(), side, window, id)
+        elif is_point_file(text):
+            name = Path(text.strip()).name
+            for point in read_points(text.strip()):
+                voxels = point_voxels([point.numbers], name, side, window.geometry, point.vox)
+                out += _within(window, [click_of_voxels(side, voxels, id)])
+        elif kind == "point" or (not colon and "," in kind):
+            point = _point(text, rest if colon else kind)
+            voxels = point_voxels([point.numbers], text, side, window.geometry, point.vox)
             out += _within(window, [click_of_voxels(side, voxels, id)])
         elif kind == "path":
             out += _within(window, [_click_of_path(text, side, window.geometry, id)])
@@ -369,15 +380,12 @@ def click_of_numbers(side: Side, ball: Sequence[float], vox: bool, geometry: Geo
         raise type(error)(error.message.replace("start ", f"{side} ", 1), error.hint) from None
 
 
-def _point(text: str, rest: str) -> tuple[float, ...]:
-    parts = rest.removesuffix("vox").split(",")
-    try:
-        numbers = tuple(float(part) for part in parts)
-    except ValueError:
-        numbers = ()
-    if len(numbers) != 3 or not all(abs(v) <= starts.MAX_LENGTH for v in numbers):
+def _point(text: str, rest: str) -> Coordinates:
+    budgets.EXPRESSION.check(len(text), "a point", kind=UsageError)
+    point = coordinates_of(rest)
+    if point is None or len(point.numbers) != 3 or not all(abs(v) <= starts.MAX_LENGTH for v in point.numbers):
         raise UsageError(f"click {shown(text)!r}: 3 numbers separated by commas expected", f"as in {KINDS['point']}")
-    return numbers
+    return point
 
 
 def _of_start(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.model.confidence import Confidence, confidence_of
+from accelsurf.clicks.model.confidence import Confidence
 from accelsurf.clicks.reading import clicked_voxels, on_image
 from accelsurf.evolution.records import StepRecord, Stop
 from accelsurf.grid.boxes import box_at, whole_box, widened
@@ -56,6 +56,7 @@ def result_of(run: Run) -> Result:
         given=run.given,
         clicks=on_image(run.clicks, run.prepared.first, run.volume.geometry.shape),
         state=None if config.keep_state == "no" else state_at_end(run),
+        other_labels=run.prepared.other_labels,
         warnings=run.level_warnings
         + [
             f"{key} was given, but has no effect on flow {config.flow} with energy {run.energy_name}"
@@ -90,7 +91,7 @@ def _ending(run: Run) -> list[tuple[list[StepRecord], Stop]]:
 def _confidence(run: Run, evolving: EvolvingObject) -> Confidence | None:
     """Return the confidence of the model of an object's clicks; None where the energy has none."""
     named = run.energy_given is None or isinstance(run.energy_given, str)
-    return confidence_of(evolving.context.click_model()) if named and uses_model(run.config) else None
+    return evolving.context.confidence() if named and uses_model(run.config) else None
 
 
 def _single_object(run: Run, image: NDArray[np.float32]) -> SegmentedObject:

@@ -88,18 +88,36 @@ def evolve_near(problem: LocalProblem, id: int, stepping: Stepping) -> LocalOutc
     LocalOutcome
         Its history has the volume and area of the whole object; the potential is that of the box.
     """
-    psi, spacing, setup = problem.psi, problem.spacing, problem.setup
-    workers = stepping.workers
-    nothing = np.ones(psi.shape, np.float32)
-    surface = LevelSet(nothing, spacing, setup.half_width, workers, overwrite=True, extension=setup.extension)
-    _restore(surface, psi)
-    volume, area = _measures(surface)
-    before = signed_distance(psi, float(surface.gamma), spacing)
+    spacing, surface = problem.spacing, _surface_before(problem, stepping)
+    before = signed_distance(problem.psi, float(surface.gamma), spacing)
     bounds = united(near_bounds(before, problem.region, spacing, problem.sides), problem.clicks)
-    dense = surface.dense.psi.reshape(surface.shape)
-    dense[...] = before
     for side, basin in problem.relabelled:
-        _relabel(dense, basin & problem.region.mask, side, spacing)
+        _relabel(before, basin & problem.region.mask, side, spacing)
+    return evolve_bounded(problem, id, stepping, before, bounds, surface)
+
+
+def evolve_bounded(
+    problem: LocalProblem, id: int, stepping: Stepping, begin: NDArray[np.float32], bounds: ClickBounds,
+    surface: LevelSet | None = None,
+) -> LocalOutcome:
+    """Evolve the surface in the region from another one, within bounds; the other parameters are of `evolve_near`.
+
+    Parameters
+    ----------
+    problem, id, stepping
+        As of `evolve_near`.
+    begin : ndarray (nz, ny, nx), float32
+        Psi of the first surface, mm.
+    bounds : ClickBounds
+        Of psi.
+    surface : LevelSet, optional
+        That of ``problem.psi``, which moves.
+    """
+    psi, setup = problem.psi, problem.setup
+    surface = surface or _surface_before(problem, stepping)
+    volume, area = _measures(surface)
+    dense = surface.dense.psi.reshape(surface.shape)
+    dense[...] = begin
     bounds.apply(dense)
     surface.reinitialize(setup.half_width)
     past = problem.history
@@ -113,6 +131,16 @@ def evolve_near(problem: LocalProblem, id: int, stepping: Stepping) -> LocalOutc
     stop = evolve_to_end(evolution, setup, stepping.watch_of(id), volume_offset, area_offset)
     psi_after = np.where(problem.region.mask, surface.psi, psi)
     return LocalOutcome(psi_after, list(evolution.history), stop)
+
+
+def _surface_before(problem: LocalProblem, stepping: Stepping) -> LevelSet:
+    """The surface before, with the band of the solver."""
+    setup, nothing = problem.setup, np.ones(problem.psi.shape, np.float32)
+    surface = LevelSet(
+        nothing, problem.spacing, setup.half_width, stepping.workers, overwrite=True, extension=setup.extension
+    )
+    _restore(surface, problem.psi)
+    return surface
 
 
 def evolve_to_end(
@@ -156,6 +184,33 @@ def _relabel(psi: NDArray[np.float32], basin: NDArray[np.bool_], side: Side, spa
     box = widened(box, psi.shape, margin)
     part, distance = psi[box], _distance_to(basin[box], spacing)
     np.copyto(part, np.minimum(part, distance) if side == "inside" else np.maximum(part, -distance))
+
+
+def relabelled_psi(
+    psi: NDArray[np.float32], inside: NDArray[np.bool_], spacing: Spacing, half_width: float, workers: Workers
+) -> NDArray[np.float32]:
+    """Return psi of a surface with other voxels inside; away from those that change it has the same bytes.
+
+    Parameters
+    ----------
+    psi : ndarray (nz, ny, nx), float32
+        Of the surface before, mm.
+    inside : ndarray (nz, ny, nx) of bool
+    spacing : (hz, hy, hx)
+        mm.
+    half_width : float
+        Of its band, voxels.
+    workers : Workers
+    """
+    out, changed = psi.copy(), (psi < 0) != inside
+    _relabel(out, changed & inside, "inside", spacing)
+    _relabel(out, changed & ~inside, "outside", spacing)
+    surface = LevelSet(out, spacing, half_width, workers)
+    reach = float(surface.gamma) + max(axis_steps(psi.shape, spacing))
+    near = np.isfinite(distances_within(changed, spacing, reach))
+    out = np.where(near, surface.psi, psi)
+    half = np.float32(0.5 * min(axis_steps(psi.shape, spacing)))
+    return np.where((out < 0) == inside, out, np.where(inside, -half, half))
 
 
 def _distance_to(mask: NDArray[np.bool_], spacing: Spacing) -> NDArray[np.float32]:

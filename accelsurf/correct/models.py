@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.model import ClickModel
+from accelsurf.clicks.model.given import GivenMask
 from accelsurf.clicks.reading import voxel_named
 from accelsurf.correct.local_model import LocalModel, local_model
 from accelsurf.errors import InputError, UsageError
-from accelsurf.grid.boxes import Box, Corner, corner_of
+from accelsurf.grid.boxes import Box, Corner, corner_of, whole_box
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.run.evolving_object import MadeEnergy
@@ -85,7 +86,8 @@ class ObjectModels:
             return None
         if id not in self._models:
             context = self.contexts[id]
-            if context.clicks is None or not context.clicks.ids():  # all were split off
+            has_none = context.clicks is None or not context.clicks.ids()
+            if has_none and context.model_inputs.given is None:  # all were split off
                 context = self.contexts[id] = context.with_clicks(self.clicks.of(id))
             known = self._states.pop(id, None) or context.click_model()
             self._models[id] = local_model(context, known)
@@ -123,7 +125,7 @@ class ObjectModels:
         self.settings[id] = self._frozen.replace(
             objects=None, inside=(), outside=(), box=None, start=("clicks",), energy=_NEW_ENERGY, size=correction.size
         )
-        passes = None if prepared.mask_distance is None else np.asarray(prepared.mask_distance < 0)
+        passes = prepared.open_on(whole_box(prepared.geometry.shape))
         if taken is not None:
             self.masks[number] = taken
             passes = np.ones(prepared.geometry.shape, np.bool_) if passes is None else passes
@@ -131,6 +133,23 @@ class ObjectModels:
         size = None if correction.size is None else volume_mm3(correction.size)
         inputs = ModelInputs(size, passes)
         self.contexts[id] = prepared.context.with_model_inputs(inputs).with_clicks(self.clicks.of(id))
+        self._forget(id)
+
+    def begin_given(self, number: int, id: int, mask: BoxMask) -> None:
+        """Take the voxels that an object has after a correction without clicks for what it is; its clicks stay.
+
+        Parameters
+        ----------
+        number : int
+            Of the correction.
+        id : int
+        mask : BoxMask
+            Those voxels.
+        """
+        self.masks[number] = mask
+        context = self.contexts[id]
+        inputs = context.model_inputs._replace(given=GivenMask(mask.box, mask.mask))
+        self.contexts[id] = context.with_model_inputs(inputs).with_clicks(self.clicks.of(id))
         self._forget(id)
 
     def merge(self, ids: Sequence[int]) -> None:
@@ -142,8 +161,7 @@ class ObjectModels:
         )
         for id in others:
             self._forget_object(id)
-        distance = self.prepared.mask_distance
-        passes = None if distance is None else np.asarray(distance < 0)
+        passes = self.prepared.open_on(whole_box(self.prepared.geometry.shape))
         context = self.contexts[first]
         inputs = context.model_inputs._replace(size_mm3=None, mask=passes)
         self.contexts[first] = context.with_model_inputs(inputs).with_clicks(self.clicks.of(first))
@@ -232,17 +250,19 @@ def placed_clicks(clicks: Sequence[Click], prepared: PreprocessedInput) -> tuple
     InputError
         When a voxel clicked inside an object lies outside of the region or the mask.
     """
-    geometry, distance = prepared.volumes[0].geometry, prepared.mask_distance
+    geometry = prepared.volumes[0].geometry
     placed = Clicks(tuple(clicks), geometry.shape).on_box(prepared.box).clicks
     lost = sum(int(click.mask.sum()) for click in clicks if click.side == "inside" and click.id != NO_OBJECT)
     for click in placed:
         if click.side == "inside" and click.id != NO_OBJECT:
-            within = click.mask if distance is None else click.mask & (distance[click.box] <= 0)
-            lost -= int(within.sum())
+            is_open = prepared.open_on(click.box)
+            lost -= int((click.mask if is_open is None else click.mask & is_open).sum())
     if lost:
         raise InputError(
-            f"refine: {lost} voxels are clicked inside that lie outside of the region of interest, the mask or the box",
-            "click within them",
+            f"refine: {lost} voxels are clicked inside that lie outside of the region of interest, the mask or the box"
+            if prepared.other_labels is None
+            else f"refine: {lost} voxels are clicked inside that have labels which are not to change",
+            "click within them" if prepared.other_labels is None else "click elsewhere, or ask for these labels too",
         )
     return placed
 

@@ -47,6 +47,7 @@ from accelsurf.run.region_of_interest import closed_on, cropped
 from accelsurf.run.result import BoxMask, Result, SegmentedObject
 from accelsurf.run.setup import half_width, setup_of
 from accelsurf.run.start import AROUND
+from accelsurf.settings.coordinates import coordinates_of
 from accelsurf.settings.corrections import MAX_ID, Correction
 
 #: Voxels of the largest spacing between the model's boundary of a new object and the border of its box.
@@ -211,14 +212,10 @@ def voxel_of(point: str, base: Result) -> NDArray[np.int64]:
     UsageError, InputError
         When it is none, or lies outside.
     """
-    words = point.removeprefix("point:")
-    try:
-        numbers = [float(word) for word in words.removesuffix("vox").split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 3:
+    found = coordinates_of(point.removeprefix("point:"))
+    if found is None or len(found.numbers) != 3:
         raise UsageError(f"refine: split {point[:80]!r} was given, expected point:X,Y,Z")
-    return point_voxels([numbers], point, "split", base.geometry, words.endswith("vox"))[0]
+    return point_voxels([found.numbers], point, "split", base.geometry, found.vox)[0]
 
 
 def completed(objects: CorrectedObjects, correction: Correction, base: Result) -> Correction:
@@ -237,7 +234,7 @@ def completed(objects: CorrectedObjects, correction: Correction, base: Result) -
     if here is None or here != (correction.object or here):
         where = "no object" if here is None else f"object {here}"
         raise InputError(f"refine: {correction.split} lies in {where}", "click in the part that is to be split off")
-    new = correction.new or max(objects.ids) + 1
+    new = correction.new or max(base.label_ids + tuple(objects.ids)) + 1
     if new in objects.ids or new > MAX_ID:
         raise UsageError(f"refine: new {new} was given with split, expected an id that no object has")
     return correction.model_copy(update={"object": here, "new": new})

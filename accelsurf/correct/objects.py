@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelsurf.clicks.model.confidence import confidence_of
 from accelsurf.clicks.reading import clicked_voxels
 from accelsurf.correct.corrected_surface import CorrectedSurface, count_inside, part_of_image, stop_of_whole, surface_of
 from accelsurf.correct.local_evolution import measures_of
@@ -165,8 +164,7 @@ class CorrectedObjects:
         """Signed distance, mm, that bounds an object on a box: that of the mask, and those to others it takes nothing
         from.
         """
-        mask = self.prepared.mask_distance
-        distance = None if mask is None else mask[box]
+        distance = self.prepared.distance_on(box)
         for place, other in enumerate(self.surfaces):
             if other.id == id or place in takes:
                 continue
@@ -223,7 +221,8 @@ class CorrectedObjects:
         box = segmented.box if is_same or not self.has_ids else part_of_image(segmented.box, corner, now, prepared)
         clicked = clicked_voxels(models.clicks, segmented.id, prepared.first, box) if len(models.clicks) else None
         if segmented.id in models.made:
-            segmented = dataclasses.replace(segmented, confidence=confidence_of(models.made[segmented.id]))
+            confidence = models.contexts[segmented.id].confidence(models.made[segmented.id])
+            segmented = dataclasses.replace(segmented, confidence=confidence)
         if is_same:
             unchanged = clicked is None or (
                 segmented.clicked is not None and np.array_equal(clicked, segmented.clicked)

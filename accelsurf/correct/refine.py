@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from accelsurf.correct.finished import OnObjectStep
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.correct.finished import OnObjectStep, finished
 from accelsurf.correct.refiner import Refiner
+from accelsurf.errors import UsageError
+from accelsurf.image.volume import Volume
+from accelsurf.run.arguments import as_volume
 from accelsurf.run.result import Result
-from accelsurf.settings.corrections import corrections_of
+from accelsurf.run.run import Run
+from accelsurf.settings.corrections import corrections_in_order
+from accelsurf.settings.run_config import RunConfig
 
 
 def refine(
-    result: Result,
+    result: Result | Volume | NDArray[Any],
     *,
+    labels: str | os.PathLike[str] | Volume | NDArray[Any] | None = None,
+    spacing: float | tuple[float, float, float] | None = None,
     inside: str | Sequence[str] = (),
     outside: str | Sequence[str] = (),
     near: float | Literal["auto"] = "auto",
@@ -24,14 +35,25 @@ def refine(
     merge: Sequence[int] = (),
     split: str | None = None,
     remove: int | None = None,
+    to_edges: float | None = None,
+    islands: str | None = None,
+    holes: str | None = None,
     on_step: OnObjectStep | None = None,
 ) -> Result:
     """Correct a result by clicks: the surface moves near them, and beyond it every byte stays. Or have other objects.
 
+    With ``labels`` a mask that is nearly right is mended: `Result.labels` has all labels of the map, and those that are
+    not asked for are neither changed nor entered.
+
     Parameters
     ----------
-    result : Result
-        Of `accelsurf.segment`, `accelsurf.segment_objects` or `accelsurf.refine`; it is not changed.
+    result : Result, Volume or ndarray (nz, ny, nx)
+        Of `accelsurf.segment`, `accelsurf.segment_objects` or `accelsurf.refine`; it is not changed. With ``labels``
+        the image.
+    labels : str, path-like, Volume or ndarray (nz, ny, nx), optional
+        Label map on the image's grid, or its file (``FILE@2,5-9``: objects with these ids).
+    spacing : float or (hz, hy, hx), optional
+        mm, of an image that is an array; 1 by default.
     inside, outside : str or sequence of str
         Voxels that are in the object, and that are not: ``point:X,Y,Z``, ``stroke:FILE``, or written as a start.
         All together are one correction.
@@ -41,6 +63,8 @@ def refine(
         Id of the object, where there are several.
     new, size, merge, split, remove : optional
         Which objects there are, as `accelsurf.settings.corrections.Correction` has it.
+    to_edges, islands, holes : optional
+        The object as a whole, as of `Correction`; with clicks it is done before them.
     on_step : callable, optional
         Called with each `StepRecord` and the id of its object; a true return value ends the correction.
 
@@ -54,7 +78,8 @@ def refine(
     UsageError
         When nothing was clicked, an object does not exist, or the result was made with ``keep_state="no"``.
     InputError
-        When a click lies outside of the image, or a voxel was clicked on both sides.
+        When a click lies outside of the image, a voxel was clicked on both sides, or the label map cannot be used;
+        GeometryError when that lies on another grid.
 
     Examples
     --------
@@ -66,12 +91,38 @@ def refine(
     >>> more = refine(result, inside="ball:35.5,11.5,11.5,3")
     >>> bool(result.labels[12, 12, 36]), bool(more.labels[12, 12, 36])
     (False, True)
+    >>> mask = accelsurf.segment(image, start="ball:12,12,12,4", energy="threshold:50,").labels
+    >>> mended = refine(image, labels=5 * mask, to_edges=2)
+    >>> mended.labels.dtype, sorted(mended.by_id)
+    (dtype('uint8'), [5])
     """
+    if isinstance(result, Result):
+        if labels is not None or spacing is not None:
+            raise UsageError("refine: labels or spacing were given with a result", "give the image in its place")
+    else:
+        result = _given(result, labels, spacing)
     table: dict[str, Any] = {"inside": inside, "outside": outside, "near": near, "object": object}
     table |= {"new": new, "size": size, "merge": tuple(merge), "split": split, "remove": remove}
-    (correction,), refiner = corrections_of({k: v for k, v in table.items() if v is not None}), Refiner(result)
-    refiner.apply(correction, on_step=on_step)
+    table |= {"to_edges": to_edges, "islands": islands, "holes": holes}
+    corrections, refiner = corrections_in_order(table), Refiner(result)
+    for correction in corrections:
+        refiner.apply(correction, on_step=on_step)
     return refiner.result()
+
+
+def _given(
+    image: Volume | NDArray[Any],
+    labels: str | os.PathLike[str] | Volume | NDArray[Any] | None,
+    spacing: float | tuple[float, float, float] | None,
+) -> Result:
+    """Return the result that a label map is, before it is mended."""
+    if labels is None:
+        raise UsageError("refine: an image was given without labels", "give the label map that is to be mended")
+    if isinstance(labels, (Volume, np.ndarray)):
+        run = Run(as_volume(image, spacing), RunConfig(energy="seeded"), labels=labels)
+    else:
+        run = Run(as_volume(image, spacing), RunConfig(labels=os.fspath(labels)))
+    return finished(run, None, None)
 
 
 def with_corrections(result: Result, on_step: OnObjectStep | None = None) -> Result:

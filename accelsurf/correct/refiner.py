@@ -22,6 +22,7 @@ from accelsurf.correct.corrected_surface import (
 from accelsurf.correct.finished import OnObjectStep
 from accelsurf.correct.local_evolution import LocalProblem, Stepping, evolve_near
 from accelsurf.correct.local_model import basin_of
+from accelsurf.correct.mending import mend
 from accelsurf.correct.models import check_object, clicks_on, placed_clicks, point_click, refuse_contradictions
 from accelsurf.correct.objects import CorrectedObjects
 from accelsurf.correct.region import NearRegion, around_clicks, automatic_near, box_around, rim_width
@@ -147,8 +148,15 @@ class Refiner:
         All or nothing: of a correction that raises, whatever it raises, nothing stays, and it is none for `undo`.
         """
         objects, number = self._objects, len(self.config.refine)
+        others = self._result.other_labels
+        if others is not None and correction.object is None and len(objects.ids) == 1 and correction.is_of_one:
+            correction = correction.model_copy(update={"object": objects.ids[0]})
         if correction.split is not None:
             correction = object_changes.completed(objects, correction, self._result)
+        if others is not None and correction.new is not None and (others == correction.new).any():
+            raise UsageError(
+                f"refine: new {correction.new} was given, which is a label that is not to change", "take another id"
+            )
         self._undo.append(self.config)
         objects.begin_correction()
         try:
@@ -165,6 +173,8 @@ class Refiner:
                     changes = self._correct_all(new, correction.near, stepping)
                 elif correction.kind == "new":
                     changes = self._begin_object(number, correction, new, stepping)
+                elif correction.kind == "mend":
+                    changes = self._mend(number, correction, stepping)
                 else:
                     changes = self._rearrange(number, correction, workers)
             self._seconds += time.perf_counter() - began
@@ -215,6 +225,13 @@ class Refiner:
             self._objects, number, correction, new, self._result, stepping
         )
         return (Change(id, box, voxels, time.perf_counter() - began, evolving.stop),)
+
+    def _mend(self, number: int, correction: Correction, stepping: Stepping) -> tuple[Change, ...]:
+        """Bring an object to edges, or take islands and holes from it."""
+        began = time.perf_counter()
+        check_object(correction, self._objects.ids if self._objects.has_ids else None)
+        surface, box, voxels = mend(self._objects, number, correction, stepping)
+        return (Change(surface.id, box, voxels, time.perf_counter() - began, surface.stop),)
 
     def _rearrange(self, number: int, correction: Correction, workers: Workers) -> tuple[Change, ...]:
         """Merge objects, split one, or remove one: no surface moves."""

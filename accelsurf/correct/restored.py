@@ -7,8 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from accelsurf.clicks.model import ClickModel
-from accelsurf.clicks.model.confidence import confidence_of
 from accelsurf.clicks.reading import clicked_voxels, clicks_of, on_image
 from accelsurf.correct.corrected_surface import frozen_settings
 from accelsurf.correct.finished import result_of
@@ -16,8 +14,6 @@ from accelsurf.correct.models import ObjectModels, clicks_on, placed_clicks, poi
 from accelsurf.correct.object_changes import voxel_of
 from accelsurf.correct.state_file import ObjectFile, StateFile, box_of, masks_of, plateaus_of, surface_of
 from accelsurf.errors import InputError
-from accelsurf.grid.boxes import Corner
-from accelsurf.grid.clicks import Clicks
 from accelsurf.image.volume import Volume
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.run.result import BoxMask, Result, SegmentedObject
@@ -55,7 +51,14 @@ def restored(state: StateFile, volume: Volume, channels: Sequence[Volume] = ()) 
     objects = tuple(_object(segmented, known[segmented.id], base, has_ids) for segmented in state.objects)
     made, clicks = models.made, models.clicks
     placed = clicks if clicks.clicks else None
-    objects = tuple(_with_clicks(segmented, placed, made.get(segmented.id), prepared.first) for segmented in objects)
+    confidences = {id: models.contexts[id].confidence(model) for id, model in made.items()}
+    objects = tuple(
+        dataclasses.replace(
+            segmented, clicked=clicked_voxels(placed, segmented.id, prepared.first, segmented.box),
+            confidence=confidences.get(segmented.id, segmented.confidence),
+        )
+        for segmented in objects
+    )
     return dataclasses.replace(
         base,
         objects=objects,
@@ -110,6 +113,11 @@ def _replay(
             if model is not None:
                 for click in mine:
                     model.add(click)
+    elif correction.kind == "mend":
+        id = correction.object or next(iter(known))
+        if mask is None or id not in known:
+            raise InputError(f"the state says nothing of correction {number + 1}", "run accelsurf segment again")
+        models.begin_given(number, id, mask)
     elif correction.merge:
         models.merge(correction.merge)
         for id in correction.merge[1:]:
@@ -133,16 +141,6 @@ def _begun(id: int, base: Result, models: ObjectModels) -> SegmentedObject:
     learned = models.prepared.learned_by(context)
     return dataclasses.replace(
         base.objects[0], id=id, terms=made.terms, learned=learned, plateaus=(), clicked=None, confidence=None
-    )
-
-
-def _with_clicks(
-    segmented: SegmentedObject, clicks: Clicks | None, model: ClickModel | None, first: Corner
-) -> SegmentedObject:
-    """An object with all that was clicked on the region of interest, whose first voxel is ``first``."""
-    confidence = segmented.confidence if model is None else confidence_of(model)
-    return dataclasses.replace(
-        segmented, clicked=clicked_voxels(clicks, segmented.id, first, segmented.box), confidence=confidence
     )
 
 

@@ -179,6 +179,12 @@ class Evolution:
         record = self._final_record(columns, began)._replace(edits=self.state.edits)
         return Step(record, self.surface, self.state.fields)
 
+    def end_as_given(self, message: str) -> None:
+        """End before the first step, with the reason ``given``."""
+        record = self.current().record
+        self.stop = Stop("given", record.step, record.t, message)
+        self.history.append(record)
+
     # -- edits ---------------------------------------------------------------------------------------------
 
     def edited(

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from accelsurf.levelset import LevelSet
 
 StopReason = Literal[
-    "converged", "max-steps", "vanished", "filled", "stalled", "interrupted", "diverged", "leaked", "rested"
+    "converged", "max-steps", "vanished", "filled", "stalled", "interrupted", "diverged", "leaked", "rested", "given"
 ]
 
 

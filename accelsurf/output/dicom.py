@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from accelsurf.io.dicom.structure_set import Region, structure_set_bytes
 from accelsurf.io.files import naming, write_bytes
 from accelsurf.io.formats import dicom
 from accelsurf.io.headers import DICOM_KEY
+from accelsurf.io.images import label_type
 from accelsurf.measure.contours import in_slices
 from accelsurf.run.checkpoint import digest_of
 from accelsurf.run.result import Result, SegmentedObject
@@ -61,10 +63,19 @@ def _write(result: Result, table: LabelTable, path: Path, as_labelmap: bool) -> 
     parameters = {"energy": result.config.energy, "flow": result.config.flow}
     seed = seed_of("labelmap" if as_labelmap else "segmentation", result, table, source)
     content = segmentation_bytes(
-        result.labels, result.geometry, source, [table[segmented.id] for segmented in objects_of(result)],
+        _labels_of(result), result.geometry, source, [table[segmented.id] for segmented in objects_of(result)],
         Algorithm(__version__, parameters), seed, as_labelmap,
     )
     write_bytes(path, content)
+
+
+def _labels_of(result: Result) -> NDArray[np.unsignedinteger[Any]]:
+    """The label map of the objects alone: other labels of a map that was mended are of whoever made it."""
+    largest = max((segmented.id for segmented in result.objects), default=1)
+    labels = result.labels
+    if result.other_labels is not None:
+        labels = np.where(result.other_labels > 0, 0, labels)
+    return labels.astype(label_type(largest))
 
 
 def source_of(result: Result) -> SourceImages:

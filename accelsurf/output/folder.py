@@ -22,6 +22,7 @@ from accelsurf.output.result_sets import (
     outdated_inputs,
     report_name,
 )
+from accelsurf.settings.coordinates import is_point_file
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 
@@ -30,7 +31,7 @@ MAX_NAME_BYTES = 255
 #: Settings that are places, and kinds of places that name a file: ``label:FILE``.
 PLACES, FILE_KINDS = ("start", "foreground", "background", "inside", "outside"), ("label", "mesh", "stroke")
 #: Settings that name a file.
-_FILES = ("mask", "objects", "label_table")
+_FILES = ("mask", "objects", "labels", "label_table")
 #: Endings of headers whose voxels may lie in another file.
 _DETACHED = (".mhd", ".nhdr", ".hdr", ".img")
 
@@ -192,6 +193,7 @@ def named_files(given: RunConfig | TrackConfig) -> list[Path]:
     for correction in (*config.edit, *config.refine, *corrections):
         wheres += [*(ball for _, ball in correction.balls), *correction.inside, *correction.outside]
     texts += [text.partition(":")[2] for text in wheres if text.partition(":")[0] in FILE_KINDS]
+    texts += [text for text in wheres if is_point_file(text)]
     found = {}
     for text in texts:
         for name in (text, text.rpartition("@")[0]):  # FILE@IDS; a name may have an @ itself

@@ -24,8 +24,8 @@ ONE = "object"
 
 
 def entries_of(result: Result, table: LabelTable) -> list[LabelEntry]:
-    """Return the name and the colour of each object, in order of their ids."""
-    return [table[segmented.id] for segmented in result.objects]
+    """Return the name and the colour of each label, in order: of the objects, and of those that a mended map has."""
+    return [table[label] for label in result.label_ids]
 
 
 def check_label_settings(config: RunConfig, volume: Volume, overwrite: bool = False) -> None:
@@ -70,7 +70,7 @@ def into_image(result: Result, image: Path, overwrite: bool) -> None:
     labels = result.labels_volume()
     kind = io.label_type(int(labels.array.max()))
     volume = labels.with_array(labels.array.astype(kind))
-    volume.metadata[LABELS_KEY] = table_of(result.config).of(segmented.id for segmented in result.objects).to_json()
+    volume.metadata[LABELS_KEY] = table_of(result.config).of(result.label_ids).to_json()
     ome_labels.put(image, volume, group, overwrite)
 
 
@@ -108,14 +108,20 @@ def table_of(config: RunConfig) -> LabelTable:
     known = LabelTable()
     if config.label_table is not None:
         known = label_tables.read_table(config.label_table)
-    elif config.objects is not None and config.objects.partition("@")[0].lower().endswith((".seg.nrrd", ".dcm")):
+    elif (given := _label_map_of(config)) is not None and given.lower().endswith((".seg.nrrd", ".dcm")):
         try:
-            known = label_tables.read_table(Path(config.objects.partition("@")[0]))
+            known = label_tables.read_table(Path(given))
         except InputError:
             known = LabelTable()  # a label map of that name without segments is a label map
     if not config.has_ids and 1 not in known.entries:
         known = LabelTable({**known.entries, 1: LabelEntry(1, ONE, known[1].color)})
     return known.with_settings(config.name, config.color)
+
+
+def _label_map_of(config: RunConfig) -> str | None:
+    """File of the label map that a run begins with."""
+    given = config.objects or config.labels
+    return None if given is None else given.partition("@")[0]
 
 
 def given_labels(config: RunConfig) -> LabelTable:
@@ -133,7 +139,7 @@ def given_labels(config: RunConfig) -> LabelTable:
     >>> given_labels(RunConfig(name=["liver"])).entries[1].name, given_labels(RunConfig()).entries
     ('liver', {})
     """
-    return table_of(config) if is_named(config) or config.objects is not None else LabelTable()
+    return table_of(config) if is_named(config) or _label_map_of(config) is not None else LabelTable()
 
 
 def is_named(config: RunConfig) -> bool:

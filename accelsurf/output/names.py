@@ -90,7 +90,8 @@ def keeps_state(config: RunConfig) -> bool:
     """
     if config.keep_state != "auto":
         return config.keep_state == "yes"
-    return bool(config.inside or config.outside or config.refine) or _is_table_of_clicks(config.objects)
+    given = config.inside or config.outside or config.refine or config.labels
+    return bool(given) or _is_table_of_clicks(config.objects)
 
 
 def _is_table_of_clicks(objects: str | None) -> bool:

@@ -26,6 +26,21 @@ _GIVEN = ("start", "mask", "foreground", "background", "inside", "outside")
 _EXPECTED = "a text, a mask (array or Volume), a mesh with vertices and faces, or a list of (x, y, z, r) in mm"
 
 
+def as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
+    """Return an image as a volume; ``spacing`` is of an array.
+
+    Raises
+    ------
+    InputError
+        When it is given with a volume.
+    """
+    if isinstance(volume, Volume):
+        if spacing is not None:
+            raise InputError("spacing given together with a Volume, which has its own", "leave spacing out")
+        return volume
+    return Volume.from_array(volume, 1.0 if spacing is None else spacing)
+
+
 def split_given(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Separate the options of `RunConfig` from those given as arrays, volumes, meshes or balls."""
     given = {key: value for key, value in options.items() if key in _GIVEN and not _is_text(value)}
@@ -38,8 +53,10 @@ def _is_text(value: Any) -> bool:
     return isinstance(value, Sequence) and all(isinstance(item, str) for item in value)
 
 
-def given_arrays(objects: Any, arrays: Mapping[str, NDArray[np.float32]] | None) -> dict[str, NDArray[Any]]:
-    """Return the arrays that a run was given, by setting: psi, and the label map of several objects."""
+def given_arrays(
+    objects: Any, arrays: Mapping[str, NDArray[np.float32]] | None, labels: Any = None
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays that a run was given, by setting: psi, and label maps."""
     given: dict[str, NDArray[Any]] = dict(arrays or {})
     if surfaces := surfaces_of(objects):
         for surface in surfaces:
@@ -47,6 +64,8 @@ def given_arrays(objects: Any, arrays: Mapping[str, NDArray[np.float32]] | None)
             given[f"corner of object {surface.id}"] = np.array(surface.corner)
     elif objects is not None and not isinstance(objects, str):
         given["objects"] = plain_array(objects.array if isinstance(objects, Volume) else objects, "objects")
+    if labels is not None and not isinstance(labels, str):
+        given["labels"] = plain_array(labels.array if isinstance(labels, Volume) else labels, "labels")
     return given
 
 

@@ -225,10 +225,11 @@ def within(start: ObjectStart, prepared: PreprocessedInput) -> ObjectStart:
 
 
 def overall_stop(stops: Sequence[Stop]) -> Stop:
-    """Why several ended: ``converged`` if all that remain did, ``vanished`` if none remains, else the worst."""
+    """Why several ended: ``converged`` if all that moved did, ``vanished`` if none remains, else the worst."""
     counts: Counter[StopReason] = Counter(stop.reason for stop in stops)
     worst = next((reason for reason in _WORST if counts[reason]), None)
-    left: StopReason = "converged" if counts["converged"] else "vanished"
+    good: tuple[StopReason, ...] = ("converged", "given", "vanished")
+    left = next((reason for reason in good if counts[reason]), good[-1])
     message = ", ".join(f"{count} {reason}" for reason, count in sorted(counts.items()))
     steps, longest = max(stop.steps for stop in stops), max(stop.time for stop in stops)
     return Stop(worst or left, steps, longest, f"of {len(stops)} objects {message}")

@@ -26,6 +26,8 @@ from accelsurf.starts.region_growing import otsu_level
 
 if TYPE_CHECKING:
     from accelsurf.clicks.model import ClickModel  # a viewer without a run imports no compiler
+    from accelsurf.clicks.model.confidence import Confidence
+    from accelsurf.clicks.model.given import GivenMask
     from accelsurf.clicks.model.partition import BasinsOnce
 
 #: Standard deviations of a learned bound from the mean of the start's values: 98.8 % of a Gaussian lie
@@ -109,6 +111,8 @@ class ModelInputs(NamedTuple):
         What part of the whole grid the images are; None for all of it.
     answer : int
         Which answer to the first click is taken, from 1.
+    given : GivenMask or None
+        The object before any click, where a label map shows it.
     """
 
     size_mm3: float | None = None
@@ -116,6 +120,7 @@ class ModelInputs(NamedTuple):
     partition: BasinsOnce | None = None
     window: Window | None = None
     answer: int = 1
+    given: GivenMask | None = None
 
 
 class ImageContext:
@@ -242,17 +247,22 @@ class ImageContext:
         Raises
         ------
         UsageError
-            When there is no click inside.
+            When there is no click inside, and no mask shows the object.
         """
         from accelsurf.clicks.model import Scene, click_model
+        from accelsurf.clicks.model.given import corrected_model
         from accelsurf.clicks.model.partition import partition_model
 
-        if self.clicks is None or not self.clicks.mask("inside").any():
+        size, mask, partition, window, answer, given = self._model_inputs
+        if given is None and (self.clicks is None or not self.clicks.mask("inside").any()):
             raise UsageError("energy: seeded was given without a click inside", "give --inside point:X,Y,Z")
+        clicks = self.clicks or Clicks((), self._shape)
         if not self._model:
-            size, mask, partition, window, answer = self._model_inputs
-            if partition is not None:
-                made = partition_model(self.images, self.spacing, self.clicks, mask=mask, basins=partition)
+            if given is not None:
+                scene = Scene(tuple(self.images), self.spacing, mask, window)
+                made = corrected_model(scene, given, clicks, previous=previous)
+            elif partition is not None:
+                made = partition_model(self.images, self.spacing, clicks, mask=mask, basins=partition)
             else:
                 before = self._before
                 if previous is None and before is not None and before.clicks is not None and before.clicks.ids():
@@ -260,9 +270,20 @@ class ImageContext:
                 scene = Scene(tuple(self.images), self.spacing, mask, window)
                 if size is not None:  # what fills the image has no surface
                     size = min(size, _FILLS * float(np.prod(scene.whole_shape) * np.prod(self.spacing)))
-                made = click_model(scene, self.clicks, size_mm3=size, answer=answer, previous=previous)
+                made = click_model(scene, clicks, size_mm3=size, answer=answer, previous=previous)
             self._model.append(made)
         return self._model[0]
+
+    @property
+    def _shape(self) -> tuple[int, int, int]:
+        nz, ny, nx = self.images[0].shape
+        return nz, ny, nx
+
+    def confidence(self, model: ClickModel | None = None) -> Confidence | None:
+        """Measure how sure a model of the clicks is, by default the present one; None of a mask that was given."""
+        from accelsurf.clicks.model.confidence import confidence_of
+
+        return None if self._model_inputs.given is not None else confidence_of(model or self.click_model())
 
     def model_start(self, box: Box | None = None) -> Image:
         """Psi, mm, of the first surface that the model gives, on a box of the grid; by default on all of it."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks.reading import clicks_of
+from accelsurf.energies.constraints.mask import mask_distance
 from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.grid.boxes import Box, Corner, corner_of
 from accelsurf.grid.clicks import Click, Clicks
@@ -66,6 +67,8 @@ class PreprocessedInput:
         psi of the start on the whole grid, for an image of one slice; for volumes it would cost memory.
     learns : bool
         Whether a model of the energy is learned once, from given voxels or from the start.
+    other_labels : ndarray (nz, ny, nx) or None
+        Labels of a label map that is mended which its objects leave as they are, and do not enter; None without one.
     """
 
     volumes: tuple[Volume, ...]
@@ -79,11 +82,25 @@ class PreprocessedInput:
     filtered: NDArray[np.float32] | None
     start: NDArray[np.float32] | None
     learns: bool
+    other_labels: NDArray[np.integer[Any]] | None = None
 
     @property
     def first(self) -> tuple[int, int, int]:
         """Index (z, y, x) in the image of the first voxel of the region of interest."""
         return corner_of(self.box)
+
+    def open_on(self, box: Box) -> Mask | None:
+        """Voxels of a box of the region of interest where objects may be; None for all of them."""
+        if self.mask_distance is not None:
+            return np.asarray(self.mask_distance[box] <= 0)
+        return None if self.other_labels is None else np.asarray(self.other_labels[box] == 0)
+
+    def distance_on(self, box: Box) -> NDArray[np.float32] | None:
+        """Signed distance, mm, to the border of `open_on` on a box, negative within; None where all is open."""
+        if self.mask_distance is not None:
+            return self.mask_distance[box]
+        is_open = self.open_on(box)
+        return None if is_open is None or is_open.all() else mask_distance(is_open, self.geometry.spacing)
 
     def corner_on_image(self, corner: Corner) -> Corner:
         """Index in the image of a voxel of the region of interest."""

@@ -225,6 +225,8 @@ class Result:
         The state from which `accelsurf.refine` continues; None with ``keep_state=no``.
     window : Window or None
         The part of a larger grid that ``geometry`` is; None where it is the whole.
+    other_labels : ndarray (nz, ny, nx) or None
+        Labels of a label map that is mended which its objects leave as they are; None without one.
     """
 
     objects: tuple[SegmentedObject, ...]
@@ -246,6 +248,7 @@ class Result:
     clicks: Clicks | None = None
     state: RunState | None = None
     window: Window | None = None
+    other_labels: NDArray[np.integer[Any]] | None = None
 
     def __repr__(self) -> str:
         size = " x ".join(str(n) for n in self.geometry.size)
@@ -266,16 +269,30 @@ class Result:
         return {segmented.id: segmented for segmented in self.objects}
 
     @cached_property
-    def labels(self) -> NDArray[np.unsignedinteger[Any]]:
-        """The id of the object that a voxel's centre is inside of, 0 of none; (nz, ny, nx), uint8, uint16 or uint32."""
+    def labels(self) -> NDArray[np.integer[Any]]:
+        """The id of the object that a voxel's centre is inside of, 0 of none; (nz, ny, nx), uint8, uint16 or uint32.
+
+        Of a label map that is mended the type is that of the map, as long as it holds all ids, and the other labels are
+        those of the map.
+        """
         if not self.has_ids:
             return self._one.labels
-        largest = self.objects[-1].id
+        largest, others = self.objects[-1].id if self.objects else 0, self.other_labels
         kind = next(t for t in (np.uint8, np.uint16, np.uint32) if largest <= np.iinfo(t).max)
         labels = np.zeros(self.geometry.shape, kind)
+        if others is not None:
+            labels = others.astype(others.dtype if largest <= np.iinfo(others.dtype).max else np.uint32)
         for segmented in self.objects:
             labels[segmented.box][segmented.labels > 0] = segmented.id
         return labels
+
+    @property
+    def label_ids(self) -> tuple[int, ...]:
+        """Ids of the objects, and the other labels of a map that is mended; in rising order."""
+        ids = {segmented.id for segmented in self.objects}
+        if self.other_labels is not None:
+            ids |= {int(label) for label in np.unique(self.other_labels) if label > 0}
+        return tuple(sorted(ids))
 
     @cached_property
     def psi(self) -> NDArray[np.float32]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +67,8 @@ class Run:
         On the image's grid, besides those that ``config`` names.
     part : WindowInput, optional
         Volume and channels are windows on larger ones, to whose grid the texts of ``config`` belong.
+    labels : Volume or ndarray (nz, ny, nx), optional
+        Label map whose objects are the result, in place of that which ``config`` names.
 
     Attributes
     ----------
@@ -101,9 +104,10 @@ class Run:
         arrays: Mapping[str, NDArray[np.float32]] | None = None,
         clicks: Sequence[Click] = (),
         part: WindowInput | None = None,
+        labels: Volume | NDArray[Any] | None = None,
     ) -> None:
         began = time.perf_counter()
-        begin = start_of_run(volume, seeded(config), channels, objects, arrays, clicks, part)
+        begin = start_of_run(volume, seeded(config), channels, objects, arrays, clicks, part, labels)
         self.volume, self.config, self.energy_given, config = volume, begin.config, energy, begin.config
         self.settings, self._edits_done = config.model_copy(update={"edit": ()}), 0
         self.has_ids, self.given, self.given_digest = begin.has_ids, begin.given, begin.given_digest
@@ -120,7 +124,8 @@ class Run:
         grids = choose_levels(config, self.geometry, None if self.has_ids else starts[0].psi, named, beyond)
         self._levels = len(grids)
         self._inputs = LevelInputs(self.prepared.images, distance, grids)
-        self.level_warnings = thin_start_warnings(starts, self.geometry, self.has_ids)
+        is_given = self.prepared.other_labels is not None
+        self.level_warnings = [] if is_given else thin_start_warnings(starts, self.geometry, self.has_ids)
         del begin
         self._max_steps = config.max_steps
         self._all = tuple(self._object(place, *start) for place, start in enumerate(zip(starts, contexts, strict=True)))
@@ -130,7 +135,11 @@ class Run:
         self._ensemble = Ensemble(self._all, self.workers, self.geometry.steps, self.has_ids, beyond)
         self._stop_requested, self._steps_made = False, 0
         self._begin_first_level()
-        self.level_warnings += start_checks(self._all, starts, self.prepared, self.has_ids)
+        if is_given:
+            for evolving in self._all:
+                evolving.evolution.end_as_given("its surface is that of the label map")
+        else:
+            self.level_warnings += start_checks(self._all, starts, self.prepared, self.has_ids)
         self.start_seconds = time.perf_counter() - began
         self.workers.seconds.clear()
         self.began = time.perf_counter()

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.clicks import tables
+from accelsurf.clicks.model.given import GivenMask
 from accelsurf.errors import UsageError
-from accelsurf.grid.boxes import bounding_box, corner_of, placed_at, widened
+from accelsurf.grid.boxes import bounding_box, box_at, corner_of, placed_at, whole_box, widened
 from accelsurf.grid.clicks import NO_OBJECT, Click, Clicks
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
@@ -72,6 +73,7 @@ def start_of_run(
     arrays: Mapping[str, NDArray[np.float32]] | None,
     clicks: Sequence[Click],
     part: WindowInput | None = None,
+    labels_given: Volume | NDArray[Any] | None = None,
 ) -> RunStart:
     """Read and prepare the start of a run; the parameters are those of `accelsurf.run.run.Run`.
 
@@ -80,6 +82,16 @@ def start_of_run(
     UsageError, InputError
         As of `accelsurf.segment`.
     """
+    if config.labels is not None or labels_given is not None:
+        if part is not None:
+            raise UsageError(
+                "labels: a label map was given, and the image is read in parts", "let it be read into memory"
+            )
+        if objects is not None or arrays or clicks:
+            raise UsageError(
+                "labels: a label map was given with a start, a mask, objects or clicks", "give clicks to refine"
+            )
+        return _start_of_labels(volume, config, channels, labels_given)
     labels = config.objects if objects is None else objects
     surfaces = surfaces_of(labels)
     by_array = given_arrays(labels, arrays) | _masks_of(clicks, volume.geometry)
@@ -112,6 +124,24 @@ def start_of_run(
         if table is not None and uses_model(config):
             starts = _of_models(starts, contexts, prepared.geometry, thread_count(config))
     return RunStart(config, has_ids, tuple(by_array), digest_of(by_array), prepared, starts, contexts)
+
+
+def _start_of_labels(
+    volume: Volume, config: RunConfig, channels: Sequence[Volume], given: Volume | NDArray[Any] | None
+) -> RunStart:
+    """The start of a run that begins and ends with the objects of a label map; the other labels are not entered."""
+    geometry = volume.geometry
+    starts, others = object_starts.read_label_map(str(config.labels) if given is None else given, geometry, AROUND)
+    volumes = [volume, *channels, *read_further(config.channel, config.reading)]
+    prepared, _ = preprocess(volumes, config, {"start": union_of(starts, geometry)}, (), True)
+    prepared = replace(prepared, other_labels=others)
+    is_open, contexts = prepared.open_on(whole_box(geometry.shape)), []
+    for start in starts:
+        context = prepared.context.of_object(start.corner, start.psi < 0)
+        mask = GivenMask(box_at(start.corner, start.psi.shape), start.psi < 0)
+        contexts.append(context.with_model_inputs(context.model_inputs._replace(given=mask, mask=is_open)))
+    by_array = given_arrays(None, None, given)
+    return RunStart(config, True, tuple(by_array), digest_of(by_array), prepared, starts, contexts)
 
 
 def _context_of(start: ObjectStart, prepared: PreprocessedInput, is_surface: bool) -> ImageContext:

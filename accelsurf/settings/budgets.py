@@ -134,10 +134,13 @@ STATE_UNPACKED = Budget(
     "a packed array of the state of a run", 1032, "bytes", "the file is damaged: run again", "packed byte (and 1024)"
 )
 
+POINT_FILE = Budget("a file of points", 1 << 22, "bytes", "is it the right file? a point takes a line")
+POINTS = Budget("the points of a file", 1000, "points", "paint them as a label map, and give stroke:FILE")
+
 #: All of them, in the order of the reference page.
 BUDGETS = (
     CONFIG, EXPRESSION, PATH, PATH_VOXELS, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, AXIS, SLACK, DEFLATE,
     LZW, PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, SLICES, DICOM_FRAMES, DICOM_PACKED,
     ZARR_CHUNK, ZARR_METADATA, ZARR_LEVELS, MESH_FILE,
-    MESH_ROWS, OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED,
+    MESH_ROWS, OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED, POINT_FILE, POINTS,
 )

@@ -24,9 +24,11 @@ _CLICKS = ("inside", "outside")
 #: with.
 _KINDS: dict[str, tuple[str, ...]] = {
     "merge": (), "remove": (), "split": ("new", "object"), "new": ("inside", "outside", "size"),
+    "to_edges": ("islands", "holes", "object"), "islands": ("holes", "object"), "holes": ("object",),
     "": ("inside", "outside", "near", "object"),
 }
-_AFTER_END = ("inside", "outside", "near", "object", "new", "size", "merge", "split", "remove")
+_OF_WHOLE = ("to_edges", "islands", "holes")
+_AFTER_END = ("inside", "outside", "near", "object", "new", "size", "merge", "split", "remove", *_OF_WHOLE)
 SettingName = Literal["edit", "refine", "correct"]
 
 
@@ -45,8 +47,9 @@ _SETTINGS = {
         "step=30",
     ),
     "refine": _Setting(
-        "", "inside=point:X,Y,Z near=10; new=ID inside=ball:X,Y,Z,R size=4ml; merge=ID,ID; split=point:X,Y,Z; or "
-        "remove=ID; in TOML a table [[refine]] with inside = [\"point:X,Y,Z\"] and so on", "inside=point:X,Y,Z",
+        "", "inside=point:X,Y,Z near=10; new=ID inside=ball:X,Y,Z,R size=4ml; merge=ID,ID; split=point:X,Y,Z; "
+        "remove=ID; or to_edges=2 islands=50mm3 holes=50mm3; in TOML a table [[refine]] with "
+        "inside = [\"point:X,Y,Z\"] and so on", "inside=point:X,Y,Z",
     ),
     "correct": _Setting(
         "frame", "frame=12 inside=point:X,Y,Z object=2; frame=12 new=3 inside=ball:X,Y,Z,R; frame=12 remove=2; and all "
@@ -86,6 +89,11 @@ class Correction(BaseModel):
         A ball, ``ball:X,Y,Z,R``, that is added to the object before a step.
     remove : str or int, optional
         Before a step: a ball that is removed from the object. Else the id of an object that is not wanted.
+    to_edges : float, optional
+        The whole border is brought to the image's edges, by at most so many mm; no click is needed.
+    islands, holes : str, optional
+        Parts of the object that are smaller than this volume, as ``50mm3``, are removed, but for the largest; parts
+        smaller than this that it encloses are filled.
     **settings
         Fields of RunConfig that are in force from the step on, but for those that are fixed while a run runs. A ball
         comes after them.
@@ -117,6 +125,9 @@ class Correction(BaseModel):
     split: str | None = None
     add: str | None = None
     remove: str | int | None = None
+    to_edges: float | None = None
+    islands: str | None = None
+    holes: str | None = None
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -140,7 +151,7 @@ class Correction(BaseModel):
         return self.object if self.new is None else self.new
 
     @property
-    def kind(self) -> Literal["clicks", "new", "merge", "split", "remove"]:
+    def kind(self) -> Literal["clicks", "new", "merge", "split", "remove", "mend"]:
         """The change of a finished run."""
         if self.merge:
             return "merge"
@@ -148,7 +159,14 @@ class Correction(BaseModel):
             return "split"
         if self.remove is not None:
             return "remove"
+        if self.to_edges is not None or self.islands is not None or self.holes is not None:
+            return "mend"
         return "clicks" if self.new is None else "new"
+
+    @property
+    def is_of_one(self) -> bool:
+        """True if it changes an object that is there: by clicks, or as a whole."""
+        return self.kind in ("clicks", "mend")
 
     @property
     def removed_id(self) -> int | None:
@@ -163,6 +181,7 @@ class Correction(BaseModel):
         given |= {"inside": list(self.inside) or None, "outside": list(self.outside) or None, "object": self.object}
         given |= {"new": self.new, "size": self.size, "merge": self.merge or None, "split": self.split}
         given |= {"remove": self.remove, "near": None if self.near == "auto" else self.near}
+        given |= {"to_edges": self.to_edges, "islands": self.islands, "holes": self.holes}
         return {key: value for key, value in given.items() if value is not None}
 
     def __str__(self) -> str:
@@ -211,6 +230,23 @@ def corrections_of(value: Any, name: SettingName = "refine") -> tuple[Correction
     return tuple(sorted(found, key=lambda correction: correction.step) if name == "edit" else found)
 
 
+def corrections_in_order(table: Mapping[str, Any]) -> tuple[Correction, ...]:
+    """Return the corrections that are given at once: first what is done to an object as a whole, then the clicks.
+
+    Raises
+    ------
+    UsageError
+        When there is none, or one says two things at once.
+    """
+    given = {key: value for key, value in table.items() if value not in (None, (), "", [])}
+    whole = {key: value for key, value in given.items() if key in _OF_WHOLE}
+    rest = {key: value for key, value in given.items() if key not in _OF_WHOLE}
+    if not whole or not {"inside", "outside"} & rest.keys():
+        return corrections_of({**given})
+    named = {"object": given["object"]} if "object" in given else {}
+    return corrections_of([{**whole, **named}, rest])
+
+
 #: The types of the settings in which they are given.
 Edits = Annotated[tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "edit"))]
 Refinements = Annotated[tuple[Correction, ...], BeforeValidator(lambda value: corrections_of(value, "refine"))]
@@ -242,7 +278,7 @@ def _correction(value: Any, name: SettingName) -> Correction:
 
 def _before_step(table: Mapping[str, Any], where: str, form: str) -> dict[str, Any]:
     """Return the fields of a correction before a step that need a check."""
-    for key in ("frame", "near", "new", "size", "merge", "split"):
+    for key in ("frame", "near", "new", "size", "merge", "split", "to_edges", "islands", "holes"):
         if key in table:
             raise UsageError(f"{where}: {key} cannot change while a run runs", "give it to refine, after the end")
     for key in ("add", "remove"):
@@ -267,8 +303,11 @@ def _after_end(table: Mapping[str, Any], name: SettingName, form: str) -> dict[s
     if split is not None and not (isinstance(split, str) and split.startswith("point:")):
         raise UsageError(f"{name}: split {shown(split)} was given, expected point:X,Y,Z", form)
     near, merge = _near(table.get("near", "auto"), name, form), _ids(table.get("merge", ()), name, form)
+    sizes = {key: _part_size(key, table.get(key), name, form) for key in ("islands", "holes")}
+    edges = table.get("to_edges")
+    edges = None if edges is None else _length("to_edges", edges, name, form)
     ids = {key: _id(key, table.get(key), name, form) for key in ("object", "new", "remove")}
-    return {"near": near, "size": size, "split": split, "merge": merge, **ids}
+    return {"near": near, "size": size, "split": split, "merge": merge, "to_edges": edges, **sizes, **ids}
 
 
 def _refuse_mixed(given: set[str], name: str, form: str) -> None:
@@ -300,15 +339,27 @@ def _ids(value: Any, name: str, form: str) -> tuple[int, ...]:
 
 
 def _near(value: Any, name: str, form: str) -> float | Literal["auto"]:
-    if value == "auto":
-        return "auto"
+    return "auto" if value == "auto" else _length("near", value, name, form, ", or auto")
+
+
+def _length(key: str, value: Any, name: str, form: str, otherwise: str = "") -> float:
+    """Return a length above 0; messages also name what else may be given."""
     try:
-        near = float(value) if not isinstance(value, bool) else -1.0
+        length = float(value) if not isinstance(value, bool) else -1.0
     except (TypeError, ValueError):
-        near = -1.0
-    if not 0 < near <= 1e9:
-        raise UsageError(f"{name}: near {shown(value)} was given, expected a length above 0 in mm, or auto", form)
-    return near
+        length = -1.0
+    if not 0 < length <= 1e9:
+        raise UsageError(
+            f"{name}: {key} {shown(value)} was given, expected a length above 0 in mm{otherwise}", form
+        )
+    return length
+
+
+def _part_size(key: str, value: Any, name: str, form: str) -> str | None:
+    """Return the volume, with its unit, below which islands or holes go."""
+    if value is not None and not (isinstance(value, str) and re.fullmatch(VOLUME, value)):
+        raise UsageError(f"{name}: {key} {shown(value)} was given, expected a volume with its unit, as 50mm3", form)
+    return value
 
 
 def _whole(value: Any, least: int, most: int) -> int | None:

@@ -166,6 +166,13 @@ class SettingFields(BaseModel):
         "as --inside; then r may be left out, and id 0 is no object.",
         entry=SettingEntry(RUN, viewer="elsewhere", metavar="FILE", fixed=True),
     )
+    labels: str | None = setting(
+        None,
+        "Label map on the image's grid that is nearly right, in place of --start: its objects are the result, and "
+        "corrections mend them (FILE@2,5-9: those with these ids; the others stay as they are and are not entered). "
+        "accelsurf refine --labels mends one in one go.",
+        entry=SettingEntry(RUN, viewer="elsewhere", metavar="FILE[@IDS]", fixed=True),
+    )
     foreground: Annotated[tuple[str, ...], BeforeValidator(one_or_many)] = setting(
         (),
         "Voxels of the object that likelihood and learned thresholds learn from, written as a start; several are "

@@ -20,12 +20,16 @@ from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.flow_specs import FLOWS
 from accelsurf.settings.presets import PRESETS
 
+#: Settings that a run which begins and ends with a label map does not take.
+_NOT_WITH_LABELS = ("start", "objects", "inside", "outside", "mask", "roi", "box", "edit", "levels", "size")
 #: Largest whole number of TOML.
 MAX_WHOLE = 2**63 - 1
 
 
 def _with_clicks(values: dict[str, Any]) -> dict[str, Any]:
     """Settings with the energy and the start that clicks choose where none is given."""
+    if values.get("labels") is not None:
+        return {"energy": "seeded", **values}
     if not values.get("inside"):
         return values
     defaults = {"energy": "seeded"} if values.get("objects") is not None else {"energy": "seeded", "start": ("clicks",)}
@@ -62,7 +66,7 @@ class RunConfig(SettingFields):
         # The validation refuses an unknown preset.
         preset = values.get("preset")
         under = dict(PRESETS[preset].settings) if isinstance(preset, str) and preset in PRESETS else {}
-        if values.get("objects") is not None:
+        if values.get("objects") is not None or values.get("labels") is not None:
             under.pop("start", None)  # objects are starts
         values = _with_clicks({**under, **values})
         try:
@@ -104,6 +108,13 @@ class RunConfig(SettingFields):
                 f"inside: {' + '.join(self.inside)} was given with objects {self.objects}, which does not say of which",
                 "give the table of objects a column side, with a row for each click",
             )
+        if self.labels is not None:
+            for key in _NOT_WITH_LABELS:
+                if getattr(self, key) != default_of(key) and (key, self.levels) != ("levels", 1):
+                    raise UsageError(
+                        f"{key}: it was given with labels {self.labels}, which are the result but for corrections",
+                        "give clicks to accelsurf refine --labels, or the label map as a start: --start label:FILE",
+                    )
         if self.t0 == 0 and self.k <= 1:
             raise UsageError(
                 f"t0: 0 was given, expected a number greater than 0 with k = {self.k:g}",
@@ -123,7 +134,8 @@ class RunConfig(SettingFields):
         >>> RunConfig().has_ids, RunConfig(refine=["new=2 inside=point:1,2,3"]).has_ids
         (False, True)
         """
-        return self.objects is not None or any(refinement.kind not in ("clicks", "merge") for refinement in self.refine)
+        given = self.objects is not None or self.labels is not None
+        return given or any(refinement.kind in ("new", "split", "remove") for refinement in self.refine)
 
     def matters(self, key: str) -> bool:
         """Return True if a setting acts on this flow and energy.

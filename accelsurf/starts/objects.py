@@ -21,6 +21,7 @@ from accelsurf.image.check import as_labels
 from accelsurf.image.volume import Volume, array_on_grid
 from accelsurf.io.files import read_table
 from accelsurf.settings import budgets
+from accelsurf.settings.labels import IdRanges
 from accelsurf.starts import starts
 
 #: Largest id that a label map can hold.
@@ -75,6 +76,40 @@ def read(objects: str | Volume | NDArray[Any], geometry: Geometry, margin: int) 
     return _of_labels(name, labels, found, geometry, margin)
 
 
+def read_label_map(
+    labels: str | Volume | NDArray[Any], geometry: Geometry, margin: int
+) -> tuple[list[ObjectStart], NDArray[np.integer]]:
+    """First surfaces of the objects of a label map that are asked for, and the labels of all others.
+
+    Parameters
+    ----------
+    labels : str, Volume or ndarray (nz, ny, nx)
+        File of a label map on the image's grid (``FILE@2,5-9``: these ids only), or a label map itself.
+    geometry, margin
+        As of `read`.
+
+    Returns
+    -------
+    starts : list of ObjectStart
+        In order of their ids.
+    others : ndarray (nz, ny, nx)
+        The map without them, of its own type.
+
+    Raises
+    ------
+    UsageError, InputError
+        As of `read`.
+    """
+    name, whole, ids = _read_labels(labels, geometry, "labels")
+    wanted = whole if not ids else np.where(starts.has_label(whole, ids), whole, 0)
+    found = np.unique(wanted[wanted > 0])
+    if ids and found.size == 0:
+        there = ", ".join(str(label) for label in np.unique(whole[whole > 0])[:20].tolist())
+        raise InputError(f"labels {name}: no voxel has a label that is asked for", f"there are {there or 'none'}")
+    check_found(name, found, "labels")
+    return _of_labels(name, wanted, found, geometry, margin), np.where(wanted > 0, 0, whole).astype(whole.dtype)
+
+
 def _of_labels(
     name: str, labels: NDArray[np.integer], found: NDArray[np.integer], geometry: Geometry, margin: int
 ) -> list[ObjectStart]:
@@ -104,16 +139,29 @@ def _check_boxes(name: str, boxes: list[Box], geometry: Geometry) -> None:
 
 def _labels(objects: str | Volume | NDArray[Any], geometry: Geometry) -> tuple[str, NDArray[np.integer]]:
     """Name of the label map, and its values: 0 where an id was not asked for."""
-    ids: tuple[tuple[int, int], ...] = ()
+    name, whole, ids = _read_labels(objects, geometry, "objects")
+    return name, whole if not ids else np.where(starts.has_label(whole, ids), whole, 0)
+
+
+def _read_labels(
+    given: str | Volume | NDArray[Any], geometry: Geometry, what: str
+) -> tuple[str, NDArray[np.integer], IdRanges]:
+    """Name of a label map, all its values, and the ids that are asked for, none for all; ``what`` is the setting."""
+    ids: IdRanges = ()
     name = "label map"
-    if isinstance(objects, str):
-        name, start = objects, starts.parse(f"label:{objects}")
-        objects, ids = io.read_labels(start.file, ids=start.ids, grid=geometry), start.ids
-    return name, whole_numbers(name, array_on_grid(objects, geometry, f"objects {name}"), ids)
+    if isinstance(given, str):
+        name, start = given, starts.parse(f"label:{given}")
+        # Of labels that may overlap those are read that are asked for; of a map that is mended, all.
+        given, ids = io.read_labels(start.file, ids=start.ids if what == "objects" else (), grid=geometry), start.ids
+    return name, whole_numbers(name, array_on_grid(given, geometry, f"{what} {name}"), (), what=what), ids
 
 
 def whole_numbers(
-    name: str, labels: NDArray[Any], ids: Sequence[tuple[int, int]], corner: Corner = (0, 0, 0)
+    name: str,
+    labels: NDArray[Any],
+    ids: Sequence[tuple[int, int]],
+    corner: Corner = (0, 0, 0),
+    what: str = "objects",
 ) -> NDArray[np.integer]:
     """Return labels as integers, 0 where an id was not asked for.
 
@@ -126,6 +174,8 @@ def whole_numbers(
         Those asked for; none for all.
     corner : (z, y, x)
         First voxel of the labels in the map, for messages.
+    what : str, optional
+        The setting, for messages.
 
     Raises
     ------
@@ -135,23 +185,24 @@ def whole_numbers(
     try:
         labels = as_labels(labels, corner)
     except InputError as error:
-        raise InputError(f"objects {name}: {error.message}", error.hint) from None
+        raise InputError(f"{what} {name}: {error.message}", error.hint) from None
     if ids:
         labels = np.where(starts.has_label(labels, ids), labels, 0)
     return labels
 
 
-def check_found(name: str, found: NDArray[np.integer]) -> None:
-    """Refuse the ids of a label map, ascending, where there is none or one is too large.
+def check_found(name: str, found: NDArray[np.integer], what: str = "objects") -> None:
+    """Refuse the ids of a label map, ascending, where there is none or one is too large; ``what`` is the setting.
 
     Raises
     ------
     InputError
     """
     if found.size == 0:
-        raise InputError(f"objects {name}: no voxel has a label above 0", "give each object's first voxels its id")
+        hint = "give each object's first voxels its id" if what == "objects" else "is it the label map of this image?"
+        raise InputError(f"{what} {name}: no voxel has a label above 0", hint)
     if int(found[-1]) > MAX_ID:
-        raise InputError(f"objects {name}: id {found[-1]} was given, expected at most {MAX_ID}", "renumber them")
+        raise InputError(f"{what} {name}: id {found[-1]} was given, expected at most {MAX_ID}", "renumber them")
 
 
 def read_balls(file: str, geometry: Geometry) -> dict[int, list[tuple[float, float, float, float]]]:

@@ -1,7 +1,8 @@
 """First surfaces: balls, boxes, seeds, label maps, thresholds, meshes, written as ``--start`` takes them.
 
-A start is text, ``kind:values``. Coordinates are world mm (x, y, z; LPS). With the suffix ``vox`` they are voxel
-indices (x, y, z; 0 is the centre of the first voxel), and a radius is in voxels of the smallest spacing.
+A start is text, ``kind:values``. Coordinates are world mm (x, y, z; LPS), or in the unit at their end (``um``), and RAS
+with the suffix ``ras``. With the suffix ``vox`` they are voxel indices (x, y, z; 0 is the centre of the first voxel),
+and a radius is in voxels of the smallest spacing.
 Each start becomes a function psi on the grid, negative inside; the minimum of several is their union. Tables of places
 in mm or in voxels, of balls and of clicks, are read here too.
 """
@@ -24,6 +25,7 @@ from accelsurf.image.check import as_labels
 from accelsurf.image.volume import Volume
 from accelsurf.io import meshes, split_name
 from accelsurf.settings import budgets
+from accelsurf.settings.coordinates import Coordinates, box_of, coordinates_of
 from accelsurf.settings.labels import parse_ids
 from accelsurf.settings.wording import did_you_mean, shown
 
@@ -117,8 +119,7 @@ def parse(text: str) -> Start:
         return Start(kind, word=rest)
     if kind == "largest" and rest in ("otsu", "otsu:dark"):
         return Start(kind, word=rest)
-    vox = rest.endswith("vox") and kind in ("ball", "box", "seed")
-    numbers = _numbers(text, rest[:-3] if vox else rest, KINDS[kind])
+    numbers, vox = _numbers(text, kind, rest)
     if kind in ("ball", "seed") and numbers[3] <= 0:
         what = f"start {shown(text)!r}: radius {numbers[3]:g} given, expected above 0"
         raise UsageError(what, f"as in {KINDS[kind]}")
@@ -143,21 +144,31 @@ def _parse_file(text: str, kind: str, rest: str) -> Start:
     return Start(kind, file=file, ids=ids)
 
 
-def _numbers(text: str, values: str, form: str) -> tuple[float, ...]:
+def _numbers(text: str, kind: str, values: str) -> Coordinates:
+    """Read the numbers of a start: a place in mm (LPS) or in voxels, or two thresholds."""
+    form = KINDS[kind]
     expected = form.count(",") + 1
     parts = values.split(",")
-    if form.startswith(("threshold", "largest")) and len(parts) == 2 and any(parts):
+    if kind in ("ball", "box", "seed"):
+        found = box_of(values) if kind == "box" else coordinates_of(values)
+    elif len(parts) == 2 and any(parts):
         # An open side, as in the energy of that name.
-        parts = [parts[0].strip() or "-inf", parts[1].strip() or "inf"]
-    try:
-        numbers = tuple(float(value) for value in parts)
-    except ValueError:
-        numbers = ()
+        found = _thresholds([parts[0].strip() or "-inf", parts[1].strip() or "inf"])
+    else:
+        found = None
+    numbers = () if found is None else found.numbers
     if len(numbers) != expected or any(math.isnan(v) for v in numbers):
         raise UsageError(f"start {shown(text)!r}: {expected} numbers separated by commas expected", f"as in {form}")
     if not form.startswith(("threshold", "largest")) and any(abs(v) > MAX_LENGTH for v in numbers):
         raise UsageError(f"start {shown(text)!r}: finite numbers of at most {MAX_LENGTH:g} expected", f"as in {form}")
-    return numbers
+    return Coordinates(numbers, found is not None and found.vox)
+
+
+def _thresholds(parts: Sequence[str]) -> Coordinates | None:
+    try:
+        return Coordinates(tuple(float(value) for value in parts))
+    except ValueError:
+        return None
 
 
 def build(

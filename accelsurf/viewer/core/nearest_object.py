@@ -10,6 +10,7 @@ from accelsurf.grid.geometry import Geometry
 from accelsurf.run.clicks import BallEdit
 from accelsurf.run.evolving_object import EvolvingObject
 from accelsurf.run.run import Run
+from accelsurf.settings.coordinates import split_suffix
 from accelsurf.starts import starts
 
 
@@ -72,10 +73,15 @@ def _as_ball(where: str, geometry: Geometry) -> str:
     """A ball at a place."""
     kind, _, rest = where.partition(":")
     if kind in ("point", "path"):
-        suffix = "vox" if rest.endswith("vox") else ""
-        numbers = rest.partition(";")[0].removesuffix("vox").split(",")[:3]
+        body, suffix = split_suffix(rest)
+        first = body.partition(";")[0].split(",")[:3]
+        try:
+            numbers = [repr(number) for number in suffix.in_lps([float(word) for word in first])]
+        except ValueError:
+            numbers = first  # the reader of the ball says what is wrong
         # Its voxel has its centre within a ball of this radius.
-        where = f"ball:{','.join(numbers)},{float(np.linalg.norm(geometry.spacing)) + 1.0:g}{suffix}"
+        radius = float(np.linalg.norm(geometry.spacing)) + 1.0
+        where = f"ball:{','.join(numbers)},{radius:g}{'vox' if suffix.vox else ''}"
     return where
 
 

@@ -45,6 +45,8 @@ def restarted(
     if changes.get("preset") is not None:
         changes = {**changes, **of_preset(settings, str(changes["preset"]), has_clicks)}
     config = settings.replace(**changes)
+    if config.labels is not None:
+        return config
     if needs_clicks(config) and not config.inside and not has_ids:
         sides = {
             side: tuple(text for each in clicked for text in getattr(each, side)) for side in ("inside", "outside")
@@ -60,7 +62,7 @@ def of_preset(settings: RunConfig, name: str, has_clicks: bool) -> dict[str, Any
     An unknown preset has none; the configuration refuses it.
     """
     values = dict(PRESETS[name].settings) if name in PRESETS else {}
-    if settings.objects is not None:
+    if settings.objects is not None or settings.labels is not None:
         values.pop("start", None)
     if not has_clicks:
         waits = {"start": FROM_CLICKS == values.get("start"), "energy": uses_model(values.get("energy", "chan-vese"))}

@@ -239,6 +239,8 @@ class Timeline:
         """
         run = self.run
         stop = run.stop
+        if self._is_given:
+            raise UsageError("the surface is that of a label map, which clicks alone change", "click where it is wrong")
         if stop is not None and all(reason in FINAL_REASONS for reason in self._reasons()):
             raise UsageError(f"the run has ended: {stop.message}", "go back, change the settings, or restart")
         if stop is not None and "max-steps" in self._reasons():
@@ -258,6 +260,11 @@ class Timeline:
     def _reasons(self) -> list[str]:
         """Why the objects that have ended did."""
         return [evolving.stop.reason for evolving in self.run.objects if evolving.stop is not None]
+
+    @property
+    def _is_given(self) -> bool:
+        """True if the run is of a label map, which corrections alone change."""
+        return self.run.prepared.other_labels is not None
 
     def single_step(self) -> None:
         """Have one step more made than was asked for; pause after it."""
@@ -369,7 +376,7 @@ class Timeline:
             When one is no ball or lies outside, or there is no such object.
         """
         object_id = self._whose(balls[0], object_id)
-        if self.run.stop is not None and self.objects.is_beside(object_id):
+        if self._is_given or (self.run.stop is not None and self.objects.is_beside(object_id)):
             return self.add_click("inside" if kind == "add" else "outside", balls, object_id)
         rows = [{"step": self.step_number, kind: ball, "object": self.objects.of_run(object_id)} for ball in balls]
         said = balls_in_words(kind, balls, object_id)
