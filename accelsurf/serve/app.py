@@ -42,6 +42,8 @@ SHARE = 0.5
 MAX_VOXELS = 1 << 31
 #: Seconds for a body to arrive, for a prompt and for an image to be worked on: the clients wait so long.
 BODY_SECONDS, PROMPT_SECONDS, IMAGE_SECONDS = 120.0, 60.0, 600.0
+#: Seconds in which the rest of a body is read away whose request is refused.
+DISCARD_SECONDS = 30.0
 #: Requests that wait for the one that works.
 MAX_WAITING = 32
 #: Arrays that arrive at the same time.
@@ -233,8 +235,8 @@ class Server:
             except Exception:
                 _log.exception("%s", request.url.path)
                 status, detail = 500, "internal error: the terminal of accelsurf serve has the traceback"
-            # What is left of a body is not read.
-            return JSONResponse({"detail": detail}, status, headers={"Connection": "close"})
+            is_read = await _discarded(request)
+            return JSONResponse({"detail": detail}, status, headers={} if is_read else {"Connection": "close"})
 
         return answer
 
@@ -452,6 +454,19 @@ class Server:
             return _response(session, said.run_prediction)
 
         return await self._with_array(request, work, session.size, PROMPT_SECONDS)
+
+
+async def _discarded(request: Request) -> bool:
+    """Read the rest of a body away: a client that still sends would not see the answer. True if it came to its end."""
+    try:
+        async with asyncio.timeout(DISCARD_SECONDS):
+            async for _ in request.stream():
+                pass
+    except RuntimeError:
+        return True  # it was read to its end before
+    except (TimeoutError, ClientDisconnect):
+        return False
+    return True
 
 
 def _parsed(text: bytes, kind: type[Said]) -> Said:

@@ -16,6 +16,8 @@ from accelsurf.errors import InputError
 from accelsurf.serve import prompts
 from accelsurf.serve.prompts import Box, Grid, Side
 
+#: Channels of an image.
+MAX_CHANNELS = 16
 #: Seconds without any request, a heartbeat included, after which a client is gone.
 LIVENESS = 60.0
 
@@ -52,6 +54,8 @@ class ImageSession:
         if image.ndim != 4:
             raise InputError(f"set_image: an array of {image.ndim} axes was sent, 4 expected", "send [channels, ...]")
         self.channels, *axes = image.shape
+        if self.channels > MAX_CHANNELS:
+            raise InputError(f"set_image: {self.channels} channels were sent, at most {MAX_CHANNELS} expected")
         self.shape = axes[0], axes[1], axes[2]
         given = tuple(spacing or (1.0, 1.0, 1.0))
         given = (1.0, *given) if len(given) == 2 and self.shape[0] == 1 else given
