@@ -319,16 +319,13 @@ class Server:
         if self._waiting >= MAX_WAITING:
             raise Refusal(503, "too many requests wait: try again later")
         self._waiting += 1
-        task = self._worker.submit(work)
-        task.add_done_callback(lambda _: loop.call_soon_threadsafe(self._leave))
-        loop = asyncio.get_running_loop()
+        task = asyncio.get_running_loop().run_in_executor(self._worker, work)
         try:
-            return await asyncio.wait_for(asyncio.wrap_future(task), seconds)
+            return await asyncio.wait_for(task, seconds)
         except TimeoutError:
             raise LateError(seconds) from None
-
-    def _leave(self) -> None:
-        self._waiting -= 1
+        finally:
+            self._waiting -= 1
 
     # -- endpoints -----------------------------------------------------------------------------------------
 

@@ -41,7 +41,7 @@ def text(random):
     if kind == 0:
         return "[" * int(random.integers(1, 20000))
     if kind == 1:
-        return bytes(random.integers(32, 127, 200, dtype=np.uint8)).decode()
+        return bytes(random.integers(33, 127, 200, dtype=np.uint8)).decode()
     said = {key: ODD[random.integers(len(ODD))] for key in KEYS if random.random() < 0.5}
     if random.random() < 0.7:
         said |= {"include_interaction": True, "coordinates": [3, 3, 3], "interaction_bbox": None}
