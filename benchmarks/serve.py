@@ -117,9 +117,9 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Median, 95 % and largest wait of first prompts by kind, of later ones and of undo, and the median Dice after."""
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
-        number = row.get("number", 1)
-        groups.setdefault(f"first {row['prompt']}" if "number" in row and number == 1 else
-                          "undo" if row["prompt"] == "undo" else f"later, after {row['begun']}", []).append(row)
+        number = row.get("number")
+        name = "undo" if number is None else f"first {row['prompt']}" if number == 1 else f"later, after {row['begun']}"
+        groups.setdefault(name, []).append(row)
     out = {}
     for name, found in groups.items():
         seconds = [row["seconds"] for row in found]
@@ -127,7 +127,10 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
             "count": len(found),
             **{key: round(float(np.percentile(seconds, at)), 3) for key, at in (("median", 50), ("95 %", 95))},
             "largest": max(seconds),
-            "processor, median": round(float(np.median([row["processor"] for row in found])), 2),
+            **{
+                f"processor, {key}": round(float(np.percentile([row["processor"] for row in found], at)), 2)
+                for key, at in (("median", 50), ("95 %", 95))
+            },
         }
         if "dice" in found[0]:
             out[name]["dice, median"] = round(float(np.median([row["dice"] for row in found])), 3)
