@@ -159,7 +159,7 @@ def main() -> int:
             process.terminate()
     result = {
         "scan": "T1 brain, niivue's demo images, 256 x 256 x 256, 1 mm", "wanted": WANTED,
-        "machine": {"cores": os.cpu_count(), "load": round(load_before, 1), "system": platform.platform()},
+        "machine": {"cores": os.cpu_count(), "load": round(load_before, 1), "system": platform.system()},
         "server's memory at the end, MB": memory >> 20, "summary": summary(found["prompts"]), **found,
     }
     options.results.mkdir(parents=True, exist_ok=True)
