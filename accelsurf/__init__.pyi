@@ -1,3 +1,4 @@
+from .api.click_session import ClickSession as ClickSession
 from .api.segment import evolve as evolve
 from .api.segment import segment as segment
 from .api.segment import segment_objects as segment_objects
@@ -16,6 +17,7 @@ from .errors import GeometryError as GeometryError
 from .errors import InputError as InputError
 from .errors import OutputError as OutputError
 from .errors import UsageError as UsageError
+from .grid.clicks import Click as Click
 from .grid.geometry import Geometry as Geometry
 from .image.volume import Volume as Volume
 from .io import LazyVolume as LazyVolume

@@ -59,6 +59,7 @@ _COMMANDS = {
     "movie": "Make a movie of a run, without a screen.",
     "evaluate": "Measure how well two label maps agree.",
     "view": "Watch and steer a segmentation in a window.",
+    "serve": "Answer the clicks of Slicer, napari and other viewers.",
     "warmup": "Compile all kernels now, so that no run waits for it.",
     "info": "Show versions, names, exit codes and settings.",
 }

@@ -129,6 +129,9 @@ SMOOTHING = Budget(
 CLOSING = Budget(
     "the radius of a closing", 24, "voxels", "give a smaller length, in mm or with the suffix vox"
 )
+SESSION_CLICKS = Budget(
+    "the clicks and labels of a session, each with the box around it", 1 << 28, "bytes", "clear it, and begin anew"
+)
 STATE_FILE = Budget("the state of a run", 1 << 34, "bytes", "is it the right file?")
 STATE_UNPACKED = Budget(
     "a packed array of the state of a run", 1032, "bytes", "the file is damaged: run again", "packed byte (and 1024)"
@@ -142,5 +145,5 @@ BUDGETS = (
     CONFIG, EXPRESSION, PATH, PATH_VOXELS, EDITS, TABLE, CASES, BALLS, REPORT, TEXT_HEADER, AXIS, SLACK, DEFLATE,
     LZW, PACKBITS, TIFF_TAGS, TIFF_STRIPS, TIFF_PLANES, SLICES, DICOM_FRAMES, DICOM_PACKED,
     ZARR_CHUNK, ZARR_METADATA, ZARR_LEVELS, MESH_FILE,
-    MESH_ROWS, OBJECT_VOXELS, SMOOTHING, CLOSING, STATE_FILE, STATE_UNPACKED, POINT_FILE, POINTS,
+    MESH_ROWS, OBJECT_VOXELS, SMOOTHING, CLOSING, SESSION_CLICKS, STATE_FILE, STATE_UNPACKED, POINT_FILE, POINTS,
 )

@@ -224,7 +224,7 @@ HOW_TO = [
 
 @pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.name)
 def test_every_command_of_a_how_to_page_is_accepted(page, readers_folder, tmp_path, monkeypatch, capsys):
-    """Each runs for two steps, in place of X,Y,Z with the middle; windows and pages are left to the viewer's tests.
+    """Each runs for two steps, in place of X,Y,Z with the middle; windows, pages and servers have tests of their own.
 
     Cases of a batch run in this process.
     """
@@ -237,7 +237,7 @@ def test_every_command_of_a_how_to_page_is_accepted(page, readers_folder, tmp_pa
         words = [word.replace("X,Y,Z", "0,0,0") for word in words]
         target = words.pop(words.index(">") + 1) if ">" in words else None
         words = [word for word in words if word != ">"]
-        if words[0] != "accelsurf" or words[1] == "view" or (words[1] == "movie" and not can_draw()):
+        if words[0] != "accelsurf" or words[1] in ("view", "serve") or (words[1] == "movie" and not can_draw()):
             continue
         if words[1] != "info" and "--resume" not in words:
             words += ["--overwrite"]

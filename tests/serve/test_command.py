@@ -1,0 +1,42 @@
+"""``accelsurf serve``: what is refused before anything is served, and how it ends."""
+
+import signal
+import socket
+
+import pytest
+
+from accelsurf.cli import execute
+from tests.serve.conftest import started
+
+pytest.importorskip("accelsurf.serve.listening", reason="the extra serve is not installed")
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (["--host", "0.0.0.0"], "host: 0.0.0.0 was given without a key"),
+        (["--api-key", "short"], "less than 16 characters"),
+        (["--max-sessions", "0"], "max_sessions: 0 was given"),
+        (["--idle-timeout", "0"], "idle_timeout: 0 was given"),
+        (["--port", "99999"], "port: 99999 was given"),
+    ],
+)
+def test_what_cannot_be_served_is_refused(options, line, capsys, monkeypatch):
+    monkeypatch.delenv("NN_INTERACTIVE_API_KEY", raising=False)
+    assert execute(["serve", *options]) == 2
+    assert line in capsys.readouterr().err
+
+
+def test_a_port_that_is_taken_is_named(capsys):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert execute(["serve", "--port", str(port)]) == 7
+    assert f"127.0.0.1:{port}: cannot be listened on" in capsys.readouterr().err
+
+
+def test_ctrl_c_ends_it_without_a_fault(tmp_path):
+    running = started(tmp_path)
+    running.process.send_signal(signal.SIGINT)
+    with running.process as process:
+        assert process.stdout.read() == "Ctrl-C ends it\n"
+    assert process.returncode == 0
