@@ -29,7 +29,7 @@ from accelsurf.errors import AccelsurfError
 from accelsurf.version import __version__
 
 if TYPE_CHECKING:
-    from cyclopts.help import HelpFormatter
+    from cyclopts.help.protocols import HelpFormatter
 
 INTERRUPTED = 130
 
@@ -223,7 +223,8 @@ def _as_parsed(arguments: Sequence[str]) -> list[str]:
     ['look', 'ct.nii', '--at=-10,20,5']
     """
     out: list[str] = []
-    if arguments and not arguments[0].startswith("-") and arguments[0] not in _COMMANDS and os.path.exists(arguments[0]):
+    first = arguments[0] if arguments else "-"
+    if not first.startswith("-") and first not in _COMMANDS and os.path.exists(first):
         out.append("view")
     for word in arguments:
         if _NEGATIVE.match(word) and out and out[-1].startswith("--") and "=" not in out[-1] and out[-1] != "--":

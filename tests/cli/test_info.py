@@ -70,7 +70,8 @@ def test_a_folder_of_results_is_summed_up(tmp_path, capsys):
     (tmp_path / "worse_report.json").write_text('{"input": 3, "quality": {"probability": "x", "warnings": {}}}')
     assert cli.execute(["info", str(tmp_path)]) == 0
     text = capsys.readouterr().out
-    assert text.startswith("odd\n  report  is not of a run\nscan\n") and text.endswith("worse\n  report  is not of a run\n")
+    odd = "  report  is not of a run\n"
+    assert text.startswith(f"odd\n{odd}scan\n") and text.endswith(f"worse\n{odd}")
     assert all(said in text for said in ("scan.nii", "it moved", "1307.71 mm3", "93%")) and "\x1b" not in text
     assert cli.execute(["info", str(tmp_path), "--json"]) == 0
     assert said in json.loads(capsys.readouterr().out)["results"]

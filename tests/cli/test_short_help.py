@@ -36,7 +36,7 @@ def test_no_option_of_help_is_lost(capsys):
         (["look", "a.nii", "--at", "-1,2,3"], ["look", "a.nii", "--at=-1,2,3"]),
         (["segment", "--balloon", "-.5", "-o", "x"], ["segment", "--balloon=-.5", "-o", "x"]),
         (["segment", "--start=ball:1,1,1,2", "-5"], ["segment", "--start=ball:1,1,1,2", "-5"]),
-        (["segment", "--inside", "-1,-2,-3", "--inside", "-4,5,6"], ["segment", "--inside=-1,-2,-3", "--inside=-4,5,6"]),
+        (["segment", "--inside", "-1,-2,-3", "--box", "-4,5"], ["segment", "--inside=-1,-2,-3", "--box=-4,5"]),
         (["look", "--", "-1"], ["look", "--", "-1"]),
         (["look", "--help-all"], ["look", "--help"]),
         (["no such file"], ["no such file"]),
