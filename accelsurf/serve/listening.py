@@ -81,9 +81,9 @@ def serve(
 
 
 def warm_up() -> None:
-    """Click once into a small image, and once more: compiled code and networks are then in memory."""
+    """Click into a small image, and correct it: compiled code and networks are then in memory."""
     places = (np.indices((24, 24, 24)) - 11.5) ** 2
     session = accelsurf.ClickSession(np.asarray(places.sum(axis=0) < 64, np.float32))
-    for side, first in (("inside", 10), ("outside", 2)):
-        box = (slice(first, first + 3),) * 3
-        session.add([accelsurf.Click("inside" if side == "inside" else "outside", box, np.ones((3, 3, 3), np.bool_))])
+    inside, wrong = (slice(8, 12),) * 3, (slice(13, 16),) * 3
+    session.add([accelsurf.Click("inside", inside, np.ones((4, 4, 4), np.bool_))])
+    session.add([accelsurf.Click("outside", wrong, np.ones((3, 3, 3), np.bool_))])
