@@ -21,6 +21,7 @@ from accelsurf.errors import AccelsurfError, EmptyResultError, GeometryError, In
 from accelsurf.evolution.records import StepRecord
 from accelsurf.evolution.serialization import from_bytes, to_bytes
 from accelsurf.grid.boxes import whole_box
+from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import ImageSequence, VolumeSequence
 from accelsurf.image.volume import Volume
 from accelsurf.io import read_sequence
@@ -34,18 +35,22 @@ from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.settings.wording import shown
+from accelsurf.starts import starts
+from accelsurf.starts.objects import read as read_objects
 from accelsurf.track.boxed_surface import separate_parts
+from accelsurf.track.evidence import Profile
+from accelsurf.track.followed import Trust
 from accelsurf.track.follower import Arrival, Follower
-from accelsurf.track.frame_run import Measured, measured
+from accelsurf.track.frame_run import Measured, measured, measured_start
 from accelsurf.track.momentum import Triple
-from accelsurf.track.records import FrameResult, Identities, Lineage, SurfacePiece
+from accelsurf.track.records import BAND, FrameResult, Identities, Lineage, SurfacePiece
 
 #: Called with each step and the id of its object; a true value ends the run.
 OnStep = Callable[[StepRecord, int], bool | None]
 #: Voxels along each axis of the frames that warm up kernels, and the radius of the ball in them.
 WARMUP_SIDE, WARMUP_RADIUS = 24, 6.0
 #: Version of the state file; raised when its content changes.
-VERSION = 1
+VERSION = 2
 _BEGIN = "begin anew without --resume, with --overwrite"
 
 
@@ -171,6 +176,39 @@ def first_objects(
     return FirstObjects(tuple(found), tuple(result.warnings), interrupted)
 
 
+def given_objects(
+    config: RunConfig, objects: ObjectsLike | None, geometry: Geometry
+) -> tuple[tuple[int, Measured], ...] | None:
+    """Objects of a frame whose segmentation is given, as they are; None where the start is another one.
+
+    Parameters
+    ----------
+    config : RunConfig
+        With ``objects`` or ``start``.
+    objects : str, Volume or ndarray, optional
+        In place of those of ``config``.
+    geometry : Geometry
+        Grid of the frame.
+
+    Raises
+    ------
+    UsageError, InputError
+        As of `accelsurf.starts.objects.read`.
+    """
+    given = config.objects if objects is None else objects
+    if given is None:
+        parsed = [starts.parse(text) for text in config.start]
+        if len(parsed) != 1 or parsed[0].kind != "label":
+            return None
+        given = config.start[0].strip().removeprefix("label:")
+    if isinstance(given, str) and given.lower().endswith(".csv"):
+        return None
+    if not isinstance(given, str | Volume | np.ndarray):
+        return None  # surfaces, which need not be those of voxels
+    found = read_objects(given, geometry, BAND)
+    return tuple((start.id, measured_start(start, geometry)) for start in found)
+
+
 def _as_found(result: Result) -> list[tuple[int, Measured]]:
     box = whole_box(result.geometry.shape)
     found = [(tracked.id, measured(tracked, box)) for tracked in result.objects if tracked.has_surface]
@@ -282,6 +320,7 @@ class Tracking:
         self._identities = Identities()
         self._first: tuple[tuple[int, Measured], ...] = ()
         self._velocities: dict[int, Triple] = {}
+        self._trust: dict[int, Trust] = {}
         self._workers = Workers(thread_count(config.run))
         self._follower = self._new_follower()
         if self._path is not None and self._path.exists():
@@ -338,14 +377,22 @@ class Tracking:
         return channels
 
     def _begin_at(self, arrival: Arrival) -> Any:
-        """Segment the first frame."""
-        first = first_objects(
-            arrival.channels, self.config.run, arrival.refinements, self.config.divide == "yes", self._energy,
-            self._objects, self._on_step,
+        """Begin with the labels that are given, or segment the first frame."""
+        given = None if arrival.refinements else given_objects(
+            self.config.run, self._objects, self.sequence.geometry
         )
-        self._first, self.interrupted = first.found, first.interrupted
-        self.warnings += first.warnings
-        self._follower.start(self._first, arrival, {})
+        if given is not None:
+            self._first = given
+        else:
+            first = first_objects(
+                arrival.channels, self.config.run, arrival.refinements, self.config.divide == "yes", self._energy,
+                self._objects, self._on_step,
+            )
+            self._first, self.interrupted = first.found, first.interrupted
+            self.warnings += first.warnings
+        self._follower.start(self._first, arrival, {}, {})
+        if given is not None and len(self.visits) > 1:
+            self._trust = self._follower.learn_trust(arrival)
         return self._follower.in_frame({})
 
     def _turn_back(self) -> None:
@@ -353,7 +400,7 @@ class Tracking:
         first = self.config.frame
         arrival = Arrival(first, first, self.sequence.times[first], 0.0, self._frame(first))
         self._follower = self._new_follower()
-        self._follower.start(self._first, arrival, self._velocities)
+        self._follower.start(self._first, arrival, self._velocities, self._trust)
 
     def _note_velocities(self) -> None:
         """Note the velocities of the first objects after the first step."""
@@ -388,7 +435,7 @@ class Tracking:
 
     def _state(self) -> TrackState:
         return TrackState(
-            self.done, self.config.run.seed, self._first, dict(self._velocities), self._identities.state(),
+            self.done, self.config.run.seed, self._first, dict(self._velocities), self._trust, self._identities.state(),
             tuple(self._follower.state()), tuple(self.warnings),
         )
 
@@ -401,7 +448,7 @@ class Tracking:
         self._follower = self._new_follower()
         self._follower.restore(state.objects)
         self.done, self.warnings = state.done, list(state.warnings)
-        self._first, self._velocities = state.first, state.velocities
+        self._first, self._velocities, self._trust = state.first, state.velocities, state.trust
 
 
 def track(
@@ -500,6 +547,8 @@ class TrackState(NamedTuple):
         Objects of the first frame.
     velocities : dict of int to (x, y, z)
         Of these, after the first step.
+    trust : dict of int to Trust
+        Of those that were given as labels.
     identities : dict
     objects : tuple of dict
         Those that are followed.
@@ -510,12 +559,13 @@ class TrackState(NamedTuple):
     seed: int | None
     first: tuple[tuple[int, Measured], ...]
     velocities: dict[int, Triple]
+    trust: dict[int, Trust]
     identities: dict[str, Any]
     objects: tuple[dict[str, Any], ...]
     warnings: tuple[str, ...]
 
 
-TYPES: dict[str, type] = {kind.__name__: kind for kind in (Header, Measured, SurfacePiece, TrackState)}
+TYPES: dict[str, type] = {kind.__name__: kind for kind in (Header, Measured, Profile, SurfacePiece, TrackState, Trust)}
 
 
 def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Header:
