@@ -139,8 +139,8 @@ def _near(surface: SurfacePiece, box: Box) -> NDArray[np.bool_]:
     """Voxels of a box near the surface."""
     inside = np.zeros([side.stop - side.start for side in box], np.bool_)
     low = [side.start for side in box]
-    own = box_at(surface.corner, surface.psi.shape)
-    cut = tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(own, box, strict=True))
+    extent = box_at(surface.corner, surface.psi.shape)
+    cut = tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(extent, box, strict=True))
     mine = tuple(slice(a.start - c, a.stop - c) for a, c in zip(cut, surface.corner, strict=True))
     inside[tuple(slice(a.start - c, a.stop - c) for a, c in zip(cut, low, strict=True))] = surface.psi[mine] < 0
     distance = ndimage.distance_transform_edt(inside) + ndimage.distance_transform_edt(~inside)
