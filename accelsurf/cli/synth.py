@@ -17,9 +17,10 @@ from accelsurf.io.sequences.writing import SequenceWriter
 from accelsurf.output.document import describe_staged, to_json, versions
 from accelsurf.output.folder import naming_final, opened_set, refuse_existing
 from accelsurf.output.tables import csv_text
-from accelsurf.phantoms import motions, recipe_files, recipes
-from accelsurf.phantoms.motions import MotionRecipe, MovingPhantom
+from accelsurf.phantoms import recipe_files, recipes
+from accelsurf.phantoms.motions import MovingPhantom
 from accelsurf.phantoms.recipes import Recipe
+from accelsurf.phantoms.tissues import TissuePhantom, phantom_from
 
 #: Columns of the table of the bodies, as far as they go those of a table of tracks.
 COLUMNS = ("frame", "time", "time_unit", "id", "parent", "x_mm", "y_mm", "z_mm", "volume_ml", "seen")
@@ -56,8 +57,8 @@ def synth(
     path, values = recipe_files.read_recipe(recipe)
     if seed is not None:
         values["seed"] = seed
-    if "motion" in values:
-        paths = write_sequence(motions.motion_from(values, str(path)), folder, overwrite)
+    if "motion" in values or "tissue" in values:
+        paths = write_sequence(phantom_from(values, str(path)), folder, overwrite)
     else:
         paths = write_volume(recipes.recipe_from(values, str(path)), folder, overwrite)
     for kind, written in paths.items():
@@ -83,12 +84,11 @@ def write_volume(recipe: Recipe, folder: Path, overwrite: bool) -> dict[str, Pat
     return _written(recipe.name, VOLUME, folder, overwrite, write)
 
 
-def write_sequence(recipe: MotionRecipe, folder: Path, overwrite: bool) -> dict[str, Path]:
-    """Write the files of a recipe in time into a folder; they are returned by their kind."""
+def write_sequence(phantom: MovingPhantom | TissuePhantom, folder: Path, overwrite: bool) -> dict[str, Path]:
+    """Write the files of a phantom in time into a folder; they are returned by their kind."""
     from accelsurf.track.output.document import ML
 
     def write(files: FileSet, paths: dict[str, Path]) -> dict[str, Any]:
-        phantom = MovingPhantom(recipe)
         with naming_final(files):
             for kind, dtype in (("image", np.float32), ("labels", np.uint8)):
                 staged = files.staging / paths[kind].name
@@ -102,9 +102,9 @@ def write_sequence(recipe: MotionRecipe, folder: Path, overwrite: bool) -> dict[
                 for row in phantom.rows()
             )
             write_bytes(files.staging / paths["tracks"].name, csv_text(COLUMNS, lines).encode())
-        return {"recipe": recipe.model_dump(mode="json")}
+        return {"recipe": phantom.recipe.model_dump(mode="json")}
 
-    return _written(recipe.name, SEQUENCE, folder, overwrite, write)
+    return _written(phantom.recipe.name, SEQUENCE, folder, overwrite, write)
 
 
 def _written(

@@ -191,7 +191,7 @@ def _doubts(tracking: Tracking) -> list[str]:
     count = len(tracking.visits)
     out = []
     for track in tracking.lineage.tracks:
-        if track.end == "vanished" and tracking.done == count:
+        if track.end in ("vanished", "lost") and tracking.done == count:
             out.append(
                 f"object {track.id}: not seen after frame {track.last}; look there, and try --correct "
                 f"'frame={track.last + 1} inside=point:X,Y,Z object={track.id}', or a larger --max-gap"

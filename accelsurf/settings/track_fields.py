@@ -104,12 +104,13 @@ class TrackFields(BaseModel):
 
     frame: int = setting(
         0,
-        "Frame, from 0, in which the start lies and objects are segmented first.",
+        "Frame, from 0, in which the start lies and objects are segmented first. Of a label map (--start label:FILE, "
+        "--objects FILE) the objects are kept as they are, unless --correct asks for a change of that frame.",
         entry=SettingEntry(TRACK, metavar="N"),
         ge=0,
     )
     direction: Literal["forward", "backward", "both"] = setting(
-        "forward",
+        "both",
         "From that frame to the last one, back to the first, or both.",
         entry=SettingEntry(TRACK, metavar="WAY"),
     )

@@ -106,7 +106,9 @@ def _leave_out(layer: NDArray[np.int64], surface: SurfacePiece, other: SurfacePi
         layer[mine][other.psi[theirs] < near] = 2 * LAYERS
 
 
-def is_shown(now: Profile, before: Profile, volumes: tuple[float, float], areas: tuple[float, float]) -> bool:
+def is_shown(
+    now: Profile, before: Profile, volumes: tuple[float, float], areas: tuple[float, float], matched: bool = False
+) -> bool:
     """Decide if a frame shows an object.
 
     Parameters
@@ -115,10 +117,13 @@ def is_shown(now: Profile, before: Profile, volumes: tuple[float, float], areas:
         Across the surface that was found, and across that of the frame in which the object was seen last.
     volumes, areas : (found, expected)
         mm3 and mm2.
+    matched : bool
+        Whether the image around the surface was found again in the frame: that is evidence too, and half of the
+        structure is enough.
     """
     if not all(found * FACTOR >= expected and found <= expected * FACTOR for found, expected in (volumes, areas)):
         return False
-    return now.strength(before) * FACTOR >= 1.0
+    return now.strength(before) * FACTOR * (FACTOR if matched else 1.0) >= 1.0
 
 
 def volume_in_grid(psi: NDArray[np.float32], geometry: Geometry) -> float:

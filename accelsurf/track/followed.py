@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,13 +16,14 @@ from accelsurf.measure import surface_mesh
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.track.evidence import Profile
 from accelsurf.track.frame_run import Measured
+from accelsurf.track.image_motion import LIKE
 from accelsurf.track.momentum import SurfaceMomentum, Triple
 from accelsurf.track.records import CarriedMesh, SurfacePiece, TrackedObject
 
 #: A new mesh is made where the volume of a carried one differs from that of its surface by more than this part, or
 #: where more than this part of its triangles has turned over.
 MAX_DIFFERENCE = 0.05
-VANISHED, LEFT = "vanished", "left"
+VANISHED, LEFT, LOST = "vanished", "left", "lost"
 
 
 class MeshCarrier:
@@ -76,6 +78,20 @@ class Whole(NamedTuple):
     volume_mm3: float
 
 
+class Trust(NamedTuple):
+    """Facts of an object whose surface was given.
+
+    ``profile`` across it; its connected ``parts``; its ``depth``, mm: twice volume over area, the thickness of a wall
+    or two thirds of the radius of a ball; ``run_variance``, mm2, of the surface that a run on that frame finds from it,
+    inf where runs are not believed.
+    """
+
+    profile: Profile
+    parts: int
+    depth: float
+    run_variance: float
+
+
 @dataclass
 class Followed:
     """An object that is followed from frame to frame.
@@ -99,6 +115,12 @@ class Followed:
     missing : int
         Number of frames since in which it was not seen.
     mesh : MeshCarrier or None
+    trust : Trust or None
+        Of an object whose surface was given.
+    variance, drift : float
+        Of the surface as it is known, and of a way by momentum alone, mm2; inf: nothing is known of it.
+    likeness : float
+        Correlation of its neighbourhood with the frame before; 0 where none was matched.
     whole_profile, whole_mm3
         ``profile`` and ``volume_mm3`` of the last frame in which no border of the grid cut it.
     """
@@ -115,6 +137,10 @@ class Followed:
     quality: float = 0.0
     missing: int = 0
     mesh: MeshCarrier | None = None
+    trust: Trust | None = None
+    variance: float = 0.0
+    drift: float = math.inf
+    likeness: float = 0.0
     whole_profile: Profile | None = None
     whole_mm3: float = 0.0
 
@@ -131,6 +157,51 @@ class Followed:
         """Note that the border cuts the object, which is known as a ``whole`` from elsewhere."""
         self.whole_profile, self.whole_mm3 = whole.profile, max(whole.volume_mm3, self.volume_mm3)
 
+    def note_given(self, trust: Trust | None) -> None:
+        """Note what is known of the object by its given surface."""
+        self.trust = trust
+
+    def note_motion(self, innovation: float, variance: float, likeness: float) -> None:
+        """Note a motion that the image has shown: mean square off the momentum's, its variance, mm2, and likeness."""
+        known = math.isfinite(self.drift)
+        self.drift = 0.5 * (self.drift + innovation) if known else innovation
+        self.variance, self.likeness = self.variance + variance, likeness
+
+    def note_unmatched(self, likeness: float) -> None:
+        """Note that the image does not show how the object moves: it goes on by its momentum."""
+        self.variance, self.likeness = self.variance + (self.drift if math.isfinite(self.drift) else 0.0), likeness
+
+    @property
+    def is_run(self) -> bool:
+        """True if frames are run on: not if a run on the given frame has left the given surface."""
+        return self.trust is None or math.isfinite(self.trust.run_variance)
+
+    @property
+    def goes_with_image(self) -> bool:
+        """True if its surface was given, and the image has shown how it moved to this frame."""
+        return self.trust is not None and self.likeness >= LIKE
+
+    @property
+    def is_lost(self) -> bool:
+        """True if its place is less certain than the object is thick."""
+        return self.trust is not None and not self.is_run and self.variance > self.trust.depth**2
+
+    def gain(self) -> float:
+        """Part of the way to the surface that a run finds which the surface goes (Kalman's gain)."""
+        if self.trust is None or self.variance == 0.0:
+            return 1.0
+        return self.variance / (self.variance + self.trust.run_variance)
+
+    def chance(self, now: Profile) -> float:
+        """Chance that a surface that only moves is good: what is left of the structure across it, and its certainty."""
+        assert self.trust is not None  # else it is run
+        left = min(1.0, max(0.0, now.strength(self.trust.profile)))
+        return left * math.exp(-self.variance / max(self.trust.depth, 1e-6) ** 2)
+
+    def note_corrected(self, gain: float) -> None:
+        """Note that the surface has gone this part of the way."""
+        self.variance *= 1.0 - gain
+
     def note_missing(self) -> None:
         """Note that a frame does not show the object."""
         self.missing += 1
@@ -143,6 +214,8 @@ class Followed:
     @property
     def why_gone(self) -> str:
         """Why it is not seen any more."""
+        if self.is_lost:
+            return LOST
         return LEFT if self.at_border or not self.is_in_grid else VANISHED
 
     def predicted_place(self, time: float) -> Triple:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
-from accelsurf.grid.boxes import corner_of, widened
+from accelsurf.grid.boxes import box_at, corner_of, widened
+from accelsurf.grid.geometry import Geometry
 from accelsurf.image.sequence import ImageSequence
 from accelsurf.image.smoothing import gaussian_mm
 from accelsurf.image.volume import Volume
@@ -22,14 +25,18 @@ from accelsurf.starts.objects import ObjectStart
 from accelsurf.track import evidence
 from accelsurf.track.boxed_surface import groups_of, separate_parts, touching
 from accelsurf.track.evidence import FACTOR, Profile, profile, volume_in_grid
-from accelsurf.track.followed import Followed, MeshCarrier, Whole, lies_on_border, restored
-from accelsurf.track.frame_run import Measured, following_settings, measure
+from accelsurf.track.followed import Followed, MeshCarrier, Trust, Whole, lies_on_border, restored
+from accelsurf.track.frame_run import NOTHING, Measured, following_settings, measure, measured_piece
+from accelsurf.track.image_motion import LIKE, image_motion
 from accelsurf.track.momentum import Gains, SurfaceMomentum, Triple
-from accelsurf.track.momentum_models import make_momentum
+from accelsurf.track.momentum_models import FlowableMomentum, make_momentum
 from accelsurf.track.records import BAND, Identities, SurfacePiece, TrackedObject
 
 #: What is nearer to a tracked object than so many voxels is no object of its own.
 APART = 2
+#: A run on a frame counts if that on the given frame, from the given surface, leaves it by no more than so many voxels
+#: (root mean square).
+TRUSTED = 1.0
 #: Of an object that the border of the grid cuts at least so many voxels must be there.
 MIN_CUT = 8
 
@@ -83,6 +90,7 @@ class Follower:
         meshes: bool = False,
     ) -> None:
         self._config, self._geometry, self._identities, self._workers = config, sequence.geometry, identities, workers
+        self._sequence = sequence
         self._friction = config.friction_for(sequence.times)
         self._energy, self._meshes = energy, meshes
         self._run: RunConfig = following_settings(config.run, config.next_energy)
@@ -91,10 +99,28 @@ class Follower:
 
     # -- the first frame -----------------------------------------------------------------------------------
 
-    def start(self, objects: Sequence[tuple[int, Measured]], arrival: Arrival, velocity: dict[int, Triple]) -> None:
-        """Begin with the objects of a frame; ``velocity`` of those of which it is known."""
+    def start(
+        self, objects: Sequence[tuple[int, Measured]], arrival: Arrival, velocity: dict[int, Triple],
+        trust: dict[int, Trust],
+    ) -> None:
+        """Begin with the objects of a frame; ``velocity`` and ``trust`` of those of which they are known."""
         for id, measured in objects:
-            self._add(id, measured, arrival, velocity.get(id))
+            followed = self._add(id, measured, arrival, velocity.get(id))
+            followed.note_given(trust.get(id))
+
+    def learn_trust(self, arrival: Arrival) -> dict[int, Trust]:
+        """Learn from a frame whose surfaces are given, and lie in it now, how far a run on a frame can be trusted."""
+        given = {followed.id: followed.momentum.piece for followed in self.objects if followed.is_in_grid}
+        starts = [ObjectStart(id, *piece) for id, piece in given.items()]
+        found = measure(arrival.channels, starts, self._run, self._energy) if starts else {}
+        most, trust = (TRUSTED * min(self._geometry.steps)) ** 2, {}
+        for followed in [followed for followed in self.objects if followed.id in given]:
+            off = mean_square(given[followed.id], found[followed.id].surface, self._geometry)
+            parts = max(1, len(separate_parts(given[followed.id])))
+            depth = 2.0 * followed.volume_mm3 / max(followed.area_mm2, 1e-300)
+            trust[followed.id] = Trust(followed.profile, parts, depth, off if off <= most else math.inf)
+            followed.note_given(trust[followed.id])
+        return trust
 
     def _add(self, id: int, found: Measured, arrival: Arrival, velocity: Triple | None) -> Followed:
         """Begin to follow an object."""
@@ -126,6 +152,7 @@ class Follower:
         tuple of TrackedObject
             In order of their ids.
         """
+        self._steer(arrival)
         predicted = {followed.id: followed.momentum.predict(arrival.duration) for followed in self.objects}
         found = self._measure(predicted, arrival)
         self._decide(found, predicted, arrival)
@@ -134,10 +161,29 @@ class Follower:
         if self._config.merge == "yes":
             self._merge(arrival)
         self._look_for_more(arrival)
-        for followed in [followed for followed in self.objects if followed.missing > self._config.max_gap]:
+        for followed in [f for f in self.objects if f.missing > self._config.max_gap or f.is_lost]:
             self._end(followed, arrival)
         self.objects.sort(key=lambda followed: followed.id)
         return self.in_frame(predicted)
+
+    def _steer(self, arrival: Arrival) -> None:
+        """Let the image tell how the objects that the frame before shows move to this one."""
+        before: Volume | None = None
+        for followed in self.objects:
+            momentum = followed.momentum
+            if not isinstance(momentum, FlowableMomentum):
+                continue
+            if followed.missing or not followed.is_in_grid:
+                followed.note_unmatched(0.0)
+                continue
+            before = before or self._sequence.channels(arrival.before)[0]
+            expected = momentum.way(arrival.duration)
+            seen = image_motion(before, arrival.channels[0], momentum.piece, expected)
+            if seen is None or seen.likeness < LIKE:
+                followed.note_unmatched(0.0 if seen is None else seen.likeness)
+                continue
+            steered = momentum.steer(seen, arrival.duration, followed.drift)
+            followed.note_motion(steered.innovation, steered.variance, seen.likeness)
 
     def in_frame(self, predicted: dict[int, SurfacePiece]) -> tuple[TrackedObject, ...]:
         """Return the records of the objects in the frame."""
@@ -146,13 +192,19 @@ class Follower:
     def _measure(self, predicted: dict[int, SurfacePiece], arrival: Arrival) -> dict[int, Measured]:
         """Segment the frame: the objects that were seen last, then the others in the voxels that these leave free."""
         predictable = [followed for followed in self.objects if predicted[followed.id].has_inside]
-        starts = [(followed.missing, ObjectStart(followed.id, *predicted[followed.id])) for followed in predictable]
+        kept = [] if arrival.refinements else [followed.id for followed in predictable if not followed.is_run]
+        starts = [
+            (followed.missing, ObjectStart(followed.id, *predicted[followed.id]))
+            for followed in predictable if followed.id not in kept
+        ]
         first = [start for missing, start in starts if missing == 0]
         then = [start for missing, start in starts if missing > 0]
         if arrival.refinements:
             first, then = [*first, *then], []
         run, energy = self._run, self._energy
-        found = measure(arrival.channels, first, run, energy, arrival.refinements)
+        taken = [predicted[id] for id in kept]
+        found = measure(arrival.channels, first, run, energy, arrival.refinements, taken) if first or not kept else {}
+        found |= {id: measured_piece(predicted[id], self._geometry) for id in kept}
         if then:
             occupied = [measured.surface for measured in found.values() if measured.surface.psi.size]
             found |= measure(arrival.channels, then, run, energy, occupied=occupied)
@@ -165,28 +217,42 @@ class Follower:
         clicked = {followed.object for followed in arrival.refinements if followed.kind == "clicks"}
         image, duration = arrival.channels[0], arrival.duration
         for followed in self.objects:
-            shown = found.get(followed.id)
-            others = [other.surface for id, other in found.items() if id != followed.id]
-            if shown is None or not shown.surface.psi.size:
-                followed.note_missing()
-                continue
-            now = profile(image, shown.surface, others)
             sure = bool(clicked & {None, followed.id})
-            if not sure and not self._is_shown(followed, shown, now, predicted[followed.id]):
+            others = [other.surface for id, other in found.items() if id != followed.id]
+            # Where what a run finds is not the object, the surface that goes with the image still may be.
+            candidates = [(found.get(followed.id, NOTHING), followed.is_run or sure)]
+            if followed.is_run and followed.goes_with_image and predicted[followed.id].has_inside:
+                candidates.append((measured_piece(predicted[followed.id], self._geometry), False))
+            for shown, is_run in candidates:
+                if not shown.surface.psi.size:
+                    continue
+                now = profile(image, shown.surface, others)
+                if not sure and not self._is_shown(followed, shown, now, predicted[followed.id], not is_run):
+                    continue
+                if is_run:
+                    gain = 1.0 if sure else followed.gain()
+                    gains = Gains(gain * self._gains.psi, gain * self._gains.velocity)
+                    followed.momentum.correct(self._largest(shown).surface, duration, gains)
+                    followed.note_corrected(gain)
+                else:
+                    shown = shown._replace(quality=followed.chance(now))
+                followed.note_seen(shown, now, arrival.time, self._geometry)
+                self._identities.see(followed.id, arrival.number)
+                break
+            else:
                 followed.note_missing()
-                continue
-            followed.momentum.correct(self._largest(shown).surface, duration, self._gains)
-            followed.note_seen(shown, now, arrival.time, self._geometry)
-            self._identities.see(followed.id, arrival.number)
 
-    def _is_shown(self, followed: Followed, measured: Measured, now: Profile, predicted: SurfacePiece) -> bool:
+    def _is_shown(
+        self, followed: Followed, measured: Measured, now: Profile, predicted: SurfacePiece, moved: bool
+    ) -> bool:
+        """Test if a surface is the object: one that a run has found, or that has ``moved`` with the image."""
         expected, seen = (volume_in_grid(piece.psi, self._geometry) for piece in (predicted, measured.surface))
         if followed.at_border:  # the prediction knows only what the border has left; more of it may come in
             expected = max(expected, min(seen, followed.whole_mm3))
         ratio = expected / followed.volume_mm3 if followed.volume_mm3 > 0 else 1.0
         volumes = seen, expected
         areas = measured.area_mm2, followed.area_mm2 * ratio ** (2.0 / 3.0)
-        return evidence.is_shown(now, followed.profile, volumes, areas)
+        return evidence.is_shown(now, followed.profile, volumes, areas, moved and followed.goes_with_image)
 
     def _largest(self, measured: Measured) -> Measured:
         """Remove crumbs from a surface where parts are objects; the parts of a division stay together here."""
@@ -214,7 +280,7 @@ class Follower:
             return
         for followed in [followed for followed in self.objects if followed.missing == 0 and followed.id in found]:
             pieces = separate_parts(found[followed.id].surface)
-            if len(pieces) < 2:
+            if len(pieces) <= (followed.trust.parts if followed.trust else 1):
                 continue
             self.objects.remove(followed)
             self._identities.forget(followed.id, arrival.number)
@@ -245,7 +311,8 @@ class Follower:
 
     def _look_for_more(self, arrival: Arrival) -> None:
         """Find objects that come back, and where asked for such as enter."""
-        absent = [followed for followed in self.objects if followed.missing > 0]
+        # Where runs are not believed nothing that a run finds is the object come back.
+        absent = [followed for followed in self.objects if followed.missing > 0 and followed.is_run]
         if not absent and self._config.enter == "no":
             return
         known = [followed for followed in self.objects if followed.missing == 0] or absent
@@ -288,6 +355,7 @@ class Follower:
             self.objects.remove(old)
             way = (place - np.array(old.centroid)) / (arrival.time - old.time)
             followed = self._add(old.id, found, arrival, (float(way[0]), float(way[1]), float(way[2])))
+            followed.note_given(old.trust)
             whole = old.whole
         elif self._config.enter == "yes":
             followed = self._put(self._identities.new_id(), momentum, found, arrival)
@@ -326,6 +394,34 @@ class Follower:
     def restore(self, state: Sequence[dict[str, Any]]) -> None:
         """Go back to a `state`."""
         self.objects = [restored(saved, self._new_momentum(), self._geometry) for saved in state]
+
+
+def mean_square(given: SurfacePiece, found: SurfacePiece, geometry: Geometry) -> float:
+    """Mean square distance (mm2) of a given surface from one that was found; inf where nothing was found."""
+    if not found.has_inside:
+        return math.inf
+    low = np.minimum(given.corner, found.corner)
+    high = np.maximum(np.add(given.corner, given.psi.shape), np.add(found.corner, found.psi.shape))
+    inside = [np.zeros(high - low, np.bool_) for _ in range(2)]
+    for mask, piece in zip(inside, (given, found), strict=True):
+        mask[box_at(np.subtract(piece.corner, low).tolist(), piece.psi.shape)] = piece.psi < 0
+    one_slice = [n == 1 for n in geometry.shape]
+    border = inside[0] & ~ndimage.binary_erosion(inside[0], _cross(one_slice), border_value=1)
+    if not border.any():
+        return 0.0
+    spacing = [geometry.spacing[a] for a in range(3)]
+    edge = inside[1] ^ ndimage.binary_erosion(inside[1], _cross(one_slice), border_value=1)
+    away = ndimage.distance_transform_edt(~edge, spacing) if edge.any() else np.full(edge.shape, np.inf)
+    return float((away[border] ** 2).mean())
+
+
+def _cross(one_slice: Sequence[bool]) -> NDArray[np.bool_]:
+    """The neighbours of a voxel across its faces, without axes of one slice."""
+    cross = ndimage.generate_binary_structure(3, 1)
+    for axis, alone in enumerate(one_slice):
+        if alone:
+            cross[(slice(None),) * axis + ([0, 2],)] = False
+    return cross
 
 
 def measured_part(piece: SurfacePiece, momentum: SurfaceMomentum, quality: float) -> Measured:

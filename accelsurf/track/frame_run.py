@@ -16,6 +16,7 @@ from accelsurf.grid.boxes import Box, bounding_box, box_at, corner_of, enclosing
 from accelsurf.grid.clicks import Click
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume
+from accelsurf.levelset import LevelSet
 from accelsurf.run.preprocessing import uses_model
 from accelsurf.run.region_of_interest import cropped
 from accelsurf.run.result import Result, SegmentedObject
@@ -25,13 +26,15 @@ from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts.objects import ObjectStart, apart, core_of
-from accelsurf.track.records import SurfacePiece
+from accelsurf.track.records import BAND, SurfacePiece
 
 #: Voxels of the image around all objects that a run on a frame sees: at least `MIN_AROUND`, and this part of the
 #: largest extent of an object.
 MIN_AROUND, AROUND_PART = 12, 0.75
 #: A run is made again on more of the frame where a surface comes so near to the edge of what it saw.
 NEAR_EDGE = 3
+#: Least distance of a given voxel's centre from the surface, voxels.
+SIDE = 0.05
 #: Settings of a first frame that mean places or steps there, and how following frames have them instead.
 _FIRST_ONLY = ("start", "inside", "outside", "objects", "foreground", "background", "channel", "edit", "refine",
              "checkpoint", "time_index", "size")
@@ -215,6 +218,23 @@ def _comes_near(result: Result, box: Box, geometry: Geometry) -> bool:
             if (low < NEAR_EDGE and part.start > 0) or (part.stop - part.start - high < NEAR_EDGE and part.stop < n):
                 return True
     return False
+
+
+def measured_start(start: ObjectStart, geometry: Geometry) -> Measured:
+    """Measure an object whose voxels are given: nothing of it is in doubt."""
+    surface = LevelSet(start.psi, geometry.spacing, BAND)
+    fraction, area = surface.fraction_and_area()
+    # The distance to the surface through the voxels' faces, on the same side in every voxel.
+    least = np.float32(SIDE * min(geometry.steps))
+    psi = np.where(start.psi < 0, np.minimum(surface.psi, -least), np.maximum(surface.psi, least))
+    return Measured(SurfacePiece(start.corner, psi), surface.volume(fraction), float(area.sum()), 1.0)
+
+
+def measured_piece(piece: SurfacePiece, geometry: Geometry) -> Measured:
+    """Measure a surface that nothing was run on; as nothing tells how good it is, its chance is even."""
+    surface = LevelSet(piece.psi, geometry.spacing, BAND)
+    fraction, area = surface.fraction_and_area()
+    return Measured(piece.tight(), surface.volume(fraction), float(area.sum()), 0.5)
 
 
 def measured(found: SegmentedObject, box: Box) -> Measured:

@@ -160,6 +160,10 @@ class SurfaceMomentum(ABC):
         x, y, z = self._boxed.geometry.index_to_world(index) - self._boxed.geometry.index_to_world(np.zeros(3))
         return float(x), float(y), float(z)
 
+    def way(self, duration: float) -> Floats:
+        """Way (3,) of the whole in a time as its momentum has it, mm along the grid's axes z, y, x."""
+        return self._mean_velocity() * duration if self._boxed.surface.size else np.zeros(3)
+
     def volume(self) -> float:
         """Volume inside, mm3, to parts of a voxel."""
         return self._boxed.surface.volume(self._boxed.surface.fraction_and_area()[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from accelsurf.flows import FlowableMass, StepInput, StepLimits
 from accelsurf.levelset import Motion, Workers
 from accelsurf.track.boxed_surface import BoxedSurface, Floats, sample_fields, transferred
+from accelsurf.track.image_motion import ImageMotion
 from accelsurf.track.momentum import Gains, SurfaceMomentum
-from accelsurf.track.observer import Displacement, missing_velocity
+from accelsurf.track.observer import Displacement, in_frame, missing_velocity, smoothed_by
 from accelsurf.track.records import SurfacePiece
 
 #: Voxels that a surface may move in a step.
@@ -21,6 +22,8 @@ CFL = 0.5
 MAX_STEPS = 200
 #: A motion has ended when less than this part of its time is left: that is rounding.
 END = 1e-9
+#: Least variance of a displacement, voxels squared: no frame is known better.
+LEAST_SPREAD = 1e-4
 #: Density of new surface.
 RHO = 1.0
 #: Voxels that a place may move relative to the whole in one prediction.
@@ -96,6 +99,15 @@ def _relaid(boxed: BoxedSurface, flow: FlowableMass) -> BoxedSurface:
     return larger
 
 
+class Steered(NamedTuple):
+    """Mean squares over a surface, mm2: ``innovation``, by what the image's motion differs from the momentum's beyond
+    its own variance, and ``variance`` of the displacement by both.
+    """
+
+    innovation: float
+    variance: float
+
+
 class FlowableMomentum(SurfaceMomentum):
     """Flowable mass: V_t + (V . grad) V = -a (V - c(t)), psi_t = -V . grad psi; the mass flows with V.
 
@@ -106,6 +118,8 @@ class FlowableMomentum(SurfaceMomentum):
     The fields are V (z, y, x, mm per unit of time) and the density rho.
     """
 
+    _steered = False
+
     def _fields_at_start(self, velocity: Floats) -> list[np.ndarray]:
         size = self._boxed.surface.size
         return [np.full(size, value, np.float32) for value in (*velocity, RHO)]
@@ -115,12 +129,51 @@ class FlowableMomentum(SurfaceMomentum):
         total = max(float(mass.sum()), 1e-300)
         return np.array([float((mass * field).sum()) / total for field in self._fields[:3]])
 
+    def steer(self, seen: ImageMotion, duration: float, variance: float) -> Steered:
+        """Set the velocities to those of an interval: the momentum's, drawn to the image's by their certainties.
+
+        The next `predict` has no friction: the image has seen what it does.
+
+        Parameters
+        ----------
+        seen : ImageMotion
+            From the frame in which the surface lies to the next one.
+        duration : float
+        variance : float
+            Of a component of the displacement by the momentum alone, mm2; inf: nothing is known of it.
+        """
+        boxed = self._boxed
+        points, wide = boxed.closest_points(), boxed.wide
+        mean, free = self._mean_velocity(), self._free(duration)
+        field = np.stack(self._fields[:3], axis=1).astype(np.float64)
+        by_momentum = mean * duration + (field - mean) * math.copysign(free, duration)
+        found, spread = seen.at(points, boxed.spacing)
+        least = LEAST_SPREAD * boxed.surface.smallest_spacing**2
+        certainty = np.where(in_frame(boxed, points), 1.0 / np.maximum(spread, least), 0.0)
+        found, certainty = smoothed_by(boxed, np.where(wide, found, 0.0), certainty)
+        # Of what the image does not show at all nothing is known but the momentum.
+        known = 0.0 if math.isinf(variance) else 1.0 / max(variance, least)
+        total = np.maximum(certainty + known, 1e-30)
+        moved = by_momentum + (certainty / total)[:, None] * (found - by_momentum)
+        self._fields = [*(np.asarray(moved[:, c] / duration, np.float32) for c in range(3)), self._fields[3]]
+        self._steered = True
+        area = boxed.surface.fraction_and_area()[1]
+        share = area * (certainty > 0) / max(float((area * (certainty > 0)).sum()), 1e-300)
+        off = ((found - by_momentum) ** 2)[:, wide].mean(axis=1) - 1.0 / np.maximum(certainty, 1e-30)
+        return Steered(max(float((share * off).sum()), least), float((share / total).sum()))
+
+    def _free(self, duration: float) -> float:
+        """Time in which V - c moves freely as far as with friction over the duration."""
+        if self.friction == 0 or self._steered:
+            return abs(duration)
+        return -math.expm1(-self.friction * abs(duration)) / self.friction
+
     def _coast(self, duration: float) -> None:
         mean, h, sign = self._mean_velocity(), self._boxed.spacing, math.copysign(1.0, duration)
         voxels = np.rint(mean * duration / h)
-        # Friction slows V - c: over the duration it moves as far as freely in this time.
-        free = abs(duration) if self.friction == 0 else -math.expm1(-self.friction * abs(duration)) / self.friction
-        slowed = math.exp(-self.friction * abs(duration))
+        free = self._free(duration)
+        slowed = 1.0 if self._steered else math.exp(-self.friction * abs(duration))
+        self._steered = False
         left = (mean * duration - voxels * h) / free
         relative = [sign * (field - m) + v for field, m, v in zip(self._fields[:3], mean, left, strict=True)]
         voxel = min(self._boxed.surface.spacings)

@@ -61,7 +61,7 @@ def displacement(predicted: BoxedSurface, measured: BoxedSurface) -> Displacemen
 def _fitted_shift(predicted: BoxedSurface, points: Floats, measured: BoxedSurface) -> Floats:
     """The shift of the whole: robust least squares of the distances that it leaves, by Gauss and Newton."""
     h, area = predicted.spacing, predicted.surface.fraction_and_area()[1]
-    seen = (area > 0) & _in_frame(predicted, points)
+    seen = (area > 0) & in_frame(predicted, points)
     shift = np.zeros(3)
     if not predicted.is_cut and not measured.is_cut:
         shift = measured.centroid() - predicted.centroid()
@@ -73,7 +73,7 @@ def _fitted_shift(predicted: BoxedSurface, points: Floats, measured: BoxedSurfac
     return shift
 
 
-def _in_frame(boxed: BoxedSurface, points: Floats) -> NDArray[np.bool_]:
+def in_frame(boxed: BoxedSurface, points: Floats) -> NDArray[np.bool_]:
     """Mask of the points (m, 3), mm along the grid's axes, that lie in a voxel of the frames."""
     h, frame = boxed.spacing, np.array(boxed.geometry.shape)
     return np.asarray(((points >= -0.5 * h) & (points <= (frame - 0.5) * h)).all(axis=1))
@@ -162,7 +162,7 @@ def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArr
         = 1 - `SMOOTH_NOISE` <(1 - E)^2>/<E^2>, at least 0, <> the mean over the surface of outward's squared parts.
     """
     surface, points = predicted.surface, predicted.closest_points()
-    area = np.where(_in_frame(predicted, points), surface.fraction_and_area()[1], 0.0)  # beyond nothing is measured
+    area = np.where(in_frame(predicted, points), surface.fraction_and_area()[1], 0.0)  # beyond nothing is measured
     total = float(area.sum())
     if total <= 0.0:
         return np.zeros_like(outward)
@@ -179,6 +179,25 @@ def certain_part(predicted: BoxedSurface, outward: NDArray[np.float64]) -> NDArr
     smooth += smoothed_at(area * (outward - smooth)) / weight
     clear, rough = (float((area * values**2).sum()) / total for values in (smooth, outward - smooth))
     return smooth * max(0.0, 1.0 - SMOOTH_NOISE * rough / clear) if clear > 0.0 else smooth
+
+
+def smoothed_by(boxed: BoxedSurface, values: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Smooth values (n, k) over a surface by their weights (n,), and return the mean weights (n,) too."""
+    surface, points = boxed.surface, boxed.closest_points()
+    area = surface.fraction_and_area()[1]
+    index = np.rint(boxed.index_on_box(points)).astype(np.int64)
+    at = tuple(np.clip(index, 0, np.array(surface.shape) - 1).T)
+
+    def smoothed_at(values: Floats) -> Floats:
+        dense = np.zeros(surface.shape, np.float32)
+        dense.ravel()[surface.band.cells] = values
+        return gaussian_mm(dense, tuple(boxed.spacing), SMOOTH * surface.smallest_spacing)[at].astype(np.float64)
+
+    there = np.maximum(smoothed_at(area), 1e-6 * float(area.max(initial=1e-30)))
+    total = smoothed_at(area * weight)
+    least = 1e-9 * max(float(total.max(initial=0.0)), 1e-30)
+    columns = [smoothed_at(area * weight * column) / np.maximum(total, least) for column in values.T]
+    return np.stack(columns, axis=1), total / there
 
 
 def measured_surface(piece: SurfacePiece, predicted: BoxedSurface) -> BoxedSurface:

@@ -166,7 +166,8 @@ class Link(NamedTuple):
 class Track:
     """The life of one identity: ``first`` and ``last`` frame in which it is seen, ``gaps`` frames between in which not.
 
-    ``end`` says why it ends there: "end of sequence", "divided", "merged", "vanished" or "left".
+    ``end`` says why it ends there: "end of sequence", "divided", "merged", "vanished", "left", or "lost":
+    its place was less certain than it is thick.
     """
 
     id: int

@@ -15,37 +15,30 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from accelsurf.api.segment import segment, segment_objects
-from accelsurf.correct.refiner import Refiner
-from accelsurf.errors import AccelsurfError, EmptyResultError, GeometryError, InputError, UsageError
-from accelsurf.evolution.records import StepRecord
+from accelsurf.errors import AccelsurfError, GeometryError, InputError, UsageError
 from accelsurf.evolution.serialization import from_bytes, to_bytes
-from accelsurf.grid.boxes import whole_box
 from accelsurf.image.sequence import ImageSequence, VolumeSequence
 from accelsurf.image.volume import Volume
 from accelsurf.io import read_sequence
 from accelsurf.io.files import bytes_within, write_bytes
 from accelsurf.levelset import Workers
 from accelsurf.run.checkpoint import FREE, digest_of, versions
-from accelsurf.run.result import Result
 from accelsurf.run.setup import EnergyLike, ObjectsLike, seeded, thread_count
 from accelsurf.settings import budgets
-from accelsurf.settings.corrections import Correction
-from accelsurf.settings.run_config import RunConfig
 from accelsurf.settings.track_config import TrackConfig
 from accelsurf.settings.wording import shown
-from accelsurf.track.boxed_surface import separate_parts
+from accelsurf.track.evidence import Profile
+from accelsurf.track.first_frame import OnStep, first_objects, given_objects
+from accelsurf.track.followed import Trust
 from accelsurf.track.follower import Arrival, Follower
-from accelsurf.track.frame_run import Measured, measured
+from accelsurf.track.frame_run import Measured
 from accelsurf.track.momentum import Triple
 from accelsurf.track.records import FrameResult, Identities, Lineage, SurfacePiece
 
-#: Called with each step and the id of its object; a true value ends the run.
-OnStep = Callable[[StepRecord, int], bool | None]
 #: Voxels along each axis of the frames that warm up kernels, and the radius of the ball in them.
 WARMUP_SIDE, WARMUP_RADIUS = 24, 6.0
 #: Version of the state file; raised when its content changes.
-VERSION = 1
+VERSION = 2
 _BEGIN = "begin anew without --resume, with --overwrite"
 
 
@@ -106,94 +99,6 @@ def open_sequence(source: Path, config: TrackConfig) -> ImageSequence:
         for path in (source, *(Path(file) for file in config.run.channel))
     )
     return JoinedSequence(first, others) if others else first
-
-
-class FirstObjects(NamedTuple):
-    """Objects of the first frame: ids and surfaces, and the warnings of the run."""
-
-    found: tuple[tuple[int, Measured], ...]
-    warnings: tuple[str, ...]
-    interrupted: bool
-
-
-def first_objects(
-    channels: Sequence[Volume],
-    config: RunConfig,
-    refinements: Sequence[Correction],
-    divide: bool,
-    energy: EnergyLike | None = None,
-    objects: ObjectsLike | None = None,
-    on_step: OnStep | None = None,
-) -> FirstObjects:
-    """Segment the first frame.
-
-    Parameters
-    ----------
-    channels : sequence of Volume
-    config : RunConfig
-    refinements : sequence of Correction
-        Corrections of this frame.
-    divide : bool
-        Whether parts that are no crumbs are objects of their own.
-    energy : Energy or callable, optional
-        One of the user's own.
-    objects : str, Volume or ndarray, optional
-        First voxels of several objects, in place of those of ``config``.
-    on_step : callable, optional
-
-    Raises
-    ------
-    EmptyResultError
-        When nothing is left to be followed.
-    UsageError, InputError
-        As of `accelsurf.segment`.
-    """
-    if refinements:
-        config = config.replace(keep_state="yes")
-    first, more = channels[0], channels[1:]
-    if config.objects is None and objects is None:
-        on_record = None if on_step is None else lambda record: on_step(record, 1)
-        result = segment(first, channels=more, config=config, energy=energy, on_step=on_record)
-    else:
-        result = segment_objects(first, objects, channels=more, config=config, energy=energy, on_step=on_step)
-    interrupted = result.stop.reason == "interrupted"
-    if refinements and not interrupted:
-        refiner = Refiner(result)
-        for refinement in refinements:
-            refiner.apply(refinement)
-        result = refiner.result()
-    found = _separated(result) if divide else _as_found(result)
-    if not found:
-        raise EmptyResultError(
-            "no surface is left in the first frame: nothing can be followed",
-            "try the settings with accelsurf segment on that frame (--time-index)",
-        )
-    return FirstObjects(tuple(found), tuple(result.warnings), interrupted)
-
-
-def _as_found(result: Result) -> list[tuple[int, Measured]]:
-    box = whole_box(result.geometry.shape)
-    found = [(tracked.id, measured(tracked, box)) for tracked in result.objects if tracked.has_surface]
-    return [(id, tracked) for id, tracked in found if tracked.surface.psi.size]
-
-
-def _separated(result: Result) -> list[tuple[int, Measured]]:
-    """Each part that is no crumb as an object of its own: the largest has the id, the others new ones."""
-    found = _as_found(result)
-    out, following = [], max((id for id, _ in found), default=0)
-    for id, whole in found:
-        pieces = separate_parts(whole.surface)
-        for place, piece in enumerate(pieces):
-            new_id = id
-            if place > 0:
-                new_id = following = following + 1
-            share = (piece.psi < 0).sum() / sum(int((other.psi < 0).sum()) for other in pieces)
-            is_whole = len(pieces) == 1
-            volume, area = (1.0, 1.0) if is_whole else (float(share), float(share) ** (2.0 / 3.0))
-            out.append((new_id, whole._replace(
-                surface=piece, volume_mm3=volume * whole.volume_mm3, area_mm2=area * whole.area_mm2
-            )))
-    return sorted(out, key=lambda pair: pair[0])
 
 
 class Visit(NamedTuple):
@@ -282,6 +187,7 @@ class Tracking:
         self._identities = Identities()
         self._first: tuple[tuple[int, Measured], ...] = ()
         self._velocities: dict[int, Triple] = {}
+        self._trust: dict[int, Trust] = {}
         self._workers = Workers(thread_count(config.run))
         self._follower = self._new_follower()
         if self._path is not None and self._path.exists():
@@ -338,14 +244,22 @@ class Tracking:
         return channels
 
     def _begin_at(self, arrival: Arrival) -> Any:
-        """Segment the first frame."""
-        first = first_objects(
-            arrival.channels, self.config.run, arrival.refinements, self.config.divide == "yes", self._energy,
-            self._objects, self._on_step,
+        """Begin with the labels that are given, or segment the first frame."""
+        given = None if arrival.refinements else given_objects(
+            self.config.run, self._objects, self.sequence.geometry
         )
-        self._first, self.interrupted = first.found, first.interrupted
-        self.warnings += first.warnings
-        self._follower.start(self._first, arrival, {})
+        if given is not None:
+            self._first = given
+        else:
+            first = first_objects(
+                arrival.channels, self.config.run, arrival.refinements, self.config.divide == "yes", self._energy,
+                self._objects, self._on_step,
+            )
+            self._first, self.interrupted = first.found, first.interrupted
+            self.warnings += first.warnings
+        self._follower.start(self._first, arrival, {}, {})
+        if given is not None and len(self.visits) > 1:
+            self._trust = self._follower.learn_trust(arrival)
         return self._follower.in_frame({})
 
     def _turn_back(self) -> None:
@@ -353,7 +267,7 @@ class Tracking:
         first = self.config.frame
         arrival = Arrival(first, first, self.sequence.times[first], 0.0, self._frame(first))
         self._follower = self._new_follower()
-        self._follower.start(self._first, arrival, self._velocities)
+        self._follower.start(self._first, arrival, self._velocities, self._trust)
 
     def _note_velocities(self) -> None:
         """Note the velocities of the first objects after the first step."""
@@ -388,7 +302,7 @@ class Tracking:
 
     def _state(self) -> TrackState:
         return TrackState(
-            self.done, self.config.run.seed, self._first, dict(self._velocities), self._identities.state(),
+            self.done, self.config.run.seed, self._first, dict(self._velocities), self._trust, self._identities.state(),
             tuple(self._follower.state()), tuple(self.warnings),
         )
 
@@ -401,7 +315,7 @@ class Tracking:
         self._follower = self._new_follower()
         self._follower.restore(state.objects)
         self.done, self.warnings = state.done, list(state.warnings)
-        self._first, self._velocities = state.first, state.velocities
+        self._first, self._velocities, self._trust = state.first, state.velocities, state.trust
 
 
 def track(
@@ -500,6 +414,8 @@ class TrackState(NamedTuple):
         Objects of the first frame.
     velocities : dict of int to (x, y, z)
         Of these, after the first step.
+    trust : dict of int to Trust
+        Of those that were given as labels.
     identities : dict
     objects : tuple of dict
         Those that are followed.
@@ -510,12 +426,13 @@ class TrackState(NamedTuple):
     seed: int | None
     first: tuple[tuple[int, Measured], ...]
     velocities: dict[int, Triple]
+    trust: dict[int, Trust]
     identities: dict[str, Any]
     objects: tuple[dict[str, Any], ...]
     warnings: tuple[str, ...]
 
 
-TYPES: dict[str, type] = {kind.__name__: kind for kind in (Header, Measured, SurfacePiece, TrackState)}
+TYPES: dict[str, type] = {kind.__name__: kind for kind in (Header, Measured, Profile, SurfacePiece, TrackState, Trust)}
 
 
 def header_of(sequence: ImageSequence, config: TrackConfig, meshes: bool) -> Header:

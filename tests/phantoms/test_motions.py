@@ -9,8 +9,9 @@ import pytest
 
 from accelsurf import cli, io
 from accelsurf.errors import UsageError
-from accelsurf.phantoms.motions import MotionRecipe, MovingPhantom, load_motion, motion_from
-from accelsurf.phantoms.recipe_files import sequence_names
+from accelsurf.phantoms.motions import MovingPhantom, load_motion, motion_from
+from accelsurf.phantoms.recipe_files import read_recipe, sequence_names
+from accelsurf.phantoms.tissues import phantom_from
 
 SMALL = {"shape": [40, 24, 24], "radius": 6.0}
 
@@ -113,9 +114,9 @@ def test_what_cannot_be_made_is_refused(values: dict, told: str) -> None:
 
 @pytest.mark.parametrize("name", sequence_names())
 def test_recipes_that_come_with_accelsurf_show_their_bodies(name: str) -> None:
-    recipe = load_motion(name)
-    assert isinstance(recipe, MotionRecipe) and recipe.name == name
-    assert sum(row.shown for row in MovingPhantom(recipe).rows()) > 0.5 * recipe.frames
+    phantom = phantom_from(read_recipe(name)[1])
+    assert phantom.recipe.name == name
+    assert sum(row.shown for row in phantom.rows()) > 0.5 * len(phantom)
 
 
 def test_the_command_writes_the_sequence_its_truth_and_a_table(tmp_path, capsys) -> None:

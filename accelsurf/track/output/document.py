@@ -133,13 +133,14 @@ def describe_tracks(tracks: TrackSet) -> list[dict[str, Any]]:
 
 
 def describe_frames(tracks: TrackSet) -> list[dict[str, Any]]:
-    """Return an entry for each frame: which objects it shows, and how long it took."""
+    """Return an entry for each frame: which objects it shows, how good each is, and how long it took."""
     return [
         {
             "frame": row.frame,
             "time": row.time,
             "seen": [tracked.id for tracked in row.objects if tracked.seen],
             "not_seen": [tracked.id for tracked in row.objects if not tracked.seen],
+            "quality": {str(tracked.id): tracked.quality for tracked in row.objects},
             "seconds": row.seconds,
         }
         for row in tracks.rows

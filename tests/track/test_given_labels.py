@@ -1,0 +1,123 @@
+"""Sequences with one segmented frame: its labels stay, the image tells the motion, what is lost is said."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from accelsurf import cli, io
+from accelsurf.image.sequence import VolumeSequence
+from accelsurf.image.volume import Volume
+from accelsurf.phantoms.tissues import TissuePhantom, phantom_from
+from accelsurf.settings.track_config import TrackConfig
+from accelsurf.track.image_motion import image_motion
+from accelsurf.track.records import SurfacePiece
+from accelsurf.track.track import Tracking, track
+
+CELL = {
+    "tissue": "cell", "shape": [64, 64, 1], "radius": 15.0, "thickness": 1.0, "amplitude": 4.0, "frames": 4,
+    "travel": [2.0, 1.0, 0.0], "speckle": 0.6, "seed": 3,
+}  # fmt: skip
+
+
+def cell(**values: object) -> TissuePhantom:
+    phantom = phantom_from({**CELL, **values})
+    assert isinstance(phantom, TissuePhantom)
+    return phantom
+
+
+def dice(a: np.ndarray, b: np.ndarray) -> float:
+    return float(2.0 * (a & b).sum() / max(1, a.sum() + b.sum()))
+
+
+def tracking(sequence: VolumeSequence | TissuePhantom, labels: np.ndarray, **settings: object) -> Tracking:
+    config = TrackConfig(threads=1, energy="chan-vese", levels=1, **settings)
+    return Tracking(sequence, config, objects=Volume(labels, sequence.geometry))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_given_labels_are_kept_voxel_by_voxel_with_specks_threads_and_neighbours(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    labels = cell().truth(0).astype(np.uint16) * 9
+    labels[random.random(labels.shape) < 0.02] = 4
+    labels[0, 5, :40] = 2  # as thin as a voxel
+    labels[0, 30:, 60:] = 7  # up to the border
+    first = next(iter(tracking(cell(), labels)))
+    np.testing.assert_array_equal(first.labels(), labels)
+    assert [one.quality for one in first.objects] == [1.0] * 4
+
+
+def test_start_label_keeps_the_frame_in_the_middle_and_follows_both_ways(tmp_path) -> None:
+    phantom = cell()
+    for number in range(4):
+        io.write(phantom.frame(number), tmp_path / f"frame_{number}.nii.gz")
+    io.write_labels(Volume(phantom.truth(1) * np.uint8(5), phantom.geometry), tmp_path / "given.nii.gz")
+    words = [
+        "track", str(tmp_path / "frame_*.nii.gz"), "--start", f"label:{tmp_path / 'given.nii.gz'}", "--frame", "1",
+        "-o", str(tmp_path / "out"), "--per-frame", "--energy", "chan-vese", "--quiet",
+    ]  # fmt: skip
+    assert cli.execute(words) == 0
+    found = [io.read(path).array for path in sorted((tmp_path / "out").glob("*_labels_t*.nii.gz"))]
+    assert len(found) == 4
+    np.testing.assert_array_equal(found[1], phantom.truth(1) * 5)
+    for number in (0, 2, 3):
+        assert dice(found[number] == 5, phantom.truth(number) > 0) > 0.85
+
+
+def test_a_correction_of_the_given_frame_is_made() -> None:
+    phantom = cell()
+    kept = next(iter(tracking(phantom, phantom.truth(0)))).labels()
+    correct = "frame=0 outside=point:0,0,0"
+    changed = next(iter(tracking(phantom, phantom.truth(0), correct=(correct,)))).labels()
+    assert kept[0, 32, 32] == 1 and changed[0, 32, 32] == 0
+
+
+def test_the_image_tells_how_a_shell_in_speckle_beats() -> None:
+    values = {"tissue": "shell", "shape": [40, 38, 44], "radius": 15.0, "thickness": 4.5, "amplitude": 4.0, "seed": 5}
+    phantom = phantom_from({**values, "frames": 3, "period": 6.0})
+    assert isinstance(phantom, TissuePhantom)
+    results = list(tracking(phantom, phantom.truth(0)))
+    copied = dice(phantom.truth(0) > 0, phantom.truth(2) > 0)
+    assert copied < 0.7
+    assert dice(results[2].labels() > 0, phantom.truth(2) > 0) > copied + 0.1
+
+
+def test_displacement_and_variance_are_those_of_a_shifted_texture() -> None:
+    random = np.random.default_rng(2)
+    texture = ndimage.gaussian_filter(random.standard_normal((30, 34, 36)), 1.5)
+    moved = ndimage.shift(texture, (0.6, -1.2, 2.3), order=3, mode="nearest")
+    z, y, x = np.indices(texture.shape)
+    psi = np.sqrt((z - 15.0) ** 2 + (y - 17.0) ** 2 + (x - 18.0) ** 2).astype(np.float32) - 7.0
+    spacing = (2.0, 1.0, 1.0)
+    before, now = (Volume.from_array(image.astype(np.float32), spacing) for image in (texture, moved))
+    seen = image_motion(before, now, SurfacePiece((0, 0, 0), psi), np.zeros(3))
+    assert seen is not None and seen.likeness > 0.95
+    middle = np.array([[15.0, 17.0, 18.0]]) * spacing
+    way, variance = seen.at(middle, np.array(spacing))
+    np.testing.assert_allclose(way[0], np.array([0.6, -1.2, 2.3]) * spacing, atol=0.35)
+    assert 0.0 < variance[0] < 0.1
+    flat = Volume.from_array(np.zeros(texture.shape, np.float32), spacing)
+    assert image_motion(flat, now, SurfacePiece((0, 0, 0), psi), np.zeros(3)) is None
+
+
+def test_frames_without_evidence_are_marked_and_the_track_ends() -> None:
+    phantom, random = cell(frames=8), np.random.default_rng(1)
+    frames = [phantom.frame(n) for n in range(8)]
+    for n in range(3, 8):
+        frames[n] = frames[n].with_array(random.normal(100.0, 30.0, frames[n].array.shape).astype(np.float32))
+    run = tracking(VolumeSequence(frames), phantom.truth(0), max_gap=2)
+    seen = {result.frame: [one.seen for one in result.objects] for result in run}
+    assert seen[2] == [True] and seen[3] == [False] and seen[7] == []
+    (only,) = run.lineage.tracks
+    assert only.last == 2 and only.end in ("vanished", "lost")
+
+
+def test_a_tracking_of_given_labels_goes_on_to_the_same_bytes(tmp_path) -> None:
+    phantom, state = cell(), tmp_path / "state"
+    settings = {"threads": 1, "energy": "chan-vese", "levels": 1, "frame": 1}
+    start = Volume(phantom.truth(1), phantom.geometry)
+    whole = [result.labels().tobytes() for result in track(phantom, objects=start, **settings)]
+    begun = iter(track(phantom, objects=start, checkpoint_to=state, **settings))
+    parts = [next(begun).labels().tobytes() for _ in range(3)]
+    next(begun, None)
+    parts += [r.labels().tobytes() for r in track(phantom, objects=start, checkpoint_to=state, **settings)]
+    assert parts[:3] == whole[:3] and parts[-1] == whole[-1]
