@@ -203,14 +203,13 @@ def _place(text: str, geometry: Geometry) -> tuple[float, float, float]:
     import numpy as np
 
     from accelsurf.settings.coordinates import coordinates_of
+    from accelsurf.starts.starts import extent_hint
 
     found = coordinates_of(text)
     if found is None or len(found.numbers) != 3 or not np.isfinite(found.numbers).all():
         raise UsageError(f"--at: {text[:40]!r} was given, expected X,Y,Z in mm, or indices as 12,40,7vox")
     index = np.array(found.numbers[::-1]) if found.vox else geometry.world_to_index(found.numbers)
     if not ((index >= -0.5) & (index <= np.array(geometry.shape) - 0.5)).all():
-        corners = geometry.corners_world()
-        spans = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(corners.min(axis=0), corners.max(axis=0), strict=True))
-        raise UsageError(f"--at: {text} lies outside the image", f"x, y, z run from {spans} mm")
+        raise UsageError(f"--at: {text} lies outside of the image", extent_hint(geometry, found.numbers, found.vox))
     x, y, z = (float(v) for v in geometry.index_to_world(index))
     return x, y, z

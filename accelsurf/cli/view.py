@@ -17,7 +17,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from accelsurf.cli.options import FILES, SHOW, File, InputFile, Overwrite, Switch, run_config, settings_class
+from accelsurf.cli.options import (
+    FILES,
+    SHOW,
+    File,
+    InputFile,
+    Output,
+    Overwrite,
+    Switch,
+    run_config,
+    settings_class,
+)
 from accelsurf.cli.track_options import SequenceSettings, track_config
 from accelsurf.errors import UsageError
 from accelsurf.settings.registry import load
@@ -165,7 +175,7 @@ class ViewerOptions:
 def view(
     input: InputFile = None,
     *,
-    result: File = None,
+    output: Output = None,
     config: File = None,
     reference: File = None,
     tracks: File = None,
@@ -192,7 +202,7 @@ def view(
     ----------
     input
         The image; without it the start page opens.
-    result
+    output
         Folder to save in; without it the window asks for one. Further images are saved in folders in it.
     config
         TOML file with settings, such as run.toml of an earlier session; options given here override it.
@@ -224,7 +234,7 @@ def view(
         from accelsurf.viewer.actions.opening import ViewerSettings
         from accelsurf.viewer.core.opening import ImageWithSession
 
-        settings = ViewerSettings(result, viewer.theme, overwrite, viewer.keep)
+        settings = ViewerSettings(output, viewer.theme, overwrite, viewer.keep)
         session = None
         if first is not None:
             session = stack.enter_context(first.session(viewer.keep, begin=page.browser))

@@ -331,8 +331,10 @@ def point_voxels(
     voxels = np.floor(index + 0.5).astype(np.int64)
     beyond = ((voxels < 0) | (voxels >= np.array(geometry.shape))).any(axis=1)
     if beyond.any():
-        given = ",".join(f"{v:g}" for v in places[int(np.flatnonzero(beyond)[0])])
-        raise InputError(f"{side} {shown(name)!r}: {given} lies outside of the volume", starts.extent_hint(geometry))
+        place = places[int(np.flatnonzero(beyond)[0])].tolist()
+        given = ",".join(f"{v:g}" for v in place)
+        hint = starts.extent_hint(geometry, place, vox)
+        raise InputError(f"{side} {shown(name)!r}: {given} lies outside of the volume", hint)
     return voxels
 
 

@@ -256,22 +256,49 @@ def ball_of(text: str, geometry: Geometry) -> tuple[tuple[float, float, float], 
 
 
 def _nothing_inside(text: str, geometry: Geometry) -> tuple[str, str]:
-    kind, text = parse(text).kind, shown(text)
+    kind = parse(text).kind
     if kind == "label":
-        return f"start {text!r}: the label map has no voxel of these labels", "give a map and labels that it has"
+        return f"start {shown(text)!r}: the label map has no voxel of these labels", "give a map and labels that it has"
     if kind == "mesh":
-        return f"start {text!r}: no voxel centre is inside the mesh", "mm, LPS as ITK; mesh:FILE@ras for RAS"
+        return f"start {shown(text)!r}: no voxel centre is inside the mesh", "mm, LPS as ITK; mesh:FILE@ras for RAS"
     if kind in ("threshold", "largest", "otsu"):
-        return f"start {text!r}: no voxel lies between these values", "thresholds are in the image's own units"
-    return f"start {text!r}: no voxel centre is inside it", extent_hint(geometry)
+        return f"start {shown(text)!r}: no voxel lies between these values", "thresholds are in the image's own units"
+    start = parse(text)
+    place = start.numbers[:3] if kind in ("ball", "seed", "point") else ()
+    return f"start {shown(text)!r}: no voxel centre is inside it", extent_hint(geometry, place, start.vox)
 
 
-def extent_hint(geometry: Geometry) -> str:
-    """Say where the volume lies, for messages about places outside of it."""
+def extent_hint(geometry: Geometry, place: Sequence[float] = (), vox: bool = False) -> str:
+    """Say what would make a place lie in the volume, if anything does, and where that lies; for messages.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    place : sequence of float, optional
+        x, y, z in mm (LPS), or indices where ``vox``.
+    vox : bool, optional
+    """
     corner = geometry.index_to_world(np.array([[0, 0, 0], [n - 1 for n in geometry.shape]]))
     low, high = corner.min(axis=0), corner.max(axis=0)
     ranges = "; ".join(f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
-    return f"the volume's corners span {ranges} mm (world, LPS); the suffix vox takes voxel indices"
+    extent = f"the volume's corners span {ranges} mm (world, LPS); the suffix vox takes voxel indices"
+    meant = _meant(geometry, place, vox) if len(place) == 3 else None
+    return extent if meant is None else f"{meant}; {extent}"
+
+
+def _meant(geometry: Geometry, place: Sequence[float], vox: bool) -> str | None:
+    """How else a place outside of the volume may be meant so that it lies in it."""
+    x, y, z = place
+    if vox:
+        readings = [("in mm it is inside: leave vox out", geometry.world_to_index((x, y, z)))]
+    else:
+        readings = [
+            ("with x and y negated it is inside: are these RAS? Then add ras", geometry.world_to_index((-x, -y, z))),
+            ("as voxel indices it is inside: add vox", (z, y, x)),
+            ("in micrometres it is inside: add um", geometry.world_to_index((x / 1e3, y / 1e3, z / 1e3))),
+        ]
+    last = np.array(geometry.shape) - 0.5
+    return next((said for said, at in readings if ((np.array(at) >= -0.5) & (np.array(at) <= last)).all()), None)
 
 
 def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDArray[np.float32]:

@@ -54,7 +54,7 @@ def window_pictures(words: list[str], truth: Path, folder: Path) -> None:
     """The scene alone, the window while a run runs, its keys, and the window after a stroke."""
     for theme in ("dark", "light"):
         with tempfile.TemporaryDirectory() as home, own_screen(*SIZE) as display:
-            person = Person(display, Path(home), [*words, "--theme", theme, "--result", home], size=SIZE)
+            person = Person(display, Path(home), [*words, "--theme", theme, "--output", home], size=SIZE)
             person.key("space")
             person.until(lambda now: now["step"] >= STEPS or now["stop"], 300)
             if theme == "dark":

@@ -76,7 +76,7 @@ def test_window_sets_the_greys_of_the_preview_of_a_run(tmp_path):
     ("words", "message"),
     [
         (("--at", "1,2"), "expected X,Y,Z in mm"),
-        (("--at", "900,0,0"), "lies outside the image"),
+        (("--at", "900,0,0"), "lies outside of the image"),
         (("--at", "nan,0,0"), "expected X,Y,Z in mm"),
         (("--window", "soft"), "expected auto, soft-tissue, bone, lung, brain, or level and width"),
         (("--window", "40,-400"), "expected auto, soft-tissue, bone, lung, brain, or level and width"),

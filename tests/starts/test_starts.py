@@ -267,3 +267,20 @@ def test_a_seed_between_two_voxels_is_the_same_from_either_side(axis):
     other = region_growing.grow_region(flipped, Geometry(values.shape, (1.0, 1.2, 0.9)), tuple(centre), 4.0)
     assert one.any()
     np.testing.assert_array_equal(one, np.flip(other, axis))
+
+
+@pytest.mark.parametrize(
+    ("place", "vox", "said"),
+    [
+        ((70, 60, -850), False, "with x and y negated it is inside"),
+        ((20, 20, 30), False, "as voxel indices it is inside: add vox"),
+        ((-70_000, -60_000, -850_000), False, "in micrometres it is inside: add um"),
+        ((-70, -60, -850), True, "in mm it is inside: leave vox out"),
+        ((500, 1, 1), False, "the volume's corners span"),
+        ((), False, "the volume's corners span"),
+    ],
+)
+def test_a_hint_says_what_would_make_a_place_lie_inside(place, vox, said):
+    geometry = Geometry((60, 50, 40), (2.0, 1.0, 1.0), (-100.0, -80.0, -900.0))
+    hint = starts.extent_hint(geometry, place, vox)
+    assert hint.startswith(said) and "x -100 to -61; y -80 to -31; z -900 to -782 mm" in hint

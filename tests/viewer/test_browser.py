@@ -44,7 +44,7 @@ class Served:
         io.write(volume.with_array((volume.array + noise).astype(np.float32)), self.image)
         start = "ball:" + ",".join(f"{v:g}" for v in (*center, 5.0))
         command = [sys.executable, "-m", "accelsurf", "view", str(self.image), "--browser", "--no-open"]
-        command += ["--start", start, "--threads", "1", "--result", str(self.results), *options]
+        command += ["--start", start, "--threads", "1", "--output", str(self.results), *options]
         env = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
         self.log = open(folder / "log", "w+")
         self.process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=self.log, text=True)

@@ -366,7 +366,7 @@ def test_closing_while_it_runs_is_prompt(person):
 def test_the_command_opens_the_same_window(screen, scan, tmp_path):
     env = {**os.environ, "DISPLAY": screen, "QT_QPA_PLATFORM": "xcb"}
     words = [
-        "view", str(scan), "--start", "ball:24,24,20,6", "--result", str(tmp_path / "out"), "--flow", "gradient",
+        "view", str(scan), "--start", "ball:24,24,20,6", "--output", str(tmp_path / "out"), "--flow", "gradient",
     ]
     process = subprocess.Popen(
         [sys.executable, "-m", "accelsurf", *words], env=env, cwd=ROOT, stdout=subprocess.PIPE,

@@ -37,7 +37,7 @@ class StartPage(Served):
         (self.folder / "broken.nii").write_bytes(b"no image" * 60)
         (folder / "secret.nii").write_bytes((folder / "scans" / "broken.nii").read_bytes())
         words = [sys.executable, "-m", "accelsurf", "view", "--browser", "--no-open", "--folder", str(self.folder)]
-        words += ["--threads", "1", "--result", str(self.results), *options]
+        words += ["--threads", "1", "--output", str(self.results), *options]
         env = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
         env["XDG_STATE_HOME"] = str(self.state_home)
         self.log = open(folder / "log", "w+")
