@@ -2,6 +2,7 @@
 
 import signal
 import socket
+from urllib.request import urlopen
 
 import pytest
 
@@ -36,6 +37,8 @@ def test_a_port_that_is_taken_is_named(capsys):
 
 def test_ctrl_c_ends_it_without_a_fault(tmp_path):
     running = started(tmp_path)
+    with urlopen(f"{running.address}/healthz", timeout=60) as answer:  # it has begun to serve
+        assert answer.read() == b'{"ok":true}'
     running.process.send_signal(signal.SIGINT)
     with running.process as process:
         assert process.stdout.read() == "Ctrl-C ends it\n"
