@@ -196,13 +196,13 @@ class TissuePhantom(ImageSequence):
         """Magnitude of the blurred sum of scatterers, with the mean that it has without speckle."""
         recipe, shape = self.recipe, np.array(strength.shape)
         wide = np.where(shape > 1, shape + 2 * AROUND, 1)
-        kept, new = (np.random.Generator(np.random.PCG64([recipe.seed, stream])) for stream in (0, 1 + number))
+        lasting, new = (np.random.Generator(np.random.PCG64([recipe.seed, stream])) for stream in (0, 1 + number))
         index = material.place[::-1] / np.array(self.geometry.spacing)[:, None, None, None]
         nearest = np.rint(index + ((wide - 1) / 2)[:, None, None, None]).astype(np.int64)
         nearest = np.clip(nearest, 0, (wide - 1)[:, None, None, None])
         sums = []
         for _ in range(2):  # of the real and of the imaginary part
-            moved = kept.standard_normal(tuple(wide))[tuple(nearest)]
+            moved = lasting.standard_normal(tuple(wide))[tuple(nearest)]
             fresh = new.standard_normal(tuple(shape))
             field = strength * (math.sqrt(recipe.coherence) * moved + math.sqrt(1.0 - recipe.coherence) * fresh)
             sums.append(ndimage.gaussian_filter(field, sigma, mode="nearest"))

@@ -192,19 +192,19 @@ class Follower:
     def _measure(self, predicted: dict[int, SurfacePiece], arrival: Arrival) -> dict[int, Measured]:
         """Segment the frame: the objects that were seen last, then the others in the voxels that these leave free."""
         predictable = [followed for followed in self.objects if predicted[followed.id].has_inside]
-        kept = [] if arrival.refinements else [followed.id for followed in predictable if not followed.is_run]
+        unrun = [] if arrival.refinements else [followed.id for followed in predictable if not followed.is_run]
         starts = [
             (followed.missing, ObjectStart(followed.id, *predicted[followed.id]))
-            for followed in predictable if followed.id not in kept
+            for followed in predictable if followed.id not in unrun
         ]
         first = [start for missing, start in starts if missing == 0]
         then = [start for missing, start in starts if missing > 0]
         if arrival.refinements:
             first, then = [*first, *then], []
         run, energy = self._run, self._energy
-        taken = [predicted[id] for id in kept]
-        found = measure(arrival.channels, first, run, energy, arrival.refinements, taken) if first or not kept else {}
-        found |= {id: measured_piece(predicted[id], self._geometry) for id in kept}
+        taken = [predicted[id] for id in unrun]
+        found = measure(arrival.channels, first, run, energy, arrival.refinements, taken) if first or not unrun else {}
+        found |= {id: measured_piece(predicted[id], self._geometry) for id in unrun}
         if then:
             occupied = [measured.surface for measured in found.values() if measured.surface.psi.size]
             found |= measure(arrival.channels, then, run, energy, occupied=occupied)
@@ -405,20 +405,20 @@ def mean_square(given: SurfacePiece, found: SurfacePiece, geometry: Geometry) ->
     inside = [np.zeros(high - low, np.bool_) for _ in range(2)]
     for mask, piece in zip(inside, (given, found), strict=True):
         mask[box_at(np.subtract(piece.corner, low).tolist(), piece.psi.shape)] = piece.psi < 0
-    one_slice = [n == 1 for n in geometry.shape]
-    border = inside[0] & ~ndimage.binary_erosion(inside[0], _cross(one_slice), border_value=1)
+    single = [n == 1 for n in geometry.shape]
+    border = inside[0] & ~ndimage.binary_erosion(inside[0], _cross(single), border_value=1)
     if not border.any():
         return 0.0
     spacing = [geometry.spacing[a] for a in range(3)]
-    edge = inside[1] ^ ndimage.binary_erosion(inside[1], _cross(one_slice), border_value=1)
+    edge = inside[1] ^ ndimage.binary_erosion(inside[1], _cross(single), border_value=1)
     away = ndimage.distance_transform_edt(~edge, spacing) if edge.any() else np.full(edge.shape, np.inf)
     return float((away[border] ** 2).mean())
 
 
-def _cross(one_slice: Sequence[bool]) -> NDArray[np.bool_]:
+def _cross(single: Sequence[bool]) -> NDArray[np.bool_]:
     """The neighbours of a voxel across its faces, without axes of one slice."""
     cross = ndimage.generate_binary_structure(3, 1)
-    for axis, alone in enumerate(one_slice):
+    for axis, alone in enumerate(single):
         if alone:
             cross[(slice(None),) * axis + ([0, 2],)] = False
     return cross

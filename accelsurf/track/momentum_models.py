@@ -23,7 +23,7 @@ MAX_STEPS = 200
 #: A motion has ended when less than this part of its time is left: that is rounding.
 END = 1e-9
 #: Least variance of a displacement, voxels squared: no frame is known better.
-LEAST_SPREAD = 1e-4
+MIN_SPREAD = 1e-4
 #: Density of new surface.
 RHO = 1.0
 #: Voxels that a place may move relative to the whole in one prediction.
@@ -148,7 +148,7 @@ class FlowableMomentum(SurfaceMomentum):
         field = np.stack(self._fields[:3], axis=1).astype(np.float64)
         by_momentum = mean * duration + (field - mean) * math.copysign(free, duration)
         found, spread = seen.at(points, boxed.spacing)
-        least = LEAST_SPREAD * boxed.surface.smallest_spacing**2
+        least = MIN_SPREAD * boxed.surface.smallest_spacing**2
         certainty = np.where(in_frame(boxed, points), 1.0 / np.maximum(spread, least), 0.0)
         found, certainty = smoothed_by(boxed, np.where(wide, found, 0.0), certainty)
         # Of what the image does not show at all nothing is known but the momentum.
