@@ -98,7 +98,7 @@ def _show_results(reports: Sequence[Path], as_json: bool) -> None:
 
 
 def _summary(report: object) -> dict[str, str]:
-    """What a report says of image, end, volume and quality; without what it does not say."""
+    """Return what a report says of image, end, volume and quality."""
     document = report if isinstance(report, dict) else {}
     source, stop, quality = (_part(document, name) for name in ("input", "stop", "quality"))
     out = {"image": source.get("path"), "ended": stop.get("message") or document.get("error")}

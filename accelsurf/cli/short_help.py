@@ -19,14 +19,14 @@ SHOWN = {
 
 
 class ShortHelp(DefaultFormatter):
-    """Draws those entries of a panel that are `SHOWN`, each with the first sentence of its text."""
+    """Draws what a panel has of arguments and of options that are `SHOWN`, each with the first sentence of its text."""
 
     def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
         """Draw a panel, or nothing where none of its entries is shown."""
         entries = [
             entry.copy(description=_first_sentence(entry.description))
             for entry in panel.entries
-            if SHOWN.intersection(entry.positive_names)
+            if entry.positional_label is not None or SHOWN.intersection(entry.positive_names)
         ]
         if entries:
             super().__call__(console, options, panel.copy(entries=entries))

