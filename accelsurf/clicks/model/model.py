@@ -404,7 +404,16 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
     seed, known = seeds[-1], model.clicks.with_more([seeds[-1].click])
     click = seed.click
     inside = click.side == "inside"
-    window, field = later_blocks(model, scene, seeds, asked["later"])
+    least = ADDED if inside else 1.0 - ADDED
+    for window in _windows(scene, seeds):
+        features, side = features_of_later(window, model.inside_on(window.box), len(seeds), model.count)
+        probability = asked_of(features, asked["later"], window)
+        probability[window.theirs] = 0.0
+        found = connected_to(((probability > least) & ~side) | window.mine, window.mine)
+        if not _touches(found & ~side, window):
+            break
+    field = _signed(probability, least, found)
+    field[side] = np.maximum(field[side], SIDE)
     change = window.on_voxels(field)
     tight = bounding_box(change > 0) if inside else None
     box = model.box if tight is None else enclosing(model.box, placed_at(tight, corner_of(window.box)))
@@ -430,21 +439,6 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
     taken = 0.0 if inside else 1.0 - after.count / max(model.count, 1)
     after = replace(after, correction=seed.radius / width, unchanged=unchanged, taken=taken, surprises=surprises)
     return _with_clicks(after, scene)
-
-
-def later_blocks(model: ClickModel, scene: Scene, seeds: Sequence[Seed], network: Network) -> tuple[Window, Floats]:
-    """Return the window of a later click, the last of ``seeds``, and a field above 0 in blocks on its side after it."""
-    least = ADDED if seeds[-1].click.side == "inside" else 1.0 - ADDED
-    for window in _windows(scene, seeds):
-        features, side = features_of_later(window, model.inside_on(window.box), len(seeds), model.count)
-        probability = asked_of(features, network, window)
-        probability[window.theirs] = 0.0
-        found = connected_to(((probability > least) & ~side) | window.mine, window.mine)
-        if not _touches(found & ~side, window):
-            break
-    field = _signed(probability, least, found)
-    field[side] = np.maximum(field[side], SIDE)
-    return window, field
 
 
 def asked_of(features: Features, network: Network, window: Window) -> Floats:

@@ -87,15 +87,6 @@ def train(work: Path, scenes: int, jobs: int, passes: int, steps: int, out: Path
         networks[name], record[stage] = fitted(name, rows, passes)
         print(stage, record[stage], flush=True)
 
-    def surround(name: str, first: int, make: Callable[..., list[lessons.Lesson]]) -> None:
-        seeds = range(first, first + round(AROUND * scenes))
-        stage = f"{name} around"
-        seen = lessons.written(work, stage.replace(" ", "-"), seeds, partial(make, networks=dict(networks)), jobs)
-        layers, record[stage] = lessons.fitted(seen, steps, jobs)
-        networks[name] = dataclasses.replace(networks[name], around=tuple(Layer(*pair) for pair in layers))
-        as_asked()
-        print(stage, record[stage], flush=True)
-
     def as_asked() -> None:
         """Round the weights as they are in a file."""
         save(work / WEIGHTS, networks)
@@ -103,14 +94,18 @@ def train(work: Path, scenes: int, jobs: int, passes: int, steps: int, out: Path
 
     fit("first", "first", gathered(work, "first", 0, scenes, first_rows, jobs))
     as_asked()
-    surround("first", 400_000, lessons.lessons_of_first)
+    seeds = range(400_000, 400_000 + round(AROUND * scenes))
+    seen = lessons.written(work, "around", seeds, partial(lessons.lessons_of_first, networks=dict(networks)), jobs)
+    layers, record["around"] = lessons.fitted(seen, steps, jobs)
+    networks["first"] = dataclasses.replace(networks["first"], around=tuple(Layer(*pair) for pair in layers))
+    as_asked()
+    print("around", record["around"], flush=True)
     rough = gathered(work, "rough", 100_000, scenes // 2, partial(later_rows, networks=dict(networks)), jobs)
     fit("later", "rough", rough)
     played = gathered(work, "later", 200_000, scenes // 2, partial(later_rows, networks=dict(networks)), jobs)
     both = Rows(rough.names, *(np.concatenate(pair) for pair in zip(rough[1:], played[1:], strict=True)))
     fit("later", "later", both)
     as_asked()
-    surround("later", 500_000, lessons.lessons_of_later)
     near = gathered(work, "near", 300_000, scenes // 3, partial(boundary_rows, networks=dict(networks)), jobs)
     fit("boundary", "boundary", near)
     save(out, networks)

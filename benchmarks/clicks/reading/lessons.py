@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from accelsurf.clicks.model.features import Features, features_of_first
-from accelsurf.clicks.model.model import first_blocks, later_blocks
+from accelsurf.clicks.model.features import features_of_first
+from accelsurf.clicks.model.model import first_blocks
 from accelsurf.clicks.model.network import Network
 from accelsurf.clicks.model.windows import SCALES, Window
 from benchmarks.clicks.reading.around import Layers, backward, forward, started
-from benchmarks.clicks.reading.games import CLICKS, OBJECTS, OFTEN, Game, games
+from benchmarks.clicks.reading.games import OBJECTS, OFTEN, games
 
 Floats = NDArray[np.floating]
 #: Windows of a step, its largest rate, part of the steps in which it grows, and the decay of weights.
@@ -38,8 +38,7 @@ HELD = 12
 class Lesson(NamedTuple):
     """A window: standardised features (nz, ny, nx, k) and the first answer (logits), float16; shares, of 255.
 
-    ``fixed``: blocks that are decided; ``mine``: those of them that are on the click's side, which is the object's or,
-    for an outside click, not.
+    ``fixed``: blocks that clicks decide; ``mine``: those of them that are on the click's side.
     """
 
     features: NDArray[np.float16]
@@ -47,7 +46,6 @@ class Lesson(NamedTuple):
     share: NDArray[np.uint8]
     fixed: NDArray[np.bool_]
     mine: NDArray[np.bool_]
-    is_inside: bool
     scene: int
 
 
@@ -61,56 +59,17 @@ def lessons_of_first(seed: int, networks: Mapping[str, Network]) -> list[Lesson]
             window = game.window(int(game.random.choice(len(SCALES), p=OFTEN)))
         else:
             window = first_blocks(game.scene, game.seeds[0], network=networks["first"]).window
-        out.append(_lesson(window, features_of_first(window), networks["first"], game.truth, seed))
+        out.append(_lesson(window, networks["first"], game.truth, seed))
     return out
 
 
-def lessons_of_later(seed: int, networks: Mapping[str, Network]) -> list[Lesson]:
-    """Windows of the later clicks of a game in a scene."""
-    out = []
-    for game in games(seed, 5, 1, networks):
-        for count in range(CLICKS):
-            if not game.click():
-                break
-            if count:
-                window = _later_window(game)
-                features, side = game.later_features(window)
-                out.append(_lesson(window, features, networks["later"], game.truth, seed, side))
-            game.answer()
-    return out
-
-
-def _later_window(game: Game) -> Window:
-    if game.random.random() < DRAWN:
-        return game.window(int(game.random.choice(len(SCALES), p=OFTEN)))
-    assert game.model is not None
-    return later_blocks(game.model, game.scene, game.seeds, game.networks["later"])[0]
-
-
-def _lesson(
-    window: Window,
-    features: Features,
-    network: Network,
-    truth: NDArray[np.bool_],
-    seed: int,
-    side: NDArray[np.bool_] | None = None,
-) -> Lesson:
-    """A lesson; ``side``: the blocks that are on the click's side before it."""
-    values = network.standardised(features, window.values.shape)
-    answer, is_inside = network.logits(values), window.seed.click.side == "inside"
+def _lesson(window: Window, network: Network, truth: NDArray[np.bool_], seed: int) -> Lesson:
+    values = network.standardised(features_of_first(window), window.values.shape)
+    answer = network.logits(values)
     share = np.rint(window.means(truth) * 255).astype(np.uint8)
     last = np.ascontiguousarray(np.moveaxis(values, 0, -1))
-    mine = window.mine if side is None else window.mine | (side & ~window.theirs)
-    fixed = mine | window.theirs
-    return Lesson(
-        last.astype(np.float16),
-        answer.astype(np.float16),
-        share if is_inside else 255 - share,
-        fixed,
-        mine,
-        is_inside,
-        seed,
-    )
+    fixed = window.mine | window.theirs
+    return Lesson(last.astype(np.float16), answer.astype(np.float16), share, fixed, window.mine, seed)
 
 
 def written(
@@ -132,20 +91,18 @@ def _write(job: tuple[Path, int], make: Callable[[int], list[Lesson]]) -> None:
 
 
 def error(
-    logits: Floats, share: Floats, fixed: NDArray[np.bool_], mine: NDArray[np.bool_], is_inside: bool = True
+    logits: Floats, share: Floats, fixed: NDArray[np.bool_], mine: NDArray[np.bool_]
 ) -> tuple[float, float, Floats]:
-    """Cross entropy, Dice of the object, and the slopes of their difference along the logits.
+    """Cross entropy, Dice, and the slopes of their difference along the logits.
 
-    ``fixed``, ``mine`` and ``is_inside`` are those of a `Lesson`.
+    ``fixed`` and ``mine`` are those of a `Lesson`.
     """
     free, p = ~fixed, expit(logits)
     count = max(int(np.count_nonzero(free)), 1)
     entropy = -float((share * np.log(p + 1e-6) + (1 - share) * np.log(1 - p + 1e-6))[free].mean())
     found = np.where(fixed, mine.astype(np.float32), p)
-    wanted, sign = (share, 1.0) if is_inside else (1.0 - share, -1.0)
-    found = found if is_inside else 1.0 - found
-    both, total = 2.0 * float((found * wanted).sum()) + 1.0, float(found.sum() + wanted.sum()) + 1.0
-    slope = (p - share) / count - sign * (2.0 * wanted * total - both) / total**2 * p * (1.0 - p)
+    both, total = 2.0 * float((found * share).sum()) + 1.0, float(found.sum() + share.sum()) + 1.0
+    slope = (p - share) / count - (2.0 * share * total - both) / total**2 * p * (1.0 - p)
     return entropy, both / total, np.where(free, slope, 0.0).astype(np.float32)
 
 
@@ -197,10 +154,9 @@ def _slopes(job: tuple[Layers, int, tuple[int, int]]) -> list[Floats]:
     def turned(array: NDArray[np.generic]) -> NDArray[np.generic]:
         return np.ascontiguousarray(array.transpose(*axes, *range(3, array.ndim))[ends])
 
-    lesson = _HELD[index]
-    features, answer, share, fixed, mine = map(turned, lesson[:5])
+    features, answer, share, fixed, mine = map(turned, _HELD[index][:5])
     logits, held = forward(layers, features.astype(np.float32), answer.astype(np.float32))
-    slope = error(logits, share.astype(np.float32) / 255, fixed, mine, lesson.is_inside)[2]
+    slope = error(logits, share.astype(np.float32) / 255, fixed, mine)[2]
     return [part for layer in backward(layers, held, slope) for part in layer]
 
 
@@ -209,6 +165,5 @@ def _told(job: tuple[Layers, int]) -> tuple[float, float, float, float]:
     lesson = _HELD[index]
     answer, share = lesson.answer.astype(np.float32), lesson.share.astype(np.float32) / 255
     logits, _ = forward(layers, lesson.features.astype(np.float32), answer)
-    known = lesson.fixed, lesson.mine, lesson.is_inside
-    before, after = (error(each, share, *known)[:2] for each in (answer, logits))
+    before, after = (error(each, share, lesson.fixed, lesson.mine)[:2] for each in (answer, logits))
     return (*before, *after)
