@@ -46,7 +46,6 @@ class Trial(NamedTuple):
 #: By clicks.
 TRIALS = {
     "mr-white-matter": Trial(("macaque-white-matter", "mean-white", "white-matter"), ("mri_brain_oblique",)),
-    "mr-cord": Trial(("cord", "cord-grey-matter"), ("mri_cord_iso",)),
 }
 
 

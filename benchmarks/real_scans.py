@@ -74,7 +74,7 @@ CASES: dict[str, Case] = {
     "brain, ball": Case(_BRAIN, "--start ball:126,110,130,30vox"),
     "oblique brain, preset": Case(_OBLIQUE, "--start center --preset mr-brain"),
     "oblique brain, no option": Case(_OBLIQUE, "--start center"),
-    "cord, balls and preset": Case("mri_cord_iso", f"{_CORD} --preset mr-cord"),
+    "cord, balls": Case("mri_cord_iso", _CORD),
     "liver, three clicks by eye": Case(_CT, _LIVER, (5,)),
     "spleen, a click by eye": Case(_CT, "--inside ball:372,311,9,8vox", (1,)),
     "bones": Case(_CT, "--preset ct-skeleton", _BONES),

@@ -221,25 +221,31 @@ def begins_at_model(config: RunConfig) -> bool:
 def stop_rule(config: RunConfig, levels: int) -> StopRule:
     """Return the rule by which a run on a number of levels has converged on the finest one.
 
-    After a coarser level, and at the object that the clicks' model shows, the run begins near its end and is checked
-    more often. The window has an even number of
-    steps, so that an oscillation from step to step cancels. The waves of flowable-mass and region-mass keep their steps
-    short, and the Sobolev gradient is small where forces are uneven: there a slow surface has not converged yet.
+    After a coarser level the run begins near its end and is checked more often. The window has an even number of steps,
+    so that an oscillation from step to step cancels. The waves of flowable-mass and region-mass keep their steps short,
+    and the Sobolev gradient is small where forces are uneven: there a slow surface has not converged yet. At the object
+    that the clicks' model shows a run begins as a correction does.
     """
-    further = _FURTHER * config.tolerance
-    slow = SLOW * config.tolerance
-    if levels == 1 and not begins_at_model(config):
+    if begins_at_model(config):
+        return correction_rule(config)
+    if levels == 1:
         waves = config.flow in ("flowable-mass", "region-mass")
-        return StopRule(motion=slow if waves else config.tolerance, further=further)
-    if config.flow in _SHORT_STEPS:
-        return StopRule(10, slow, further=further)
-    return StopRule(6, config.tolerance, further=further)
+        motion = SLOW * config.tolerance if waves else config.tolerance
+        return StopRule(motion=motion, further=_FURTHER * config.tolerance)
+    return _rule_near_the_end(config)
 
 
 def correction_rule(config: RunConfig) -> StopRule:
     """Return the rule by which a correction has converged: it begins near its end, as after a coarser level."""
-    rule = stop_rule(config, 2)
+    rule = _rule_near_the_end(config)
     return rule if config.flow in _SHORT_STEPS else rule._replace(patience=PATIENCE)
+
+
+def _rule_near_the_end(config: RunConfig) -> StopRule:
+    further = _FURTHER * config.tolerance
+    if config.flow in _SHORT_STEPS:
+        return StopRule(10, SLOW * config.tolerance, further=further)
+    return StopRule(6, config.tolerance, further=further)
 
 
 def half_width(config: RunConfig) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from accelsurf.clicks.model.network import Layer, Network, logits_around, networks
-from benchmarks.clicks.reading import around
+from benchmarks.clicks.reading import around, lessons
 from benchmarks.clicks.reading.__main__ import fitted, gathered
 from benchmarks.clicks.reading.games import boundary_rows, first_rows, later_rows
 from benchmarks.clicks.reading.scenes import scene
@@ -56,6 +56,20 @@ def test_slopes_on_windows_are_those_of_differences() -> None:
                 moved[i][j] = part + step * way
                 sides.append(float((around.forward(moved, values, answer[..., 0])[0] * wanted[..., 0]).sum()))
             assert (sides[0] - sides[1]) / 2e-6 == pytest.approx(float((slopes[i][j] * way).sum()), rel=1e-3, abs=1e-3)
+
+
+def test_slopes_of_the_error_are_those_of_differences() -> None:
+    random = np.random.default_rng(3)
+    logits, share = 2.0 * random.standard_normal((4, 5, 3)), random.uniform(size=(4, 5, 3))
+    fixed = random.uniform(size=share.shape) < 0.3
+    known = share, fixed, fixed & (random.uniform(size=share.shape) < 0.5)
+    slope = lessons.error(logits, *known)[2]
+    assert not slope[fixed].any()
+    way, ends = np.where(fixed, 0.0, random.standard_normal(share.shape)), []
+    for step in (1e-5, -1e-5):
+        entropy, dice, _ = lessons.error(logits + step * way, *known)
+        ends.append(entropy - dice)
+    assert (ends[0] - ends[1]) / 2e-5 == pytest.approx(float((slope * way).sum()), rel=1e-3)
 
 
 def test_scenes_are_the_same_for_a_seed_and_their_objects_are_whole() -> None:

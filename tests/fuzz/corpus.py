@@ -276,7 +276,7 @@ def _command_lines():
         "--energy threshold:10,50 --levels 2 --mesh ply",
         "--presmooth 1.5vox --seed 4 --noise 0.1 --half-width 4",
         "--objects a.csv --format nrrd --mesh-space ras --threads 2",
-        "--edit step=3 --channel b.nii --mask c.nii --max-volume 100 --preset mr-cord --restart off --friction 0.5",
+        "--edit step=3 --channel b.nii --mask c.nii --max-volume 100 --preset mr-brain --restart off --friction 0.5",
     ):
         yield "\n".join(words.split())
 

@@ -257,9 +257,9 @@ def _evaluated():
 
 def _batches():
     """Tables of cases, of images and of sequences."""
-    image = b'image,id,preset,start,smoothness,mask\na.nii,first,mr-cord,"ball:1,2,3,4; ball:5,5,5,2",0.5,\n'
+    image = b'image,id,preset,start,smoothness,mask\na.nii,first,mr-brain,"ball:1,2,3,4; ball:5,5,5,2",0.5,\n'
     image += b"c.nii.gz,,,otsu,1,m.nii@2\n"
     words = b'image,id,start,max_gap,correct\na.nii,cell,"ball:1,2,3,4",2,"frame=1 inside=point:1,2,3 object=1"\n'
-    for suffix, table in ((".csv", image), (".tsv", b"image\tid\tpreset\na.nii\tx\tmr-cord\nb.nii\ty\t\n")):
+    for suffix, table in ((".csv", image), (".tsv", b"image\tid\tpreset\na.nii\tx\tmr-brain\nb.nii\ty\t\n")):
         yield Input("cases", suffix, "text", table)
     yield Input("sequences", ".csv", "text", words)

@@ -33,7 +33,7 @@ def test_every_preset_says_what_each_value_means_and_where_it_was_tried(name):
 
 def test_values_beside_a_preset_win_wherever_they_come_from(tmp_path, capsys):
     assert RunConfig(preset="ct-skeleton", presmooth=0.5).presmooth == 0.5
-    assert RunConfig(preset="mr-cord", levels="auto").levels == "auto"  # also where it is the default
+    assert RunConfig(preset="mr-white-matter", levels="auto").levels == "auto"  # also where it is the default
     file = tmp_path / "run.toml"
     file.write_text('preset = "mr-brain"\nbalance = 1.7\n')
     config = RunConfig.from_toml(file)
@@ -95,14 +95,6 @@ def test_brain_on_zeros_with_dim_remains_of_the_stripping():
     r = np.sqrt(x**2 + y**2 + z**2)
     image = np.where(r < 15, noisy(90.0 * (r < 15), 6), 0) + 30.0 * ((r >= 15) & (r < 17))
     assert dice(found("mr-brain", image, "center"), r < 15) > 0.95
-
-
-def test_cord_of_two_tissues_in_bright_fluid():
-    z, y, x = grid()
-    r = np.hypot(x, y)
-    values = np.select([r < 2, r < 5, r < 8], [300.0, 240.0, 500.0], 150.0)
-    places = [f"ball:23.5,21.5,{k},2.5vox" for k in (4, 14, 24)]
-    assert dice(found("mr-cord", noisy(values, 20), *places), r < 5) > 0.9
 
 
 def test_nuclei_of_uneven_brightness():

@@ -12,7 +12,7 @@ from accelsurf.settings.run_config import RunConfig
 
 ODD = RunConfig(
     extension="fast-marching",
-    preset="mr-cord",
+    preset="mr-white-matter",
     energy="0.5*geodesic:scale=1 + threshold:-1e-3,20",
     flow="gradient",
     start=("ball:-1.5,2,3,4", 'label:a "quoted"\\ name\x7f é\n.nii.gz'),

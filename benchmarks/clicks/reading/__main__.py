@@ -27,7 +27,7 @@ HIDDEN, BATCH = {"first": (64, 32), "later": (64, 32), "boundary": (16,)}, {"bou
 #: Passes over the rows; part of the scenes that is held back; scenes of a file of rows.
 PASSES, HELD, CHUNK = 2, 0.08, 20
 #: Scenes of whole windows, as a part of those of rows; steps over windows.
-AROUND, STEPS = 0.4, 1500
+AROUND, STEPS = 1.0, 4000
 
 
 def gathered(work: Path, name: str, first: int, count: int, make: Callable[[int], list[Rows]], jobs: int) -> Rows:
@@ -87,20 +87,27 @@ def train(work: Path, scenes: int, jobs: int, passes: int, steps: int, out: Path
         networks[name], record[stage] = fitted(name, rows, passes)
         print(stage, record[stage], flush=True)
 
+    def as_asked() -> None:
+        """Round the weights as they are in a file."""
+        save(work / WEIGHTS, networks)
+        networks.update(load(work / WEIGHTS))
+
     fit("first", "first", gathered(work, "first", 0, scenes, first_rows, jobs))
+    as_asked()
+    seeds = range(400_000, 400_000 + round(AROUND * scenes))
+    seen = lessons.written(work, "around", seeds, partial(lessons.lessons_of_first, networks=dict(networks)), jobs)
+    layers, record["around"] = lessons.fitted(seen, steps, jobs)
+    networks["first"] = dataclasses.replace(networks["first"], around=tuple(Layer(*pair) for pair in layers))
+    as_asked()
+    print("around", record["around"], flush=True)
     rough = gathered(work, "rough", 100_000, scenes // 2, partial(later_rows, networks=dict(networks)), jobs)
     fit("later", "rough", rough)
     played = gathered(work, "later", 200_000, scenes // 2, partial(later_rows, networks=dict(networks)), jobs)
     both = Rows(rough.names, *(np.concatenate(pair) for pair in zip(rough[1:], played[1:], strict=True)))
     fit("later", "later", both)
+    as_asked()
     near = gathered(work, "near", 300_000, scenes // 3, partial(boundary_rows, networks=dict(networks)), jobs)
     fit("boundary", "boundary", near)
-    save(out, networks)
-    networks = load(out)  # as they are asked
-    seeds = range(400_000, 400_000 + round(AROUND * scenes))
-    seen = lessons.written(work, "around", seeds, partial(lessons.lessons_of_first, networks=networks), jobs)
-    layers, record["around"] = lessons.fitted(seen, steps, jobs)
-    networks["first"] = dataclasses.replace(networks["first"], around=tuple(Layer(*pair) for pair in layers))
     save(out, networks)
     record["minutes"] = round((time.monotonic() - began) / 60.0, 1)
     record["sha256"] = hashlib.sha256(out.read_bytes()).hexdigest()

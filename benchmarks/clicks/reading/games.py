@@ -28,8 +28,8 @@ OBJECTS, WINDOWS, BLOCKS = 3, 2, 900
 NEAR, LEAST_DICE = 2500, 0.3
 #: How often a window of each scale is taken.
 OFTEN = (0.38, 0.3, 0.2, 0.12)
-#: Part of the games in which clicks are not exact; of the clicks that are smaller than half the depth for no reason, to
-#: which part at least; of the games in which clicks are as large as clicks get from a radius on, voxels.
+#: Part of the games in which clicks are not exact; of the first clicks that are smaller than half the depth for no
+#: reason, to which part at least; of the games in which clicks are as large as clicks get from a radius on, voxels.
 JITTERED, SMALLER, SMALLEST = 0.3, 0.2, 0.15
 LIMITED, LARGEST = 0.35, (0.5, 8.0)
 #: Most clicks of a game.
@@ -76,7 +76,7 @@ class Game:
         if click is None:
             return False
         part = 1.0
-        if self.random.random() < SMALLER:
+        if not self.seeds and self.random.random() < SMALLER:
             part = float(np.exp(self.random.uniform(np.log(SMALLEST), 0.0)))
         radius = max(min(part * click.radius, self.largest), 0.5 * min(self.scene.spacing))
         seed = seed_of(voxels_of(click._replace(radius=radius), self.volume.geometry), self.scene)

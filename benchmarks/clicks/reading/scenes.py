@@ -25,6 +25,8 @@ SIDE, BASE_SEED = 88, 2026
 LEAST_VOXELS, MOST_PART, LEAST_DEPTH, MOST_OBJECTS = 100, 0.6, 1.6, 4
 #: Part of the objects that are two labels which touch, and part of those that have their holes filled.
 JOINED, FILLED = 0.12, 0.15
+#: Part of the images without noise.
+NOISELESS = 0.1
 
 
 def scene(seed: int) -> tuple[Volume, list[Mask]]:
@@ -121,7 +123,8 @@ def painted(random: Random, labels: Labels) -> Floats:
     if random.random() < 0.15:
         image += random.uniform(0.0, 0.4) * rough(random, shape, _between(random, 10.0, 30.0))
     image = ndimage.gaussian_filter(image, _between(random, 0.35, 1.3))
-    return _degraded(random, image, _between(random, 0.02, 0.5) * contrast)
+    noise = 0.0 if random.random() < NOISELESS else _between(random, 0.02, 0.5)
+    return _degraded(random, image, noise * contrast)
 
 
 def _degraded(random: Random, image: Floats, amount: float) -> Floats:
