@@ -100,7 +100,7 @@ def _show_results(reports: Sequence[Path], as_json: bool) -> None:
 def _summary(report: object) -> dict[str, str]:
     """Return what a report says of image, end, volume and quality."""
     document = report if isinstance(report, dict) else {}
-    source, stop, quality = (_part(document, name) for name in ("input", "stop", "quality"))
+    source, stop, quality = (_fields_of(document, name) for name in ("input", "stop", "quality"))
     out = {"image": source.get("path"), "ended": stop.get("message") or document.get("error")}
     volume, probability = document.get("volume_mm3"), quality.get("probability")
     if isinstance(volume, int | float):
@@ -112,7 +112,7 @@ def _summary(report: object) -> dict[str, str]:
     return {name: str(value) for name, value in out.items() if value}
 
 
-def _part(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+def _fields_of(document: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     part = document.get(name)
     return part if isinstance(part, dict) else {}
 

@@ -37,6 +37,8 @@ APART = 2
 #: A run on a frame counts if that on the given frame, from the given surface, leaves it by no more than so many voxels
 #: (root mean square).
 TRUSTED = 1.0
+#: So much of that square, in voxels, is the rounding of labels: a surface half a voxel off has half of its voxels wrong.
+ROUNDING = 0.5
 #: Of an object that the border of the grid cuts at least so many voxels must be there.
 MIN_CUT = 8
 
@@ -118,7 +120,8 @@ class Follower:
             off = mean_square(given[followed.id], found[followed.id].surface, self._geometry)
             parts = max(1, len(separate_parts(given[followed.id])))
             depth = 2.0 * followed.volume_mm3 / max(followed.area_mm2, 1e-300)
-            trust[followed.id] = Trust(followed.profile, parts, depth, off if off <= most else math.inf)
+            variance = max(off - ROUNDING * min(self._geometry.steps) ** 2, 0.0) if off <= most else math.inf
+            trust[followed.id] = Trust(followed.profile, parts, depth, variance)
             followed.note_given(trust[followed.id])
         return trust
 

@@ -259,7 +259,7 @@ def test_a_mesh_that_holds_no_contours_is_refused_for_a_slice(toys):
 
 
 def test_help_of_the_command():
-    shown = program("segment", "--help")
+    shown = program("segment", "--help-all")
     assert "toy: a toy that wants bright voxels" in shown and "toy-flow: a toy that descends" in shown
     assert ".tif, .dcm, .mgz, .npy or .toy" in shown and "toymesh" in shown and "toy-scan" in shown
 

@@ -100,9 +100,10 @@ ODD = RunConfig(
 
 #: What cannot be given beside a start, levels and edits.
 SEVERAL = RunConfig(objects="seeds \"a\".csv@2,5-9")
+GIVEN = RunConfig(labels="almost \"right\".nii.gz@3")
 
 
-@pytest.mark.parametrize("config", [RunConfig(), ODD, SEVERAL], ids=["defaults", "all changed", "several objects"])
+@pytest.mark.parametrize("config", [RunConfig(), ODD, SEVERAL, GIVEN], ids=["defaults", "all changed", "several objects", "given labels"])
 def test_toml_round_trip_is_exact(config, tmp_path):
     path = tmp_path / "run.toml"
     path.write_text(config.to_toml(), encoding="utf-8")
@@ -112,8 +113,8 @@ def test_toml_round_trip_is_exact(config, tmp_path):
 def test_odd_config_changes_every_field():
     # Otherwise the round trip above could lose a field without anyone noticing.
     same = [name for name in RunConfig.model_fields if getattr(ODD, name) == getattr(RunConfig(), name)]
-    assert same == ["objects"]  # which does not go with the others
-    assert all(getattr(SEVERAL, name) != getattr(RunConfig(), name) for name in same)
+    assert same == ["objects", "labels"]  # which do not go with the others
+    assert SEVERAL.objects != RunConfig().objects and GIVEN.labels != RunConfig().labels
 
 
 @pytest.mark.parametrize(
