@@ -37,7 +37,8 @@ APART = 2
 #: A run on a frame counts if that on the given frame, from the given surface, leaves it by no more than so many voxels
 #: (root mean square).
 TRUSTED = 1.0
-#: So much of that square, in voxels, is the rounding of labels: a surface half a voxel off has half of its voxels wrong.
+#: So much of that square, in voxels, is the rounding of labels: of a surface that is half a voxel off, half of the
+#: voxels differ.
 ROUNDING = 0.5
 #: Of an object that the border of the grid cuts at least so many voxels must be there.
 MIN_CUT = 8

@@ -143,8 +143,9 @@ def test_without_start_and_energy_clicks_choose_both():
     assert RunConfig(inside="point:1,1,1").replace(cfl=0.4).energy == "seeded"
     assert RunConfig(energy="chan-vese").replace(inside="point:1,1,1").energy == "chan-vese"
     assert RunConfig().replace(inside="point:1,1,1").energy == "seeded"
-    assert RunConfig(inside="point:1,1,1", preset="mr-white-matter").energy == RunConfig(preset="mr-white-matter").energy
-    assert RunConfig(inside="point:1,1,1").replace(preset="mr-white-matter").energy == RunConfig(preset="mr-white-matter").energy
+    name = "mr-white-matter"
+    assert RunConfig(inside="point:1,1,1", preset=name).energy == RunConfig(preset=name).energy
+    assert RunConfig(inside="point:1,1,1").replace(preset=name).energy == RunConfig(preset=name).energy
 
 
 def test_clicks_in_python_are_texts_masks_meshes_points_and_balls():

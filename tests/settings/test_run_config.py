@@ -103,7 +103,10 @@ SEVERAL = RunConfig(objects="seeds \"a\".csv@2,5-9")
 GIVEN = RunConfig(labels="almost \"right\".nii.gz@3")
 
 
-@pytest.mark.parametrize("config", [RunConfig(), ODD, SEVERAL, GIVEN], ids=["defaults", "all changed", "several objects", "given labels"])
+CONFIGS = {"defaults": RunConfig(), "all changed": ODD, "several objects": SEVERAL, "given labels": GIVEN}
+
+
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
 def test_toml_round_trip_is_exact(config, tmp_path):
     path = tmp_path / "run.toml"
     path.write_text(config.to_toml(), encoding="utf-8")
