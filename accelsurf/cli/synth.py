@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
@@ -20,7 +20,9 @@ from accelsurf.output.tables import csv_text
 from accelsurf.phantoms import recipe_files, recipes
 from accelsurf.phantoms.motions import MovingPhantom
 from accelsurf.phantoms.recipes import Recipe
-from accelsurf.phantoms.tissues import TissuePhantom, phantom_from
+
+if TYPE_CHECKING:
+    from accelsurf.phantoms.tissues import TissuePhantom
 
 #: Columns of the table of the bodies, as far as they go those of a table of tracks.
 COLUMNS = ("frame", "time", "time_unit", "id", "parent", "x_mm", "y_mm", "z_mm", "volume_ml", "seen")
@@ -58,6 +60,8 @@ def synth(
     if seed is not None:
         values["seed"] = seed
     if "motion" in values or "tissue" in values:
+        from accelsurf.phantoms.tissues import phantom_from
+
         paths = write_sequence(phantom_from(values, str(path)), folder, overwrite)
     else:
         paths = write_volume(recipes.recipe_from(values, str(path)), folder, overwrite)

@@ -94,7 +94,8 @@ def test_what_cannot_be_tracked_is_refused_in_a_line(cells: Path, tmp_path: Path
         (("--model", "magic"), 2, "model: magic was given"),
         (("--observer", "2,1"), 2, "observer: 2,1 was given"),
         (("--correct", "frame=1"), 2, "correct:"),
-        (("--correct", "frame=0 inside=point:5,8,0", "--frame", "2"), 2, "correct: frame 0 was given"),
+        (("--correct", "frame=0 inside=point:5,8,0", "--frame", "2", "--direction", "forward"), 2,
+         "correct: frame 0 was given"),
         (("--max-gap", "-1"), 2, "max_gap: -1 was given"),
     ):
         assert tracked(cells, out, *options) == code

@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import json
 import os
 import re
 import shlex
@@ -131,12 +132,16 @@ def readers_folder(tmp_path_factory):
 
 def folder_of_a_reader():
     """Make what the how-to pages take for granted: scans, labels, a picture, tables, a first result."""
-    for name in ("scan", "ct", "t2", "cells", "sub-01_T1w", "LIV_001_0000"):
+    for name in ("scan", "ct", "t1", "t2", "cells", "sub-01_T1w", "LIV_001_0000"):
         scan_in_place_of(Path(f"{name}.nii.gz"))
     labels = np.zeros(grid().shape, np.uint8)
     labels[20:28, 20:28, 8:14], labels[20:28, 20:28, 32:40] = 2, 6
     for name in ("truth.nii.gz", "starts.nii.gz"):
         io.write(Volume(labels, grid()), name)
+    organs = np.where(labels == 2, np.uint8(5), labels)
+    organs[12:36, 12:36, 12:36] = 5
+    io.write(Volume(organs, grid()), "organs.nii.gz")
+    points_of_other_programs()
     y, x = np.indices((160, 200))
     io.write(Volume((200 * ((x - 120) ** 2 + (y - 80) ** 2 < 30**2)).astype(np.uint8)[None], PLANE), "cell.png")
     for folder in ("predicted", "reference"):
@@ -159,8 +164,16 @@ def folder_of_a_reader():
     Path("out/run.toml").write_text("max_steps = 2\n")
 
 
+def points_of_other_programs():
+    """Points in the middle, inside, and far from it, outside."""
+    markup = {"type": "Fiducial", "coordinateSystem": "RAS", "controlPoints": [{"position": [1.0, -2.0, 3.0]}]}
+    Path("F.mrk.json").write_text(json.dumps({"markups": [markup]}))
+    Path("G.fcsv").write_text("# CoordinateSystem = LPS\n# columns = id,x,y,z\n1,40,40,0\n")
+    Path("points.csv").write_text("index,axis-0,axis-1,axis-2\n0,3,20,20\n")
+
+
 def moving_cell():
-    """A disc that travels around the world's origin through four frames of one slice."""
+    """A disc that travels around the world's origin through four frames of one slice, and where it is in the last."""
     y, x = np.indices((40, 40)) - 19.5
     plane = Geometry((1, 40, 40), (1.0, 1.0, 1.0), origin=(-19.5, -19.5, 0.0))
     with io.SequenceWriter("moving.nii.gz", plane, (0.0, 1.0, 2.0, 3.0), "s", np.float32) as writer:
@@ -168,6 +181,8 @@ def moving_cell():
             disc = np.hypot(x - number, y) < 8
             noise = np.random.default_rng(number).normal(0, 4, x.shape)
             writer.write(number, (100.0 * disc + noise)[None].astype(np.float32))
+    shutil.copy("moving.nii.gz", "echo.nii.gz")
+    io.write(Volume(disc[None].astype(np.uint8), plane), "frame3.nii.gz")
 
 
 def tracked_cells():

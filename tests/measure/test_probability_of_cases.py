@@ -76,7 +76,7 @@ def test_a_failure_is_not_said_to_be_good(name, noise):
 
 def test_what_a_click_in_mere_noise_finds_is_not_said_to_be_good():
     _, found = first_answer("nothing", 5.0)
-    assert found.probability < 0.5
+    assert found.probability < SAID
 
 
 def test_a_clear_ball_is_said_to_be_good_and_part_of_a_torus_less_so():

@@ -101,8 +101,6 @@ ODD = RunConfig(
 #: What cannot be given beside a start, levels and edits.
 SEVERAL = RunConfig(objects="seeds \"a\".csv@2,5-9")
 GIVEN = RunConfig(labels="almost \"right\".nii.gz@3")
-
-
 CONFIGS = {"defaults": RunConfig(), "all changed": ODD, "several objects": SEVERAL, "given labels": GIVEN}
 
 

@@ -58,8 +58,8 @@ def ask(actions, *request):
 
 
 def test_rows_are_the_options_of_the_command_line_in_their_order(capsys):
-    """The same names, help and numbers: the common ones first, each part in the order of ``--help``."""
-    assert execute(["segment", "--help"]) == 0
+    """The same names, help and numbers: the common ones first, each part in the order of ``--help-all``."""
+    assert execute(["segment", "--help-all"]) == 0
     shown = capsys.readouterr().out
     options = re.findall(r"^│ (?:\* +)?--([a-z0-9-]+)", shown, re.MULTILINE)
     places = {key: options.index(key) for key in dict.fromkeys(options)}
