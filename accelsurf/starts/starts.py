@@ -33,6 +33,8 @@ Row = TypeVar("Row")
 
 #: mm or voxels.
 MAX_LENGTH = 1e12
+#: A place is taken for one in micrometres where it is so many extents of the volume away.
+FAR_BEYOND = 50.0
 
 #: The start that is made of the inside clicks of the run.
 CLICKS = "clicks"
@@ -295,8 +297,10 @@ def _meant(geometry: Geometry, place: Sequence[float], vox: bool) -> str | None:
         readings = [
             ("with x and y negated it is inside: are these RAS? Then add ras", geometry.world_to_index((-x, -y, z))),
             ("as voxel indices it is inside: add vox", np.array([z, y, x])),
-            ("in micrometres it is inside: add um", geometry.world_to_index((x / 1e3, y / 1e3, z / 1e3))),
         ]
+        if max(map(abs, place)) > FAR_BEYOND * max(geometry.extent_mm):
+            um = geometry.world_to_index((x / 1e3, y / 1e3, z / 1e3))
+            readings.append(("in micrometres it is inside: add um", um))
     last = np.array(geometry.shape) - 0.5
     return next((said for said, at in readings if ((at >= -0.5) & (at <= last)).all()), None)
 

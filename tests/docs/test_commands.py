@@ -169,7 +169,7 @@ def points_of_other_programs():
     markup = {"type": "Fiducial", "coordinateSystem": "RAS", "controlPoints": [{"position": [1.0, -2.0, 3.0]}]}
     Path("F.mrk.json").write_text(json.dumps({"markups": [markup]}))
     Path("G.fcsv").write_text("# CoordinateSystem = LPS\n# columns = id,x,y,z\n1,40,40,0\n")
-    Path("points.csv").write_text("index,axis-0,axis-1,axis-2\n0,3,20,20\n")
+    Path("points.csv").write_text("index,axis-0,axis-1,axis-2\n0,24,24,24\n")
 
 
 def moving_cell():

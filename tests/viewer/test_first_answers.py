@@ -58,7 +58,8 @@ def test_an_answer_is_taken_as_one_change_and_the_run_is_that_of_the_setting(ima
         session.take_answer(2).result()
         assert session.wait(60) and session.status.stop is not None and session.status.settings.answer == 2
         back = until(lambda: numbers(session) == [(1, False), (2, True)] and session.status.answers[0].surface)
-        assert dice(back.inside(EVERYWHERE), whole) > 0.85
+        shown = back.inside(EVERYWHERE)
+        assert 2.0 * np.count_nonzero(shown) == pytest.approx(first.volume_mm3, rel=0.1) and dice(shown, whole) > 0.8
         inside = viewing.look(session, lambda run: run.objects[0].surface.psi < 0).result()
         assert np.array_equal(inside, segment(volume, config=config(answer=2)).labels > 0)
         assert [answer.volume_mm3 for answer in session.status.answers] == [answer.volume_mm3 for answer in offered]
