@@ -92,7 +92,11 @@ def assess(
     last = history[-1].volume_mm3 if history else 0.0
     found = found._replace(probability=probability_good(model_kind(found), features(found)))
     warnings = _warnings(found, stop, last, labels > 0, geometry)
-    return found._replace(warnings=tuple(warnings), notes=tuple(_notes(found, last, geometry)))
+    notes = _notes(found, last, geometry)
+    parts = 1 if clicked is None else clicked_parts(labels > 0, clicked)
+    if parts > 1:
+        notes.append(f"parts: {parts} separate parts were clicked; if they are objects of their own, try --objects")
+    return found._replace(warnings=tuple(warnings), notes=tuple(notes))
 
 
 def measured(
@@ -153,6 +157,22 @@ def _by_clicks(confidence: Confidence | None) -> dict[str, Any]:
         "level_overlap": overlap, "size_spread": spread, "correction": correction, "unchanged": unchanged,
         "taken": taken, "surprise": surprise, "answers": answers,
     }
+
+
+def clicked_parts(inside: NDArray[np.bool_], clicked: NDArray[np.bool_]) -> int:
+    """Number of separate parts of an object that have a click in them.
+
+    Examples
+    --------
+    >>> row = np.array([[[1, 1, 0, 1, 0, 1]]], bool)
+    >>> clicked_parts(row, np.array([[[1, 0, 0, 0, 0, 1]]], bool))
+    2
+    """
+    tight = bounding_box(inside)
+    if tight is None:
+        return 0
+    found, _ = ndimage.label(inside[tight])
+    return len(np.unique(found[clicked[tight] & inside[tight]]))
 
 
 def _beyond(inside: NDArray[np.bool_], clicked: NDArray[np.bool_]) -> float:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import accelsurf
 from accelsurf.clicks.model import Scene, click_model
 from accelsurf.clicks.model.confidence import confidence_of
 from accelsurf.evolution.records import Stop
@@ -89,3 +90,13 @@ def test_a_clear_ball_is_said_to_be_good_and_part_of_a_torus_less_so():
 def test_nobody_knows_from_a_click_in_a_cube_that_both_are_meant():
     (alone, _), (both, _) = first_answer("cube", 5.0), first_answer("two cubes", 5.0)
     assert alone > 0.95 and both < 0.7
+
+
+def test_clicks_in_two_separate_objects_name_the_option_for_several():
+    z, y, x = np.indices((24, 24, 48)) - 11.5
+    balls = (z**2 + y**2 + x**2 < 49) | (z**2 + y**2 + (x - 24) ** 2 < 49)
+    image = np.float32(100.0 * balls)
+    near, far = "ball:11.5,11.5,11.5,3vox", "ball:35.5,11.5,11.5,3vox"
+    found = [accelsurf.segment(image, inside=clicks, threads=1).quality.notes for clicks in (near, (near, far))]
+    assert not any("parts:" in note for note in found[0])
+    assert [note for note in found[1] if "2 separate parts were clicked" in note and "--objects" in note]
