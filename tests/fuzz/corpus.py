@@ -267,6 +267,15 @@ def _texts():
     ):
         for text in some:
             yield Input(kind, suffix, "text", text.encode())
+    for suffix, text in (
+        (".mrk.json", '{"markups": [{"type": "Fiducial", "coordinateSystem": "RAS", "coordinateUnits": ["mm", "UCUM"], '
+         '"controlPoints": [{"position": [1, -2.5, 3e1], "positionStatus": "defined"}]}]}'),
+        (".fcsv", "# CoordinateSystem = 0\n# columns = id,x,y,z,ow\nF_1,1,2,3,0\nF_2,-4.5,5,6,0\n"),
+        (".csv", "label,r,a,s,defined\nF-1,1,2,3,1\n"),
+        (".csv", "index,axis-0,axis-1,axis-2\n0.0,1.0,2.0,3.0\n"),
+        (".txt", "1 2 3 1\n-4.5 5 6 2\n"),
+    ):
+        yield Input("points", suffix, "text", text.encode())
 
 
 def _command_lines():

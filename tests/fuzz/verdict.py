@@ -12,6 +12,7 @@ import numpy as np
 from accelsurf import io
 from accelsurf.cli.options import run_config
 from accelsurf.cli.segment import Settings
+from accelsurf.clicks.point_files import read_points
 from accelsurf.errors import AccelsurfError
 from accelsurf.evolution.serialization import from_bytes
 from accelsurf.image.volume import Volume
@@ -174,6 +175,12 @@ def _table(given: Input, path: Path) -> None:
             raise Wrong(f"psi of object {start.id} is not finite")
 
 
+def _points(given: Input, path: Path) -> None:
+    for place in read_points(str(path)):
+        if len(place.numbers) != 3 or not np.isfinite(place.numbers).all():
+            raise Wrong(f"a point has the coordinates {place.numbers}")
+
+
 def _run(given: Input, path: Path) -> None:
     """A run of three steps with settings and values as they are written."""
     from accelsurf import segment
@@ -215,5 +222,5 @@ def _reserve(given: Input, path: Path) -> None:
 _JUDGES = {
     **{"crash": _crash, "sleep": _sleep, "reserve": _reserve, "sequence": _sequence},
     **{"image": _image, "channels": _channels, "mesh": _mesh, "energy": _energy, "start": _start, "edit": _edit},
-    **{"toml": _toml, "argv": _argv, "table": _table, "run": _run, "checkpoint": _checkpoint},
+    **{"toml": _toml, "argv": _argv, "table": _table, "points": _points, "run": _run, "checkpoint": _checkpoint},
 }
