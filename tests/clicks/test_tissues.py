@@ -10,8 +10,14 @@ from tests.support import tissues
 from tests.support.tissue_scan import SPACING, grid, noisy
 
 
+#: The model takes a small neighbour that is a third as far from the object as the rest is for a part of it.
+TAKEN = pytest.mark.xfail(strict=True, reason="the muscle, five times the noise darker than the organ, is taken with it")
+
+
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize(("value", "clicks"), [(60, {"outside": "point:43,22,15vox"}), (110, {})])
+@pytest.mark.parametrize(
+    ("value", "clicks"), [(60, {"outside": "point:43,22,15vox"}), pytest.param(110, {}, marks=TAKEN)]
+)
 def test_organ_beside_muscle_and_fat(value, clicks):
     """Muscle at 30 HU: from an organ without contrast agent, as bright within the noise, a click outside parts it."""
     z, y, x = grid()
