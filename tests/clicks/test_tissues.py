@@ -9,9 +9,8 @@ from accelsurf.measure.metrics import dice
 from tests.support import tissues
 from tests.support.tissue_scan import SPACING, grid, noisy
 
-
 #: The model takes a small neighbour that is a third as far from the object as the rest is for a part of it.
-TAKEN = pytest.mark.xfail(strict=True, reason="the muscle, five times the noise darker than the organ, is taken with it")
+TAKEN = pytest.mark.xfail(strict=True, reason="the muscle is taken, though five times the noise darker")
 
 
 @pytest.mark.sampled(1)
