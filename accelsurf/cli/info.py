@@ -36,7 +36,8 @@ def info(
         Print JSON; without an image with the schema of the configuration.
     """
     if image is not None:
-        if reports := sorted(image.glob("*_report.json")):
+        reports = sorted(image.glob("*_report.json")) if image.is_dir() else []
+        if reports:
             _show_results(reports, as_json)
             return 0
         _show_image(image, as_json, run_config(reading).reading)
