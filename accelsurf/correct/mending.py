@@ -24,6 +24,7 @@ from accelsurf.correct.local_evolution import (
     measures_of,
     relabelled_psi,
 )
+from accelsurf.correct.models import ids_text
 from accelsurf.correct.objects import CorrectedObjects
 from accelsurf.correct.region import NearRegion
 from accelsurf.energies import Energy, RegionField
@@ -140,10 +141,9 @@ def _object_of(objects: CorrectedObjects, correction: Correction) -> int:
     if correction.object is not None:
         return correction.object
     if len(objects.ids) > 1:
-        there = ", ".join(map(str, objects.ids[:20])) + (", ..." if len(objects.ids) > 20 else "")
         raise UsageError(
             "refine: to_edges, holes or islands were given without object, expected an object's id",
-            f"there are {there}",
+            ids_text(objects.ids),
         )
     return objects.ids[0]
 

@@ -235,10 +235,11 @@ def check_id(id: int, ids: Sequence[int], what: str) -> None:
         With the ids that there are.
     """
     if id not in ids:
-        raise UsageError(f"refine: {what} {id} was given, expected one that is in the result", _ids_text(ids))
+        raise UsageError(f"refine: {what} {id} was given, expected one that is in the result", ids_text(ids))
 
 
-def _ids_text(ids: Sequence[int]) -> str:
+def ids_text(ids: Sequence[int]) -> str:
+    """Return which objects there are, for messages; of many the first ones."""
     return "there are " + ", ".join(map(str, ids[:20])) + (", ..." if len(ids) > 20 else "")
 
 
@@ -287,7 +288,7 @@ def check_object(correction: Correction, ids: Sequence[int] | None) -> None:
             raise UsageError(f"refine: object {id} was given, but there is a single one", "leave object out")
         return
     if id is None and correction.inside:
-        raise UsageError("refine: inside was given without object, expected an object's id", _ids_text(ids))
+        raise UsageError("refine: inside was given without object, expected an object's id", ids_text(ids))
     if id is not None:
         check_id(id, ids, "object")
 

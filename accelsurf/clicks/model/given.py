@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from accelsurf.clicks.model.model import AROUND, CLICKED, WRONG, ClickModel, with_click
+from accelsurf.clicks.model.model import AROUND, CLICKED, ClickModel, is_right, with_click
 from accelsurf.clicks.model.network import Network, networks
 from accelsurf.clicks.model.windows import Floats, Mask, Scene, Seed, Spacing, seed_of
 from accelsurf.grid.boxes import (
@@ -110,16 +110,17 @@ def corrected_model(
     goes_on = previous is not None and clicks.starts_with(previous.clicks)
     model = previous if previous is not None and goes_on else model_of_mask(given, scene.shape, scene.spacing)
     using = networks() if asked is None else asked
-    seeds = [seed_of(click, scene) for click in clicks.clicks]
-    core = [seed_of(_core_of(given, scene.spacing), scene)] if given.mask.any() else []
+    seeds: list[Seed] = []  # read when first needed: a click on its side needs none
     for number, click in enumerate(clicks.clicks[len(model.clicks) :], len(model.clicks)):
-        there = model.inside_on(click.box)[click.mask]
-        if int(np.count_nonzero(there != (click.side == "inside"))) <= WRONG * there.size:
+        if is_right(model, click):
             model = _with_right_click(model, click)
-        else:
+            continue
+        if not seeds:
             # The networks read later clicks beside a first one: the middle of the mask stands for it.
-            after = with_click(model, scene, [*core, *seeds[: number + 1]], using)
-            model = _near_click(after, model, seeds[number], scene)
+            first = (_core_of(given, scene.spacing),) if given.mask.any() else ()
+            seeds = [seed_of(each, scene) for each in (*first, *clicks.clicks)]
+        known = seeds[: len(seeds) - len(clicks) + number + 1]
+        model = _near_click(with_click(model, scene, known, using), model, known[-1], scene)
     return replace(model, clicks=clicks)
 
 

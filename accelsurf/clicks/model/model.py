@@ -242,7 +242,7 @@ def click_model(
         seeds.append(seed_of(ordered.clicks[0], scene))
         model, done = first_model(scene, seeds[0], ordered.shape, size_mm3, answer, using), 1
     for number, click in enumerate(ordered.clicks[done:], done):
-        if _is_right(model, click):
+        if is_right(model, click):
             model = _with_right_click(model, click, scene)
             continue
         seeds += [seed_of(each, scene) for each in ordered.clicks[len(seeds) : number + 1]]
@@ -386,7 +386,7 @@ def _has_room(window: Window, size_mm3: float | None) -> bool:
     return size_mm3 is None or not window.faces.any() or window.volume_mm3 >= ROOM * size_mm3
 
 
-def _is_right(model: ClickModel, click: Click) -> bool:
+def is_right(model: ClickModel, click: Click) -> bool:
     """Test if a click is on its side already, but for a small part of it."""
     there = model.inside_on(click.box)[click.mask]
     return int(np.count_nonzero(there != (click.side == "inside"))) <= WRONG * there.size
