@@ -358,15 +358,30 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
         near = ndimage.maximum_filter(turned[part], [2 * int(n) + 1 for n in window.steps])
         score[part] = _fitted(score[part], placed_at(part, corner_of(box)), window, asked["boundary"], None, near)
         score[was_there] = before[was_there]
-    after = replace(model, clicks=known, box=box, field=score, inside=score < 0)
+    after = _with_clicks(replace(model, clicks=known, box=box, field=score, inside=score < 0), scene)
+    if not inside:
+        after = without_cut_off(after, model)
     width = radius_of_count(max(after.count, 1), scene)
     # Of the two objects one lies in the other.
     unchanged = 2.0 * min(model.count, after.count) / max(model.count + after.count, 1)
     wrong = model.field_on(click.box)[click.mask] * (1.0 if inside else -1.0)
     surprises = (*model.surprises, float(np.clip(wrong, -1.0, 1.0).mean()))
     taken = 0.0 if inside else 1.0 - after.count / max(model.count, 1)
-    after = replace(after, correction=seed.radius / width, unchanged=unchanged, taken=taken, surprises=surprises)
-    return _with_clicks(after, scene)
+    return replace(after, correction=seed.radius / width, unchanged=unchanged, taken=taken, surprises=surprises)
+
+
+def without_cut_off(model: ClickModel, before: ClickModel) -> ClickModel:
+    """A model without what its last click has cut off from all inside clicks, where that is less than what remains."""
+    held = np.zeros(model.field.shape, np.bool_)
+    for click in model.clicks.clicks:
+        if click.side == "inside":
+            held |= click.mask_on(model.box)
+    kept = connected_to(model.inside, held)
+    cut = model.inside & ~kept & connected_to(before.inside_on(model.box), held)
+    if not 0 < np.count_nonzero(cut) <= np.count_nonzero(kept):
+        return model
+    field = np.where(cut, np.float32(JUST), model.field)
+    return replace(model, field=field, inside=field < 0)
 
 
 def asked_of(features: Features, network: Network, window: Window) -> Floats:

@@ -1,12 +1,14 @@
 """The model of clicks: obeyed at once, click by click as at once, elsewhere as it was; sizes, masks, slices, parts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from accelsurf.clicks.model import Scene, click_model
+from accelsurf.clicks.model import ClickModel, Scene, click_model
 from accelsurf.clicks.model.confidence import confidence_of
 from accelsurf.clicks.model.features import features_of_first, features_of_later
-from accelsurf.clicks.model.model import first_blocks
+from accelsurf.clicks.model.model import first_blocks, without_cut_off
 from accelsurf.clicks.model.windows import SCALES, seed_of, window_around
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import whole_box
@@ -70,6 +72,38 @@ def test_clicks_are_on_their_sides_and_an_outside_one_takes_a_part_off(two_balls
     assert dice(shown(both), truth) >= dice(shown(first), truth) - 0.02
     again = click_model(scene, clicks(FIRST, far, click("inside", (12, 32, 32), 4.0)), previous=both)
     assert not (shown(both) & ~shown(again)).any() and (shown(again) & other).sum() > 0.5 * other.sum()
+
+
+def test_what_an_outside_click_cuts_off_goes_with_it(two_balls):
+    scene, truth, other = two_balls
+    bridge = click("outside", (12, 24, 23), 4.0)
+    seen = np.zeros(SHAPE, bool)
+    seen[bridge.box] = bridge.mask
+    tip, box = other & ~seen, whole_box(SHAPE)
+    whole = truth | seen | tip
+    field = np.where(whole, -0.5, 0.5).astype(np.float32)
+    given = replace(click_model(scene, clicks(FIRST)), box=box, field=field, inside=whole)
+    after = click_model(scene, clicks(FIRST, bridge), previous=given)
+    assert not shown(after)[seen | tip].any() and shown(after)[truth & ~seen].mean() > 0.6
+    more = click("inside", (12, 32, 32), 2.0)
+    assert shown(click_model(scene, clicks(FIRST, more, bridge)))[tip].any()  # it is clicked
+
+
+@pytest.mark.parametrize(("length", "stays"), [(6, False), (9, False), (10, True), (20, True)])
+def test_a_piece_that_is_more_than_what_remains_is_not_cut_off(length, stays):
+    shape = (1, 1, 32)
+    row = np.zeros(shape, bool)
+    row[..., 1 : 11 + length] = True
+    inside = Click("inside", (slice(0, 1), slice(0, 1), slice(2, 4)), np.ones((1, 1, 2), bool))
+    outside = Click("outside", (slice(0, 1), slice(0, 1), slice(10, 11)), np.ones((1, 1, 1), bool))
+    before = ClickModel(clicks(inside, shape=shape), whole_box(shape), np.where(row, -1, 1).astype(np.float32), row)
+    now = row.copy()
+    now[..., 10] = False
+    now[..., 30] = True  # was never in one piece with the click
+    after = replace(before, clicks=clicks(inside, outside, shape=shape), field=np.where(now, -1, 1), inside=now)
+    found = without_cut_off(after, before).inside
+    assert found[..., 11 : 11 + length].all() == found[..., 11 : 11 + length].any() == stays
+    assert found[..., 1:10].all() and found[..., 30].all()
 
 
 def test_click_by_click_and_at_once_are_the_same_bytes(two_balls):
