@@ -171,14 +171,18 @@ def _judgement(result: Result) -> list[str]:
 
 
 def _other_answers(quality: Quality) -> list[str]:
-    """A line about other answers to the first click, as long as no click has corrected the one that was taken."""
-    if len(quality.answers) < 2 or quality.correction is not None:
+    """A line about other answers to the first click, as long as no click has corrected the one that was taken.
+
+    All that is alike is an answer to every click: it is named beside a part, and where there are warnings.
+    """
+    if quality.correction is not None or len(quality.answers) < (2 if quality.warnings else 3):
         return []
-    others = [volume_text(answer.volume_mm3) for answer in quality.answers[1:]]
-    return [
-        f"the first click may also mean {' or '.join(others)}: "
-        + " or ".join(f"--answer {answer.number}" for answer in quality.answers[1:])
+    others = [
+        f"{volume_text(answer.volume_mm3) if answer.volume_mm3 else 'all that is alike and connected'} "
+        f"(--answer {answer.number})"
+        for answer in quality.answers[1:]
     ]
+    return [f"the first click may also mean {' or '.join(others)}"]
 
 
 def _in_words(result: Result, said: str) -> str:

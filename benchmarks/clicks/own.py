@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from accelsurf.api.segment import segment
 from accelsurf.clicks.model import ClickModel, Scene, click_model
+from accelsurf.clicks.model.network import Network
 from accelsurf.grid.boxes import whole_box
 from accelsurf.grid.clicks import Clicks
 from accelsurf.image.volume import Volume
@@ -103,9 +105,10 @@ def sureness(result: Any) -> float | None:
 
 
 class StartAlone:
-    """The object that the model of the clicks shows, from which the surface would begin."""
+    """The object that the model of the clicks shows, where the surface would begin; by other networks, if given."""
 
-    def __init__(self, image: Volume, hints: Hints) -> None:
+    def __init__(self, image: Volume, hints: Hints, asked: Mapping[str, Network] | None = None) -> None:
+        self.asked = asked
         self.scene = Scene((image.as_float32(),), image.geometry.spacing)
         self.image, self.size = image, hints.size_mm3
         if hints.box is not None:
@@ -117,7 +120,9 @@ class StartAlone:
     def click(self, click: PersonClick) -> Mask:
         """Labels after one click more."""
         self.clicks = self.clicks.with_more([voxels_of(click, self.image.geometry)])
-        self.model = click_model(self.scene, self.clicks, size_mm3=self.size, previous=self.model)
+        self.model = click_model(
+            self.scene, self.clicks, size_mm3=self.size, previous=self.model, asked=self.asked
+        )
         return self.model.inside_on(whole_box(self.image.geometry.shape))
 
     def other_answers(self) -> list[Mask]:

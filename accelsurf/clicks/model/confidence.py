@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from accelsurf.clicks.model.model import Answer, ClickModel
+from accelsurf.clicks.model.answers import Answer
+from accelsurf.clicks.model.model import ClickModel
 from accelsurf.grid.boxes import connected_to
 
 #: The objects of F below this and above its negative are compared.

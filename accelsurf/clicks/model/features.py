@@ -245,11 +245,21 @@ def _likelihood(z: NDArray[np.floating], sample: Mask, beyond: Mask) -> NDArray[
     """(p - q)/(p + q) of the densities of values in a sample and beyond it; 0 where one of them is empty."""
     if not (sample.any() and beyond.any()):
         return np.zeros(z.shape)
-    widths = max(2.0, 30.0 / np.sqrt(np.count_nonzero(sample))), 2.0
-    counts = (np.histogram(z[part], BINS)[0].astype(np.float64) for part in (sample, beyond))
+    return at_bins(z, likelihood_ratio(z[sample], z[beyond]))
+
+
+def likelihood_ratio(sample: NDArray[np.floating], beyond: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(p - q)/(p + q) of the densities of some values and of others, at the middles of `BINS`."""
+    widths = max(2.0, 30.0 / np.sqrt(len(sample))), 2.0
+    counts = (np.histogram(part, BINS)[0].astype(np.float64) for part in (sample, beyond))
     smooth = [ndimage.gaussian_filter1d(c, width) for c, width in zip(counts, widths, strict=True)]
     p, q = (density / density.sum() + LEAST for density in smooth)
-    return np.interp(z, 0.5 * (BINS[1:] + BINS[:-1]), (p - q) / (p + q))
+    return np.asarray((p - q) / (p + q))
+
+
+def at_bins(z: NDArray[np.floating], ratio: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Values at the middles of `BINS`, linear between them."""
+    return np.interp(z, 0.5 * (BINS[1:] + BINS[:-1]), ratio)
 
 
 def _nearest(window: Window, seeds: Sequence[Seed]) -> NDArray[np.floating]:

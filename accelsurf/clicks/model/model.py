@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
-from skimage.morphology import reconstruction
 
+from accelsurf.clicks.model.answers import OF_ALIKE, Answer, Levels, grown
 from accelsurf.clicks.model.boundary import at_boundary
 from accelsurf.clicks.model.features import Features, features_of_first, features_of_later
 from accelsurf.clicks.model.network import Network, networks
@@ -51,9 +51,9 @@ from accelsurf.grid.boxes import (
 )
 from accelsurf.grid.clicks import Click, Clicks, Side
 
-#: A block is object from this probability on. A later inside click adds from `ADDED` on, an outside click removes from
-#: 1 - `ADDED` on: of an object with the Dice d a voxel is worth taking from d/2 on.
-FROM, ADDED = 0.47, 0.43
+#: A later inside click adds from this probability on, an outside click removes from one less this on: of an object with
+#: the Dice d a voxel is worth taking from d/2 on.
+ADDED = 0.43
 #: An answer goes on beyond its window where it covers this part of the section of the click's ball at the open faces.
 ACROSS = 0.25
 #: F in clicked voxels.
@@ -70,22 +70,8 @@ WRONG = 0.1
 ABOUT = 1.25
 #: A stated size is looked for in a window of at least so many times that volume.
 ROOM = 4.0
-#: Other answers to a first click have at least so many times its volume, or at most so much less.
-OTHER = 1.5
-#: Probabilities whose volumes tell how sure a first answer is.
-LOW, HIGH = 0.25, 0.7
 #: The boundary is fitted with so many blocks around what a click has turned.
 WIDE = 3
-#: Levels at which other answers are looked for.
-LEVELS = tuple(round(0.05 * k, 2) for k in range(1, 20))
-
-
-class Answer(NamedTuple):
-    """An answer to the first click: from which probability on, its volume (mm3), and its number, 1 the likeliest."""
-
-    level: float
-    volume_mm3: float
-    number: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,63 +133,6 @@ class ClickModel:
         return int(np.count_nonzero(self.inside))
 
 
-class Levels:
-    """Objects around a click by the probability from which on a block belongs to them.
-
-    Parameters
-    ----------
-    probability : ndarray (nz, ny, nx) float32
-        Of the blocks of a window.
-    window : Window
-
-    Attributes
-    ----------
-    window : Window
-    blocks : ndarray (nz, ny, nx) float32
-        Of each block the largest probability at which it is connected to the click.
-    """
-
-    def __init__(self, probability: Floats, window: Window) -> None:
-        self.window = window
-        top = np.where(window.mine, np.float32(1.0), probability)
-        start = np.where(window.mine, top, np.float32(0.0))
-        self.blocks: Floats = reconstruction(start, top, "dilation").astype(np.float32)
-        self._sorted = np.sort(self.blocks.ravel())[::-1]
-
-    def volume(self, level: float) -> float:
-        """Volume (mm3) of what is connected to the click at a level."""
-        return float(np.searchsorted(-self._sorted, -level, "left")) * self.window.block_mm3
-
-    def volume_spread(self) -> float:
-        """Logarithm of the volume from a low probability on over that from a high one."""
-        return float(np.log(max(self.volume(LOW), 1e-9) / max(self.volume(HIGH), 1e-9)))
-
-    def of_volume(self, volume_mm3: float) -> Answer:
-        """The answer of about a volume."""
-        index = min(max(round(volume_mm3 / self.window.block_mm3), 1), len(self._sorted) - 1)
-        return Answer(float(0.5 * (self._sorted[index - 1] + self._sorted[index])), volume_mm3)
-
-    def nearest(self, answer: Answer) -> Answer:
-        """The answer that is most like one in a smaller window, whose volume may have been cut off there."""
-        volume = max(answer.volume_mm3, self.window.block_mm3)
-        return min(self.answers(), key=lambda found: abs(np.log(max(found.volume_mm3, 1e-9) / volume)))
-
-    def answers(self) -> tuple[Answer, ...]:
-        """The likeliest answer, and a larger and a smaller one where the volume changes least with the level."""
-        first = Answer(FROM, self.volume(FROM))
-        volumes, others = [self.volume(level) for level in LEVELS], []
-        for factor in (OTHER, 1.0 / OTHER):
-            wanted = factor * first.volume_mm3
-            found = [
-                (before / max(after, self.window.block_mm3), Answer(level, volume))
-                for before, level, volume, after in zip(volumes, LEVELS[1:], volumes[1:], volumes[2:], strict=False)
-                if (volume >= wanted if factor > 1.0 else 0.0 < volume <= wanted)
-            ]
-            others += [min(found)] if found else []
-        ordered = [answer for _, answer in sorted(others)]
-        return (first, *(answer._replace(number=number) for number, answer in enumerate(ordered, 2)))
-
-
 def click_model(
     scene: Scene,
     clicks: Clicks,
@@ -223,8 +152,7 @@ def click_model(
     size_mm3 : float, optional
         About the object's volume.
     answer : int, optional
-        Which answer to the first click is taken: 1 is the likeliest, the others are those of `ClickModel.answers`. The
-        last one, where there are not so many.
+        Which answer to the first click is taken, see `Answer`; the likeliest where it has no part of its own.
     previous : ClickModel, optional
         The model of the first of these clicks, all else being the same: the result is the same, sooner.
     asked : mapping of str to Network, optional
@@ -290,23 +218,15 @@ def first_blocks(
 ) -> FirstBlocks:
     """Return an answer to the first click on blocks, which is what it shows but for its boundary; see `first_model`."""
     network = networks()["first"] if network is None else network
-    windows = _windows(scene, [seed], size_mm3)
-    for window in windows:
+    for window in _windows(scene, [seed], size_mm3):
         probability, levels = read_first(window, network)
         answers = levels.answers() if size_mm3 is None else (levels.of_volume(size_mm3),)
-        found = _object(probability, answers[0], window)
-        if not _touches(found, window):
+        if not _touches(_object(probability, answers[0], window), window):
             break
-    taken = answers[min(answer, len(answers)) - 1]
-    shown = taken
-    if taken is not answers[0]:  # another answer may be larger than the window
-        found = _object(probability, taken, window)
-        while _touches(found, window) and (larger := next(windows, None)) is not None:
-            window = larger
-            probability, levels = read_first(window, network)
-            shown = levels.nearest(taken)
-            found = _object(probability, shown, window)
-    field = _signed(probability, shown.level, found)
+    taken = next((other for other in answers if other.number == answer != OF_ALIKE), answers[0])
+    found = _object(probability, taken, window)
+    assert taken.level is not None
+    field = _signed(probability, taken.level, found)
     field[holes_filled(found) & ~found] = JUST
     return FirstBlocks(window, field, levels, (taken, *(other for other in answers if other is not taken)))
 
@@ -345,6 +265,13 @@ def first_model(
         score = _fitted(score, box, window, asked["boundary"], seed.click)
     if size_mm3 is not None:
         score = _sized(score, size_mm3 / float(np.prod(scene.spacing)))
+    elif answer == OF_ALIKE:
+        box, score, inside = grown(window, box, score < 0)
+        score = np.where(inside, np.minimum(score, -JUST), np.maximum(score, JUST))
+        if "boundary" in asked:
+            score = _fitted(score, box, window, asked["boundary"], seed.click)
+        volume = float(np.count_nonzero(score < 0) * np.prod(scene.spacing))
+        answers = (Answer(None, volume, OF_ALIKE), *(other for other in answers if other.number != OF_ALIKE))
     made = ClickModel(Clicks((seed.click,), shape), box, score, score < 0, answers, levels.volume_spread())
     return _with_clicks(made, scene)
 
@@ -356,7 +283,8 @@ def read_first(window: Window, network: Network) -> tuple[Floats, Levels]:
 
 
 def _object(probability: Floats, answer: Answer, window: Window) -> Mask:
-    """Blocks of an answer."""
+    """Blocks of an answer that has a level."""
+    assert answer.level is not None
     return connected_to((probability > answer.level) | window.mine, window.mine)
 
 
@@ -430,15 +358,30 @@ def with_click(model: ClickModel, scene: Scene, seeds: Sequence[Seed], asked: Ma
         near = ndimage.maximum_filter(turned[part], [2 * int(n) + 1 for n in window.steps])
         score[part] = _fitted(score[part], placed_at(part, corner_of(box)), window, asked["boundary"], None, near)
         score[was_there] = before[was_there]
-    after = replace(model, clicks=known, box=box, field=score, inside=score < 0)
+    after = _with_clicks(replace(model, clicks=known, box=box, field=score, inside=score < 0), scene)
+    if not inside:
+        after = without_cut_off(after, model)
     width = radius_of_count(max(after.count, 1), scene)
     # Of the two objects one lies in the other.
     unchanged = 2.0 * min(model.count, after.count) / max(model.count + after.count, 1)
     wrong = model.field_on(click.box)[click.mask] * (1.0 if inside else -1.0)
     surprises = (*model.surprises, float(np.clip(wrong, -1.0, 1.0).mean()))
     taken = 0.0 if inside else 1.0 - after.count / max(model.count, 1)
-    after = replace(after, correction=seed.radius / width, unchanged=unchanged, taken=taken, surprises=surprises)
-    return _with_clicks(after, scene)
+    return replace(after, correction=seed.radius / width, unchanged=unchanged, taken=taken, surprises=surprises)
+
+
+def without_cut_off(model: ClickModel, before: ClickModel) -> ClickModel:
+    """A model without what its last click has cut off from all inside clicks, where that is less than what remains."""
+    held = np.zeros(model.field.shape, np.bool_)
+    for click in model.clicks.clicks:
+        if click.side == "inside":
+            held |= click.mask_on(model.box)
+    kept = connected_to(model.inside, held)
+    cut = model.inside & ~kept & connected_to(before.inside_on(model.box), held)
+    if not 0 < np.count_nonzero(cut) <= np.count_nonzero(kept):
+        return model
+    field = np.where(cut, np.float32(JUST), model.field)
+    return replace(model, field=field, inside=field < 0)
 
 
 def asked_of(features: Features, network: Network, window: Window) -> Floats:

@@ -15,7 +15,11 @@ if TYPE_CHECKING:
 
 #: The key of each answer, by its number; 1 and 2 change the tiles.
 KEYS = {1: "7", 2: "8", 3: "9"}
-_WORDS = {1: "likeliest", 2: "second", 3: "third"}
+_WORDS = {
+    1: "show the likeliest answer to the first click",
+    2: "show a part of that",
+    3: "show all that is alike and connected",
+}
 
 
 class AnswersFeature(Feature):
@@ -31,10 +35,7 @@ class AnswersFeature(Feature):
         return {"take_answer": self._begin_with}
 
     def keys(self) -> Mapping[str, Key]:
-        return {
-            key: Key("take_answer", (number,), f"the {_WORDS[number]} answer to the first click")
-            for number, key in KEYS.items()
-        }
+        return {key: Key("take_answer", (number,), _WORDS[number]) for number, key in KEYS.items()}
 
     def state(self, status: Status) -> dict[str, Any]:
         answers = status.answers if self.actions.feature(FramesFeature).shows_run else ()
@@ -45,7 +46,8 @@ class AnswersFeature(Feature):
         return {
             "first_answers": [
                 {
-                    "number": answer.number, "key": KEYS[answer.number], "volume": volume_text(answer.volume_mm3),
+                    "number": answer.number, "key": KEYS[answer.number],
+                    "volume": "all alike" if answer.volume_mm3 is None else volume_text(answer.volume_mm3),
                     "taken": answer.is_taken,
                 }
                 for answer in answers

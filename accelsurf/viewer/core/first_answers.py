@@ -5,17 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from accelsurf.clicks.model import Answer, Scene
+import numpy as np
+from numpy.typing import NDArray
+
+from accelsurf.clicks.model import Answer, Scene, click_model
+from accelsurf.clicks.model.answers import OF_ALIKE
 from accelsurf.clicks.model.model import first_blocks
-from accelsurf.clicks.model.windows import seed_of
+from accelsurf.clicks.model.windows import Spacing, seed_of
 from accelsurf.errors import UsageError
 from accelsurf.grid import pyramid
-from accelsurf.grid.boxes import corner_of
+from accelsurf.grid.boxes import Box, corner_of
 from accelsurf.grid.clicks import Clicks
+from accelsurf.grid.window import LeavesWindow
 from accelsurf.run.run import Run
 from accelsurf.settings.corrections import Correction
 from accelsurf.settings.energy_expression import uses_model
-from accelsurf.viewer.core.frame import SurfaceFrame
+from accelsurf.viewer.core.frame import Index, SurfaceFrame
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,16 +31,17 @@ class FirstAnswer:
     ----------
     number : int
         The setting ``answer`` that takes it; 1 is the likeliest.
-    volume_mm3 : float
-        About its volume.
+    volume_mm3 : float or None
+        About its volume, if it is known.
     is_taken : bool
         The run is of it.
     surface : SurfaceFrame or None
-        Its outline, on the blocks of voxels that the click is read in; None of the one that is taken.
+        Its outline, on the blocks of voxels that the click is read in; None of the one that is taken, and where it
+        needs more of the image than is at hand.
     """
 
     number: int
-    volume_mm3: float
+    volume_mm3: float | None
     is_taken: bool
     surface: SurfaceFrame | None = None
 
@@ -62,8 +68,7 @@ class FirstAnswers:
     def find_next(self, run: Run) -> None:
         """Find the outline of one more; some tenths of a second."""
         if self.is_wanted(run):
-            answer = self._left.pop(0)
-            found = FirstAnswer(answer.number, answer.volume_mm3, False, _outline(run, answer.number))
+            found = _found(run, self._left.pop(0))
             self._found = tuple(sorted((*self._found, found), key=lambda answer: answer.number))
 
     def offered(self, run: Run, refinements: Sequence[Correction]) -> tuple[FirstAnswer, ...]:
@@ -85,7 +90,7 @@ class FirstAnswers:
         if refinements or number not in [answer.number for answer in _answers(run)]:
             raise UsageError(
                 f"answer: there is no answer {number} to the first click",
-                "there are up to three, as long as there is one click and no size",
+                "there are 1, 3 and mostly 2, as long as there is one click and no size",
             )
         return {"answer": number}
 
@@ -102,20 +107,33 @@ def _answers(run: Run) -> tuple[Answer, ...]:
     return context.click_model().answers
 
 
-def _outline(run: Run, number: int) -> SurfaceFrame:
-    """Return what an answer shows, but for its boundary, as blocks of voxels."""
+def _found(run: Run, answer: Answer) -> FirstAnswer:
+    """Return an answer that is not taken, and its outline."""
     evolving = run.objects[0]
     context = evolving.context
     assert context.clicks is not None
     scene = Scene(tuple(context.images), context.spacing, context.model_inputs.mask, context.model_inputs.window)
-    window, field, _, _ = first_blocks(scene, seed_of(context.clicks.clicks[0], scene), answer=number)
-    nz, ny, nx = field.shape
-    steps = (int(window.steps[0]), int(window.steps[1]), int(window.steps[2]))
+    if answer.number == OF_ALIKE:
+        try:
+            model = click_model(scene, context.clicks, answer=OF_ALIKE)
+        except LeavesWindow:  # a run of it reads more of the image
+            return FirstAnswer(answer.number, None, False)
+        frame = _outline(run, model.field, model.box, (1, 1, 1), context.spacing)
+        return FirstAnswer(answer.number, model.answers[0].volume_mm3, False, frame)
+    window, field, _, _ = first_blocks(scene, seed_of(context.clicks.clicks[0], scene), answer=answer.number)
+    z, y, x = (int(n) for n in window.steps)
     hz, hy, hx = (float(side) for side in window.size)
+    frame = _outline(run, -field, window.box, (z, y, x), (hz, hy, hx))
+    return FirstAnswer(answer.number, answer.volume_mm3, False, frame)
+
+
+def _outline(run: Run, psi: NDArray[np.float32], box: Box, steps: Index, size: Spacing) -> SurfaceFrame:
+    """Return a surface on blocks of voxels of a box."""
     # Places of blocks are those of their middles.
-    z, y, x = (corner + 0.5 * (step - 1) for corner, step in zip(corner_of(window.box), steps, strict=True))
-    level = pyramid.Level(0, steps, (nz, ny, nx), (hz, hy, hx), (z, y, x))
+    z, y, x = (corner + 0.5 * (step - 1) for corner, step in zip(corner_of(box), steps, strict=True))
+    nz, ny, nx = psi.shape
+    level = pyramid.Level(0, steps, (nz, ny, nx), size, (z, y, x))
     record, nowhere = run.current()[0].record, (0, 0, 0)
     return SurfaceFrame(
-        evolving.id, record, level, -field, nowhere, 1, nowhere, (nz, ny, nx), {}, run.prepared.first
+        run.objects[0].id, record, level, psi, nowhere, 1, nowhere, (nz, ny, nx), {}, run.prepared.first
     )
