@@ -122,7 +122,7 @@ def movie(
         volume, *more = channels.read_channels(image, run_settings.reading)
         shown = look.theme, look.color, look.view, movie_settings.size, look.planes
         drawing.make_scene(SceneRecipe(volume, run_settings, reference, *shown))
-        with watcher.watch(image.name, run_settings.max_steps):
+        with watcher.watch(image.name, run_settings.max_steps, "writing the steps so far"):
             run = Run(volume, run_settings, None, more)
             what = _draw(run, drawing, target, None if preview else movie_settings, watcher)
     finally:
