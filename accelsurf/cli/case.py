@@ -370,7 +370,7 @@ def evolve_at(
 
 
 def state_of(place: Place, config: RunConfig) -> CheckpointFile:
-    """The file of a run's state, written at intervals if asked for; that of an earlier run goes unless it is resumed."""
+    """The file of a run's state, written at intervals if asked for; that of an earlier run stays only for --resume."""
     from accelsurf.run.checkpoint_file import CheckpointFile
 
     output_folder.refuse_folder(place.checkpoint_path)
