@@ -94,7 +94,7 @@ def _all_beside_report(report: Path, what: Collection[str]) -> set[str]:
     """Return the kinds that are saved; beside a report also all that it lists, to show one state."""
     if result_sets.load_report(report) is None or result_sets.is_failure_report(report):
         return set(what)
-    listed = result_sets.kinds_of_outputs(report)
+    listed = result_sets.names_of_outputs(report)
     return {*what, "report", *(_kind(kind) for kind in listed)} & set(SAVED_KINDS)
 
 
