@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from accelsurf.run.result import Result
     from accelsurf.settings.run_config import RunConfig
 
-_STATE = "the state of a run is written with clicks, or with --keep-state yes"
+_STATE = "segment writes a state with clicks, and with --keep-state yes"
 Where = Annotated[tuple[str, ...], Parameter(group=RUN, negative_iterable=(), show_default=False)]
 
 
@@ -226,14 +226,14 @@ def _source_of(path: Path, image: Path | None) -> _Source:
         known = {path: result_sets.state_of(path) for path in sorted(folder.glob("*_report.json"))}
         found = [path for path, state in known.items() if state is not None]
         if not found:
-            raise InputError(f"{path}: there is no result with a state to go on from", _STATE)
+            raise InputError(f"{path}: has no result that can be refined", _STATE)
         if len(found) > 1:
             names = ", ".join(path.name for path in found[:5])
             raise InputError(f"{path}: there are several results: {names}", "give the report of one")
         report = found[0]
     entry = result_sets.state_of(report)
     if entry is None:
-        raise InputError(f"{report}: names no state to go on from", _STATE)
+        raise InputError(f"{report}: is of a result that cannot be refined: it has no state", _STATE)
     name, checksum, source = entry
     state_path = report.parent / name
     if not state_path.is_file() or sha256(state_path) != checksum:

@@ -258,7 +258,7 @@ def _check_given(image: Path | None, reference: Path | None, tracks: Path | None
     if tracks is not None and image is None:
         raise UsageError("tracks: they were given without a sequence", "give the sequence, too")
     if tracks is not None and reference is not None:
-        raise UsageError("reference: it was given with tracks", "leave one of both out")
+        raise UsageError("reference and tracks exclude each other", "leave one of them out")
 
 
 def _opening(config: RunConfig, recent: bool, page: PageOptions) -> Opening:

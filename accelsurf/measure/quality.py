@@ -209,7 +209,7 @@ def _warnings(
         )
     if found.next_click is None and stop.reason not in ("vanished", "filled"):
         tried = f"; try --inside ball:{_larger_ball(inside, geometry)}" if inside.any() else ""
-        warnings.append(f"doubt: its surface cannot be judged, at {volume_text(last)}{tried}")
+        warnings.append(f"doubt: the object is too small to judge ({volume_text(last)}){tried}")
     if abs(found.late_growth) > MAX_GROWTH and stop.reason not in ("converged", "rested", "leaked"):
         change = f"the volume changed by {found.late_growth:+.0%} in the last {LAST_STEPS} steps"
         # After a plateau more steps lead farther away.
@@ -238,30 +238,31 @@ def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
     for plateau in found.rests:
         if last > MIN_BURST * plateau.volume_mm3:
             notes.append(
-                f"rest: rested at step {plateau.step} at {volume_text(plateau.volume_mm3)}, then broke through near "
-                f"{place_text(plateau.place, geometry.steps)}, to {volume_text(last)} in the end; try --stop-at-rest"
+                f"rest: it rested at step {plateau.step} with {volume_text(plateau.volume_mm3)}, then broke through "
+                f"near {place_text(plateau.place, geometry.steps)} and ended with {volume_text(last)}; "
+                "try --stop-at-rest"
             )
     if found.unlike_learned is not None and found.unlike_learned > MAX_UNLIKE:
         notes.append(
-            f"values: {found.unlike_learned:.0%} of the object is unlike what it was learned from: it may have leaked, "
-            "or what it was learned from is not typical"
+            f"values: {found.unlike_learned:.0%} of the object has other grey values than its start or clicks: it may "
+            "have leaked, or these are not typical"
         )
     if found.border_fraction > MAX_ON_BORDER:
         notes.append(f"border: {found.border_fraction:.0%} of the surface lies on the volume's border")
     if found.contrast < MIN_CONTRAST:
         notes.append(
-            f"contrast: inside and outside differ by {found.contrast:.2f} times what the object itself differs by"
+            f"contrast: grey values change at the surface by {found.contrast:.2f} times their spread in the object"
         )
     if found.no_edge_fraction > MAX_WITHOUT_EDGE:
-        notes.append(f"edge: under {found.no_edge_fraction:.0%} of the surface the image has no edge")
+        notes.append(f"edge: {found.no_edge_fraction:.0%} of the surface lies where the image has no edge")
     if found.taken is not None and found.taken > MAX_TAKEN:
         notes.append(
-            f"outside: the last click outside took away {found.taken:.0%} of what was shown; where that was too much, "
-            "click inside"
+            f"outside: the last click outside took away {found.taken:.0%} of the object; click inside what was taken "
+            "wrongly"
         )
     if found.parts_beyond_necks > 1:
         notes.append(
-            f"necks: {found.parts_beyond_necks} large parts are connected by less than four voxels only; has it leaked?"
+            f"necks: {found.parts_beyond_necks} large parts are joined by bridges below four voxels; did it leak?"
         )
     return notes
 

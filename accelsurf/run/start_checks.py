@@ -119,7 +119,7 @@ def _of_size(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]
     if size is None or size < whole:
         return []
     return [
-        f"size: {volume_text(size)} was given, and the image has {volume_text(whole)}; try it without "
+        f"size: {volume_text(size)} is more than the whole image ({volume_text(whole)}); try it without "
         "--size"
     ]
 
@@ -147,7 +147,7 @@ def _background_line(click: Click, evolving: EvolvingObject, prepared: Preproces
     middle = [float(place) + side.start for place, side in zip(index, click.box, strict=True)]
     place = place_text(prepared.geometry.index_to_world(middle), prepared.geometry.steps)
     return [
-        f"click: the place inside near {place} looks like the background, which is {share:.0%} of the image; try "
+        f"click: the click inside near {place} lies in what looks like background ({share:.0%} of the image); try "
         "--inside at the object, unless the background is what you want"
     ]
 
@@ -222,8 +222,8 @@ def _two_kinds_line(values: NDArray[np.float64], click: Click, geometry: Geometr
     rest[click.mask] = ~unlike
     ball = _deepest_ball(rest, corner_of(click.box), geometry)
     return [
-        f"note: click: {unlike.mean():.0%} of it is unlike the rest (about {np.median(values[unlike]):.4g} beside "
-        f"{middle:.4g}), and what is learned leaves it out; try {option.replace('*', ball)}"
+        f"note: click: {unlike.mean():.0%} of it has other grey values (about {np.median(values[unlike]):.4g}) than "
+        f"the rest ({middle:.4g}), and the model leaves it out; try {option.replace('*', ball)}"
     ]
 
 
@@ -244,7 +244,7 @@ def _bounds_line(values: NDArray[np.float64], window: Bounds) -> str:
     Examples
     --------
     >>> _bounds_line(np.array([110.0, 112.0]), Bounds(226.0, None))
-    'start: its median is 111, the bound 226: everything will shrink; try --energy threshold:learned,learned'
+    'start: its median grey value 111 is beyond the bound 226: it will shrink to nothing; try --energy ...'
     """
     low, high = window
     within = _within(values, window)
@@ -253,8 +253,8 @@ def _bounds_line(values: NDArray[np.float64], window: Bounds) -> str:
     middle = float(np.median(values))
     bound = low if low is not None and middle < low else high
     return (
-        f"start: its median is {middle:.4g}, the bound {bound:.4g}: everything will shrink; try --energy "
-        "threshold:learned,learned"
+        f"start: its median grey value {middle:.4g} is beyond the bound {bound:.4g}: it will shrink to nothing; try "
+        "--energy threshold:learned,learned"
     )
 
 
@@ -297,7 +297,8 @@ def _surroundings_line(
     index = [int(i) * (t.step or 1) + s.start + c for i, t, s, c in zip(farthest, thin, box, corner, strict=True)]
     place = place_text(geometry.index_to_world(index), geometry.steps)
     return (
-        f"window: it takes in {share:.0%} of the surroundings of the start: it will leak; try --outside point:{place}, "
+        f"window: {share:.0%} of the surroundings of the start lie within the bounds too: it will leak; try --outside "
+        f"point:{place}, "
         "where it is not the object, in place of --energy"
     )
 
@@ -332,8 +333,9 @@ def _outlier_line(
     rest[inside[tight]] = ~unlike
     ball = _deepest_ball(rest, np.add(corner_of(tight), corner).tolist(), geometry)
     return [
-        f"start: {unlike.mean():.1%} of it is unlike the rest (standard deviation {spread:.3g}, median-based "
-        f"{robust:.3g}), the farthest near {place}; what is learned leaves it out; try {option.replace('*', ball)}"
+        f"start: {unlike.mean():.1%} of it has other grey values than the rest (standard deviation {spread:.3g}, "
+        f"median-based {robust:.3g}), the farthest near {place}; the model leaves it out; try "
+        f"{option.replace('*', ball)}"
     ]
 
 
@@ -393,6 +395,6 @@ def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
     less = 0.5 * alpha * -image / (both - image)
     given = f"--smoothness {less - of_terms:.2g}" if less > of_terms else f"--energy chan-vese:area={less:.2g}"
     return [
-        f"area: the start's radius is about {radius:.3g} mm; under the area weight {alpha:.3g} mm it shrinks below "
-        f"{2.0 * alpha / -image:.3g} mm; try {given}"
+        f"area: the start has a radius of about {radius:.3g} mm; with the area weight {alpha:.3g} mm, whatever is "
+        f"smaller than {2.0 * alpha / -image:.3g} mm shrinks; try {given}"
     ]
