@@ -194,7 +194,7 @@ def draw_slice(
         _draw_mark(shown, content.late_growth, "o", YELLOW, 2, 30)
     for place in content.next_clicks:
         _draw_next_click(shown, place)
-    draw_inset(canvas, shown, image, _kept_free(shown, content))
+    draw_inset(canvas, shown, image, _reserved(shown, content))
     if content.anatomical:
         write_letters(shown)
     draw_slice_scale(shown, content.unit)
@@ -329,9 +329,9 @@ def _draw_next_click(shown: Slice, place: tuple[float, float, float]) -> None:
     _write(shown.axes, "click next?", shown.place(place), (aside, -MARK - 4), "data")
 
 
-def _kept_free(shown: Slice, content: PreviewContent) -> NDArray[np.bool_]:
+def _reserved(shown: Slice, content: PreviewContent) -> NDArray[np.bool_]:
     """Return where nothing may cover a slice, (rows, columns): objects, clicks, places of the next."""
-    free: NDArray[np.bool_] = shown.section(content.inside()).copy()
+    free: NDArray[np.bool_] = shown.section(content.psi) < 0
     places = [*(mark.place for mark in content.clicks), *content.next_clicks]
     x, y = shown.coordinates()
     for right, up in (shown.place(place) for place in places if shown.goes_through(place)):
@@ -339,9 +339,9 @@ def _kept_free(shown: Slice, content: PreviewContent) -> NDArray[np.bool_]:
     return free
 
 
-def draw_inset(canvas: Canvas, shown: Slice, image: ShownImage, kept_free: NDArray[np.bool_]) -> None:
+def draw_inset(canvas: Canvas, shown: Slice, image: ShownImage, reserved: NDArray[np.bool_]) -> None:
     """Draw the whole slice small in a corner, with a frame around the part that is shown; nowhere where it would cover
-    what is ``kept_free``.
+    what is ``reserved``.
     """
     from matplotlib.patches import Rectangle
 
@@ -364,7 +364,7 @@ def draw_inset(canvas: Canvas, shown: Slice, image: ShownImage, kept_free: NDArr
         covered = (down < place.bottom + AWAY_INSET) & (down > place.top - AWAY_INSET), (
             (across < place.right + AWAY_INSET) & (across > place.left - AWAY_INSET)
         )
-        if not kept_free[np.ix_(*covered)].any():
+        if not reserved[np.ix_(*covered)].any():
             break
     else:
         return
