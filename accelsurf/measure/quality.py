@@ -196,11 +196,11 @@ def _compactness(last: StepRecord | None, geometry: Geometry) -> float:
 def _warnings(
     found: Quality, stop: Stop, last: float, inside: NDArray[np.bool_], geometry: Geometry
 ) -> list[str]:
-    """Return the warnings, each with one command to try."""
-    warnings = []
-    there = "" if found.next_click is None else place_text(found.next_click, geometry.steps)
+    """Return the warnings, each with one command to try where one is known to help."""
+    warnings, at_rest = [], "; try --stop-at-rest" if found.rests else ""
     if found.leaked:
-        warnings.append(f"leak: {stop.message}; try {_against_leak(found, there, geometry)}")
+        # Neither more steps nor a click at the most doubtful place was found to help (benchmarks/hints.py).
+        warnings.append(f"leak: {stop.message}{at_rest}")
     if found.probability < warning_threshold(model_kind(found)) and found.next_click is not None:
         # No place is named: a click where the surface has the least evidence was found to help in few cases.
         sure = f"{found.probability:.0%} likely to be good"
@@ -212,17 +212,8 @@ def _warnings(
         warnings.append(f"doubt: the object is too small to judge ({volume_text(last)}){tried}")
     if abs(found.late_growth) > MAX_GROWTH and stop.reason not in ("converged", "rested", "leaked"):
         change = f"the volume changed by {found.late_growth:+.0%} in the last {LAST_STEPS} steps"
-        # After a plateau more steps lead farther away.
-        tried = "--stop-at-rest" if found.rests else f"--max-steps {2 * stop.steps}"
-        warnings.append(f"growth: {change}; try {tried}")
+        warnings.append(f"growth: {change}{at_rest}")
     return warnings
-
-
-def _against_leak(found: Quality, uncertain: str, geometry: Geometry) -> str:
-    """Return a remedy of a leak: a click where the front broke through, else at the most uncertain location."""
-    if found.rests:
-        return f"--outside point:{place_text(found.rests[-1].place, geometry.steps)}, near which it broke through"
-    return f"--outside point:{uncertain}, its most doubtful place" if uncertain else "--stop-at-rest"
 
 
 def _larger_ball(inside: NDArray[np.bool_], geometry: Geometry) -> str:

@@ -100,8 +100,13 @@ def _of_values(evolving: EvolvingObject, start: ObjectStart, prepared: Preproces
         window = Bounds(term["LO"], term["HI"])
         if line := _bounds_line(values, window):
             lines.append(line)
-        elif line := _surroundings_line(low + width * image, inside, start.corner, prepared.geometry, window):
-            lines.append(line)
+        elif share := _surroundings_share(low + width * image, inside, prepared.geometry, window):
+            ball = _deepest_ball(inside[tight], np.add(corner_of(tight), start.corner).tolist(), prepared.geometry)
+            lines.append(
+                f"window: {share:.0%} of the surroundings of the start lie within the bounds too: it will leak; try "
+                f"{_option(evolving, True, has_ids).replace('*', ball)}, in place of "
+                f"{'its start' if has_ids else '--start and --energy'}"
+            )
     return lines
 
 
@@ -263,17 +268,10 @@ def _within(values: NDArray[Any], window: Bounds) -> NDArray[np.bool_]:
     return np.asarray((values >= (-np.inf if low is None else low)) & (values <= (np.inf if high is None else high)))
 
 
-def _surroundings_line(
-    image: NDArray[Any],
-    inside: NDArray[np.bool_],
-    corner: Corner,
-    geometry: Geometry,
-    window: Bounds,
-) -> str:
-    """Check that the energy's window does not take in the surroundings; with a place to click.
-
-    ``corner`` is the first voxel of image and start.
-    """
+def _surroundings_share(
+    image: NDArray[Any], inside: NDArray[np.bool_], geometry: Geometry, window: Bounds
+) -> float:
+    """Return the share of a start's surroundings within the energy's window; 0 up to `_MAX_AROUND`."""
     tight, spacing = bounding_box(inside), geometry.spacing
     assert tight is not None
     radius = 0.5 * max((s.stop - s.start) * h for s, h, n in zip(tight, spacing, inside.shape, strict=True) if n > 1)
@@ -284,23 +282,13 @@ def _surroundings_line(
     thin = tuple(slice(None, None, step) for step in steps)
     part, values = part[thin], image[box][thin]
     if not part.any():
-        return ""
+        return 0.0
     away = ndimage.distance_transform_edt(~part, sampling=[h * step for h, step in zip(spacing, steps, strict=True)])
     shell = (away > (SHELL[0] - 1.0) * radius) & (away < SHELL[1] * radius)
     if not shell.any():
-        return ""
-    within = shell & _within(values, window)
-    share = np.count_nonzero(within) / np.count_nonzero(shell)
-    if share <= _MAX_AROUND:
-        return ""
-    farthest = np.unravel_index(int(np.argmax(np.where(within, away, -1.0))), away.shape)
-    index = [int(i) * (t.step or 1) + s.start + c for i, t, s, c in zip(farthest, thin, box, corner, strict=True)]
-    place = place_text(geometry.index_to_world(index), geometry.steps)
-    return (
-        f"window: {share:.0%} of the surroundings of the start lie within the bounds too: it will leak; try --outside "
-        f"point:{place}, "
-        "where it is not the object, in place of --energy"
-    )
+        return 0.0
+    share = float(np.count_nonzero(shell & _within(values, window)) / np.count_nonzero(shell))
+    return share if share > _MAX_AROUND else 0.0
 
 
 def _outlier_line(

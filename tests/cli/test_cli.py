@@ -145,7 +145,7 @@ def test_results_go_to_stdout_and_progress_to_stderr(scans, tmp_path, capsys):
     plain = capsys.readouterr()
     assert "ball_seg.nii.gz" in plain.out and "volume" in plain.out
     assert "step" not in plain.err.replace("steps", "")  # stderr is no terminal here: no bar
-    assert "warning: ball: max-steps" in plain.err and "; try --max-steps 6\n" in plain.err
+    assert "warning: ball: max-steps" in plain.err and "--max-steps" not in plain.err  # more would not help
 
     assert run(*words, "--progress", "json", "--quiet") == 0
     json_run = capsys.readouterr()

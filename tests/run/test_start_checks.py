@@ -39,10 +39,10 @@ def test_a_start_beyond_the_bounds_is_told_to_shrink():
 
 def test_a_window_that_takes_in_the_surroundings_is_told():
     (line,) = lines(energy="threshold:-50,150")
-    assert "lie within the bounds too" in line and "it will leak; try --outside point:" in line
-    x, y, z = (float(v) for v in line.split("point:")[1].split(", where")[0].split(","))
-    assert np.linalg.norm(np.array([x, y, z]) - 20) > 15  # what lies far from the start, and within the image
-    assert all(0 <= v < n for v, n in zip((z, y, x), SHAPE, strict=True))
+    assert "lie within the bounds too" in line and "it will leak; try --inside ball:" in line
+    assert line.endswith(", in place of --start and --energy")
+    x, y, z, r = (float(v) for v in line.split("ball:")[1].split(", in place")[0].split(","))
+    assert np.linalg.norm(np.array([x, y, z]) - 20) < 2 < r  # the start
 
 
 def test_an_area_weight_that_is_too_large_for_the_start_is_told():
