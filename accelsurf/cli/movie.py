@@ -95,7 +95,7 @@ def movie(
     input
         The image, or a folder with the results of a run.
     output
-        The movie: .mp4, .gif or .webp; with --preview .png.
+        The movie: .mp4, .gif or .webp; with --preview .png. Or the folder for NAME_movie.mp4 or NAME_movie.png.
     config
         TOML file with settings; options given here override it.
     reference
@@ -107,6 +107,7 @@ def movie(
     """
     from accelsurf.cli.progress import Watcher
     from accelsurf.io import channels
+    from accelsurf.io.headers import name_of
     from accelsurf.output.folder import inputs_of, refuse_existing
     from accelsurf.output.pictures import movies
     from accelsurf.run.run import Run
@@ -119,6 +120,8 @@ def movie(
     if on_disk and look.color != "plain":
         raise UsageError(f"--color: {look.color} was given for a result, which has none", "give its image")
     movie_settings = movie_file.MovieSettings(look.every, look.fps, look.orbit, look.hold, _size(look.size))
+    if target.is_dir():
+        target /= f"{name_of(_source(source, settings, config)[0])}_movie.{'png' if preview else 'mp4'}"
     _check_target(target, preview, movie_settings.size)
     image, run_settings = _source(source, settings, config)
     refuse_existing({"movie": target}, overwrite, inputs_of(image, run_settings, reference, config))

@@ -125,6 +125,9 @@ def test_a_preview_of_a_folder_draws_what_is_there_without_a_step(image, tmp_pat
     assert cli.execute(folder) == 0
     assert made.read_bytes() == live.read_bytes()
     monkeypatch.undo()
+    # A folder is one for the file, as of other commands.
+    assert cli.execute(["movie", str(results), "--preview", "-o", str(tmp_path), *look]) == 0
+    assert (tmp_path / "ball_movie.png").read_bytes() == live.read_bytes()
     # What a correction has moved is in the picture.
     assert cli.execute(["refine", str(results), "--inside", "ball:4,4,4,3vox"]) == 0
     assert cli.execute(folder) == 0
