@@ -74,7 +74,7 @@ def start_checks(
         # The seeded model chooses start and weight to go together.
         seeded = any(term["term"] == "seeded" for term in segmented.made.terms)
         found = [*_of_values(segmented, start, prepared, has_ids)]
-        found += [*_of_size(segmented, prepared), *_of_clicks(segmented, prepared, has_ids)] if seeded else _of_area(
+        found += [*_of_size(segmented, prepared), *_of_clicks(segmented, prepared)] if seeded else _of_area(
             segmented, start, prepared
         )
         lines += [f"object {segmented.id}: {line}" if has_ids else line for line in found]
@@ -129,7 +129,7 @@ def _of_size(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]
     ]
 
 
-def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
+def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
     """Check that no click inside is like the background, or has values of two kinds, of which the model learns one."""
     low, width = prepared.context.scales[0]
     lines = []
@@ -137,7 +137,7 @@ def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput, has_ids: b
         if click.side == "inside":
             lines += _background_line(click, evolving, prepared)
             values = low + width * prepared.images[0][click.box][click.mask].astype(np.float64)
-            lines += _two_kinds_line(values, click, prepared.geometry, _option(evolving, True, has_ids))
+            lines += _two_kinds_line(values)
     return lines
 
 
@@ -206,29 +206,19 @@ def _corner_voxels(shape: Sequence[int]) -> list[tuple[int, ...]]:
     return list(itertools.product(*((0, n - 1) if n > 1 else (0,) for n in shape)))
 
 
-def _two_kinds_line(values: NDArray[np.float64], click: Click, geometry: Geometry, option: str) -> list[str]:
-    """Check that no good part of a click is unlike the rest; a note: the model learns the rest.
+def _two_kinds_line(values: NDArray[np.float64]) -> list[str]:
+    """Check that no good part of a click's voxels, with these values (n,), is unlike the rest.
 
-    Parameters
-    ----------
-    values : ndarray (n,)
-        Of the click's voxels.
-    click : Click
-    geometry : Geometry
-    option : str
-        What to try, with a star in place of the ball.
+    A note: the model learns the rest. A click without the other part was not found to help (benchmarks/hints.py).
     """
     middle = float(np.median(values))
     robust = NORMAL_MAD * float(np.median(np.abs(values - middle)))
     unlike = np.abs(values - middle) > _BEYOND_KIND * robust
     if values.size < MIN_VOXELS or not robust > 0 or unlike.mean() <= _OTHER_KIND:
         return []
-    rest = click.mask.copy()
-    rest[click.mask] = ~unlike
-    ball = _deepest_ball(rest, corner_of(click.box), geometry)
     return [
         f"note: click: {unlike.mean():.0%} of it has other grey values (about {np.median(values[unlike]):.4g}) than "
-        f"the rest ({middle:.4g}), and the model leaves it out; try {option.replace('*', ball)}"
+        f"the rest ({middle:.4g}), and the model leaves it out"
     ]
 
 

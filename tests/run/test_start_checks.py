@@ -82,15 +82,14 @@ def test_outliers_in_the_start_are_told_and_learned_around():
 
 
 @pytest.mark.parametrize(("radius", "has_note"), [(3, True), (6, False)])
-def test_a_click_of_two_kinds_has_a_note_and_a_ball_without_the_other(radius, has_note, tmp_path, capsys):
+def test_a_click_of_two_kinds_has_a_note(radius, has_note, tmp_path, capsys):
     """The model learns the larger part, robustly: of the smaller one only a good part is worth saying."""
     image = scan(outlier=True)  # 12 voxels of stone: of 93 and of 895
     found = lines(image, "clicks", inside=f"ball:20,20,20,{radius}vox")
     assert len(found) == has_note
     if has_note:
         assert found[0].startswith("note: click: 13% of it has other grey values (about 900) than the rest (101")
-        ball = found[0].split("try --inside ")[1]
-        assert lines(image, "clicks", inside=ball) == []
+        assert "; try" not in found[0]
         io.write(Volume(image, Geometry(SHAPE, (1.0, 1.0, 1.0))), tmp_path / "scan.nii.gz")
         words = ["--inside", f"ball:20,20,20,{radius}vox", "--max-steps", "1", "--progress", "none"]
         cli.execute(["segment", str(tmp_path / "scan.nii.gz"), "-o", str(tmp_path / "out"), *words])
