@@ -41,7 +41,7 @@ def segment(
     energy: EnergyLike | None = None,
     on_step: Callable[[StepRecord], bool | None] | None = None,
     on_warning: Callable[[str], None] | None = None,
-    checkpoint_to: str | Path | None = None,
+    checkpoint_to: str | Path | CheckpointFile | None = None,
     **options: Any,
 ) -> Result:
     """Segment one object.
@@ -91,7 +91,7 @@ def segment(
         given = {"spacing": spacing, "channels": channels, "energy": energy, **options}
         result: Result = load(_IN_PARTS)(volume, config, watch, on_warning, checkpoint_to, given)
         return result
-    checkpoints = _file_of(checkpoint_to)
+    checkpoints = CheckpointFile.of(checkpoint_to)
     run = _run_of(volume, spacing, channels, config, energy, options, None, checkpoints)
     return with_corrections(finished(run, watch, on_warning, checkpoints), watch)
 
@@ -145,7 +145,7 @@ def segment_objects(
     energy: EnergyLike | None = None,
     on_step: OnObjectStep | None = None,
     on_warning: Callable[[str], None] | None = None,
-    checkpoint_to: str | Path | None = None,
+    checkpoint_to: str | Path | CheckpointFile | None = None,
     **options: Any,
 ) -> Result:
     """Segment several objects that do not overlap.
@@ -192,13 +192,9 @@ def segment_objects(
         options, objects = {**options, "objects": objects}, None
     if objects is None and with_options(config, None, options)[0].objects is None:
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
-    checkpoints = _file_of(checkpoint_to)
+    checkpoints = CheckpointFile.of(checkpoint_to)
     run = _run_of(volume, spacing, channels, config, energy, options, objects, checkpoints)
     return with_corrections(finished(run, on_step, on_warning, checkpoints), on_step)
-
-
-def _file_of(path: str | Path | None) -> CheckpointFile | None:
-    return None if path is None else CheckpointFile(Path(path))
 
 
 def _run_of(

@@ -170,7 +170,7 @@ def shard_of(text: str | None, environment: Mapping[str, str]) -> tuple[Shard | 
     place, left = divmod(task - first, step)
     if left or not 0 <= place < count:
         raise UsageError(
-            f"{_TASK} {task} is none of {count} tasks from {first} on in steps of {step}",
+            f"{_TASK} {task} is not one of the {count} tasks that begin at {first} in steps of {step}",
             "say the shard by --shard I/N",
         )
     shard = Shard(place + 1, count)

@@ -44,8 +44,8 @@ EXIT_CODES = {
     7: "an output exists already, or cannot be written",
     8: "nothing can be drawn: no screen or driver, or a package of the viewer is missing",
     9: "some cases of a batch or of an evaluation, or some objects of a large image, failed; the others are complete",
-    INTERRUPTED: "interrupted (Ctrl-C); the present state is written, after a second Ctrl-C nothing",
-    143: "ended by SIGTERM; nothing is written, an earlier result stays",
+    INTERRUPTED: "interrupted (Ctrl-C); no result is written, the state of a run is kept for --resume",
+    143: "ended by SIGTERM; as 130",
 }
 
 #: Commands and their help; each is the function of this name in the module of this name.

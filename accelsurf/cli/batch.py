@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 from accelsurf.batch.case import Case
-from accelsurf.cli.interrupts import Interrupts, say
+from accelsurf.cli.interrupts import Interrupts, resuming_command, say
 from accelsurf.cli.options import (
     FILES,
     Display,
@@ -252,8 +252,7 @@ def _run(
                 with uninterrupted():
                     work.end_early(pool, tables, interrupts.exit_code(getattr(error, "exit_code", 1)))
                 interrupts.note(
-                    f"{tables.count('ok')} of {len(work.tasks)} cases are finished; "
-                    "the same command with --resume goes on"
+                    f"{tables.count('ok')} of {len(work.tasks)} cases are finished; to go on: {resuming_command()}"
                 )
                 raise
     return tables

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from accelsurf.cli import INTERRUPTED
-from accelsurf.cli.interrupts import Interrupts, doubt_line, say
+from accelsurf.cli.interrupts import Interrupts, doubt_line, resuming_command, say
 from accelsurf.cli.outcome import shortcoming, summary_lines
 from accelsurf.errors import AccelsurfError, GeometryError, OutputError, exit_code_of
 from accelsurf.io import is_stored, sha256
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
     from accelsurf.image.volume import Volume
     from accelsurf.io.file_set import FileSet
+    from accelsurf.run.checkpoint_file import CheckpointFile
     from accelsurf.run.result import Result
 
 T = TypeVar("T")
@@ -257,6 +258,8 @@ def run_case(
     ------
     AccelsurfError
         When there is no result; the report has been written then, and an earlier result is as it was.
+    KeyboardInterrupt
+        After Ctrl-C; its state is kept for ``--resume``.
     """
     log = Log()
     inputs = place.inputs(config)
@@ -267,6 +270,8 @@ def run_case(
         case = _Case(place, files, log)
         try:
             result = (compute or _compute)(place, config, watcher, log)
+            if result.stop.reason == "interrupted":
+                raise KeyboardInterrupt
             config = result.config
             with watcher.writing():
                 finished = _write(case, result, strict, watcher)
@@ -275,6 +280,8 @@ def run_case(
                 files.discard()
                 log.outputs.clear()
                 _write_failure(case, config, failure)
+                if place.has_checkpoint:
+                    note_state(watcher, place.checkpoint_path)
             raise
     say_warnings(log.warnings, watcher)
     if finished.error is not None:
@@ -292,8 +299,7 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
     content = log.timed("mesh", lambda: outputs.preview_content(result, title))
     error, warnings = shortcoming(place.name, result, strict)
     log.warnings.extend(warnings)
-    interrupted = result.stop.reason == "interrupted"
-    gone = [place.checkpoint_path.name] if place.has_checkpoint and not interrupted else []
+    gone = [place.checkpoint_path.name] if place.has_checkpoint else []
     target = place if error is None else _failed_place(place, config, error)
     case = replace(case, place=target)
     names, meshes = target.names(config, result.geometry.slice_axis is not None), MeshNotes()
@@ -302,15 +308,14 @@ def _write(case: _Case, result: Result, strict: bool, watcher: Watcher) -> Finis
         entries = describe_staged(files, {path.name: kind for kind, path in written})
         log.outputs.extend(entry | meshes.statistics.get(Path(entry["path"]).name, {}) for entry in entries)
         log.warnings.extend(meshes.warnings)
-        code = INTERRUPTED if interrupted else error.exit_code if error is not None else 0
-        code = watcher.exit_code(code)
-        status: document.Status = "interrupted" if interrupted else "failed" if error is not None else "ok"
+        code = watcher.exit_code(error.exit_code if error is not None else 0)
+        status: document.Status = "failed" if error is not None else "ok"
         _write_report(case, config, status, code, error, result)
         layouts.complete(config, target.source, target.folder)
         output_folder.commit(files, target.report_path.name, error is not None, target.overwrite, gone)
     if config.label_group is not None and error is None:
         log.timed("write", lambda: label_files.into_image(result, target.source, target.overwrite))
-    note_result(watcher, target, complete=not interrupted)
+    note_result(watcher, target)
     return Finished(target, config, result, log, code, error)
 
 
@@ -330,9 +335,15 @@ def say_warnings(warnings: Iterable[str], watcher: Watcher) -> None:
             say(doubt_line(warning))
 
 
-def note_result(watcher: Watcher, place: Place, complete: bool) -> None:
+def note_result(watcher: Watcher, place: Place) -> None:
     """Note the report, for the last line after Ctrl-C."""
-    watcher.note(f"the {'result' if complete else 'result so far'} is written: {place.report_path.absolute()}")
+    watcher.note(f"the result is written: {place.report_path.absolute()}")
+
+
+def note_state(watcher: Watcher, state: Path) -> None:
+    """Note how to go on from a state, if there is one, for the last line after Ctrl-C."""
+    if state.exists():
+        watcher.note(f"no result is written, the state is kept; to go on: {resuming_command()}")
 
 
 @contextmanager
@@ -358,13 +369,14 @@ def evolve_at(
     return result
 
 
-def state_of(place: Place, config: RunConfig) -> Path | None:
-    """The file of a run's state, where it has one; that of an earlier run is removed unless it is to go on."""
-    state = place.checkpoint_path
-    output_folder.refuse_folder(state)
+def state_of(place: Place, config: RunConfig) -> CheckpointFile:
+    """The file of a run's state, written at intervals if asked for; that of an earlier run stays only for --resume."""
+    from accelsurf.run.checkpoint_file import CheckpointFile
+
+    output_folder.refuse_folder(place.checkpoint_path)
     if not place.resume:
-        state.unlink(missing_ok=True)
-    return state if config.checkpoint is not None or state.exists() else None
+        place.checkpoint_path.unlink(missing_ok=True)
+    return CheckpointFile(place.checkpoint_path, at_intervals=config.checkpoint is not None)
 
 
 def read_image(place: Place, config: RunConfig, log: Log) -> list[Volume]:
@@ -423,7 +435,7 @@ def check_reference(truth: Volume, volume: Volume) -> None:
 
 
 def evolve(
-    name: str, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher, state: Path | None = None
+    name: str, volume: Volume, channels: list[Volume], config: RunConfig, watcher: Watcher, state: CheckpointFile
 ) -> Result:
     """Run one or several objects with progress, without writing anything but checkpoints to the file ``state``."""
     from accelsurf.api.segment import segment, segment_objects

@@ -124,7 +124,7 @@ def _refuse_with_tracks(given: dict[str, Any]) -> None:
     """Refuse options that say nothing of tracks."""
     for name, value in given.items():
         if value is not None:
-            raise UsageError(f"--{name}: was given with --tracks, which has no use for it", "leave it out")
+            raise UsageError(f"--{name}: has no effect with --tracks", "leave it out")
 
 
 def _labels(text: str | None) -> IdRanges | None:

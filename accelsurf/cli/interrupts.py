@@ -9,6 +9,7 @@ from __future__ import annotations
 import _thread
 import io
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -31,8 +32,8 @@ MAX_ERROR, MAX_HINT = 390, 1000
 class Interrupts:
     """The handler of both signals while a command runs.
 
-    A signal raises KeyboardInterrupt, so that staging files are removed and the earlier result stays. While there is a
-    result to save (`patience`), a first Ctrl-C only asks the run to stop; the second raises.
+    A signal raises KeyboardInterrupt, so that staging files are removed and the earlier result stays. While there is
+    something to save (`patience`), a first signal only asks the run to stop; the second raises.
 
     Attributes
     ----------
@@ -95,14 +96,15 @@ class Interrupts:
         self.count += 1
         if self._ending:
             return
-        if number == signal.SIGINT and self.count == 1 and self._question is not None:
-            say(f"interrupted: {self._question} (press again to quit without it)")
+        if self.count == 1 and self._question is not None:
+            again = "press again" if number == signal.SIGINT else "a second signal"
+            say(f"interrupted: {self._question} ({again} to quit at once)")
             return
         raise KeyboardInterrupt
 
     @contextmanager
     def patience(self, question: str) -> Iterator[None]:
-        """While this lasts, a first Ctrl-C is answered with a line and remembered; raises for one that was lost.
+        """While this lasts, a first signal is answered with a line and remembered; raises for one that was lost.
 
         Parameters
         ----------
@@ -161,6 +163,12 @@ def default_handling() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def resuming_command() -> str:
+    """Return the command line that goes on with what this one has left."""
+    words = [word for word in sys.argv[1:] if word != "--resume"]
+    return shlex.join(["accelsurf", *words, "--resume"])
 
 
 def say(line: str) -> None:

@@ -27,6 +27,7 @@ from accelsurf.settings.wording import shown
 if TYPE_CHECKING:
     from accelsurf.cli.progress import Watcher
     from accelsurf.evolution.records import Stop
+    from accelsurf.run.result import Result
     from accelsurf.run.run import Run
     from accelsurf.viewer.drawing_process import DrawingProcess
     from accelsurf.viewer.movie_file import MovieSettings
@@ -86,14 +87,15 @@ def movie(
     """Make a movie of a run; needs no screen.
 
     Runs as accelsurf segment does, with the same options and the same result, and draws the steps; with --objects each
-    object in a colour of its own. Given a folder with the results of a run, it repeats that run.
+    object in a colour of its own. Given a folder with the results of a run, it repeats that run; with --preview it
+    draws the result that is there.
 
     Parameters
     ----------
     input
         The image, or a folder with the results of a run.
     output
-        The movie: .mp4, .gif or .webp; with --preview .png.
+        The movie: .mp4, .gif or .webp; with --preview .png. Or the folder for NAME_movie.mp4 or NAME_movie.png.
     config
         TOML file with settings; options given here override it.
     reference
@@ -101,18 +103,25 @@ def movie(
     overwrite
         Replace the movie if it exists.
     preview
-        Write one PNG of the last step instead of a movie.
+        Write one PNG of the last step, or of the result in a folder, instead of a movie.
     """
     from accelsurf.cli.progress import Watcher
     from accelsurf.io import channels
+    from accelsurf.io.headers import name_of
     from accelsurf.output.folder import inputs_of, refuse_existing
+    from accelsurf.output.pictures import movies
     from accelsurf.run.run import Run
     from accelsurf.viewer import movie_file
     from accelsurf.viewer.drawing_process import DrawingProcess, SceneRecipe
 
     look, display = look or Look(), display or Display()
     source, target = required(input, "INPUT"), required(output, "-o FILE, the movie,")
+    on_disk = preview and source.is_dir()
+    if on_disk and look.color != "plain":
+        raise UsageError(f"--color: {look.color} was given for a result, which has none", "give its image")
     movie_settings = movie_file.MovieSettings(look.every, look.fps, look.orbit, look.hold, _size(look.size))
+    if target.is_dir():
+        target /= f"{name_of(_source(source, settings, config)[0])}_movie.{'png' if preview else 'mp4'}"
     _check_target(target, preview, movie_settings.size)
     image, run_settings = _source(source, settings, config)
     refuse_existing({"movie": target}, overwrite, inputs_of(image, run_settings, reference, config))
@@ -122,14 +131,19 @@ def movie(
         volume, *more = channels.read_channels(image, run_settings.reading)
         shown = look.theme, look.color, look.view, movie_settings.size, look.planes
         drawing.make_scene(SceneRecipe(volume, run_settings, reference, *shown))
-        with watcher.watch(image.name, run_settings.max_steps):
-            run = Run(volume, run_settings, None, more)
-            what = _draw(run, drawing, target, None if preview else movie_settings, watcher)
+        drawn: Run | Result
+        if on_disk:
+            drawn, what = movie_file.result_in_folder(source, volume, more), "picture"
+            movies.write_png(target, movie_file.picture_of_result(drawn, drawing))
+        else:
+            with watcher.watch(image.name, run_settings.max_steps, "writing the steps so far"):
+                drawn = Run(volume, run_settings, None, more)
+                what = _draw(drawn, drawing, target, None if preview else movie_settings, watcher)
     finally:
         drawing.close()
     watcher.note(f"the {'picture' if preview else 'movie'} of the steps so far is written: {target.absolute()}")
-    if not display.quiet and run.stop is not None:
-        print(f"{image.name}: {_ending(run.stop, run.has_ids)}\n  {what}  {target.absolute()}")
+    if not display.quiet and drawn.stop is not None:
+        print(f"{image.name}: {_ending(drawn.stop, drawn.has_ids)}\n  {what}  {target.absolute()}")
     return watcher.exit_code(0)
 
 

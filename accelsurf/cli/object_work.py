@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from accelsurf.batch.pool import Ended, Job, Pool
 from accelsurf.cli import large_image
 from accelsurf.cli.case import Place, resumed_place
-from accelsurf.cli.interrupts import Interrupts
+from accelsurf.cli.interrupts import Interrupts, resuming_command
 from accelsurf.cli.large_image import ObjectOptions
 from accelsurf.cli.object_outputs import ObjectsDone, write_outputs
 from accelsurf.cli.options import Display
@@ -212,7 +212,7 @@ class _Work:
             except BaseException:
                 count = sum(len(group) for group in self._records)
                 interrupts.note(
-                    f"{count} of {len(self._starts.ids)} objects are done; the same command with --resume goes on"
+                    f"{count} of {len(self._starts.ids)} objects are done; to go on: {resuming_command()}"
                 )
                 raise
             finally:

@@ -75,13 +75,11 @@ def _end_of(whose: str, result: Result, segmented: SegmentedObject) -> str:
 
 
 def _try_of(result: Result, segmented: SegmentedObject) -> str:
-    """One command for an object whose evolution did not end well; empty where none is known.
+    """One command for an object without a surface; empty where none is known to help (benchmarks/hints.py).
 
     What was seen before the first step is the cause where it was seen. A start that is clicked cannot vanish, and tells
     what the object looks like.
     """
-    if segmented.stop.reason == "max-steps":
-        return f"--max-steps {2 * result.config.max_steps}"
     if segmented.stop.reason not in EMPTY:
         return ""
     config, prefix = result.config, f"object {segmented.id}: " if result.has_ids else ""
@@ -90,10 +88,7 @@ def _try_of(result: Result, segmented: SegmentedObject) -> str:
             if line.startswith(f"{prefix}{check}: ") and "; try " in line:
                 return line.rpartition("; try ")[2]
     if segmented.stop.reason == "filled":
-        if segmented.plateaus:
-            return "--stop-at-rest"
-        corner = place_text(result.geometry.index_to_world((0, 0, 0)), result.geometry.steps)
-        return f"--outside point:{corner}, where it is not the object"
+        return "--stop-at-rest" if segmented.plateaus else ""
     if config.smoothness > 0:
         return f"--smoothness {0.25 * config.smoothness:.2g}"
     if result.has_ids or "start" in result.given or len(config.start) != 1:

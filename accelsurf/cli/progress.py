@@ -47,7 +47,7 @@ class Watcher:
         self.printed_warnings: set[str] = set()
 
     @contextmanager
-    def watch(self, label: str, max_steps: int) -> Iterator[Watcher]:
+    def watch(self, label: str, max_steps: int, then: str = "keeping its state") -> Iterator[Watcher]:
         """Show one run. Until it ends, a first Ctrl-C ends it after the present step, a second one at once.
 
         Parameters
@@ -56,6 +56,8 @@ class Watcher:
             Name of the run.
         max_steps : int
             Its largest number of steps.
+        then : str, optional
+            What follows that step.
         """
         from accelsurf.kernels.storage import first_compilation
 
@@ -65,7 +67,7 @@ class Watcher:
         self._label = label
         try:
             with (
-                self._interrupts.patience("finishing this step and writing the result"),
+                self._interrupts.patience(f"finishing this step and {then}"),
                 first_compilation(self._on_compilation),
             ):
                 yield self

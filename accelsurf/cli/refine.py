@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from accelsurf.run.result import Result
     from accelsurf.settings.run_config import RunConfig
 
-_STATE = "the state of a run is written with clicks, or with --keep-state yes"
+_STATE = "segment writes a state with clicks, and with --keep-state yes"
 Where = Annotated[tuple[str, ...], Parameter(group=RUN, negative_iterable=(), show_default=False)]
 
 
@@ -141,7 +141,7 @@ def refine(
     place = Place(source.image, folder, source.name, overwrite or in_place, has_checkpoint=False)
     if in_place and not overwrite:
         _refuse_changed(place, source)
-    compute = _CorrectedRun(source, corrections, in_place)
+    compute = _CorrectedRun(source, corrections)
     watcher = Watcher(display or Display())
     done = run_case(place, config.replace(refine=(*config.refine, *corrections)), watcher, strict, compute)
     if display is None or not display.quiet:
@@ -171,8 +171,8 @@ def _mend(
 class _CorrectedRun:
     """Computes a corrected result, in place of a run from the start."""
 
-    def __init__(self, source: _Source, corrections: tuple[Correction, ...], in_place: bool) -> None:
-        self._source, self._corrections, self._in_place = source, corrections, in_place
+    def __init__(self, source: _Source, corrections: tuple[Correction, ...]) -> None:
+        self._source, self._corrections = source, corrections
         self._changes: tuple[Any, ...] = ()
 
     def __call__(self, place: Place, config: RunConfig, watcher: Watcher, log: Log) -> Result:
@@ -182,13 +182,11 @@ class _CorrectedRun:
 
         volume, *more = read_image(place, config, log)
         _check_image(self._source, log.checksum)
-        with watcher.watch(place.name, config.max_steps):
+        with watcher.watch(place.name, config.max_steps, "leaving the result as it was"):
             refiner = Refiner(log.timed("load", lambda: restored(self._source.state, volume, more)))
             for correction in self._corrections:
                 self._changes += refiner.apply(correction, on_step=watcher.on_step)
         result = refiner.result()
-        if result.stop.reason == "interrupted" and self._in_place:
-            raise KeyboardInterrupt  # the result that stands is a finished one
         log.warnings.extend(result.warnings)
         return result
 
@@ -228,14 +226,14 @@ def _source_of(path: Path, image: Path | None) -> _Source:
         known = {path: result_sets.state_of(path) for path in sorted(folder.glob("*_report.json"))}
         found = [path for path, state in known.items() if state is not None]
         if not found:
-            raise InputError(f"{path}: there is no result with a state to go on from", _STATE)
+            raise InputError(f"{path}: has no result that can be refined", _STATE)
         if len(found) > 1:
             names = ", ".join(path.name for path in found[:5])
             raise InputError(f"{path}: there are several results: {names}", "give the report of one")
         report = found[0]
     entry = result_sets.state_of(report)
     if entry is None:
-        raise InputError(f"{report}: names no state to go on from", _STATE)
+        raise InputError(f"{report}: is of a result that cannot be refined: it has no state", _STATE)
     name, checksum, source = entry
     state_path = report.parent / name
     if not state_path.is_file() or sha256(state_path) != checksum:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from accelsurf.cli.case import Place, note_result, resumed_place, say_warnings, warning_without_report
+from accelsurf.cli.case import Place, note_result, note_state, resumed_place, say_warnings, warning_without_report
 from accelsurf.errors import AccelsurfError, OutputError
 from accelsurf.output import folder
 
@@ -81,6 +81,8 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
     ------
     AccelsurfError
         When there is no result; an earlier one is as it was.
+    KeyboardInterrupt
+        After Ctrl-C; the frames so far and the state are kept for ``--resume``.
     """
     from accelsurf.track.output.outputs import TrackOutputs
 
@@ -104,9 +106,10 @@ def run_track_case(case: TrackCase, watcher: Watcher) -> Tracked:
             return Tracked(len(tracking.sequence), tracking.lineage, _finish(case, tracking, outputs, watcher))
         except BaseException as error:
             outputs.abort(error)
-            if isinstance(error, AccelsurfError):
+            if isinstance(error, AccelsurfError) or not case.state.exists():
                 with suppress(OutputError):  # what went wrong first matters more
                     _remove_state(case)
+            note_state(watcher, case.state)
             raise
     finally:
         tracking.close()
@@ -156,7 +159,7 @@ def _begun(case: TrackCase, watcher: Watcher) -> Tracking:
 
 
 def _follow(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher: Watcher) -> None:
-    """Do the frames, until the last one or Ctrl-C."""
+    """Do the frames; raise KeyboardInterrupt where Ctrl-C comes before the last one."""
     count = len(tracking.visits)
     with watcher.watch(case.place.name, tracking.config.run.max_steps):
         for result in tracking:
@@ -165,24 +168,20 @@ def _follow(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher:
             if watcher.on_frame(tracking.done, count, result.frame, seen, result.seconds):
                 tracking.save()
                 break
+    if tracking.done < count or tracking.interrupted:
+        raise KeyboardInterrupt
 
 
 def _finish(case: TrackCase, tracking: Tracking, outputs: TrackOutputs, watcher: Watcher) -> int:
     """Write the files; return the exit code."""
-    from accelsurf.cli import INTERRUPTED
-
-    complete = tracking.done == len(tracking.visits) and not tracking.interrupted
     with watcher.writing():
-        code = watcher.exit_code(0 if complete else INTERRUPTED)
+        code = watcher.exit_code(0)
         warnings = [*tracking.sequence.notes, *tracking.warnings, *_doubts(tracking)]
-        outputs.finish(
-            tracking.lineage, status="ok" if complete else "interrupted", exit_code=code, warnings=warnings
-        )
+        outputs.finish(tracking.lineage, status="ok", exit_code=code, warnings=warnings)
     say_warnings(warnings, watcher)
-    note_result(watcher, case.place, complete)
-    if complete:
-        with suppress(OutputError):  # a file of somebody else among the frames: it stays
-            _remove_state(case)
+    note_result(watcher, case.place)
+    with suppress(OutputError):  # a file of somebody else among the frames: it stays
+        _remove_state(case)
     return code
 
 

@@ -191,7 +191,7 @@ def view(
     dropped on it. Another image, or a reference, can be opened in the same way at any time.
 
     Place a start, run, change settings while it runs, go back and forward, add and remove parts, save. The files are
-    those of accelsurf segment, and run.toml, with which segment makes the same bytes. F1 in the window shows keys and
+    those of accelsurf segment; with NAME_run.toml segment makes the same bytes. F1 in the window shows keys and
     mouse.
 
     The window needs a screen and more packages: pip install "accelsurf[viewer]". Runs on one level unless --levels
@@ -205,7 +205,7 @@ def view(
     output
         Folder to save in; without it the window asks for one. Further images are saved in folders in it.
     config
-        TOML file with settings, such as run.toml of an earlier session; options given here override it.
+        TOML file with settings, such as NAME_run.toml of an earlier session; options given here override it.
     reference
         Label map of the true object, on the same grid: also drawn, with the Dice coefficient.
     tracks
@@ -258,7 +258,7 @@ def _check_given(image: Path | None, reference: Path | None, tracks: Path | None
     if tracks is not None and image is None:
         raise UsageError("tracks: they were given without a sequence", "give the sequence, too")
     if tracks is not None and reference is not None:
-        raise UsageError("reference: it was given with tracks", "leave one of both out")
+        raise UsageError("reference and tracks exclude each other", "leave one of them out")
 
 
 def _opening(config: RunConfig, recent: bool, page: PageOptions) -> Opening:

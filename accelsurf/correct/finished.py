@@ -58,10 +58,6 @@ def result_of(run: Run) -> Result:
         state=None if config.keep_state == "no" else state_at_end(run),
         other_labels=run.prepared.other_labels,
         warnings=run.level_warnings
-        + [
-            f"{key} was given, but has no effect on flow {config.flow} with energy {run.energy_name}"
-            for key in config.unused()
-        ]
         + [f"edit at step {edit.step} was not made: the run ended after {steps} steps" for edit in missed],
     )
 

@@ -234,7 +234,7 @@ def masks_of(state: StateFile) -> dict[int, BoxMask]:
     for image in state.masks:
         mask = _unpacked(image.inside)
         if mask.dtype != np.bool_ or mask.ndim != 3:
-            raise ValueError(f"the mask of correction {image.number} is none")
+            raise ValueError(f"the mask of correction {image.number} is not valid")
         box = box_at(image.corner, mask.shape)
         if any(s.start < 0 or s.stop > n for s, n in zip(box, state.shape, strict=True)):
             raise ValueError(f"the mask of correction {image.number} lies beyond the image")

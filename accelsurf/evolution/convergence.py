@@ -48,7 +48,7 @@ class StopRule(NamedTuple):
     def judge(self, surface: LevelSet, flow: Flow, state: LoopState) -> Reason | None:
         """Test if the surface has converged; ``state`` records the check."""
         if self._is_past_lowest(surface, state):
-            message = f"the energy has not fallen for {self.patience} steps, and the surface lies still"
+            message = f"the energy has not fallen for {self.patience} steps, and the surface has not moved"
             return Reason("converged", message)
         if (len(state.history) - state.first) % self.window:
             return None
@@ -170,10 +170,10 @@ def stalled(records: list[StepRecord]) -> Reason | None:
         return Reason(
             "stalled",
             f"the steps are {last.cfl_dt / last.dt:.0e} times shorter than the forces allow: diffusion, "
-            "noise, smoothness or gravity limit them; use less of it, or --diffusion free"
+            "noise, smoothness or gravity limit them; reduce it, or use --diffusion free"
         )
     return Reason(
         "stalled",
-        "the time step has collapsed: the surface can no longer move; "
+        "the time step has become too small to move the surface; "
         "use a larger --presmooth, or --flow constant-density"
     )

@@ -23,7 +23,7 @@ MAX_RETURNS, MAX_RETURNS_IF_GONE = 3, 1
 SHORTER = 0.5
 
 #: Why a run ends that has gone back as often as it may.
-NO_LOWER = "in {} steps no lower energy was found; the surface is that of the lowest"
+NO_LOWER = "no lower energy was found in {} steps; the surface is the one with the lowest"
 
 #: What to do at a step: stay with the present surface, go back and continue, or go back and end.
 Decision = Literal["stay", "continue", "end"]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelsurf.errors import UsageError
+from accelsurf.grid.boxes import bounding_box
 
 #: Voxels that a window is chosen from at most.
 MAX_SAMPLES = 300_000
@@ -16,6 +17,10 @@ MAX_SAMPLES = 300_000
 OBJECT_ENDS, AROUND_ENDS, IMAGE_ENDS = (2.0, 98.0), (3.0, 97.0), (1.0, 99.0)
 #: The window is at most so many times as wide as the object's own range, so that differences near its edge show.
 MAX_OBJECT_WIDTHS = 4.0
+#: What touches an object lies within so many voxels of it; it counts where it is more than this part of that rim.
+RIM, TOUCHING = 3, 0.005
+#: A rim is looked for in so many voxels, of some of the slices.
+MAX_RIM = 1 << 22
 #: Windows of CT by name, level (the value of the middle grey) and width, Hounsfield units.
 CT_WINDOWS = {"soft-tissue": (40.0, 400.0), "bone": (500.0, 2000.0), "lung": (-600.0, 1500.0), "brain": (40.0, 80.0)}
 #: Of a CT without an object: what radiologists begin with.
@@ -106,9 +111,9 @@ def window_of(image: NDArray[Any], inside: NDArray[np.bool_] | None = None) -> G
     Returns
     -------
     GreyWindow
-        With an object: from the values around it, but not wider than `MAX_OBJECT_WIDTHS` times its own range around
-        its median. Else `SOFT_TISSUE` for values that are Hounsfield units, or percentiles of what is not the most
-        frequent value (the zeros around a stripped brain).
+        With an object: from the values around it and of what touches it, brighter or darker, so that the two differ;
+        but not wider than `MAX_OBJECT_WIDTHS` times its own range around its median. Else `SOFT_TISSUE` for values that
+        are Hounsfield units, or percentiles of what is not the most frequent value (the zeros around a stripped brain).
     """
     stride = max(1, math.ceil((image.size / MAX_SAMPLES) ** (1 / 3)))
     part = tuple(slice(None, None, stride if n > 2 * stride else 1) for n in image.shape)
@@ -122,8 +127,10 @@ def window_of(image: NDArray[Any], inside: NDArray[np.bool_] | None = None) -> G
     if object_values.size:
         low, middle, high = np.percentile(object_values, (OBJECT_ENDS[0], 50.0, OBJECT_ENDS[1]))
         around = np.percentile(values, AROUND_ENDS)
+        darkest, brightest = _touching(image, inside, low, high)
         room = 0.5 * MAX_OBJECT_WIDTHS * (high - low) or math.inf
-        low, high = max(min(low, around[0]), middle - room), min(max(high, around[1]), middle + room)
+        low = max(min(low, around[0], darkest), middle - room)
+        high = min(max(high, around[1], brightest), middle + room)
     elif is_hounsfield(values):
         low, high = SOFT_TISSUE[0] - SOFT_TISSUE[1] / 2, SOFT_TISSUE[0] + SOFT_TISSUE[1] / 2
     else:
@@ -134,6 +141,28 @@ def window_of(image: NDArray[Any], inside: NDArray[np.bool_] | None = None) -> G
         if filled is not values:
             low = min(low, most)
     return GreyWindow(float(low), float(high)) if high > low else GreyWindow(float(low), float(low) + 1.0)
+
+
+def _touching(image: NDArray[Any], inside: NDArray[np.bool_] | None, low: float, high: float) -> tuple[float, float]:
+    """Return the typical value of what touches an object and is darker than ``low``, and brighter than ``high``.
+
+    The bounds themselves where nothing is. At the ribs a spleen that is all white would leak unseen.
+    """
+    box = None if inside is None else bounding_box(inside, RIM)
+    if inside is None or box is None:
+        return low, high
+    from scipy import ndimage  # a picture without an object does without SciPy
+
+    every = slice(None, None, 1 + inside[box].size // MAX_RIM)
+    part = inside[box][every]
+    rim = ndimage.binary_dilation(part, np.ones((1, 3, 3)), iterations=RIM) & ~part  # within slices
+    values = np.asarray(image[box][every][rim], np.float64)
+    values = values[np.isfinite(values)]
+    darker, brighter = values[values < low], values[values > high]
+    return (
+        float(np.median(darker)) if darker.size > TOUCHING * values.size else low,
+        float(np.median(brighter)) if brighter.size > TOUCHING * values.size else high,
+    )
 
 
 def is_hounsfield(values: NDArray[Any]) -> bool:

@@ -111,7 +111,7 @@ def format_of(path: Path) -> ImageFormat:
     if form is None and path.is_file():
         form = next((kind for kind in IMAGE_FORMATS.values() if kind.is_file and load(kind.is_file)(path)), None)
         if form is None and zipfile.is_zipfile(path):
-            raise InputError("a zip archive given, which is not read", "unpack it, and give what is in it")
+            raise InputError("zip archives are not read", "unpack it, and give what is in it")
     if form is None:
         raise InputError(
             f"unknown file type, one of {', '.join(image_suffixes())} expected",

@@ -140,7 +140,7 @@ def segment_lazily(
     config: RunConfig | None,
     on_step: OnObjectStep | None,
     on_warning: Callable[[str], None] | None,
-    checkpoint_to: str | Path | None,
+    checkpoint_to: str | Path | CheckpointFile | None,
     options: dict[str, Any],
 ) -> Result:
     """Segment one object of an image that is read in parts: `accelsurf.segment` of a `LazyVolume`.
@@ -173,7 +173,7 @@ def segment_in_windows(
     on_step: OnObjectStep | None = None,
     on_warning: Callable[[str], None] | None = None,
     on_window: Callable[[Window], None] | None = None,
-    checkpoint_to: str | Path | None = None,
+    checkpoint_to: str | Path | CheckpointFile | None = None,
 ) -> Result:
     """Segment one object in an image that is read in parts.
 
@@ -201,7 +201,7 @@ def segment_in_windows(
     InputError
         As of `accelsurf.segment`, and when the window that the object needs is larger than memory.
     """
-    checkpoints = None if checkpoint_to is None else CheckpointFile(Path(checkpoint_to))
+    checkpoints = CheckpointFile.of(checkpoint_to)
     config = seeded(config if checkpoints is None else checkpoints.begun(config))
     _check_settings(config)
     image.check()

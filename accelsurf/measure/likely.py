@@ -172,16 +172,16 @@ def _log_odds(share: float) -> float:
 def why(found: Quality) -> str:
     """The measure that speaks most against it, in words."""
     words = {
-        "level_overlap": "slightly more or less would be another object",
-        "size_spread": "other sizes are likely too",
+        "level_overlap": "a small change of its size gives another shape",
+        "size_spread": "objects of other sizes fit the clicks as well",
         "rim": f"it is thin or small: {found.rim_fraction:.0%} of its voxels lie at its surface",
-        "drift": f"its values change from its middle outwards, by {found.drift:.1f} deviations",
-        "no_edge": f"under {found.no_edge_fraction:.0%} of the surface the image has no edge",
+        "drift": f"its grey values change from its centre outwards, by {found.drift:.1f} standard deviations",
+        "no_edge": f"{found.no_edge_fraction:.0%} of its surface lies where the image has no edge",
     }
     if found.correction is not None and found.unchanged is not None:
-        words["correction"] = f"the last click was a large one, {found.correction:.2g} radii of the object"
-        words["unchanged"] = f"the last click changed much of it: of before it keeps a Dice of {found.unchanged:.2f}"
-        words["surprise"] = "clicks were needed where it had been sure of the opposite"
+        words["correction"] = f"the last click was large: {found.correction:.2g} radii of the object"
+        words["unchanged"] = f"the last click changed it much: Dice {found.unchanged:.2f} with the object before"
+        words["surprise"] = "you clicked where the model had been sure of the opposite"
     return words[lowest_term(model_kind(found), features(found), words)]
 
 

@@ -196,11 +196,11 @@ def _compactness(last: StepRecord | None, geometry: Geometry) -> float:
 def _warnings(
     found: Quality, stop: Stop, last: float, inside: NDArray[np.bool_], geometry: Geometry
 ) -> list[str]:
-    """Return the warnings, each with one command to try."""
-    warnings = []
-    there = "" if found.next_click is None else place_text(found.next_click, geometry.steps)
+    """Return the warnings, each with one command to try where one is known to help."""
+    warnings, at_rest = [], "; try --stop-at-rest" if found.rests else ""
     if found.leaked:
-        warnings.append(f"leak: {stop.message}; try {_against_leak(found, there, geometry)}")
+        # Neither more steps nor a click at the most doubtful place was found to help (benchmarks/hints.py).
+        warnings.append(f"leak: {stop.message}{at_rest}")
     if found.probability < warning_threshold(model_kind(found)) and found.next_click is not None:
         # No place is named: a click where the surface has the least evidence was found to help in few cases.
         sure = f"{found.probability:.0%} likely to be good"
@@ -209,20 +209,11 @@ def _warnings(
         )
     if found.next_click is None and stop.reason not in ("vanished", "filled"):
         tried = f"; try --inside ball:{_larger_ball(inside, geometry)}" if inside.any() else ""
-        warnings.append(f"doubt: its surface cannot be judged, at {volume_text(last)}{tried}")
+        warnings.append(f"doubt: the object is too small to judge ({volume_text(last)}){tried}")
     if abs(found.late_growth) > MAX_GROWTH and stop.reason not in ("converged", "rested", "leaked"):
         change = f"the volume changed by {found.late_growth:+.0%} in the last {LAST_STEPS} steps"
-        # After a plateau more steps lead farther away.
-        tried = "--stop-at-rest" if found.rests else f"--max-steps {2 * stop.steps}"
-        warnings.append(f"growth: {change}; try {tried}")
+        warnings.append(f"growth: {change}{at_rest}")
     return warnings
-
-
-def _against_leak(found: Quality, uncertain: str, geometry: Geometry) -> str:
-    """Return a remedy of a leak: a click where the front broke through, else at the most uncertain location."""
-    if found.rests:
-        return f"--outside point:{place_text(found.rests[-1].place, geometry.steps)}, near which it broke through"
-    return f"--outside point:{uncertain}, its most doubtful place" if uncertain else "--stop-at-rest"
 
 
 def _larger_ball(inside: NDArray[np.bool_], geometry: Geometry) -> str:
@@ -238,30 +229,31 @@ def _notes(found: Quality, last: float, geometry: Geometry) -> list[str]:
     for plateau in found.rests:
         if last > MIN_BURST * plateau.volume_mm3:
             notes.append(
-                f"rest: rested at step {plateau.step} at {volume_text(plateau.volume_mm3)}, then broke through near "
-                f"{place_text(plateau.place, geometry.steps)}, to {volume_text(last)} in the end; try --stop-at-rest"
+                f"rest: it rested at step {plateau.step} with {volume_text(plateau.volume_mm3)}, then broke through "
+                f"near {place_text(plateau.place, geometry.steps)} and ended with {volume_text(last)}; "
+                "try --stop-at-rest"
             )
     if found.unlike_learned is not None and found.unlike_learned > MAX_UNLIKE:
         notes.append(
-            f"values: {found.unlike_learned:.0%} of the object is unlike what it was learned from: it may have leaked, "
-            "or what it was learned from is not typical"
+            f"values: {found.unlike_learned:.0%} of the object has other grey values than its start or clicks: it may "
+            "have leaked, or these are not typical"
         )
     if found.border_fraction > MAX_ON_BORDER:
         notes.append(f"border: {found.border_fraction:.0%} of the surface lies on the volume's border")
     if found.contrast < MIN_CONTRAST:
         notes.append(
-            f"contrast: inside and outside differ by {found.contrast:.2f} times what the object itself differs by"
+            f"contrast: grey values change at the surface by {found.contrast:.2f} times their spread in the object"
         )
     if found.no_edge_fraction > MAX_WITHOUT_EDGE:
-        notes.append(f"edge: under {found.no_edge_fraction:.0%} of the surface the image has no edge")
+        notes.append(f"edge: {found.no_edge_fraction:.0%} of the surface lies where the image has no edge")
     if found.taken is not None and found.taken > MAX_TAKEN:
         notes.append(
-            f"outside: the last click outside took away {found.taken:.0%} of what was shown; where that was too much, "
-            "click inside"
+            f"outside: the last click outside took away {found.taken:.0%} of the object; click inside what was taken "
+            "wrongly"
         )
     if found.parts_beyond_necks > 1:
         notes.append(
-            f"necks: {found.parts_beyond_necks} large parts are connected by less than four voxels only; has it leaked?"
+            f"necks: {found.parts_beyond_necks} large parts are joined by bridges below four voxels; did it leak?"
         )
     return notes
 

@@ -266,6 +266,9 @@ def describe_error(error: BaseException) -> dict[str, str]:
     """
     if isinstance(error, AccelsurfError):
         return {"type": type(error).__name__, "message": error.message, "hint": error.hint}
+    if isinstance(error, KeyboardInterrupt):
+        hint = "where a state was kept, the same command with --resume goes on from it"
+        return {"type": "KeyboardInterrupt", "message": "ended by Ctrl-C or SIGTERM", "hint": hint}
     message = " ".join(str(error).split()) or type(error).__name__
     hint = "run again with --debug for the full traceback; it belongs in a bug report"
     return {"type": type(error).__name__, "message": message, "hint": hint}

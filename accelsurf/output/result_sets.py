@@ -129,11 +129,12 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def kinds_of_outputs(report: Path) -> set[str]:
-    """Return the kinds of the files that a report lists."""
+def names_of_outputs(report: Path) -> dict[str, str]:
+    """Return the names of the files that a report lists, by kind; of several of a kind the last."""
     document = load_report(report)
     listed = document["outputs"] if document is not None else ()
-    return {str(entry.get("kind")) for entry in listed if isinstance(entry, dict)}
+    named = [(str(entry.get("kind")), _entries([entry])) for entry in listed if isinstance(entry, dict)]
+    return {kind: found[0][0] for kind, found in named if found}
 
 
 def unchanged_outputs(report: Path, besides: Collection[str]) -> list[str]:

@@ -196,7 +196,7 @@ def _check_header(header: CheckpointHeader) -> None:
         raise ValueError("it has no settings")
     window = header.window
     if window is not None and not (len(window) == 7 and all(isinstance(n, int) and n >= 0 for n in window)):
-        raise ValueError("its window is none")
+        raise ValueError("its window is not valid")
 
 
 def load_checkpoint(path: str | Path, run: Source) -> RunCheckpoint:

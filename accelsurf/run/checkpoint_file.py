@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Self
 
 from accelsurf.grid.boxes import box_at
 from accelsurf.grid.geometry import Geometry
@@ -33,13 +34,20 @@ class CheckpointFile:
     ----------
     path : Path
         Where it exists, the run continues from it.
+    at_intervals : bool, optional
+        Without, the state is written only where the run is asked to stop.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, at_intervals: bool = True) -> None:
+        self.path, self._at_intervals = path, at_intervals
         self._interval = interval_of(_DEFAULT_INTERVAL)
         self._header: CheckpointHeader | None = None
         self._written_at, self._seconds = 0, 0.0
+
+    @classmethod
+    def of(cls, given: str | Path | Self | None) -> Self | None:
+        """Return the file that a caller names, if any."""
+        return cls(Path(given)) if isinstance(given, (str, Path)) else given
 
     def begun(self, config: RunConfig) -> RunConfig:
         """The settings with the seed that the run drew when it began, where it continues and none is given.
@@ -108,7 +116,7 @@ class CheckpointFile:
         """
         assert self._header is not None  # restore() was called
         since = run.step_number - self._written_at, time.monotonic() - self._seconds
-        if run.stop is None and (at_once or self._interval.is_over(*since)):
+        if run.stop is None and (at_once or (self._at_intervals and self._interval.is_over(*since))):
             save_checkpoint(self.path, run.checkpoint()._replace(growth=growth.state()), self._header)
             self._written_at, self._seconds = run.step_number, time.monotonic()
 

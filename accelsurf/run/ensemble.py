@@ -220,7 +220,7 @@ def within(start: ObjectStart, prepared: PreprocessedInput) -> ObjectStart:
         if (inside < 0).any():
             return ObjectStart(start.id, at, psi)
     raise InputError(
-        f"object {start.id}: nothing of its start lies in the mask and the region of interest", "start within them"
+        f"object {start.id}: its start lies outside of the mask and the region of interest", "start within them"
     )
 
 

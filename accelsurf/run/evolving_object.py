@@ -41,7 +41,7 @@ ROOM, _ROOM_PART, GUARD = 10, 0.5, 3
 
 def leaked_stop(stop: Stop, setup: SolverSetup) -> Stop:
     """Return a stop with the reason that the object is larger than allowed."""
-    message = f"the object grew beyond {setup.max_volume:g} mm3, its largest allowed volume"
+    message = f"the object became larger than --max-volume, {setup.max_volume:g} mm3"
     return stop._replace(reason="leaked", message=message)
 
 

@@ -320,9 +320,9 @@ def _start_within(
         where = "the mask" if config.roi is None else "the mask and the region of interest"
     inside = psi < 0
     if not inside.any():
-        raise InputError(f"start {shown(what)}: nothing of it lies in {where}", "start within it")
+        raise InputError(f"start {shown(what)}: lies outside of {where}", "start within it")
     if inside.all():
-        raise InputError(f"start {shown(what)}: it covers all of {where}", "leave some background outside")
+        raise InputError(f"start {shown(what)}: covers all of {where}", "leave some background outside")
     return np.ascontiguousarray(psi)
 
 
@@ -368,7 +368,7 @@ def scale_between(percentiles: NDArray[Any], extremes: NDArray[np.float32]) -> S
     far = max(float(extremes[1]) - float(high), float(low) - float(extremes[0]))
     if width < MIN_RANGE or far > _MAX_RANGES * width:
         raise InputError(
-            f"nearly all values lie from {low:g} to {high:g}, others {far:g} beyond, at most {_MAX_RANGES:g} times "
+            f"nearly all values lie from {low:g} to {high:g}, some {far:g} beyond, at most {_MAX_RANGES:g} times "
             "their range expected",
             "values far beyond the others often mean that there is no value: replace them by that of the background",
         )

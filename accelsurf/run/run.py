@@ -140,6 +140,10 @@ class Run:
                 evolving.evolution.end_as_given("its surface is that of the label map")
         else:
             self.level_warnings += start_checks(self._all, starts, self.prepared, self.has_ids)
+        self.level_warnings += [
+            f"{key} was given, but has no effect on flow {config.flow} with energy {self.energy_name}"
+            for key in config.unused()
+        ]
         self.start_seconds = time.perf_counter() - began
         self.workers.seconds.clear()
         self.began = time.perf_counter()

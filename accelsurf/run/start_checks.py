@@ -74,7 +74,7 @@ def start_checks(
         # The seeded model chooses start and weight to go together.
         seeded = any(term["term"] == "seeded" for term in segmented.made.terms)
         found = [*_of_values(segmented, start, prepared, has_ids)]
-        found += [*_of_size(segmented, prepared), *_of_clicks(segmented, prepared, has_ids)] if seeded else _of_area(
+        found += [*_of_size(segmented, prepared), *_of_clicks(segmented, prepared)] if seeded else _of_area(
             segmented, start, prepared
         )
         lines += [f"object {segmented.id}: {line}" if has_ids else line for line in found]
@@ -100,8 +100,13 @@ def _of_values(evolving: EvolvingObject, start: ObjectStart, prepared: Preproces
         window = Bounds(term["LO"], term["HI"])
         if line := _bounds_line(values, window):
             lines.append(line)
-        elif line := _surroundings_line(low + width * image, inside, start.corner, prepared.geometry, window):
-            lines.append(line)
+        elif share := _surroundings_share(low + width * image, inside, prepared.geometry, window):
+            ball = _deepest_ball(inside[tight], np.add(corner_of(tight), start.corner).tolist(), prepared.geometry)
+            lines.append(
+                f"window: {share:.0%} of the surroundings of the start lie within the bounds too: it will leak; try "
+                f"{_option(evolving, True, has_ids).replace('*', ball)}, in place of "
+                f"{'its start' if has_ids else '--start and --energy'}"
+            )
     return lines
 
 
@@ -119,12 +124,12 @@ def _of_size(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]
     if size is None or size < whole:
         return []
     return [
-        f"size: {volume_text(size)} was given, and the image has {volume_text(whole)}; try it without "
+        f"size: {volume_text(size)} is more than the whole image ({volume_text(whole)}); try it without "
         "--size"
     ]
 
 
-def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput, has_ids: bool) -> list[str]:
+def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput) -> list[str]:
     """Check that no click inside is like the background, or has values of two kinds, of which the model learns one."""
     low, width = prepared.context.scales[0]
     lines = []
@@ -132,7 +137,7 @@ def _of_clicks(evolving: EvolvingObject, prepared: PreprocessedInput, has_ids: b
         if click.side == "inside":
             lines += _background_line(click, evolving, prepared)
             values = low + width * prepared.images[0][click.box][click.mask].astype(np.float64)
-            lines += _two_kinds_line(values, click, prepared.geometry, _option(evolving, True, has_ids))
+            lines += _two_kinds_line(values)
     return lines
 
 
@@ -147,7 +152,7 @@ def _background_line(click: Click, evolving: EvolvingObject, prepared: Preproces
     middle = [float(place) + side.start for place, side in zip(index, click.box, strict=True)]
     place = place_text(prepared.geometry.index_to_world(middle), prepared.geometry.steps)
     return [
-        f"click: the place inside near {place} looks like the background, which is {share:.0%} of the image; try "
+        f"click: the click inside near {place} lies in what looks like background ({share:.0%} of the image); try "
         "--inside at the object, unless the background is what you want"
     ]
 
@@ -201,29 +206,19 @@ def _corner_voxels(shape: Sequence[int]) -> list[tuple[int, ...]]:
     return list(itertools.product(*((0, n - 1) if n > 1 else (0,) for n in shape)))
 
 
-def _two_kinds_line(values: NDArray[np.float64], click: Click, geometry: Geometry, option: str) -> list[str]:
-    """Check that no good part of a click is unlike the rest; a note: the model learns the rest.
+def _two_kinds_line(values: NDArray[np.float64]) -> list[str]:
+    """Check that no good part of a click's voxels, with these values (n,), is unlike the rest.
 
-    Parameters
-    ----------
-    values : ndarray (n,)
-        Of the click's voxels.
-    click : Click
-    geometry : Geometry
-    option : str
-        What to try, with a star in place of the ball.
+    A note: the model learns the rest. A click without the other part was not found to help (benchmarks/hints.py).
     """
     middle = float(np.median(values))
     robust = NORMAL_MAD * float(np.median(np.abs(values - middle)))
     unlike = np.abs(values - middle) > _BEYOND_KIND * robust
     if values.size < MIN_VOXELS or not robust > 0 or unlike.mean() <= _OTHER_KIND:
         return []
-    rest = click.mask.copy()
-    rest[click.mask] = ~unlike
-    ball = _deepest_ball(rest, corner_of(click.box), geometry)
     return [
-        f"note: click: {unlike.mean():.0%} of it is unlike the rest (about {np.median(values[unlike]):.4g} beside "
-        f"{middle:.4g}), and what is learned leaves it out; try {option.replace('*', ball)}"
+        f"note: click: {unlike.mean():.0%} of it has other grey values (about {np.median(values[unlike]):.4g}) than "
+        f"the rest ({middle:.4g}), and the model leaves it out"
     ]
 
 
@@ -244,7 +239,7 @@ def _bounds_line(values: NDArray[np.float64], window: Bounds) -> str:
     Examples
     --------
     >>> _bounds_line(np.array([110.0, 112.0]), Bounds(226.0, None))
-    'start: its median is 111, the bound 226: everything will shrink; try --energy threshold:learned,learned'
+    'start: its median grey value 111 is beyond the bound 226: it will shrink to nothing; try --energy ...'
     """
     low, high = window
     within = _within(values, window)
@@ -253,8 +248,8 @@ def _bounds_line(values: NDArray[np.float64], window: Bounds) -> str:
     middle = float(np.median(values))
     bound = low if low is not None and middle < low else high
     return (
-        f"start: its median is {middle:.4g}, the bound {bound:.4g}: everything will shrink; try --energy "
-        "threshold:learned,learned"
+        f"start: its median grey value {middle:.4g} is beyond the bound {bound:.4g}: it will shrink to nothing; try "
+        "--energy threshold:learned,learned"
     )
 
 
@@ -263,17 +258,10 @@ def _within(values: NDArray[Any], window: Bounds) -> NDArray[np.bool_]:
     return np.asarray((values >= (-np.inf if low is None else low)) & (values <= (np.inf if high is None else high)))
 
 
-def _surroundings_line(
-    image: NDArray[Any],
-    inside: NDArray[np.bool_],
-    corner: Corner,
-    geometry: Geometry,
-    window: Bounds,
-) -> str:
-    """Check that the energy's window does not take in the surroundings; with a place to click.
-
-    ``corner`` is the first voxel of image and start.
-    """
+def _surroundings_share(
+    image: NDArray[Any], inside: NDArray[np.bool_], geometry: Geometry, window: Bounds
+) -> float:
+    """Return the share of a start's surroundings within the energy's window; 0 up to `_MAX_AROUND`."""
     tight, spacing = bounding_box(inside), geometry.spacing
     assert tight is not None
     radius = 0.5 * max((s.stop - s.start) * h for s, h, n in zip(tight, spacing, inside.shape, strict=True) if n > 1)
@@ -284,22 +272,13 @@ def _surroundings_line(
     thin = tuple(slice(None, None, step) for step in steps)
     part, values = part[thin], image[box][thin]
     if not part.any():
-        return ""
+        return 0.0
     away = ndimage.distance_transform_edt(~part, sampling=[h * step for h, step in zip(spacing, steps, strict=True)])
     shell = (away > (SHELL[0] - 1.0) * radius) & (away < SHELL[1] * radius)
     if not shell.any():
-        return ""
-    within = shell & _within(values, window)
-    share = np.count_nonzero(within) / np.count_nonzero(shell)
-    if share <= _MAX_AROUND:
-        return ""
-    farthest = np.unravel_index(int(np.argmax(np.where(within, away, -1.0))), away.shape)
-    index = [int(i) * (t.step or 1) + s.start + c for i, t, s, c in zip(farthest, thin, box, corner, strict=True)]
-    place = place_text(geometry.index_to_world(index), geometry.steps)
-    return (
-        f"window: it takes in {share:.0%} of the surroundings of the start: it will leak; try --outside point:{place}, "
-        "where it is not the object, in place of --energy"
-    )
+        return 0.0
+    share = float(np.count_nonzero(shell & _within(values, window)) / np.count_nonzero(shell))
+    return share if share > _MAX_AROUND else 0.0
 
 
 def _outlier_line(
@@ -332,8 +311,9 @@ def _outlier_line(
     rest[inside[tight]] = ~unlike
     ball = _deepest_ball(rest, np.add(corner_of(tight), corner).tolist(), geometry)
     return [
-        f"start: {unlike.mean():.1%} of it is unlike the rest (standard deviation {spread:.3g}, median-based "
-        f"{robust:.3g}), the farthest near {place}; what is learned leaves it out; try {option.replace('*', ball)}"
+        f"start: {unlike.mean():.1%} of it has other grey values than the rest (standard deviation {spread:.3g}, "
+        f"median-based {robust:.3g}), the farthest near {place}; the model leaves it out; try "
+        f"{option.replace('*', ball)}"
     ]
 
 
@@ -393,6 +373,6 @@ def area_line(evolution: Evolution, of_terms: float = 0.0) -> list[str]:
     less = 0.5 * alpha * -image / (both - image)
     given = f"--smoothness {less - of_terms:.2g}" if less > of_terms else f"--energy chan-vese:area={less:.2g}"
     return [
-        f"area: the start's radius is about {radius:.3g} mm; under the area weight {alpha:.3g} mm it shrinks below "
-        f"{2.0 * alpha / -image:.3g} mm; try {given}"
+        f"area: the start has a radius of about {radius:.3g} mm; with the area weight {alpha:.3g} mm, whatever is "
+        f"smaller than {2.0 * alpha / -image:.3g} mm shrinks; try {given}"
     ]

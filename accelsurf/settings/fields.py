@@ -247,7 +247,7 @@ class SettingFields(BaseModel):
     )
     diffusion: Annotated[float, Field(ge=0)] | Literal["auto", "free"] = setting(
         "auto",
-        "Diffusion of the surface's speed along the surface, in mm2 per unit of flow time; 0 is none; "
+        "Diffusion of the surface's speed along the surface, in mm2 per unit of flow time; 0 for none; "
         "free is the largest rate that does not shorten the time step, within a mixing length; auto is free with "
         "momentum, else none.",
         entry=SettingEntry(
@@ -259,7 +259,7 @@ class SettingFields(BaseModel):
     )
     noise: float = setting(
         0.0,
-        "Strength of random acceleration, smooth in space, in mm per unit of flow time^1.5; 0 is none.",
+        "Strength of random acceleration, smooth in space, in mm per unit of flow time^1.5; 0 for none.",
         entry=SettingEntry(unit="mm per unit of flow time^1.5", metavar="TAU", scope="flow"),
         ge=0,
     )

@@ -156,13 +156,25 @@ class RunConfig(SettingFields):
     def unused(self) -> list[str]:
         """Return the settings that were changed from their defaults and have no effect on this flow and energy.
 
+        A preset has none where each of its values was given otherwise, is the default, or has none.
+
         Examples
         --------
         >>> RunConfig(flow="gradient", gravity=0.1).unused()
         ['gravity']
+        >>> RunConfig(preset="mr-brain", energy="geodesic").unused()
+        ['balance', 'epsilon', 'preset']
         """
         changed = (key for key in type(self).model_fields if getattr(self, key) != default_of(key))
-        return [key for key in changed if not self.matters(key)]
+        found = [key for key in changed if not self.matters(key)]
+        if self.preset is None:
+            return found
+        values, preset = PRESETS[self.preset].settings, type(self)(preset=self.preset)
+        others = type(self)(**self.model_dump(include=self.model_fields_set - {*values, "preset"}))
+        acts = any(
+            getattr(others, key) != getattr(self, key) == getattr(preset, key) for key in values if self.matters(key)
+        )
+        return found if acts else [*found, "preset"]
 
     @model_validator(mode="before")
     @classmethod

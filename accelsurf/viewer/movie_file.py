@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, repeat
 from pathlib import Path
@@ -12,9 +12,11 @@ from pathlib import Path
 from accelsurf import io
 from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import StepRecord
+from accelsurf.image.volume import Volume
 from accelsurf.io.files import read_json
 from accelsurf.output import result_sets
 from accelsurf.output.pictures.movies import MAX_SIDE, MIN_SIDE, Picture
+from accelsurf.run.result import Result
 from accelsurf.run.run import Run
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.viewer.core.frame import Frame, histories_of_run
@@ -108,8 +110,17 @@ def pictures(
 
 def last_picture(run: Run, drawing: DrawingProcess, on_step: OnStep | None = None) -> Picture:
     """Run to the end and draw the last step; parameters and errors as of `pictures`."""
-    for frame, histories in frames(run, None, on_step):
-        picture = drawing.draw(frame, histories)
+    ((frame, histories),) = frames(run, None, on_step)
+    return _drawn(drawing, frame, histories)
+
+
+def picture_of_result(result: Result, drawing: DrawingProcess) -> Picture:
+    """Draw a result; errors as of `pictures`."""
+    return _drawn(drawing, Frame.of_result(result), [segmented.history for segmented in result.objects])
+
+
+def _drawn(drawing: DrawingProcess, frame: Frame, histories: Histories) -> Picture:
+    picture = drawing.draw(frame, histories)
     if picture is None:
         raise drawing.failure()
     return picture
@@ -149,11 +160,7 @@ def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
         When there is no report or more than one, it is not of a run that can be repeated, or the image is missing or
         has changed.
     """
-    reports = [path for path in sorted(folder.glob("*_report.json")) if not _is_failure_beside(path)]
-    if len(reports) != 1:
-        found = "no report (NAME_report.json)" if not reports else f"{len(reports)} reports"
-        raise InputError(f"{folder}: {found} there, expected one", "give the image and its settings instead")
-    path = reports[0]
+    path = _report_in(folder)
     document = read_json(path)
     try:
         settings, source = document["config"], document["input"]
@@ -170,6 +177,48 @@ def run_of_folder(folder: Path) -> tuple[Path, RunConfig]:
     if checksum is not None and io.sha256(image) != checksum:
         raise InputError(f"{image}: has changed, it is not the image of {path.name} any more", "run segment again")
     return image, RunConfig(**settings)
+
+
+def result_in_folder(folder: Path, volume: Volume, channels: Sequence[Volume]) -> Result:
+    """Return the result in a folder, without a step: from its state, or where none was kept from its label map.
+
+    Parameters
+    ----------
+    folder : Path
+        One that `run_of_folder` reads.
+    volume : Volume
+        The image that it names.
+    channels : sequence of Volume
+        Further channels of its file.
+
+    Raises
+    ------
+    InputError
+        When there is neither, or a file was changed since.
+    """
+    from accelsurf.api.segment import segment
+    from accelsurf.correct.restored import restored
+    from accelsurf.correct.state_file import read_state
+
+    report = _report_in(folder)
+    names = result_sets.names_of_outputs(report)
+    name = names.get("state", names.get("labels"))
+    if name is None:
+        raise InputError(f"{report}: lists no result", "run segment again")
+    if name not in result_sets.unchanged_outputs(report, set(names.values()) - {name}):
+        raise InputError(f"{folder / name}: is missing, or was changed since it was written", "run segment again")
+    if "state" in names:
+        return restored(read_state(folder / name), volume, channels)
+    return segment(volume, labels=str(folder / name))
+
+
+def _report_in(folder: Path) -> Path:
+    """The one report of a result in a folder."""
+    reports = [path for path in sorted(folder.glob("*_report.json")) if not _is_failure_beside(path)]
+    if len(reports) != 1:
+        found = "no report (NAME_report.json)" if not reports else f"{len(reports)} reports"
+        raise InputError(f"{folder}: {found} there, expected one", "give the image and its settings instead")
+    return reports[0]
 
 
 def _is_failure_beside(path: Path) -> bool:

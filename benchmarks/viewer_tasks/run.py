@@ -212,7 +212,8 @@ def saved_ml(folder: Path) -> list[float]:
 
 def same_bytes(scan: Path, folder: Path) -> bool:
     """Whether the saved run.toml makes the same label map and mesh from the command line."""
-    words = ["segment", str(scan), "--config", str(folder / "out/run.toml"), "-o", str(folder / "again"), "--quiet"]
+    config = next((folder / "out").glob("*_run.toml"))
+    words = ["segment", str(scan), "--config", str(config), "-o", str(folder / "again"), "--quiet"]
     if cli.execute(words):
         return False
     names = [path.name for path in (folder / "out").iterdir() if "_seg" in path.name or "_surface" in path.name]

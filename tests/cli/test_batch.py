@@ -483,7 +483,7 @@ def test_ctrl_c_ends_what_runs_and_says_how_to_go_on(scans, tmp_path, capsys):
         program.send_signal(signal.SIGINT)
         rest = program.stderr.read()
     assert program.returncode == 130
-    assert "1 of 3 cases are finished; the same command with --resume goes on" in rest and "Traceback" not in rest
+    assert "1 of 3 cases are finished; to go on: accelsurf batch " in rest and "Traceback" not in rest
     end = time.monotonic() + 20
     while any(_alive(child) for child in children) and time.monotonic() < end:
         time.sleep(0.02)

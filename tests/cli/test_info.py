@@ -67,11 +67,12 @@ def test_a_folder_of_results_is_summed_up(tmp_path, capsys):
         "probability": 0.93, "warnings": ["doubt: a\x1b[2J b"]}}
     (tmp_path / "scan_report.json").write_text(json.dumps(said))
     (tmp_path / "odd_report.json").write_text('["no report", 1]')
+    (tmp_path / "stopped_report.json").write_text('{"stop": null, "error": {"message": "by Ctrl-C", "hint": "wait"}}')
     (tmp_path / "worse_report.json").write_text('{"input": 3, "quality": {"probability": "x", "warnings": {}}}')
     assert cli.execute(["info", str(tmp_path)]) == 0
     text = capsys.readouterr().out
     odd = "  report  is not of a run\n"
-    assert text.startswith(f"odd\n{odd}scan\n") and text.endswith(f"worse\n{odd}")
+    assert text.startswith(f"odd\n{odd}scan\n") and text.endswith(f"stopped\n  ended  by Ctrl-C\nworse\n{odd}")
     assert all(said in text for said in ("scan.nii", "it moved", "1307.71 mm3", "93%")) and "\x1b" not in text
     assert cli.execute(["info", str(tmp_path), "--json"]) == 0
     assert said in json.loads(capsys.readouterr().out)["results"]

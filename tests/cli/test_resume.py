@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -74,17 +75,24 @@ def test_a_killed_command_goes_on(scan, whole, tmp_path, capsys):
     assert not (tmp_path / "out" / "ball_checkpoint.npz").exists()
 
 
-@pytest.mark.slow
-def test_ctrl_c_leaves_a_result_and_a_state(scan, whole, tmp_path):
-    program = started(scan, tmp_path / "out")
-    program.send_signal(signal.SIGINT)
+@pytest.mark.parametrize(("number", "step"), [(signal.SIGINT, 1), (signal.SIGTERM, 4), (signal.SIGINT, 9)])
+def test_a_signal_leaves_no_result_but_a_state_that_goes_on(scan, whole, tmp_path, number, step):
+    out, words = tmp_path / "out", ("segment", str(scan), "-o", str(tmp_path / "out"), *WORDS)
+    program = subprocess.Popen([*PROGRAM, *words, "--progress", "json"], stderr=subprocess.PIPE, text=True)
+    for line in program.stderr:
+        if line.startswith("{") and json.loads(line).get("step") == step:
+            program.send_signal(number)
+            break
     _, error = program.communicate(timeout=60)
-    assert program.returncode == 130 and "interrupted" in error
-    report = json.loads((tmp_path / "out" / "ball_report.json").read_text())
-    assert report["status"] == "interrupted" and (tmp_path / "out" / "ball_checkpoint.npz").exists()
-    assert run("segment", scan, "-o", tmp_path / "out", *WORDS, "--resume") == 0
-    assert content(tmp_path / "out") == whole
-    assert json.loads((tmp_path / "out" / "ball_report.json").read_text())["status"] == "ok"
+    assert program.returncode == 128 + number, error
+    assert {path.name for path in out.iterdir()} == {"ball_report.json", "ball_checkpoint.npz"}
+    report = json.loads((out / "ball_report.json").read_text())
+    assert report["status"] == "interrupted" and report["exit_code"] == 128 + number and not report["outputs"]
+    (said,) = (line for line in error.splitlines() if "to go on: accelsurf " in line)
+    assert run(*shlex.split(said.partition("to go on: accelsurf ")[2])[:-1]) == 7  # the state is not lost
+    assert run(*shlex.split(said.partition("to go on: accelsurf ")[2])) == 0
+    assert content(out) == whole
+    assert json.loads((out / "ball_report.json").read_text())["status"] == "ok"
 
 
 def test_without_a_state_the_run_begins_and_one_that_ended_stays(scan, whole, tmp_path, capsys):

@@ -2,6 +2,9 @@
 
 import csv
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +87,27 @@ def test_a_run_that_was_killed_goes_on_to_the_same_bytes(
         patch.setattr(Tracking, "_step", lambda self: (done.append(self.done), step(self))[1])
         assert tracked(cells, out, "--resume") == 0
     assert done == [3, 4]
+    assert files_of(out) == files_of(whole)
+
+
+@pytest.mark.parametrize(("number", "event"), [(signal.SIGTERM, "frame"), (signal.SIGINT, "step")])
+def test_a_signal_leaves_no_tracks_but_a_state(cells: Path, tmp_path: Path, number: int, event: str) -> None:
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    assert tracked(cells, whole) == 0
+    words = ("track", str(cells), "-o", str(out), "--start", "otsu", "--threads", "1", "--progress", "json")
+    program = subprocess.Popen([sys.executable, "-m", "accelsurf", *words], stderr=subprocess.PIPE, text=True)
+    assert program.stderr is not None
+    for line in program.stderr:
+        if line.startswith("{") and json.loads(line)["event"] == event:
+            program.send_signal(number)
+            break
+    _, error = program.communicate(timeout=60)
+    assert program.returncode == 128 + number, error
+    # In the first frame nothing is done yet.
+    kept = {"cells_checkpoint.npz", "cells_frames"} if event == "frame" else set()
+    assert {path.name for path in out.iterdir()} == kept
+    assert ("to go on: accelsurf track" in error) == bool(kept)
+    assert tracked(cells, out, "--resume") == 0
     assert files_of(out) == files_of(whole)
 
 

@@ -66,7 +66,7 @@ def test_other_answers_are_named_with_the_option_that_takes_one(step, tmp_path, 
         (("--start", "ball:20,20,12,3vox", "--energy", "threshold:226,"), "vanished",
          "try --energy threshold:learned,learned"),
         (("--start", "ball:20,20,12,3vox", "--energy", "threshold:-99,", "--smoothness", "0"), "filled",
-         "try --outside point:"),
+         "try --inside ball:"),
         (("--start", "ball:20,20,12,3vox", "--energy", "threshold:-99,", "--smoothness", "500"), "vanished",
          "try --smoothness "),
     ],
@@ -75,7 +75,7 @@ def test_an_empty_result_names_what_was_seen_before_the_first_step(words, reason
     path = two_shells(tmp_path / "scan.nii.gz")
     assert run(path, *words) == 5
     (last,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("hint: "))
-    assert last.startswith(f"hint: {hint}") and "start closer" not in last and last.count("--") <= 2
+    assert last.startswith(f"hint: {hint}") and "start closer" not in last and last.count("--") <= 3
     assert report(path)["stop"]["reason"] == reason and report(path)["error"]["hint"] == last.removeprefix("hint: ")
 
 

@@ -286,7 +286,7 @@ def report(given: Input, folder: Path) -> None:
     if document is not None:
         result_sets.is_failure_report(path)
         result_sets.state_of(path)
-        result_sets.kinds_of_outputs(path)
+        result_sets.names_of_outputs(path)
         result_sets.unchanged_outputs(path, ())
         result_sets.outdated(folder, "a", (), failed=False)
         result_sets.had_settings(document, RunConfig())

@@ -105,7 +105,7 @@ def test_unexpected_error_is_one_line_with_its_type():
     entry = document.describe_error(ZeroDivisionError("float division\nby zero"))
     assert entry["type"] == "ZeroDivisionError" and entry["message"] == "float division by zero"
     assert "--debug" in entry["hint"]
-    assert document.describe_error(KeyboardInterrupt())["message"] == "KeyboardInterrupt"
+    assert "--resume" in document.describe_error(KeyboardInterrupt())["hint"]
 
 
 def test_json_is_strict_and_takes_numpy():

@@ -408,7 +408,7 @@ def test_starts_as_arrays_volumes_meshes_and_balls(pair):
     held = segment(volume, start="ball:14,14,13,5", mask=inside, max_steps=30)
     assert held.labels.any() and not held.labels[~inside].any()
     assert by_mask.report["config"]["start"] == "given as an array"
-    with pytest.raises(InputError, match="start array: nothing of it lies in the mask"):
+    with pytest.raises(InputError, match="start array: lies outside of the mask"):
         segment(volume, start=mask, mask=~inside & (np.indices(SHAPE)[2] > 35), **BALL)
     learned = segment(volume, start="ball:14,14,13,5", energy="likelihood:update=no", foreground=mask, **BALL)
     assert learned.terms[0]["inside"]["mean"] == pytest.approx(float(volume.array[mask].mean()), abs=0.02)

@@ -74,7 +74,7 @@ def test_a_start_that_it_would_pull_in_is_told_with_what_to_try():
     truth, image = cube(3.0)
     result = segment(image, start="ball:24,24,24,2.5vox", max_steps=1, levels=1, threads=1)
     (line,) = result.warnings
-    assert line.startswith("area: the start's radius is about ") and "try --energy chan-vese:area=" in line
+    assert line.startswith("area: the start has a radius of about ") and "try --energy chan-vese:area=" in line
     less = line.split("try --energy ")[1].split(",")[0]
     assert segment(image, start="ball:24,24,24,2.5vox", energy=less, max_steps=1, levels=1, threads=1).warnings == []
 

@@ -75,7 +75,7 @@ def test_a_region_in_world_mm_lies_where_it_says_and_cuts_the_object_there():
         ("1,2,3", UsageError, "roi: 1,2,3 was given, expected"),
         ("9,9,9,1,1,1", UsageError, "roi: "),
         ("900,900,900,990,990,990", InputError, "fewer than two of the image's voxels"),
-        ("0,0,0,5,5,5vox", InputError, "nothing of it lies in the region of interest"),
+        ("0,0,0,5,5,5vox", InputError, "lies outside of the region of interest"),
     ],
 )
 def test_bad_regions_are_told(roi, error, words):
@@ -126,7 +126,7 @@ def test_bad_masks_are_told(tmp_path):
         segment(volume, start=start, mask=masked(tmp_path, volume, truth & False))
     far = truth & False
     far[:3] = True
-    with pytest.raises(InputError, match="nothing of it lies in the mask"):
+    with pytest.raises(InputError, match="lies outside of the mask"):
         segment(volume, start=start, mask=masked(tmp_path, volume, far))
     other = Volume(truth.astype(np.uint8), Geometry(truth.shape, SPACING, (0.0, 0.0, 0.0)))
     io.write(other, tmp_path / "other.nii.gz")
@@ -246,7 +246,7 @@ def test_strict_turns_doubt_into_exit_5(tmp_path, capsys):
     io.write(Volume(volume.array.astype(np.float32), volume.geometry), tmp_path / "scan.nii.gz")
     words = ["segment", str(tmp_path / "scan.nii.gz"), "--start", at(centre, 4), "--max-volume", "2500"]
     assert cli.execute([*words, "-o", str(tmp_path / "one")]) == 0
-    assert "warning: leak: the object grew beyond 2500 mm3" in capsys.readouterr().err
+    assert "warning: leak: the object became larger than --max-volume, 2500 mm3" in capsys.readouterr().err
     assert cli.execute([*words, "-o", str(tmp_path / "two"), "--strict"]) == 5
     assert "error: scan: leak" in capsys.readouterr().err
     document = json.loads((tmp_path / "two" / "scan_report.json").read_text())

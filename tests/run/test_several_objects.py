@@ -137,7 +137,7 @@ def test_objects_within_a_mask(tmp_path):
         assert dice(result.labels == own, (truth == own) & (mask > 0)) >= 0.93
     mask[:, :, 16:] = 0
     io.write_labels(Volume(mask, Geometry(shape, ISOTROPIC)), tmp_path / "mask.nii.gz")
-    with pytest.raises(InputError, match="object 2: nothing of its start lies in the mask"):
+    with pytest.raises(InputError, match="object 2: its start lies outside of the mask"):
         segment_objects(image, starts, mask=str(tmp_path / "mask.nii.gz"))
 
 

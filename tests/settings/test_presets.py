@@ -54,6 +54,16 @@ def test_a_preset_replaces_the_values_of_another_but_not_those_that_were_set():
     assert RunConfig(preset="ct-skeleton").replace(presmooth=1.0).preset == "ct-skeleton"
 
 
+def test_a_preset_that_changes_nothing_says_so_before_the_run():
+    given = {"start": "ball:9,9,9,4", "energy": "chan-vese"}
+    assert RunConfig(preset="fluorescence-nucleus", **given).unused() == []  # presmooth is left
+    image, said = np.zeros((20, 20, 20)), []
+    image[5:15, 5:15, 5:15] = 9
+    options = {"preset": "fluorescence-nucleus", **given, "presmooth": 0.0, "max_steps": 2, "on_warning": said.append}
+    warnings = segment(image, **options).warnings
+    assert warnings == said and said[-1].startswith("preset was given, but has no effect on ")
+
+
 def test_a_preset_that_is_none_is_one_clear_line():
     with pytest.raises(UsageError, match="preset: ct-bones was given, expected ct-skeleton, mr-brain"):
         RunConfig(preset="ct-bones")

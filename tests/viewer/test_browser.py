@@ -227,15 +227,15 @@ def test_files_are_handed_out_by_name_and_token_alone(served):
         if names:
             break
         time.sleep(0.2)
-    assert names == ["ball_seg.nii.gz", "run.toml"]
-    status, body, headers = get(served, f"/files/run.toml?secret={served.token}")
-    assert status == 200 and body == (served.results / "run.toml").read_bytes()
-    assert headers["Content-Disposition"] == 'attachment; filename="run.toml"'
+    assert names == ["ball_run.toml", "ball_seg.nii.gz"]
+    status, body, headers = get(served, f"/files/ball_run.toml?secret={served.token}")
+    assert status == 200 and body == (served.results / "ball_run.toml").read_bytes()
+    assert headers["Content-Disposition"] == 'attachment; filename="ball_run.toml"'
     for wrong in ("", "?secret=", "?secret=wrong", "?token=" + served.token):
-        assert get(served, "/files/run.toml" + wrong)[0] == 403
+        assert get(served, "/files/ball_run.toml" + wrong)[0] == 403
     (served.results / "other.txt").write_text("not saved by the session")
     for path in (
-        "other.txt", "..%2Flog", "%2e%2e/log", "../log", "..%5Clog", "%2Fetc%2Fpasswd", "run.toml%00", "", "%ff",
+        "other.txt", "..%2Flog", "%2e%2e/log", "../log", "..%5Clog", "%2Fetc%2Fpasswd", "ball_run.toml%00", "", "%ff",
         "a" * 5000,
     ):  # fmt: skip
         status, body, _ = get(served, f"/files/{path}?secret={served.token}")
@@ -442,7 +442,7 @@ def test_load_run_pause_back_slide_save_download(tmp_path):
         assert server.close() == 0, server.log_text()
     # What was steered in the page is the same run from the command line, byte for byte.
     again = tmp_path / "again"
-    config = server.results / "run.toml"
+    config = server.results / "ball_run.toml"
     assert cli.execute(["segment", str(server.image), "--config", str(config), "-o", str(again), "--quiet"]) == 0
     assert (again / "ball_seg.nii.gz").read_bytes() == (server.results / "ball_seg.nii.gz").read_bytes()
 

@@ -106,11 +106,12 @@ def test_a_box_is_laid_and_what_is_saved_repeats(server, element, tmp_path):
         until(lambda count=count: element("step").text.split()[1] == str(count) and element("single").is_enabled())
     browser.execute_script("arguments[0].click()", element("save"))
     until(lambda: (served.results / "ball_view.png").exists())
-    config = RunConfig.from_toml(served.results / "run.toml")
+    file = next(served.results.glob("*_run.toml"))
+    config = RunConfig.from_toml(file)
     assert config.at(3).energy == f"threshold:{low:g},160" and config.presmooth == "0.5vox"
     assert config.roi == value(element, "roi")
     again = tmp_path / "again"
-    words = ["segment", str(served.image), "--config", str(served.results / "run.toml"), "-o", str(again), "--quiet"]
+    words = ["segment", str(served.image), "--config", str(file), "-o", str(again), "--quiet"]
     assert cli.execute(words) == 0
     assert (again / "ball_seg.nii.gz").read_bytes() == (served.results / "ball_seg.nii.gz").read_bytes()
 

@@ -88,8 +88,8 @@ def test_command_python_session_and_configuration_make_the_same_bytes(energy, im
         session.add_click("outside", [here(ball) for ball in STROKE]).result(60)
         assert len(session.status.refinements) == session.status.undoable == 2 and session.status.edits == ()
         session.save(tmp_path / "saved").result(60)
-    again = accelsurf.segment(volume, config=RunConfig.from_toml(tmp_path / "saved/run.toml"))
-    three = ["segment", str(volume.source), "-o", str(tmp_path / "three"), f"--config={tmp_path}/saved/run.toml"]
+    again = accelsurf.segment(volume, config=RunConfig.from_toml(tmp_path / "saved/scan_run.toml"))
+    three = ["segment", str(volume.source), "-o", str(tmp_path / "three"), f"--config={tmp_path}/saved/scan_run.toml"]
     assert command(three) == 0
 
     wanted = (two / "scan_seg.nii.gz").read_bytes()
@@ -149,7 +149,7 @@ def test_a_later_stroke_wins_over_an_earlier_one_and_the_settings_repeat_it(step
         sides[one.side][one.box] |= one.mask
     assert sides["outside"][6, 8, 17] and not sides["inside"][6, 8, 17] and sides["inside"][6, 8, 20]
     assert labels[sides["inside"]].all() and not labels[sides["outside"]].any()
-    again = accelsurf.segment(image, config=RunConfig.from_toml(tmp_path / "run.toml"))
+    again = accelsurf.segment(image, config=RunConfig.from_toml(next(tmp_path.glob("*_run.toml"))))
     assert np.array_equal(again.labels, labels)
 
 
@@ -253,7 +253,7 @@ def test_a_run_that_goes_on_is_corrected_again_at_its_end(image, tmp_path):
         ended(session)
         assert "correction 1 of 1" in session.status.message
         session.save(tmp_path).result(60)
-        toml = tmp_path / "run.toml"
+        toml = next(tmp_path.glob("*_run.toml"))
         saved = io.read(next(tmp_path.glob("x_seg.*"))).array
     again = accelsurf.segment(image, config=RunConfig.from_toml(toml))
     assert np.array_equal(again.labels, saved) and len(again.config.refine) == 1 and len(again.config.edit) == 2
@@ -275,7 +275,7 @@ def test_a_saved_run_before_its_end_has_no_corrections(image, tmp_path):
         session.wait(60)
         session.save(tmp_path, ["run", "labels"]).result(60)
         saved = io.read(next(tmp_path.glob("x_seg.*"))).array
-    again = accelsurf.segment(image, config=RunConfig.from_toml(tmp_path / "run.toml"))
+    again = accelsurf.segment(image, config=RunConfig.from_toml(next(tmp_path.glob("*_run.toml"))))
     assert np.array_equal(again.labels, saved) and again.config.refine == ()
 
 
@@ -330,5 +330,5 @@ def test_of_several_objects_the_named_one_or_the_nearest_is_corrected(image, tmp
             shown = {one.id: one.overlap(after.labels == one.id) for one in views(session)[-1].frame.surfaces}
             assert all(common == own == (after.labels == id).sum() for id, (common, own) in shown.items())
             session.undo().result(60)
-    again = accelsurf.segment_objects(image, config=RunConfig.from_toml(tmp_path / "run.toml"))
+    again = accelsurf.segment_objects(image, config=RunConfig.from_toml(next(tmp_path.glob("*_run.toml"))))
     assert np.array_equal(again.labels, after.labels)

@@ -187,11 +187,11 @@ def test_run_pause_step_back_slide_save(person, scan, tmp_path):
     person.until(lambda now: "saved in" in now["message"], 120)
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == [
-        "run.toml", "scan_preview.png", "scan_report.json", "scan_seg.nii.gz",
+        "scan_preview.png", "scan_report.json", "scan_run.toml", "scan_seg.nii.gz",
         "scan_statistics.csv", "scan_statistics.json", "scan_surface.ply", "scan_trace.csv", "scan_view.png",
     ]
     person.leave()
-    config = RunConfig.from_toml(tmp_path / "out/run.toml")
+    config = RunConfig.from_toml(tmp_path / "out/scan_run.toml")
     assert config.edit[0].settings == {"smoothness": edit["smoothness"]} and config.max_steps == middle["step"] + 3
     again = segment(io.read(scan), config=config)
     assert again.labels.tobytes() == io.read_labels(tmp_path / "out/scan_seg.nii.gz").array.tobytes()
@@ -278,7 +278,7 @@ def test_strokes_history_and_where_to_click_next(screen, tmp_path):
         person.leave()
     finally:
         person.end()
-    config = RunConfig.from_toml(tmp_path / "out/run.toml")
+    config = RunConfig.from_toml(tmp_path / "out/scan_run.toml")
     assert len(config.refine) == 2 and config.refine[0].inside[0].startswith("path:")
     labels = segment(image, config=config).labels
     assert labels.tobytes() == io.read_labels(tmp_path / "out/scan_seg.nii").array.tobytes()
@@ -315,8 +315,8 @@ def test_two_objects_are_built_named_and_saved_by_mouse_and_keys(screen, tmp_pat
         person.click("seen 0")
         person.until(lambda now: [one["visible"] for one in now["state"]["object_rows"]] == [False, True])
         person.key("ctrl+s")
-        person.until(lambda now: "run.toml" in now["state"]["saved"], 120)
-        config = RunConfig.from_toml(tmp_path / "out" / "run.toml")
+        person.until(lambda now: "scan_run.toml" in now["state"]["saved"], 120)
+        config = RunConfig.from_toml(tmp_path / "out" / "scan_run.toml")
         assert config.refine[0].new == 2 and config.name == ("1=object 1", "2=cyst")
         labels = io.read_labels(next((tmp_path / "out").glob("*_seg.nii"))).array
         again = segment(image, config=config).labels
@@ -344,10 +344,10 @@ def test_looks_help_and_errors(person, tmp_path):
     assert dark.shape == (720, 1280, 3) and dark.mean() < 0.35 < 0.6 < light.mean()
     # What others have in the folder is not replaced, and the window goes on.
     (tmp_path / "out").mkdir()
-    (tmp_path / "out/run.toml").write_text("precious")
+    (tmp_path / "out/scan_run.toml").write_text("precious")
     person.key("ctrl+s")
     person.until(lambda now: now["message"].startswith("Error") and "exists already" in now["message"])
-    assert (tmp_path / "out/run.toml").read_text() == "precious"
+    assert (tmp_path / "out/scan_run.toml").read_text() == "precious"
     person.key("space")
     person.until(lambda now: now["stop"] == "converged", 120)
     person.leave()
@@ -395,7 +395,7 @@ def test_the_command_opens_the_same_window(screen, scan, tmp_path):
     xdotool("key", "ctrl+q")
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 0, out
-    assert RunConfig.from_toml(tmp_path / "out/run.toml").flow == "gradient"
+    assert RunConfig.from_toml(tmp_path / "out/scan_run.toml").flow == "gradient"
 
 
 #: Runs the command with a run that is not prepared until the first picture was looked at; prints what was in it.

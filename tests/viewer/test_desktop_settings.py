@@ -58,7 +58,7 @@ def test_a_run_set_up_by_hand_is_the_same_from_the_command_line(person, scan, tm
     person.do("key", "ctrl+s")
     person.until(lambda now: "saved in" in now["message"], 120)
     person.leave()
-    config = RunConfig.from_toml(tmp_path / "out/run.toml")
+    config = RunConfig.from_toml(next((tmp_path / "out").glob("*_run.toml")))
     assert config.roi == now["settings"]["roi"] and config.presmooth == "0.5vox"
     again = segment(io.read(scan), config=config)
     assert again.labels.tobytes() == io.read_labels(tmp_path / "out/scan_seg.nii.gz").array.tobytes()

@@ -110,6 +110,39 @@ def test_a_preview_is_the_last_frame(image, tmp_path, capsys):
         assert np.median(np.asarray(picture)) == 255
 
 
+def test_a_preview_of_a_folder_draws_what_is_there_without_a_step(image, tmp_path, monkeypatch, capsys):
+    path, options = image
+    results, look = tmp_path / "out", ["--size", "320x180", "--overwrite"]
+    assert cli.execute(["segment", str(path), "-o", str(results), "--keep-state", "yes", *options]) == 0
+    live, made = tmp_path / "live.png", tmp_path / "made.png"
+    assert cli.execute(["movie", str(path), "--preview", "-o", str(live), *options, *look]) == 0
+
+    def refused(run):
+        pytest.fail("it makes a step")
+
+    monkeypatch.setattr(Run, "step", refused)
+    folder = ["movie", str(results), "--preview", "-o", str(made), *look]
+    assert cli.execute(folder) == 0
+    assert made.read_bytes() == live.read_bytes()
+    monkeypatch.undo()
+    # A folder is one for the file, as of other commands.
+    assert cli.execute(["movie", str(results), "--preview", "-o", str(tmp_path), *look]) == 0
+    assert (tmp_path / "ball_movie.png").read_bytes() == live.read_bytes()
+    # What a correction has moved is in the picture.
+    assert cli.execute(["refine", str(results), "--inside", "ball:4,4,4,3vox"]) == 0
+    assert cli.execute(folder) == 0
+    assert made.read_bytes() != live.read_bytes()
+    # Without a state it is the label map.
+    assert cli.execute(["segment", str(path), "-o", str(results), "--keep-state", "no", "--overwrite", *options]) == 0
+    assert cli.execute(folder) == 0
+    difference = np.abs(decoded(made)[0].astype(int) - decoded(live)[0].astype(int)).max(axis=-1)
+    assert 0 < (difference > 30).mean() < 0.05
+    (results / "ball_seg.nii.gz").write_bytes(b"other")
+    capsys.readouterr()
+    assert cli.execute(folder) == 3 and "was changed since it was written" in capsys.readouterr().err
+    assert cli.execute([*folder, "--color", "speed"]) == 2
+
+
 def test_a_result_folder_is_run_again_with_its_settings(image, tmp_path, capsys):
     path, options = image
     results = tmp_path / "out"

@@ -47,10 +47,10 @@ def drag(session, own, object_id=None):
 
 
 def saved(session, folder):
-    """Labels that are saved, which ``run.toml`` makes again; and its settings."""
+    """Labels that are saved, which ``NAME_run.toml`` makes again; and its settings."""
     folder = folder / f"s{len(list(folder.iterdir()))}"
     session.save(folder, ("labels", "run"), overwrite=True).result(60)
-    config = RunConfig.from_toml(folder / "run.toml")
+    config = RunConfig.from_toml(next(folder.glob("*_run.toml")))
     again = accelsurf.segment(session.volume, config=config)
     labels = io.read_labels(next(folder.glob("*_seg.*"))).array
     assert np.array_equal(again.labels, labels)
@@ -134,7 +134,7 @@ def test_names_and_colours_go_into_the_files(session, tmp_path):
     session.objects(lambda objects: objects.describe({2: ("left kidney", "#102030")}, 2)).result(60)
     assert session.status.labels[2].name == "left kidney"
     session.save(tmp_path, ("labels", "mesh", "report", "run")).result(60)
-    assert RunConfig.from_toml(tmp_path / "run.toml").name == ("2=left kidney",)
+    assert RunConfig.from_toml(next(tmp_path.glob("*_run.toml"))).name == ("2=left kidney",)
     text = next(tmp_path.glob("*itk*.txt"), None) or next(tmp_path.glob("*_labels.txt"))
     line = next(line for line in text.read_text().splitlines() if "left kidney" in line)
     assert line.split()[:4] == ["2", "16", "32", "48"]

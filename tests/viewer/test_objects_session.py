@@ -59,14 +59,15 @@ def test_what_is_saved_repeats_the_steered_run(session, tmp_path):
     session.edit_balls("remove", ("ball:12,6,12,4",)).result(60)
     at(session, 17)
     paths = session.save(tmp_path / "saved").result(60)
-    assert {"run.toml", "surface_seg.nii.gz", "surface_objects.csv", "surface_trace.csv", "surface_preview.png"} | {
+    assert {
+        "surface_run.toml", "surface_seg.nii.gz", "surface_objects.csv", "surface_trace.csv", "surface_preview.png",
         "surface_surface_3.ply", "surface_surface_8.ply", "surface_report.json", "surface_statistics.csv",
         "surface_statistics.json",
     } == {path.name for path in paths}
     assert [(edit.step, edit.object) for edit in session.status.edits] == [(6, 3), (6, None), (14, 3)]
     labels = io.read_labels(tmp_path / "saved/surface_seg.nii.gz").array
     assert set(np.unique(labels)) == {0, 3, 8}
-    again = repeated(tmp_path / "saved/run.toml")
+    again = repeated(tmp_path / "saved/surface_run.toml")
     assert again.dtype == labels.dtype and again.tobytes() == labels.tobytes() != straight
     session.undo().result(60)
     assert session.wait(60) and session.status.step == 14 and len(session.status.edits) == 2

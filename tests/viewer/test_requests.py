@@ -82,7 +82,7 @@ def test_run_pause_back_change_undo_save(handler, tmp_path):
     assert handler.session.status.settings.flow == "constant-density"
     handler.request("save")
     finish(handler)
-    assert handler.message == "" and {"run.toml", "ball_seg.nii.gz"} <= set(handler.feature(FilesFeature).files)
+    assert handler.message == "" and {"ball_run.toml", "ball_seg.nii.gz"} <= set(handler.feature(FilesFeature).files)
     assert {path.parent for path in handler.feature(FilesFeature).files.values()} == {tmp_path / "out"}
     handler.request("restart")
     finish(handler)

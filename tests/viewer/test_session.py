@@ -92,7 +92,7 @@ def test_what_is_saved_repeats_the_steered_run_from_the_command_line(flow, tmp_p
         paths = session.save(tmp_path / "saved").result(120)
         status = session.status
     assert [path.name for path in paths] == [
-        "run.toml", "scan_seg.nii.gz", "scan_surface.ply", "scan_trace.csv", "scan_preview.png",
+        "scan_run.toml", "scan_seg.nii.gz", "scan_surface.ply", "scan_trace.csv", "scan_preview.png",
         "scan_statistics.csv", "scan_statistics.json", "scan_report.json",
     ]
     assert [edit.step for edit in status.edits] == [7, 7, 9, 21]

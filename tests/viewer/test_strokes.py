@@ -264,7 +264,7 @@ def test_the_settings_of_a_painted_session_make_the_same_bytes(actions, image, t
     assert actions.session.wait(120) and len(actions.session.status.refinements) == 3
     paths = actions.session.save(tmp_path, ("labels", "run")).result(60)
     labels = io.read_labels(next(path for path in paths if "_seg" in path.name)).array
-    again = segment(image, config=RunConfig.from_toml(tmp_path / "run.toml"))
+    again = segment(image, config=RunConfig.from_toml(next(tmp_path.glob("*_run.toml"))))
     assert np.array_equal(again.labels, labels)
 
 

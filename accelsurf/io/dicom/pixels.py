@@ -136,7 +136,7 @@ def _fill(values: NDArray[Any], padding: NDArray[np.bool_], is_inverse: bool) ->
     """Give padding, where there is no image, the image's darkest value, in place; return what was done."""
     count = int(padding.sum())
     if count == padding.size:
-        raise InputError("all its values are padding, no image is in it", "is it the right series?")
+        raise InputError("every voxel is padding: there is no image", "is it the right series?")
     first = values[np.unravel_index(np.argmin(padding), padding.shape)]
     darkest = (values.max if is_inverse else values.min)(where=~padding, initial=first)
     was = values[padding]

@@ -265,7 +265,8 @@ def frames_in_time(frames: Sequence[Frame], root: Path) -> tuple[list[tuple[Fram
         )
     order = next((name for name in _ORDERS if all(_tells_apart(frames, name) for frames in places)), None)
     if order is None:
-        raise InputError("nothing in the files tells the order of slices at one place", "convert them with their times")
+        message = "several slices lie at one place, and the files do not say in which order"
+        raise InputError(message, "convert them with their times")
     rows = [sorted(frames, key=lambda frame: frame.times[order]) for frames in places]
     parts = [tuple(row[n] for row in rows) for n in range(len(most))]
     return parts, _times_of(parts)

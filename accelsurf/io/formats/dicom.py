@@ -179,7 +179,7 @@ def volume_of(contents: Contents, options: ReadOptions, file: Path | None) -> Di
         kinds_found = {left.kind for left in contents.left_out}
         hint = _DAMAGE_HINT if kinds_found == {""} else _SERIES_HINT
         raise InputError(
-            f"no image of a volume is in it, but {count_in_words(contents.left_out) or 'nothing'}",
+            f"it has no 3D image, but {count_in_words(contents.left_out) or 'nothing'}",
             next((HINTS[kind] for kind in HINTS if kind in kinds_found), hint),
         )
     if options.series is not None:
@@ -207,7 +207,7 @@ def volumes_of_file(contents: Contents, file: Path) -> tuple[DicomVolume, ...]:
     if not found:
         said = [left for left in contents.left_out if left.file == file]
         hint = HINTS.get(said[0].kind, _SERIES_HINT) if said else _SERIES_HINT
-        raise InputError(f"this file has no image of a volume, but {count_in_words(said) or 'nothing'}", hint)
+        raise InputError(f"this file has no 3D image, but {count_in_words(said) or 'nothing'}", hint)
     alone = [volume for volume in found if all(frame.path == file for frame in volume.frames)]
     return tuple(alone or found)
 

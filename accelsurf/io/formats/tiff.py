@@ -184,7 +184,7 @@ def read_pages(file: BinaryIO) -> Directories:
     pages: dict[int, Page] = {}
     while at:
         if at in pages:
-            raise InputError("the pages of the TIFF run in a circle", hint=TRUNCATED_HINT)
+            raise InputError("the TIFF is damaged: its last page points back to an earlier one", hint=TRUNCATED_HINT)
         found = read_directory(file, form, at, spent)
         # Directories may not lie upon one another: there could be one for nearly each byte of the file.
         spent, length = found.spent, length + found.length

@@ -195,6 +195,40 @@ def write_scales(
     axes.set_ylabel(ylabel, labelpad=4, color=color, **font(LABEL_SIZE))
 
 
+def write_lengths(axes: Axes, across: str, up: str, unit: str) -> None:
+    """Write scales of axes in mm, as numbers of a unit: two ticks at least on each, and on large ones one every 50 mm.
+
+    ``across`` and ``up`` are the names of the axes; an empty one is left out.
+    """
+    from matplotlib.ticker import FuncFormatter, MultipleLocator
+
+    write_scales(axes, f"{across} ({unit})", f"{up} ({unit})" if up else "")
+    for axis, ends, pixels, room in (
+        (axes.xaxis, axes.get_xlim(), axes.bbox.width, 42), (axes.yaxis, axes.get_ylim(), axes.bbox.height, 26)
+    ):
+        low, high = in_unit(min(ends), unit), in_unit(max(ends), unit)
+        step = tick_step(low, high, pixels, room)
+        axis.set_major_locator(MultipleLocator(step / in_unit(1.0, unit)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{round(in_unit(value, unit), 9):g}"))
+
+
+def tick_step(low: float, high: float, pixels: float, room: float) -> float:
+    """Return the distance of ticks: the least round one with ``room`` pixels for each, or less, for two at least.
+
+    Examples
+    --------
+    >>> tick_step(0, 400, 362, 42), tick_step(-3, 100, 362, 42), tick_step(-803, -781, 60, 26), tick_step(1, 19, 60, 42)
+    (50.0, 20.0, 10.0, 5.0)
+    """
+    least = (high - low) * room / pixels
+    step = round_step(least)
+    while step < least * (1 - 1e-9):
+        step = round_step(2.51 * step)
+    while math.floor(high / step) - math.ceil(low / step) < 1:
+        step = round_step(0.51 * step)
+    return step
+
+
 def write_title(axes: Axes, text: str) -> None:
     """Write above axes, each line shortened if it is wider than they are and half as much again."""
     lines = (fitting(line, TITLE_SIZE, 1.3 * axes.bbox.width) for line in text.split("\n"))

@@ -76,7 +76,7 @@ def look_png(
             panel = panel_at(row, column) if several else Box(LEFT, top, 910, top + tall)
             why = f"channel {row + 1}" if len(channels) > 1 else ""
             view = SliceView(plane, round(displayed(place, geometry)[plane]), why)
-            image = ShownImage(volume.array, geometry, grey, anatomical)
+            image = ShownImage(volume.array, geometry, grey, anatomical, unit)
             shown = open_slice(canvas, panel, image, view, whole_ranges(geometry))
             shown.axes.grid(color=SKY, linewidth=1, linestyle="-", alpha=GRID_OPACITY)
             _draw_cross(shown, place)

@@ -40,6 +40,8 @@ from accelsurf.output.pictures.slice_views import (
     box_of,
     click_views,
     main_views,
+    native_plane,
+    second_view,
     shown_ranges,
     uncertain_views,
 )
@@ -50,8 +52,8 @@ if TYPE_CHECKING:
 
 #: Width of a picture, of its margins and of the space between panels, pixels.
 WIDTH, LEFT, RIGHT, GAP = 1386, 78, 30, 92
-#: Height of the title, of a panel, and below a panel.
-TOP, PANEL, BELOW = 74, 378, 84
+#: Height of the title, of a panel, of a large one, of the energies, and below a panel.
+TOP, PANEL, LARGE, LOW, BELOW = 74, 378, 560, 200, 84
 #: Below the surface, for the scale bar and the arrows, and length of the arrows, pixels.
 BELOW_SURFACE, ARROW = 70, 34
 
@@ -61,8 +63,9 @@ def preview_png(content: PreviewContent) -> bytes:
 
     Above three slices with the contour, through the first click or the largest sections, cropped to the object. Below
     the slice of the fastest late growth if that is known, else that of where to click next, the energies against step,
-    and the surface in 3D; then slices through further clicks. Of an image of one slice: the image with contour and
-    start, and the energies.
+    small, and the surface in 3D; then slices through further clicks. Where the object is flat along the thick slices,
+    that slice is above too, both larger, and the two low ones are below. Of an image of one slice: the image with
+    contour and start, and the energies.
 
     Parameters
     ----------
@@ -77,29 +80,46 @@ def preview_png(content: PreviewContent) -> bytes:
     if content.geometry.slice_axis is not None:
         return _png_2d(content, content.geometry.slice_axis)
     ranges = shown_ranges(content)
-    window, uncertain = content_window(content, ranges), uncertain_views(content)
-    more = [*click_views(content), *uncertain[1:]][-3:]
-    rows = 3 if more else 2
-    canvas = Canvas(WIDTH, TOP + rows * (PANEL + BELOW), content.title)
-    for column, view in enumerate(main_views(content)):
-        draw_slice(canvas, panel_at(0, column), content, view, ranges, window)
-    energies = panel_at(1, 1)
-    if uncertain:
-        draw_slice(canvas, panel_at(1, 0), content, uncertain[0], ranges, window)
+    window, main, native = content_window(content, ranges), main_views(content), native_plane(content.geometry)
+    low = [view for view in main if view.plane != native and _is_low(view, ranges, content.geometry)]
+    is_flat = len(low) == 2
+    second = second_view(content, is_flat)
+    more = [view for view in (*click_views(content), *uncertain_views(content)) if view != second][-3:]
+    further = LARGE - PANEL if is_flat else 0
+    canvas = Canvas(WIDTH, TOP + further + (3 if more else 2) * (PANEL + BELOW), content.title)
+    first = [main[native], second] if is_flat else main
+    width = (WIDTH - LEFT - RIGHT - (len(first) - 1) * GAP) / len(first)
+    panels = {view: Box(left, TOP, left + width, TOP + PANEL + further)
+              for view, left in zip(first, np.arange(len(first)) * (width + GAP) + LEFT, strict=True)}
+    below = [panel_at(1, column, further) for column in range(3)]
+    if is_flat:
+        middle = below[0].middle[1]
+        panels[low[0]] = below[0]._replace(bottom=middle - BELOW / 2)
+        panels[low[1]] = below[0]._replace(top=middle + BELOW / 2)
     else:
-        energies = energies._replace(left=panel_at(1, 0).left)
-    draw_energies(canvas, energies._replace(right=energies.right - 24), content.history, content.steps_left_out)
-    draw_surface(canvas, panel_at(1, 2), content)
-    for column, view in enumerate(more):
-        draw_slice(canvas, panel_at(2, column), content, view, ranges, window)
+        panels[second] = below[0]
+    panels |= {view: panel_at(2, column, further) for column, view in enumerate(more)}
+    for view, panel in panels.items():
+        if view is not None:
+            draw_slice(canvas, panel, content, view, ranges, window)
+    energies = below[1]._replace(right=below[1].right - 24, bottom=below[1].top + LOW)
+    draw_energies(canvas, energies, content.history, content.steps_left_out)
+    draw_surface(canvas, below[2], content)
     write_window(canvas, window)
     return canvas.png()
 
 
-def panel_at(row: int, column: int) -> Box:
-    """Return the box of a panel."""
+def _is_low(view: SliceView, ranges: Ranges, geometry: Geometry) -> bool:
+    """Return True if the slice is less than half as high as wide."""
+    up, (vertical, horizontal) = DisplayOrientation.of(geometry), IN_PLANE[view.plane]
+    tall, wide = ((ranges[axis][1] - ranges[axis][0]) * up.spacing[axis] for axis in (vertical, horizontal))
+    return tall < 0.5 * wide
+
+
+def panel_at(row: int, column: int, further: float = 0) -> Box:
+    """Return the box of a panel; those below the first row are ``further`` down."""
     width = (WIDTH - LEFT - RIGHT - 2 * GAP) / 3
-    left, top = LEFT + column * (width + GAP), TOP + row * (PANEL + BELOW)
+    left, top = LEFT + column * (width + GAP), TOP + row * (PANEL + BELOW) + further
     return Box(left, top, left + width, top + PANEL)
 
 
@@ -124,7 +144,7 @@ def _png_2d(content: PreviewContent, axis: int) -> bytes:
     ranges = shown_ranges(content)
     tall, wide = (_length(content.geometry, order[i]) for i in IN_PLANE[plane])
     pixels = min(748 / wide, 748 / tall)  # per mm
-    left, high, right = max(wide * pixels, 340), max(tall * pixels, 440), 500
+    left, high, right = max(wide * pixels, 340), max(tall * pixels, 320), 340
     # As wide as its title, so that none is cut off.
     width = max(LEFT + left + GAP + 20 + right + 90, text_width(content.title, HEADING_SIZE) + 40)
     canvas = Canvas(width, TOP + high + BELOW, content.title)
@@ -132,7 +152,7 @@ def _png_2d(content: PreviewContent, axis: int) -> bytes:
     view = SliceView(plane, 0)
     draw_slice(canvas, Box(LEFT, TOP, LEFT + left, TOP + high), content, view, ranges, window)
     first, middle = LEFT + left + GAP + 20, TOP + high / 2
-    half = 0.5 * min(0.9 * right, high)
+    half = 0.5 * LOW
     panel = Box(first, middle - half, first + right, middle + half)
     draw_energies(canvas, panel, content.history, content.steps_left_out)
     write_window(canvas, window)

@@ -150,6 +150,29 @@ def uncertain_views(content: PreviewContent) -> list[SliceView]:
     return views
 
 
+def second_view(content: PreviewContent, is_flat: bool) -> SliceView | None:
+    """The slice beside the main ones: of late growth, where to click next, a click; else another place of the object.
+
+    Of what the main slices show already, where to click next is shown in the plane across; with ``is_flat`` the other
+    planes are low, and the slice half-way to an end of the object says more.
+    """
+    views, main, geometry = uncertain_views(content), main_views(content), content.geometry
+    if content.next_clicks and not is_flat:
+        place = displayed(content.next_clicks[0], geometry)
+        views += [SliceView(view.plane, round(place[view.plane]), "click next") for view in main[::-1]
+                  if round(place[view.plane]) != view.index]
+    views += click_views(content)[::-1]
+    inside = content.inside()
+    if not views and inside.any():
+        plane, up = native_plane(geometry), DisplayOrientation.of(geometry)
+        found = np.flatnonzero(up.reorient(inside).any(axis=IN_PLANE[plane]))
+        index = main[plane].index
+        far = int(max(found[0], found[-1], key=lambda end: abs(end - index)))
+        if abs(far - index) > 1:
+            views = [SliceView(plane, (far + index) // 2, "half-way to an end")]
+    return views[0] if views else None
+
+
 def click_views(content: PreviewContent) -> list[SliceView]:
     """Slices through the latest clicks that the main views do not show."""
     plane, main = native_plane(content.geometry), main_views(content)

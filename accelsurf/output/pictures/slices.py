@@ -7,6 +7,7 @@ click can be read off the picture, otherwise mm along the grid from its first vo
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -36,18 +37,21 @@ from accelsurf.output.pictures.canvas import (
     font,
     text_width,
     write_legend,
-    write_scales,
+    write_lengths,
     write_title,
 )
 from accelsurf.output.pictures.preview_content import ClickMark, PreviewContent
 from accelsurf.output.pictures.slice_views import Ranges, SliceView, displayed, fitted, plane_name
+from accelsurf.settings.wording import in_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.patheffects import AbstractPathEffect
 
 #: The inset takes this part of the slice's width or height, whichever is less.
-INSET = 0.27
+INSET, SMALL_INSET = 0.27, 0.18
+#: Its distance from an object and its clicks, pixels.
+AWAY_INSET = 8
 #: There is no inset when the slice shows so much of the image.
 NEARLY_ALL = 0.6
 #: Shorter sides than these have no room for an inset, and for a scale bar and letters, pixels.
@@ -67,12 +71,13 @@ MIN_FOR_LABEL = 60
 
 
 class ShownImage(NamedTuple):
-    """An image as it is shown: voxels (nz, ny, nx), grid, grey window, and whether its axes are a patient's."""
+    """An image as it is shown: voxels (nz, ny, nx), grid, grey window, whether its axes are a patient's, its unit."""
 
     array: NDArray[Any]
     geometry: Geometry
     window: GreyWindow
     anatomical: bool = False
+    unit: str = "mm"
 
 
 class NamedLine(NamedTuple):
@@ -138,11 +143,11 @@ def open_slice(canvas: Canvas, panel: Box, image: ShownImage, view: SliceView, r
     """Draw the image of one slice with its frame into a panel, as large as fits; the panel's margins stay free."""
     shown = lay_slice(canvas, panel, image, view, ranges)
     up, (vertical, horizontal) = shown.up, IN_PLANE[view.plane]
-    where = f"{up.names[view.plane]} = {up.coordinate(view.plane, view.index):.4g} mm"
+    where = f"{up.names[view.plane]} = {in_unit(up.coordinate(view.plane, view.index), image.unit):.4g} {image.unit}"
     words = view.why, plane_name(view.plane, image.anatomical), where
     write_title(shown.axes, ", ".join(word for word in words if word))
     tall = shown.axes.bbox.height > MIN_FOR_LABEL
-    write_scales(shown.axes, f"{up.names[horizontal]} (mm)", f"{up.names[vertical]} (mm)" if tall else "")
+    write_lengths(shown.axes, up.names[horizontal], up.names[vertical] if tall else "", image.unit)
     return shown
 
 
@@ -179,7 +184,7 @@ def draw_slice(
     canvas: Canvas, panel: Box, content: PreviewContent, view: SliceView, ranges: Ranges, window: GreyWindow
 ) -> Slice:
     """Draw a slice of a result with contours, clicks, an inset of the whole slice, letters and a scale bar."""
-    image = ShownImage(content.image, content.geometry, window, content.anatomical)
+    image = ShownImage(content.image, content.geometry, window, content.anatomical, content.unit)
     shown = open_slice(canvas, panel, image, view, ranges)
     contours = _draw_contours(shown, content)
     colors = {shape.id: content.color(place) for place, shape in enumerate(content.objects)}
@@ -189,7 +194,7 @@ def draw_slice(
         _draw_mark(shown, content.late_growth, "o", YELLOW, 2, 30)
     for place in content.next_clicks:
         _draw_next_click(shown, place)
-    draw_inset(canvas, shown, image)
+    draw_inset(canvas, shown, image, _reserved(shown, content))
     if content.anatomical:
         write_letters(shown)
     draw_slice_scale(shown, content.unit)
@@ -200,14 +205,14 @@ def draw_slice(
 def _draw_contours(shown: Slice, content: PreviewContent) -> list[NamedLine]:
     """Draw the contours of result and start; returns those that need a legend."""
     lines: list[NamedLine] = []
+    if content.start is not None:  # below the result, which may lie on it
+        draw_contour(shown, shown.section(content.start), GREEN, START_DASHES)
+        lines.append(NamedLine("start", GREEN, START_DASHES))
     if not content.objects:
         draw_contour(shown, shown.section(content.psi), content.color())
         lines.append(NamedLine(content.name() or "result", content.color()))
     else:
         _draw_objects(shown, content)
-    if content.start is not None:
-        draw_contour(shown, shown.section(content.start), GREEN, START_DASHES)
-        lines.append(NamedLine("start", GREEN, START_DASHES))
     return lines if len(lines) > 1 or (content.objects and lines) else []
 
 
@@ -324,8 +329,20 @@ def _draw_next_click(shown: Slice, place: tuple[float, float, float]) -> None:
     _write(shown.axes, "click next?", shown.place(place), (aside, -MARK - 4), "data")
 
 
-def draw_inset(canvas: Canvas, shown: Slice, image: ShownImage) -> None:
-    """Draw the whole slice small in the upper right corner, with a frame around the part that is shown."""
+def _reserved(shown: Slice, content: PreviewContent) -> NDArray[np.bool_]:
+    """Return where nothing may cover a slice, (rows, columns): objects, clicks, places of the next."""
+    free: NDArray[np.bool_] = shown.section(content.psi) < 0
+    places = [*(mark.place for mark in content.clicks), *content.next_clicks]
+    x, y = shown.coordinates()
+    for right, up in (shown.place(place) for place in places if shown.goes_through(place)):
+        free[np.argmin(np.abs(y - up)), np.argmin(np.abs(x - right))] = True
+    return free
+
+
+def draw_inset(canvas: Canvas, shown: Slice, image: ShownImage, reserved: NDArray[np.bool_]) -> None:
+    """Draw the whole slice small in a corner, with a frame around the part that is shown; nowhere where it would cover
+    what is ``reserved``.
+    """
     from matplotlib.patches import Rectangle
 
     vertical, horizontal = IN_PLANE[shown.view.plane]
@@ -337,9 +354,20 @@ def draw_inset(canvas: Canvas, shown: Slice, image: ShownImage) -> None:
         (shown.up.coordinate(axis, -0.5), shown.up.coordinate(axis, n - 0.5))
         for axis, n in ((horizontal, whole.shape[1]), (vertical, whole.shape[0]))
     )
-    scale = INSET * min(box.width / (x[1] - x[0]), box.height / (y[1] - y[0]))
-    right, top = box.x1 - 3, canvas.height - box.y1 + 3
-    place = Box(right - scale * (x[1] - x[0]), top, right, top + scale * (y[1] - y[0]))
+    (columns, rows), largest = shown.coordinates(), min(box.width / (x[1] - x[0]), box.height / (y[1] - y[0]))
+    across = shown.pixels(columns, np.full(len(columns), rows[0]))[:, 0]
+    down = canvas.height - shown.pixels(np.full(len(rows), columns[0]), rows)[:, 1]
+    for part_of, is_right in itertools.product((INSET, SMALL_INSET), (True, False)):
+        size = part_of * largest * (x[1] - x[0]), part_of * largest * (y[1] - y[0])
+        left, top = box.x1 - 3 - size[0] if is_right else box.x0 + 3, canvas.height - box.y1 + 3
+        place = Box(left, top, left + size[0], top + size[1])
+        covered = (down < place.bottom + AWAY_INSET) & (down > place.top - AWAY_INSET), (
+            (across < place.right + AWAY_INSET) & (across > place.left - AWAY_INSET)
+        )
+        if not reserved[np.ix_(*covered)].any():
+            break
+    else:
+        return
     inset = canvas.axes(place, x, y[::-1] if shown.view.plane == 0 else y)
     for spine in inset.spines.values():
         spine.set_edgecolor("white")

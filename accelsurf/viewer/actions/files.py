@@ -39,7 +39,7 @@ class FilesFeature(Feature):
         return {"save": self._save}
 
     def keys(self) -> Mapping[str, Key]:
-        return {"Ctrl+S": Key("save", (), "save labels, mesh, picture, run.toml")}
+        return {"Ctrl+S": Key("save", (), "save labels, mesh, picture, settings")}
 
     def state(self, status: Status) -> dict[str, Any]:
         return {"saved": sorted(self.files), "saving": self.is_saving}

@@ -23,7 +23,8 @@ from accelsurf.settings.run_config import RunConfig
 from accelsurf.version import __version__
 from accelsurf.viewer.core.status import SAVED_KINDS
 
-RUN_FILE = "run.toml"
+#: What the name of the settings has after that of the image.
+RUN_FILE = "_run.toml"
 
 
 def save(
@@ -82,7 +83,7 @@ def save(
         all_names = output_names.names(config, labels, run.volume.geometry.slice_axis is not None).items()
         names = {kind: f"{name}_{last}" for kind, last in all_names if _kind(kind) in what}
         paths = _result_paths(result, folder, names)
-        paths |= {"run": folder / RUN_FILE} if "run" in what else {}
+        paths |= {"run": folder / f"{name}{RUN_FILE}"} if "run" in what else {}
         paths |= {"report": folder / result_sets.report_name(name)} if "report" in what else {}
         InputFiles(inputs).refuse(paths.values())
         _check_paths(paths, replaceable)
@@ -94,8 +95,8 @@ def _all_beside_report(report: Path, what: Collection[str]) -> set[str]:
     """Return the kinds that are saved; beside a report also all that it lists, to show one state."""
     if result_sets.load_report(report) is None or result_sets.is_failure_report(report):
         return set(what)
-    listed = result_sets.kinds_of_outputs(report)
-    return {*what, "report", *(_kind(kind) for kind in listed)} & set(SAVED_KINDS)
+    listed = result_sets.names_of_outputs(report)
+    return {*what, "report", *("run" if kind == "config" else _kind(kind) for kind in listed)} & set(SAVED_KINDS)
 
 
 def _write(
@@ -104,8 +105,8 @@ def _write(
     """Write all files at once; return them, the configuration first and the report last."""
     kinds = {}
     if "run" in paths:
-        write_bytes(files.staging / RUN_FILE, _toml(result.config, result, source).encode())
-        kinds[RUN_FILE] = "run"
+        write_bytes(files.staging / paths["run"].name, _toml(paths["run"].name, result, source).encode())
+        kinds[paths["run"].name] = "run"
     content = outputs.preview_content(result, outputs.outcome_title(name, result))
     image = io.sha256(source) if source is not None and "state" in names else None
     by_kind = outputs.write_result(result, files.staging, names, content, image=image)
@@ -173,12 +174,12 @@ def repeating(run: Run) -> RunConfig:
     return run.config.replace(edit=edits, max_steps=steps, end=end)
 
 
-def _toml(config: RunConfig, result: Result, source: Path | None) -> str:
+def _toml(name: str, result: Result, source: Path | None) -> str:
     image = "INPUT" if source is None else source.name
     lines = [
         f"# accelsurf {__version__}: {result.stop.reason} after {result.stop.steps} steps.",
-        f"# The same run: accelsurf segment {image} --config {RUN_FILE} -o DIR",
+        f"# The same run: accelsurf segment {image} --config {name} -o DIR",
     ]
     if result.stop.reason == "interrupted":
         lines.append("# max_steps ends it where it was saved; raise it to continue the run.")
-    return "\n".join(lines) + "\n\n" + config.to_toml()
+    return "\n".join(lines) + "\n\n" + result.config.to_toml()

@@ -2,7 +2,7 @@
 
 Its methods may be called from any thread. Commands (`play`, `pause`, `change`, ...) return a Future at once and are
 carried out between two steps; `next_view` returns what is new to be drawn. What the user did is stored as the edits of
-the configuration, so that `save` writes a ``run.toml`` that makes the same bytes from the command line.
+the configuration, so that `save` writes a ``NAME_run.toml`` that makes the same bytes from the command line.
 When the run has ended, its uncertain locations are found: where the surface has the least evidence.
 """
 
@@ -300,7 +300,7 @@ class Session:
     def save(
         self, folder: Path, what: Sequence[str] = SAVED_KINDS, overwrite: bool = False
     ) -> Future[list[Path]]:
-        """Write files into a folder as `accelsurf segment` does, and ``run.toml``, which repeats the run.
+        """Write files into a folder as `accelsurf segment` does, and ``NAME_run.toml``, which repeats the run.
 
         Parameters
         ----------

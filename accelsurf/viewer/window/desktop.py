@@ -173,7 +173,7 @@ class Window(QMainWindow):
     def save(self) -> None:
         """Save into the folder, which the user is asked for if it is not known."""
         if self.user_actions.folder is None:
-            folder = QFileDialog.getExistingDirectory(self, "Save labels, mesh, picture and run.toml in")
+            folder = QFileDialog.getExistingDirectory(self, "Save labels, mesh, picture and settings in")
             if not folder:
                 return
             self.user_actions.folder = Path(folder)
@@ -371,7 +371,7 @@ class ChangesBar(QWidget):
         super().__init__()
         self.undo = button("Undo", "Undo the last change (Ctrl+Z)")
         self.redo = button("Redo", "Make the undone change again (Ctrl+Shift+Z)")
-        self.save = button("Save", "Labels, mesh, picture, report and run.toml (Ctrl+S)")
+        self.save = button("Save", "Labels, mesh, picture, report and settings (Ctrl+S)")
         self.undo.clicked.connect(lambda: actions.request("undo"))
         self.redo.clicked.connect(lambda: actions.request("redo"))
         self.save.clicked.connect(self.save_wanted)

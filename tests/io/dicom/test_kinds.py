@@ -98,7 +98,7 @@ def test_padding_of_inverse_pictures_and_padding_alone(tmp_path):
 
     assert io.read(stored_slices(tmp_path / "a", stored, change)).array[0, 0, 0] == stored.max()
     stored_slices(tmp_path / "b", np.full((2, 5, 7), -5, np.int16), change)
-    with pytest.raises(InputError, match="all its values are padding"):
+    with pytest.raises(InputError, match="every voxel is padding"):
         io.read(tmp_path / "b")
     unused = io.read(stored_slices(tmp_path / "c", np.abs(stored), change))
     np.testing.assert_array_equal(unused.array, np.abs(stored))

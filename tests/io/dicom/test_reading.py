@@ -260,7 +260,7 @@ def test_nothing_but_other_objects_is_refused_by_name(tmp_path):
     report = Series(changes={"Modality": "SR"}).stacked(1).dataset(0)
     del report.Rows, report.Columns, report.PixelData
     save(report, tmp_path / "report.dcm")
-    with pytest.raises(InputError, match=r"no image of a volume is in it, but 1 report \(report.dcm\)"):
+    with pytest.raises(InputError, match=r"it has no 3D image, but 1 report \(report.dcm\)"):
         io.read(tmp_path)
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "notes.txt").write_text("x")

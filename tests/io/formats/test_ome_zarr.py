@@ -274,7 +274,7 @@ def test_a_zipped_zarr_is_told_to_be_unpacked(tmp_path, name):
     with zipfile.ZipFile(tmp_path / name, "w") as archive:
         for file in sorted(store.rglob("*")):
             archive.write(file, file.relative_to(store))
-    said = "this is a file, the folder of an OME-Zarr" if name == "a.zarr" else "a zip archive given, which is not read"
+    said = "this is a file, the folder of an OME-Zarr" if name == "a.zarr" else "zip archives are not read"
     with pytest.raises(InputError, match=said) as caught:
         io.open_volume(tmp_path / name)
     assert "unpack it" in caught.value.hint
