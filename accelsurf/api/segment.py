@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal, Unpack, overload
+from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,24 +18,19 @@ from accelsurf.grid.clicks import SIDES, Side
 from accelsurf.image.volume import Volume, plain_array
 from accelsurf.io import LazyVolume
 from accelsurf.io.library_images import ImageLike, as_volume, from_library
-from accelsurf.run.arguments import GivenOptions, given_clicks, psi_of, split_given, with_options
+from accelsurf.run.arguments import given_clicks, psi_of, split_given, with_options
 from accelsurf.run.checkpoint_file import CheckpointFile
 from accelsurf.run.result import Result
 from accelsurf.run.run import Run
 from accelsurf.run.setup import EnergyLike, ObjectsLike
 from accelsurf.settings.catalogue import default_of
-from accelsurf.settings.options import Options
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
+if TYPE_CHECKING:
+    from accelsurf.api.options import GivenOptions, Options, SegmentOptions
+
 __all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment", "segment_clicks", "segment_objects"]
-
-
-class SegmentOptions(GivenOptions, total=False):
-    """Options of `segment`; ``max_memory`` is of a LazyVolume alone."""
-
-    objects: str
-    max_memory: str
 
 
 #: The function that segments an object of an image that is read in parts; it lies above this room.

@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from accelsurf.batch.admission import Limits
 from accelsurf.batch.case import Case, check_id
@@ -21,9 +21,11 @@ from accelsurf.batch.tables import Tables
 from accelsurf.errors import AccelsurfError, UsageError
 from accelsurf.io.file_set import FileSet
 from accelsurf.output.folder import opened_set
-from accelsurf.settings.options import Options
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
+
+if TYPE_CHECKING:
+    from accelsurf.api.options import ManyOptions
 
 #: What the command gives, which lies above this room, as a case does what the command does: the workers of a batch, the
 #: line of a lost case, a warning on stderr.
@@ -31,20 +33,6 @@ MAKE_POOL, LOST_OUTCOME = "accelsurf.cli.batch_case:make_pool", "accelsurf.cli.b
 WARN = "accelsurf.cli.interrupts:say"
 #: What a case may be: a path, or a mapping with ``image`` and, if wanted, ``id``, ``reference`` and settings.
 CaseLike = str | Path | Mapping[str, Any]
-
-
-class ManyOptions(Options, total=False):
-    """Settings of all cases, as texts and numbers."""
-
-    energy: str
-    start: str | Sequence[str]
-    inside: str | Sequence[str]
-    outside: str | Sequence[str]
-    foreground: str | Sequence[str]
-    background: str | Sequence[str]
-    mask: str
-    objects: str
-    spacing: str | float
 
 
 class SegmentedMany(Mapping[str, "Future[Outcome]"]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from numbers import Real
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,43 +16,16 @@ from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume, array_on_grid, plain_array
 from accelsurf.io import meshes
-from accelsurf.io.library_images import ImageLike, from_library
+from accelsurf.io.library_images import from_library
 from accelsurf.run.setup import EnergyLike
 from accelsurf.settings.catalogue import default_of
-from accelsurf.settings.options import Options
 from accelsurf.settings.run_config import RunConfig
 from accelsurf.starts import starts
 from accelsurf.starts.objects import ObjectStart
 
-
-class HasVertices(Protocol):
-    """A mesh: ``vertices`` (n, 3) and ``faces`` (m, 3), mm, LPS."""
-
-    @property
-    def vertices(self) -> Any:
-        """Points (n, 3)."""
-
-    @property
-    def faces(self) -> Any:
-        """Triangles (m, 3)."""
-
-
 #: Settings that may be given as arrays, volumes, meshes or lists of balls.
 GIVEN_KINDS = ("start", "mask", "foreground", "background", "inside", "outside")
-#: A value of theirs.
-GivenLike = ImageLike | HasVertices | Sequence[ImageLike | HasVertices]
 _EXPECTED = "a text, a mask (array or Volume), a mesh with vertices and faces, or a list of (x, y, z, r) in mm"
-
-
-class GivenOptions(Options, total=False):
-    """Options of a run in Python: a start, mask or click may also be an array, an image, a mesh, points or balls."""
-
-    start: GivenLike
-    inside: GivenLike
-    outside: GivenLike
-    foreground: GivenLike
-    background: GivenLike
-    mask: GivenLike
 
 
 def split_given(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -15,11 +15,11 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
+import accelsurf
 from accelsurf.cli import EXIT_CODES
 from accelsurf.grid.geometry import MAX_ORIGIN, SPACING_RANGE
 from accelsurf.image.check import MAX_VALUE, MIN_RANGE
 from accelsurf.run.arguments import GIVEN_KINDS
-from accelsurf.settings import options
 from accelsurf.settings.budgets import BUDGETS
 from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of
 from accelsurf.settings.corrections import Correction
@@ -38,7 +38,7 @@ from docs.reference.report_keys import REPORT_KEYS
 
 HERE = Path(__file__).parent
 #: Types of the options of Python, and the line from which on they are written.
-OPTIONS = Path(options.__file__)
+OPTIONS = Path(accelsurf.__file__).parent / "api" / "options.pyi"
 OPTIONS_FROM = "    # Written by `python -m docs.reference.generate`.\n"
 MADE = "<!-- Written by `python -m docs.reference.generate`; changes by hand are lost. -->"
 
@@ -89,7 +89,7 @@ def pages() -> dict[str, str]:
 
 
 def options_source() -> str:
-    """Return the source of `accelsurf.settings.options`: each setting with the type of its values."""
+    """Return the source of `accelsurf.api.options`: each setting with the type of its values."""
     by_hand = (*GIVEN_KINDS, "energy", "objects", "spacing")
     rows = [f"    {key}: {_type_of(field)}" for key, field in SettingFields.model_fields.items() if key not in by_hand]
     head, _, _ = OPTIONS.read_text(encoding="utf-8").partition(OPTIONS_FROM)

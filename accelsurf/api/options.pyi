@@ -1,15 +1,56 @@
-"""Settings as Python gives them, by name: with their types, which an editor completes and a type checker reads."""
+"""Options of the functions of accelsurf, by name: with their types, which an editor completes and a type checker reads.
 
-from __future__ import annotations
+For type checkers alone: the values are checked by `accelsurf.settings`.
+"""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal, Protocol, TypedDict
 
+from accelsurf.io.library_images import ImageLike
 from accelsurf.settings.corrections import Correction
 
+class Mesh(Protocol):
+    """A mesh: vertices (n, 3) and faces (m, 3), mm, LPS."""
+
+    @property
+    def vertices(self) -> Any: ...
+    @property
+    def faces(self) -> Any: ...
+
+Given = ImageLike | Mesh | Sequence[ImageLike | Mesh]
+Texts = str | Sequence[str]
+
+class ManyOptions(Options, total=False):
+    """Settings of all cases of `segment_many`."""
+
+    energy: str
+    start: Texts
+    inside: Texts
+    outside: Texts
+    foreground: Texts
+    background: Texts
+    mask: str
+    objects: str
+    spacing: str | float
+
+class GivenOptions(Options, total=False):
+    """Options of a run: a start, mask or click may also be an array, an image, a mesh, points or balls."""
+
+    start: Given
+    inside: Given
+    outside: Given
+    foreground: Given
+    background: Given
+    mask: Given
+
+class SegmentOptions(GivenOptions, total=False):
+    """Options of `segment`; ``max_memory`` is of a LazyVolume alone."""
+
+    objects: str
+    max_memory: str
 
 class Options(TypedDict, total=False):
-    """Settings of `accelsurf.RunConfig` but for the energy, the objects, and what may be an array."""
+    """Settings of `RunConfig` but for the energy, the objects, and what may be an array."""
 
     # Written by `python -m docs.reference.generate`.
     preset: Literal["ct-skeleton", "mr-brain", "mr-white-matter", "membrane-cells", "fluorescence-nucleus"] | None
