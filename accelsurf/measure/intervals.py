@@ -2,11 +2,12 @@
 
 A voxel that the surface passes holds a share f of the object, and the image there is I = f I_in + (1 - f) I_out, for
 any blur and any thickness of the slices, as both keep sums. With I_in and I_out as they are nearby, in the object and
-beside it, the volume is that of the voxels within plus the sum of f over a shell around the surface; the surface
-f = 1/2 has the area and the diameter. White noise of deviation s in I is one of s / |I_in - I_out| in f, so that of
-the volume is known. The rest has no formula: the levels nearby are those of something else, the edge is doubtful, the
-surface is far off. It grows with the layer of voxels on the surface, with how the contrast differs along it, and with
-how far the shell had to be moved; the weights come from phantoms (`benchmarks/intervals.py`).
+beside it, the volume is that of the voxels within plus the sum of f over a shell around the surface. The surface
+f = 1/2 has the diameter; the area is that of the object's surface, scaled to this volume. White noise of deviation s in
+I is s / |I_in - I_out| in f, so that of the volume is known. The rest has no formula: the levels nearby are those of
+something else, the edge is doubtful, the surface is far off. It grows with the layer of voxels on the surface, with
+how the contrast differs along it, and with how far the shell had to be moved; the weights come from phantoms
+(`benchmarks/intervals.py`).
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ class _Weights(NamedTuple):
 #: ``python -m benchmarks.intervals --fit``. Units: of the volume a layer of voxels; of the logarithm of the area, that
 #: over the volume, by the root of its thickness in pixels; of the diameter, the root of pixel and voxel along it.
 _VOLUME = _Weights((-0.002, 0.134, 0.023, 0.002), (0.0, 0.107, 0.047, 1.526, 0.036, 0.017), 2.29)
-_AREA = _Weights((0.132, -0.020, -0.437, 0.053), (0.084, 0.201, 0.153, 2.029, 0.238, 0.0), 2.07)
+_AREA = _Weights((-0.079, -0.076, -0.426, 0.178), (0.095, 0.556, 0.238, 0.0, 0.304, 0.035), 1.83)
 _DIAMETER = _Weights((0.693, 0.750, -2.359, -0.094), (0.741, 2.830, 1.865, 0.0, 2.923, 0.0), 1.95)
 
 
@@ -174,7 +175,7 @@ class _Sums(NamedTuple):
 
 
 def edge_measures(
-    psi: NDArray[np.float32], image: NDArray[np.float32], geometry: Geometry, volume_mm3: float
+    psi: NDArray[np.float32], image: NDArray[np.float32], geometry: Geometry, volume_mm3: float, area_mm2: float
 ) -> EdgeMeasures | None:
     """Measure an object by the image around its surface; None where it has no edge at all, or is one slice.
 
@@ -185,7 +186,7 @@ def edge_measures(
     image : ndarray (nz, ny, nx)
         As it was evolved, in any unit.
     geometry : Geometry
-    volume_mm3 : float
+    volume_mm3, area_mm2 : float
         Of the surface.
     """
     spacing = geometry.spacing
@@ -215,17 +216,18 @@ def edge_measures(
         moved += shift * sums.extents / sums.voxels
     mean, noise, contrast = sums.contrast / sums.voxels, noise_of(image), abs(levels.inside - levels.beside)
     deviation = float(np.sqrt(max(sums.squares / sums.voxels - mean**2, 0.0)))
-    lines = _surface_of(shares, geometry, box)
-    if lines is None or found <= 0 or noise > MAX_DOUBT * contrast or deviation > MAX_DOUBT * abs(mean):
+    line = _diameter(shares, geometry, box)
+    if line is None or found <= 0 or noise > MAX_DOUBT * contrast or deviation > MAX_DOUBT * abs(mean):
         return None
     return EdgeMeasures(
-        found, *lines[:2], geometry.voxel_volume * noise * float(np.sqrt(sums.weights)), layer, lines[2], thin,
+        found, area_mm2 * (found / volume_mm3) ** (2.0 / 3.0), line[0],
+        geometry.voxel_volume * noise * float(np.sqrt(sums.weights)), layer, line[1], thin,
         deviation / abs(mean), noise / contrast, (found - volume_mm3) / layer,
     )
 
 
-def _surface_of(shares: NDArray[np.float32], geometry: Geometry, box: Box) -> tuple[float, float, float] | None:
-    """Return the area and the diameter of the surface where shares are 1/2, and a voxel's extent along the diameter."""
+def _diameter(shares: NDArray[np.float32], geometry: Geometry, box: Box) -> tuple[float, float] | None:
+    """Return the diameter of the surface where shares are 1/2, and a voxel's extent along it, mm."""
     widths = [SMOOTH * (min(geometry.spacing) / h) ** 0.5 for h in geometry.spacing]
     half = np.float32(0.5) - ndimage.gaussian_filter(np.clip(shares, -1.0, 2.0), widths)
     parts, _ = ndimage.label(half < 0)
@@ -234,11 +236,10 @@ def _surface_of(shares: NDArray[np.float32], geometry: Geometry, box: Box) -> tu
     if not (half < 0).any():
         return None
     part = Geometry(half.shape, geometry.spacing, tuple(geometry.index_to_world(corner_of(box))), geometry.direction)
-    mesh = extract(half, part)
-    first, last = longest_line(mesh.vertices)
+    first, last = longest_line(extract(half, part).vertices)
     length = float(np.linalg.norm(last - first))
     along = geometry.direction.T @ (last - first) / length
-    return float(mesh.area), length, float(np.linalg.norm(along * geometry.spacing_xyz))
+    return length, float(np.linalg.norm(along * geometry.spacing_xyz))
 
 
 def _measure_shell(

@@ -184,7 +184,7 @@ class SegmentedObject:
         """
         found = None
         if self.has_surface:
-            found = edge_measures(self.psi, self.image, self.geometry, self.volume_mm3)
+            found = edge_measures(self.psi, self.image, self.geometry, self.volume_mm3, self.area_mm2)
         return None if found is None else intervals(found)
 
     @cached_property

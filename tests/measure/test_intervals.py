@@ -23,7 +23,7 @@ def ball(thickness=1.0, noise=0.05, off=0.0, seed=3):
 
 
 def measured(psi, image, geometry, off=0.0):
-    return edge_measures(psi, image, geometry, 4 / 3 * np.pi * (RADIUS + off) ** 3)
+    return edge_measures(psi, image, geometry, 4 / 3 * np.pi * (RADIUS + off) ** 3, 4 * np.pi * (RADIUS + off) ** 2)
 
 
 @pytest.mark.parametrize("thickness", [1.0, 3.0, 5.0])
@@ -71,7 +71,7 @@ def test_without_an_edge_there_is_none():
     psi, image, geometry = ball()
     assert measured(psi, np.ones_like(image), geometry) is None
     assert measured(np.abs(psi) + 1, image, geometry) is None
-    assert edge_measures(psi[20:21], image[20:21], Geometry((1, 40, 40), (1.0, 1.0, 1.0)), 380.0) is None
+    assert edge_measures(psi[20:21], image[20:21], Geometry((1, 40, 40), (1.0, 1.0, 1.0)), 380.0, 70.0) is None
 
 
 def test_report_and_table_have_them():
