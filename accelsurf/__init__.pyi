@@ -1,6 +1,7 @@
 from .api.click_session import ClickSession as ClickSession
 from .api.segment import evolve as evolve
 from .api.segment import segment as segment
+from .api.segment import segment_clicks as segment_clicks
 from .api.segment import segment_objects as segment_objects
 from .batch.many import segment_many as segment_many
 from .correct.refine import refine as refine

@@ -12,22 +12,28 @@ copyright = "the accelsurf developers, BSD-3-Clause"
 version = release = accelsurf.__version__
 
 extensions = [
-    "myst_parser",
+    "myst_nb",  # pages in Markdown, and notebooks
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "numpydoc",
     "sphinx_gallery.gen_gallery",
 ]
 # The list of reference pages is for those who read the repository; the site has its own in api/index.
-exclude_patterns = ["_build", "gallery", "reference/README.md"]
+exclude_patterns = ["_build", "gallery", "reference/README.md", "examples/*.ipynb"]
 suppress_warnings = [
     "config.cache",  # the settings of the gallery hold functions, which cannot be cached
 ]
 
 # Python files are the gallery's; figures, images and JSON are linked from the pages.
-source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+source_suffix = {".md": "myst-nb", ".ipynb": "myst-nb", ".rst": "restructuredtext"}
 myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 3
+
+# Notebooks are kept without outputs and run at each build; one that fails fails the build.
+nb_execution_mode = "force"
+nb_execution_in_temp = True
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
 
 autosummary_generate = True
 autodoc_typehints = "none"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,8 @@ from accelsurf.clicks.model.given import GivenMask, corrected_model, model_of_ma
 from accelsurf.errors import InputError
 from accelsurf.grid.boxes import Box, bounding_box, box_at, enclosing, whole_box
 from accelsurf.grid.clicks import Click, Clicks
-from accelsurf.image.volume import Volume, array_on_grid, check_image
+from accelsurf.image.volume import Volume, check_image
+from accelsurf.io.library_images import ImageLike, array_of, as_volume
 from accelsurf.run.preprocessing import apply, filtered_volume, filters_of, scale_of
 from accelsurf.settings import budgets
 from accelsurf.settings.run_config import RunConfig
@@ -68,11 +68,11 @@ class ClickSession:
 
     Parameters
     ----------
-    image : Volume or ndarray (nz, ny, nx)
-        Never modified. A 2D array is one slice.
+    image : image
+        As `accelsurf.segment` takes it; never modified. A 2D array is one slice.
     spacing : float or (hz, hy, hx), optional
         mm, for an array only; 1 by default.
-    channels : sequence of Volume or ndarray, optional
+    channels : sequence of image, optional
         Further ones, on the same grid.
 
     Attributes
@@ -101,18 +101,15 @@ class ClickSession:
 
     def __init__(
         self,
-        image: Volume | NDArray[Any],
+        image: ImageLike,
         *,
         spacing: float | tuple[float, float, float] | None = None,
-        channels: Sequence[Volume | NDArray[Any]] = (),
+        channels: Sequence[ImageLike] = (),
     ) -> None:
-        if not isinstance(image, Volume):
-            image = Volume.from_array(image, 1.0 if spacing is None else spacing)
-        elif spacing is not None:
-            raise InputError("spacing given together with a Volume, which has its own", "leave spacing out")
-        self.geometry = image.geometry
-        others = [image.with_array(array_on_grid(channel, self.geometry, "channel")) for channel in channels]
-        self._scene = Scene(_scaled([image, *others]), self.geometry.spacing)
+        volume = as_volume(image, spacing)
+        self.geometry = volume.geometry
+        others = [volume.with_array(array_of(channel, self.geometry, "channel")) for channel in channels]
+        self._scene = Scene(_scaled([volume, *others]), self.geometry.spacing)
         self._steps = [_Step(None, (), Clicks((), self.geometry.shape))]
         self._spent = 0
 
@@ -159,12 +156,12 @@ class ClickSession:
         budgets.SESSION_CLICKS.check(self._spent + sum(click.mask.nbytes for click in clicks))
         return self._append(self._after(self._steps[-1], clicks))
 
-    def start_from(self, labels: Volume | NDArray[Any]) -> Box | None:
+    def start_from(self, labels: ImageLike) -> Box | None:
         """Set the object to given labels, without clicks, as one step; later clicks correct it.
 
         Parameters
         ----------
-        labels : Volume or ndarray (nz, ny, nx)
+        labels : image (nz, ny, nx)
             On the grid of the image; not 0 inside.
 
         Returns
@@ -177,7 +174,7 @@ class ClickSession:
         InputError
             When the shape is another; GeometryError when the grid is.
         """
-        mask = np.asarray(array_on_grid(labels, self.geometry, "labels") != 0)
+        mask = np.asarray(array_of(labels, self.geometry, "labels") != 0)
         box = bounding_box(mask) or box_at((0, 0, 0), (1, 1, 1))
         given = GivenMask(box, np.ascontiguousarray(mask[box]))
         budgets.SESSION_CLICKS.check(self._spent + given.mask.nbytes)

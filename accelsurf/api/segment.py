@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from accelsurf.correct.finished import OnObjectStep, finished, result_of
 from accelsurf.correct.refine import with_corrections
-from accelsurf.errors import UsageError
+from accelsurf.errors import InputError, UsageError
 from accelsurf.evolution.records import Step, StepRecord
-from accelsurf.grid.clicks import SIDES
+from accelsurf.grid.clicks import SIDES, Side
 from accelsurf.image.volume import Volume, plain_array
 from accelsurf.io import LazyVolume
-from accelsurf.run.arguments import as_volume, given_clicks, psi_of, split_given, with_options
+from accelsurf.io.library_images import ImageLike, as_volume, from_library
+from accelsurf.run.arguments import given_clicks, psi_of, split_given, with_options
 from accelsurf.run.checkpoint_file import CheckpointFile
 from accelsurf.run.result import Result
 from accelsurf.run.run import Run
@@ -25,7 +27,10 @@ from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
 
-__all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment", "segment_objects"]
+if TYPE_CHECKING:
+    from accelsurf.api.options import GivenOptions, Options, SegmentOptions
+
+__all__ = ["EnergyLike", "Result", "Run", "evolve", "result_of", "segment", "segment_clicks", "segment_objects"]
 
 
 #: The function that segments an object of an image that is read in parts; it lies above this room.
@@ -33,23 +38,25 @@ _IN_PARTS = "accelsurf.large.windowed:segment_lazily"
 
 
 def segment(
-    volume: Volume | LazyVolume | NDArray[Any],
+    image: ImageLike | LazyVolume,
     *,
     spacing: float | tuple[float, float, float] | None = None,
-    channels: Sequence[Volume | NDArray[Any]] = (),
+    channels: Sequence[ImageLike] = (),
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
     on_step: Callable[[StepRecord], bool | None] | None = None,
     on_warning: Callable[[str], None] | None = None,
     checkpoint_to: str | Path | CheckpointFile | None = None,
-    **options: Any,
+    **options: Unpack[SegmentOptions],
 ) -> Result:
     """Segment one object.
 
     Parameters
     ----------
-    volume : Volume, LazyVolume or ndarray (nz, ny, nx)
-        The image; never modified. Of `accelsurf.open_volume` parts near the object are read, with the same result.
+    image : path-like, ndarray (nz, ny, nx), Volume, LazyVolume, or image of SimpleITK, nibabel or xarray
+        Never modified. An image of a library has its geometry; nibabel's, which is RAS, is turned to LPS. Tensors of
+        torch and arrays of dask are arrays. Of `accelsurf.open_volume` parts near the object are read, with the same
+        result.
     spacing : float or (hz, hy, hx), optional
         mm, for an array only; 1 by default.
     channels : sequence of such images, optional
@@ -65,7 +72,7 @@ def segment(
         File of the run's state, see the setting ``checkpoint``: where it exists the run continues, to the same bytes.
     **options
         Settings by name, over those of ``config``. A start, mask, foreground, background or click may also be an array,
-        a Volume, a mesh with ``vertices`` and ``faces``, or balls (x, y, z, r); a click also (x, y, z). All in mm, LPS.
+        an image, a mesh with ``vertices`` and ``faces``, or balls (x, y, z, r); a click also (x, y, z). All in mm, LPS.
         Of a LazyVolume texts only, and ``max_memory`` for the run, as "4GB" (0.8 of what is free).
 
     Returns
@@ -87,29 +94,131 @@ def segment(
     ('converged', 1, True)
     """
     watch: OnObjectStep | None = None if on_step is None else lambda record, id: on_step(record)
-    if isinstance(volume, LazyVolume):
+    if isinstance(image, LazyVolume):
         given = {"spacing": spacing, "channels": channels, "energy": energy, **options}
-        result: Result = load(_IN_PARTS)(volume, config, watch, on_warning, checkpoint_to, given)
+        result: Result = load(_IN_PARTS)(image, config, watch, on_warning, checkpoint_to, given)
         return result
     checkpoints = CheckpointFile.of(checkpoint_to)
-    run = _run_of(volume, spacing, channels, config, energy, options, None, checkpoints)
+    run = _run_of(image, spacing, channels, config, energy, {**options}, None, checkpoints)
     return with_corrections(finished(run, watch, on_warning, checkpoints), watch)
 
 
+@overload
+def segment_clicks(
+    image: ArrayLike,
+    inside: ArrayLike,
+    outside: ArrayLike = ...,
+    *,
+    spacing: float | Sequence[float] = ...,
+    return_result: Literal[False] = ...,
+    **options: Unpack[Options],
+) -> NDArray[np.uint8]: ...
+
+
+@overload
+def segment_clicks(
+    image: ArrayLike,
+    inside: ArrayLike,
+    outside: ArrayLike = ...,
+    *,
+    spacing: float | Sequence[float] = ...,
+    return_result: Literal[True],
+    **options: Unpack[Options],
+) -> tuple[NDArray[np.uint8], Result]: ...
+
+
+def segment_clicks(
+    image: ArrayLike,
+    inside: ArrayLike,
+    outside: ArrayLike = (),
+    *,
+    spacing: float | Sequence[float] = 1.0,
+    return_result: bool = False,
+    **options: Unpack[Options],
+) -> NDArray[np.uint8] | tuple[NDArray[np.uint8], Result]:
+    """Segment the object of some voxels of an array, all in the order of its axes.
+
+    Parameters
+    ----------
+    image : array_like (nz, ny, nx) or (ny, nx)
+        An array of numpy, torch or dask; never modified.
+    inside, outside : array_like
+        Voxels in the object, and beside it: indices (n, ndim) or (ndim,), or a mask of booleans of the image's shape.
+    spacing : float or sequence of float, optional
+        Size of a voxel along each axis, mm.
+    return_result : bool, optional
+        Return the `Result` as well.
+    **options
+        As for `segment`.
+
+    Returns
+    -------
+    labels : ndarray of uint8, of the image's shape
+        1 inside, 0 elsewhere.
+    result : Result
+        With ``return_result``: volume, area, mesh, history.
+
+    Raises
+    ------
+    UsageError
+        When clicks are neither indices nor a mask; InputError when one lies outside of the image, or the image has a
+        geometry of its own; else as `segment`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image = 100.0 * (((np.indices((24, 24, 24)) - 11.5) ** 2).sum(axis=0) < 8**2)
+    >>> labels = segment_clicks(image, inside=[(12, 12, 9)], outside=[(1, 2, 3)])
+    >>> bool((labels == (image > 50)).mean() > 0.99)
+    True
+    """
+    array = from_library(image)
+    if isinstance(array, (Volume, str, os.PathLike)):
+        raise InputError(
+            f"a {type(image).__name__} was given, an array expected, whose axes the clicks are given in",
+            "use accelsurf.segment, which keeps the geometry, or give the values: accelsurf.read(PATH).array",
+        )
+    volume, flat = as_volume(array, spacing), np.ndim(array) == 2
+    named, beside = (
+        _clicks_in_order(side, given, volume, flat) for side, given in zip(SIDES, (inside, outside), strict=True)
+    )
+    if not named:
+        raise UsageError("inside: nothing was given, expected at least one voxel of the object")
+    result = segment(volume, inside=named, outside=beside, **options)
+    labels = np.asarray(result.labels[0] if flat else result.labels, np.uint8)
+    return (labels, result) if return_result else labels
+
+
+def _clicks_in_order(side: Side, given: ArrayLike, volume: Volume, flat: bool) -> list[Any]:
+    """Return clicks of `segment` for indices in the order of the axes, or for a mask."""
+    value = np.asarray(from_library(given, side))
+    shape = volume.geometry.shape[1:] if flat else volume.geometry.shape
+    if value.dtype == np.bool_ and value.shape == shape:
+        return [value]
+    points = value.reshape(-1, len(shape)) if value.size == 0 or value.shape == (len(shape),) else value
+    if points.ndim != 2 or points.shape[1] != len(shape) or points.dtype.kind not in "iuf":
+        raise UsageError(
+            f"{side}: an array of shape {value.shape} was given, expected indices (n, {len(shape)}) in the order of "
+            f"the axes, or a mask of booleans of shape {shape}"
+        )
+    places = [[*point[::-1], 0.0] if flat else point[::-1] for point in points.tolist()]
+    return [f"point:{x:.9g},{y:.9g},{z:.9g}vox" for x, y, z in places]
+
+
 def evolve(
-    volume: Volume | NDArray[Any],
+    image: ImageLike,
     *,
     spacing: float | tuple[float, float, float] | None = None,
-    channels: Sequence[Volume | NDArray[Any]] = (),
+    channels: Sequence[ImageLike] = (),
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
-    **options: Any,
+    **options: Unpack[SegmentOptions],
 ) -> Iterator[Step]:
     """Run as `segment` does, yielding each step; leave the loop to end the run.
 
     Parameters
     ----------
-    volume, spacing, channels, config, energy, **options
+    image, spacing, channels, config, energy, **options
         As for `segment`.
 
     Yields
@@ -131,30 +240,30 @@ def evolve(
     >>> step.surface.labels.shape
     (24, 24, 24)
     """
-    with _run_of(volume, spacing, channels, config, energy, options) as run:
+    with _run_of(image, spacing, channels, config, energy, {**options}) as run:
         yield from run
 
 
 def segment_objects(
-    volume: Volume | NDArray[Any],
-    objects: ObjectsLike | None = None,
+    image: ImageLike,
+    objects: ObjectsLike | ImageLike | None = None,
     *,
     spacing: float | tuple[float, float, float] | None = None,
-    channels: Sequence[Volume | NDArray[Any]] = (),
+    channels: Sequence[ImageLike] = (),
     config: RunConfig | None = None,
     energy: EnergyLike | None = None,
     on_step: OnObjectStep | None = None,
     on_warning: Callable[[str], None] | None = None,
     checkpoint_to: str | Path | CheckpointFile | None = None,
-    **options: Any,
+    **options: Unpack[GivenOptions],
 ) -> Result:
     """Segment several objects that do not overlap.
 
     Parameters
     ----------
-    volume : Volume or ndarray (nz, ny, nx)
-        The image; never modified.
-    objects : str, Volume or ndarray, optional
+    image : image
+        As for `segment`; never modified.
+    objects : str or label map, optional
         Their first voxels: a label map, or a file as for ``--objects``. By default that of ``config``.
     energy : str or callable, optional
         As for `segment`; one of your own is made for each object's part of the image.
@@ -188,19 +297,21 @@ def segment_objects(
     >>> {one.id: one.stop.reason for one in result.objects}, result.labels.dtype
     ({3: 'converged', 700: 'converged'}, dtype('uint16'))
     """
-    if isinstance(objects, str):
-        options, objects = {**options, "objects": objects}, None
-    if objects is None and with_options(config, None, options)[0].objects is None:
+    settings: dict[str, Any] = {**options}
+    if isinstance(objects, (str, os.PathLike)):
+        settings, objects = {**settings, "objects": os.fspath(objects)}, None
+    if objects is None and with_options(config, None, settings)[0].objects is None:
         raise UsageError("objects: nothing was given, expected a label map or a table of balls", "or use segment")
     checkpoints = CheckpointFile.of(checkpoint_to)
-    run = _run_of(volume, spacing, channels, config, energy, options, objects, checkpoints)
+    starts: ObjectsLike | None = from_library(objects, "objects")
+    run = _run_of(image, spacing, channels, config, energy, settings, starts, checkpoints)
     return with_corrections(finished(run, on_step, on_warning, checkpoints), on_step)
 
 
 def _run_of(
-    volume: Volume | NDArray[Any],
+    image: ImageLike,
     spacing: float | tuple[float, float, float] | None,
-    channels: Sequence[Volume | NDArray[Any]],
+    channels: Sequence[ImageLike],
     config: RunConfig | None,
     energy: EnergyLike | None,
     options: dict[str, Any],
@@ -208,7 +319,7 @@ def _run_of(
     checkpoints: CheckpointFile | None = None,
 ) -> Run:
     """The run for the arguments of `segment`, `evolve` or `segment_objects`."""
-    first = as_volume(volume, spacing)
+    first = as_volume(image, spacing)
     others = [_as_channel(channel, first) for channel in channels]
     texts, given = split_given(options)
     clicks = [click for side in SIDES if side in given for click in given_clicks(side, given.pop(side), first)]
@@ -225,8 +336,10 @@ def _run_of(
     return Run(first, config, energy, others, objects, arrays, clicks)
 
 
-def _as_channel(volume: Volume | NDArray[Any], first: Volume) -> Volume:
-    if isinstance(volume, Volume):
-        return volume
-    array = plain_array(volume, "channel")
+def _as_channel(image: ImageLike, first: Volume) -> Volume:
+    """Return a further channel; of an array on the grid of the first."""
+    image = from_library(image, "channel")
+    if isinstance(image, (Volume, str, os.PathLike)):
+        return as_volume(image)
+    array = plain_array(image, "channel")
     return Volume(array[np.newaxis] if array.ndim == 2 else array, first.geometry)

@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from accelsurf.batch.admission import Limits
 from accelsurf.batch.case import Case, check_id
@@ -23,6 +23,9 @@ from accelsurf.io.file_set import FileSet
 from accelsurf.output.folder import opened_set
 from accelsurf.settings.registry import load
 from accelsurf.settings.run_config import RunConfig
+
+if TYPE_CHECKING:
+    from accelsurf.api.options import ManyOptions
 
 #: What the command gives, which lies above this room, as a case does what the command does: the workers of a batch, the
 #: line of a lost case, a warning on stderr.
@@ -147,7 +150,7 @@ def segment_many(
     overwrite: bool = False,
     resume: bool = False,
     strict: bool = False,
-    **options: Any,
+    **options: Unpack[ManyOptions],
 ) -> SegmentedMany:
     """Segment many images in worker processes, as ``accelsurf batch`` does.
 

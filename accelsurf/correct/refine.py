@@ -7,14 +7,10 @@ import os
 from collections.abc import Sequence
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from accelsurf.correct.finished import OnObjectStep, finished
 from accelsurf.correct.refiner import Refiner
 from accelsurf.errors import UsageError
-from accelsurf.image.volume import Volume
-from accelsurf.run.arguments import as_volume
+from accelsurf.io.library_images import ImageLike, as_volume, from_library
 from accelsurf.run.result import Result
 from accelsurf.run.run import Run
 from accelsurf.settings.corrections import corrections_in_order
@@ -22,9 +18,9 @@ from accelsurf.settings.run_config import RunConfig
 
 
 def refine(
-    result: Result | Volume | NDArray[Any],
+    result: Result | ImageLike,
     *,
-    labels: str | os.PathLike[str] | Volume | NDArray[Any] | None = None,
+    labels: ImageLike | None = None,
     spacing: float | tuple[float, float, float] | None = None,
     inside: str | Sequence[str] = (),
     outside: str | Sequence[str] = (),
@@ -47,10 +43,10 @@ def refine(
 
     Parameters
     ----------
-    result : Result, Volume or ndarray (nz, ny, nx)
+    result : Result or image
         Of `accelsurf.segment`, `accelsurf.segment_objects` or `accelsurf.refine`; it is not changed. With ``labels``
-        the image.
-    labels : str, path-like, Volume or ndarray (nz, ny, nx), optional
+        the image, as `accelsurf.segment` takes it.
+    labels : image, optional
         Label map on the image's grid, or its file (``FILE@2,5-9``: objects with these ids).
     spacing : float or (hz, hy, hx), optional
         mm, of an image that is an array; 1 by default.
@@ -111,17 +107,18 @@ def refine(
 
 
 def _given(
-    image: Volume | NDArray[Any],
-    labels: str | os.PathLike[str] | Volume | NDArray[Any] | None,
+    image: ImageLike,
+    labels: ImageLike | None,
     spacing: float | tuple[float, float, float] | None,
 ) -> Result:
     """Return the result that a label map is, before it is mended."""
     if labels is None:
         raise UsageError("refine: an image was given without labels", "give the label map that is to be mended")
-    if isinstance(labels, (Volume, np.ndarray)):
-        run = Run(as_volume(image, spacing), RunConfig(energy="seeded"), labels=labels)
+    volume, given = as_volume(image, spacing), from_library(labels, "labels")
+    if isinstance(given, (str, os.PathLike)):
+        run = Run(volume, RunConfig(labels=os.fspath(given)))
     else:
-        run = Run(as_volume(image, spacing), RunConfig(labels=os.fspath(labels)))
+        run = Run(volume, RunConfig(energy="seeded"), labels=given)
     return finished(run, None, None)
 
 

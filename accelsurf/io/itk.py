@@ -115,6 +115,27 @@ def geometry_of(image: sitk.Image | sitk.ImageFileReader) -> Geometry:
     return Geometry(image.GetSize()[2::-1], image.GetSpacing()[2::-1], image.GetOrigin()[:3], direction)
 
 
+def volume_of(image: sitk.Image) -> Volume:
+    """Return an image of SimpleITK as a volume; a 2D one is one slice.
+
+    Raises
+    ------
+    InputError
+        When it has several values per voxel, or several volumes.
+    """
+    if image.GetDimension() == 2:
+        image = sitk.JoinSeries(image)
+    elif image.GetDimension() == 4 and image.GetSize()[3] == 1:
+        image = image[:, :, :, 0]
+    axes, values = image.GetDimension(), image.GetNumberOfComponentsPerPixel()
+    if axes != 3 or values > 1:
+        raise InputError(
+            f"an image of SimpleITK with {axes} axes and {values} values per voxel given, 3 and 1 expected",
+            "take one time point, or one channel: sitk.VectorIndexSelectionCast",
+        )
+    return Volume(sitk.GetArrayFromImage(image), geometry_of(image))
+
+
 def check_kind(reader: sitk.ImageFileReader, count: int = 1) -> None:
     """Refuse by name what is not a 3D image of real numbers (NIfTI was refused from its raw header already).
 

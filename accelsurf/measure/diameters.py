@@ -62,6 +62,11 @@ def diameters(inside: NDArray[np.bool_], corner: tuple[int, ...], geometry: Geom
     return Diameters(longest, across, *_longest(_corners(_widest_slice(ends, axial, geometry), geometry, axial)))
 
 
+def longest_line(points: Floats) -> Floats:
+    """Return the two of points (n, 3) that are farthest apart."""
+    return _longest(points, with_across=False)[0]
+
+
 def _widest_slice(ends: NDArray[np.int64], axial: int, geometry: Geometry) -> NDArray[np.int64]:
     """The voxels of the slice that has the longest line; slices that are too small for it are not searched."""
     order = np.argsort(ends[:, axial], kind="stable")

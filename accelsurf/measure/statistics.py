@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from accelsurf.grid.boxes import Box, bounding_box
 from accelsurf.grid.geometry import Geometry
 from accelsurf.measure.diameters import Diameters, diameters
+from accelsurf.measure.intervals import Intervals
 
 Floats = NDArray[np.float64]
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
@@ -48,6 +49,11 @@ class MeasuredObject(Protocol):
         """Area of its surface, mm2."""
         ...
 
+    @property
+    def intervals(self) -> Intervals | None:
+        """Intervals of its measures."""
+        ...
+
 
 def statistics(segmented: MeasuredObject, values: NDArray[Any]) -> dict[str, Any]:
     """Figures of an object.
@@ -62,7 +68,8 @@ def statistics(segmented: MeasuredObject, values: NDArray[Any]) -> dict[str, Any
     Returns
     -------
     dict
-        In this order: ``volume_ml``, ``volume_mm3``, ``area_mm2``; ``voxels``; ``mean``, ``sd``, ``min``, ``p1`` to
+        In this order: ``volume_ml``, ``volume_mm3``, ``area_mm2``; ``volume_low_mm3``, ``volume_high_mm3`` and so on of
+        ``area`` and ``diameter``, see `accelsurf.measure.intervals`; ``voxels``; ``mean``, ``sd``, ``min``, ``p1`` to
         ``p99``, ``max`` of the image; ``box_first``, ``box_last`` (voxel indices x, y, z, both in the object);
         ``centroid_mm``; ``axes_mm``, the lengths of the ellipsoid with the same moments, longest first, and
         ``axes_directions``; ``diameter_mm``, ``diameter_across_mm``, ``diameter_axial_mm`` and
@@ -79,6 +86,7 @@ def statistics(segmented: MeasuredObject, values: NDArray[Any]) -> dict[str, Any
         "volume_ml": segmented.volume_mm3 / 1000,
         "volume_mm3": segmented.volume_mm3,
         "area_mm2": segmented.area_mm2,
+        **_interval_ends(segmented.intervals),
         "voxels": count,
         **_of_image(values[box][inside]),
         "box_first": [int(part) for part in first[::-1]],
@@ -88,6 +96,16 @@ def statistics(segmented: MeasuredObject, values: NDArray[Any]) -> dict[str, Any
         **diameters_mm(diameters(inside, tuple(part.start for part in box), segmented.geometry)),
         **_roundness(segmented.volume_mm3, segmented.area_mm2),
     }
+
+
+def _interval_ends(intervals: Intervals | None) -> dict[str, float | None]:
+    """Return both ends of the interval of each measure."""
+    ends: dict[str, float | None] = {}
+    for key in Intervals._fields:
+        stem, unit = key.rsplit("_", 1)
+        low, high = getattr(intervals, key, (None, None))
+        ends |= {f"{stem}_low_{unit}": low, f"{stem}_high_{unit}": high}
+    return ends
 
 
 def _moments(inside: NDArray[np.bool_]) -> tuple[int, Floats, Floats]:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from accelsurf.grid.geometry import Geometry
     from accelsurf.grid.window import Window
     from accelsurf.io.file_set import FileSet
+    from accelsurf.measure.intervals import Intervals
     from accelsurf.measure.likely import Quality
     from accelsurf.run.result import Result, SegmentedObject
     from accelsurf.settings.run_config import RunConfig
@@ -142,7 +143,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
     """
     if result is None:
         keys = ("stop", "window", "resolved_settings", "levels", "edits", "energy", "mass")
-        return dict.fromkeys((*keys, *_MEASURES, "quality", "objects"))
+        return dict.fromkeys((*keys, *_MEASURES, "intervals", "quality", "objects"))
     # Of the run alone: the potential of a correction is that of its box.
     ran = result.run_history
     last = ran[-1] if ran else None
@@ -169,6 +170,7 @@ def describe_result(result: Result | None) -> dict[str, Any]:
         },
         "mass": describe_mass(result),
         **{key: getattr(result, key) for key in _MEASURES},
+        "intervals": describe_intervals(result.intervals),
         "quality": describe_quality(result.quality),
         "objects": describe_objects(result) if result.has_ids else None,
     }
@@ -179,6 +181,11 @@ def describe_window(window: Window | None) -> dict[str, Any] | None:
     if window is None:
         return None
     return {"first_voxel": list(reversed(window.corner)), "size": list(reversed(window.shape))}
+
+
+def describe_intervals(intervals: Intervals | None) -> dict[str, list[float]] | None:
+    """Return the part of the report about the intervals of an object's measures."""
+    return None if intervals is None else {key: list(interval) for key, interval in intervals._asdict().items()}
 
 
 def describe_quality(quality: Quality | None) -> dict[str, Any] | None:
@@ -203,6 +210,7 @@ def describe_object(segmented: SegmentedObject) -> dict[str, Any]:
         "id": segmented.id,
         **{key: getattr(segmented.stop, key) for key in ("reason", "steps", "message")},
         **{key: getattr(segmented, key) for key in _MEASURES},
+        "intervals": describe_intervals(segmented.intervals),
         "centroid": _centroid(segmented),
         "cells_visited": sum(row.cells_visited for row in segmented.history),
         "terms": segmented.terms,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any
@@ -15,6 +16,7 @@ from accelsurf.grid.clicks import Click, Side
 from accelsurf.grid.geometry import Geometry
 from accelsurf.image.volume import Volume, array_on_grid, plain_array
 from accelsurf.io import meshes
+from accelsurf.io.library_images import from_library
 from accelsurf.run.setup import EnergyLike
 from accelsurf.settings.catalogue import default_of
 from accelsurf.settings.run_config import RunConfig
@@ -22,28 +24,14 @@ from accelsurf.starts import starts
 from accelsurf.starts.objects import ObjectStart
 
 #: Settings that may be given as arrays, volumes, meshes or lists of balls.
-_GIVEN = ("start", "mask", "foreground", "background", "inside", "outside")
+GIVEN_KINDS = ("start", "mask", "foreground", "background", "inside", "outside")
 _EXPECTED = "a text, a mask (array or Volume), a mesh with vertices and faces, or a list of (x, y, z, r) in mm"
 
 
-def as_volume(volume: Volume | NDArray[Any], spacing: float | tuple[float, float, float] | None) -> Volume:
-    """Return an image as a volume; ``spacing`` is of an array.
-
-    Raises
-    ------
-    InputError
-        When it is given with a volume.
-    """
-    if isinstance(volume, Volume):
-        if spacing is not None:
-            raise InputError("spacing given together with a Volume, which has its own", "leave spacing out")
-        return volume
-    return Volume.from_array(volume, 1.0 if spacing is None else spacing)
-
-
 def split_given(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Separate the options of `RunConfig` from those given as arrays, volumes, meshes or balls."""
-    given = {key: value for key, value in options.items() if key in _GIVEN and not _is_text(value)}
+    """Separate the options of `RunConfig` from those given as arrays, volumes, meshes or balls; a path is a text."""
+    options = {key: os.fspath(value) if isinstance(value, os.PathLike) else value for key, value in options.items()}
+    given = {key: value for key, value in options.items() if key in GIVEN_KINDS and not _is_text(value)}
     return {key: value for key, value in options.items() if key not in given}, given
 
 
@@ -104,6 +92,7 @@ def psi_of(name: str, value: Any, geometry: Geometry) -> NDArray[np.float32]:
         if not inside.any():
             raise InputError(f"{name}: no voxel centre is inside the mesh", "its points are mm, LPS as ITK")
         return starts.psi_of_mask(inside, geometry)
+    value = from_library(value, name)
     if not isinstance(value, (Volume, np.ndarray)):
         return _balls(name, value, geometry)
     array = array_on_grid(value, geometry, name)
@@ -145,6 +134,7 @@ def given_clicks(side: Side, value: Any, volume: Volume) -> list[Click]:
     """
     if isinstance(value, str):
         return read_clicks([value], side, volume)
+    value = value if hasattr(value, "vertices") else from_library(value, side)
     if hasattr(value, "vertices") or isinstance(value, Volume) or _is_mask(value, volume.geometry):
         return [click_of_mask(side, psi_of(side, value, volume.geometry) < 0)]
     numbers = _numbers_of(value)

@@ -14,7 +14,7 @@ import pyvista as pv
 from accelsurf.api.segment import Result
 from accelsurf.errors import UsageError
 from accelsurf.grid.geometry import Geometry
-from accelsurf.image.volume import Volume
+from accelsurf.io.library_images import ImageLike, as_volume
 from accelsurf.output.pictures.movies import png_bytes
 from accelsurf.viewer.core.frame import Frame
 from accelsurf.viewer.export import html_page, write_html
@@ -24,9 +24,9 @@ from accelsurf.viewer.scene.scene import SIZE, Scene
 
 
 def show(
-    what: Result | Volume,
+    what: Result | ImageLike,
     *,
-    reference: Volume | None = None,
+    reference: ImageLike | None = None,
     theme: str = "light",
     planes: bool = False,
     size: tuple[int, int] = SIZE,
@@ -37,9 +37,9 @@ def show(
 
     Parameters
     ----------
-    what : Result or Volume
-        From `segment`, or an image alone.
-    reference : Volume, optional
+    what : Result or image
+        From `segment`, or an image alone, as `segment` takes it.
+    reference : label map, optional
         Labels on the same grid (above 0 is the object) to compare with, with Dice.
     theme : str, optional
         "light" or "dark".
@@ -61,14 +61,15 @@ def show(
     Raises
     ------
     UsageError
-        For another type, an unknown theme or suffix.
+        For an unknown theme or suffix.
     InputError
-        When the reference is on another grid.
+        When it is no image, or the reference is on another grid.
     GraphicsError
         When nothing can be drawn here.
     """
-    suffix = _check(what, to)
-    image = what.volume if isinstance(what, Result) else what
+    suffix = _check(to)
+    image = what.volume if isinstance(what, Result) else as_volume(what)
+    reference = None if reference is None else as_volume(reference)
     title = title or (image.source.name if image.source else "accelsurf")
     plotter = None if to is not None else _plotter(image.geometry, size, title)
     scene = Scene(image, theme=theme, reference=reference, plotter=plotter, size=size, title=title)
@@ -99,10 +100,8 @@ def _plotter(geometry: Geometry, size: tuple[int, int], title: str) -> pv.Plotte
     return pv.Plotter(window_size=list(size), title=title, **Scene.layout(geometry))
 
 
-def _check(what: Result | Volume, to: str | Path | None) -> str:
-    """Refuse what cannot be shown; returns the suffix of the file to be written."""
-    if not isinstance(what, (Result, Volume)):
-        raise UsageError(f"show: a {type(what).__name__} was given, expected a Result or a Volume")
+def _check(to: str | Path | None) -> str:
+    """Return the suffix of the file to be written; refuse an unknown one."""
     suffix = "" if to is None else Path(to).suffix.lower()
     if to is not None and suffix not in (".png", ".html", ".htm"):
         raise UsageError(f"{Path(to).name}: {suffix or 'no suffix'} was given, expected .png or .html")

@@ -6,18 +6,26 @@ changed; ``tests/settings/test_reference.py`` fails until then.
 
 from __future__ import annotations
 
+import json
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
+from pydantic.fields import FieldInfo
+
+import accelsurf
 from accelsurf.cli import EXIT_CODES
 from accelsurf.grid.geometry import MAX_ORIGIN, SPACING_RANGE
 from accelsurf.image.check import MAX_VALUE, MIN_RANGE
+from accelsurf.run.arguments import GIVEN_KINDS
 from accelsurf.settings.budgets import BUDGETS
 from accelsurf.settings.catalogue import acts_on, as_typed, default_shown, entry, help_of
+from accelsurf.settings.corrections import Correction
 from accelsurf.settings.energy_expression import MAGNITUDES, MAX_TERMS
 from accelsurf.settings.energy_terms import TERMS, TermSpec
-from accelsurf.settings.entry import SettingGroup, entry_of
+from accelsurf.settings.entry import OneOf, SettingGroup, entry_of
 from accelsurf.settings.fields import SettingFields
 from accelsurf.settings.file_formats import DEFAULT_IMAGE_FORMAT, IMAGE_FORMATS, ImageFormat
 from accelsurf.settings.flow_specs import FLOWS
@@ -29,6 +37,9 @@ from accelsurf.settings.track_fields import TRACK_FORMATS, TrackFields
 from docs.reference.report_keys import REPORT_KEYS
 
 HERE = Path(__file__).parent
+#: Types of the options of Python, and the line from which on they are written.
+OPTIONS = Path(accelsurf.__file__).parent / "api" / "options.pyi"
+OPTIONS_FROM = "    # Written by `python -m docs.reference.generate`.\n"
 MADE = "<!-- Written by `python -m docs.reference.generate`; changes by hand are lost. -->"
 
 
@@ -77,8 +88,44 @@ def pages() -> dict[str, str]:
     return {name: _page(lines) for name, lines in {"README.md": "\n".join(index), **made}.items()}
 
 
+def options_source() -> str:
+    """Return the source of `accelsurf.api.options`: each setting with the type of its values."""
+    by_hand = (*GIVEN_KINDS, "energy", "objects", "spacing")
+    rows = [f"    {key}: {_type_of(field)}" for key, field in SettingFields.model_fields.items() if key not in by_hand]
+    head, _, _ = OPTIONS.read_text(encoding="utf-8").partition(OPTIONS_FROM)
+    return head + OPTIONS_FROM + "\n".join(rows) + "\n"
+
+
+def _type_of(field: FieldInfo) -> str:
+    """Return the type of the values that a setting takes, as a type checker reads it."""
+    known = [part.names for part in field.metadata if isinstance(part, OneOf)]
+    if known:
+        return f"Literal[{', '.join(map(json.dumps, known[0]()))}]"
+    return " | ".join(dict.fromkeys(_types_in(field.annotation)))
+
+
+def _types_in(kind: Any) -> Iterator[str]:
+    """Yield the parts of a type: words, numbers, texts, several texts."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin is Annotated and (known := [part for part in parts if isinstance(part, OneOf)]):
+        yield f"Literal[{', '.join(map(json.dumps, known[0].names()))}]"
+    elif origin is Annotated:
+        yield from _types_in(parts[0])
+    elif origin is Literal:
+        yield f"Literal[{', '.join(map(json.dumps, parts))}]"
+    elif origin is tuple:
+        item = "str" if parts[0] is not Correction else "str | Correction | Mapping[str, Any]"
+        yield from ("str", f"Sequence[{item}]")
+    elif origin in (Union, UnionType):
+        for part in parts:
+            yield from _types_in(part)
+    else:
+        yield "None" if kind is type(None) else str(kind.__name__)
+
+
 def main() -> None:
-    """Write the pages beside this file."""
+    """Write the pages beside this file, and the types of the options."""
+    OPTIONS.write_text(options_source(), encoding="utf-8")
     for name, text in pages().items():
         (HERE / name).write_text(text, encoding="utf-8")
         print(HERE.name + "/" + name)

@@ -42,6 +42,7 @@ REPORT_KEYS = {
     "length_mm": "length of the contours in an image of one slice, mm",
     "components": "number of 6-connected parts of the object",
     "touches_border": "whether the object lies on the volume's border",
+    "intervals": "low and high end of volume, area and diameter: they hold the true ones in 95 of 100 cases",
     "quality": "how far to trust the result, without a reference; and warnings",
     "objects": "of several objects each: id, reason, measures, centroid (x, y, z) mm, terms, quality; status, failure",
     "seconds": "wall time of load, start, evolve, refine, mesh, write, total",

@@ -43,7 +43,7 @@ def finished(**changes):
         window=None,
         given=(),
         run_history=[step_record(0), step_record(1), step_record(2, kinetic=0.25)],
-        quality=Quality(
+        intervals=None, quality=Quality(
             probability=0.75, next_click=(1.0, 2.0, 3.0), next_doubt=0.5, rim_fraction=0.1, border_fraction=0.25,
             contrast=0.5,
             no_edge_fraction=0.125, evidence=0.5, clicked=0.0, beyond_clicks=None, inside_like=0.25, drift=0.1,

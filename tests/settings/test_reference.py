@@ -30,3 +30,9 @@ def test_every_key_of_a_report_is_explained():
     nested = ("energy", "resolved_settings")
     keys = {f"{key}.{inner}" for key in nested for inner in report[key]} | set(report) - {"energy"}
     assert set(REPORT_KEYS) == keys
+
+
+def test_the_types_of_the_options_are_current():
+    assert generate.OPTIONS.read_text(encoding="utf-8") == generate.options_source(), (
+        "run python -m docs.reference.generate"
+    )

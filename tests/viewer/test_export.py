@@ -120,8 +120,10 @@ def test_pictures_and_what_cannot_be_shown(result, tmp_path):
     ):  # fmt: skip
         with pytest.raises(UsageError, match=message):
             result.plot(**({"to": tmp_path / "c.png"} | given))
-    with pytest.raises(UsageError, match="show: a str was given"):
+    with pytest.raises(InputError, match="brain.nii: there is no such file"):
         accelsurf.show("brain.nii")
+    with pytest.raises(InputError, match="a dict was given, expected a path"):
+        accelsurf.show({})
     other, _ = viewing.ball_image((8, 9, 10))
     with pytest.raises(InputError, match="not on the image's grid"):
         result.plot(to=tmp_path / "c.png", reference=other)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,12 @@ from accelsurf.run.ensemble import overall_stop
 from accelsurf.run.result import BoxMask, Result
 from accelsurf.run.run import Run
 from accelsurf.settings.corrections import Correction
-from accelsurf.viewer.core.frame import Frame, SurfaceFrame, histories_of_run
+from accelsurf.viewer.core.frame import Frame, SurfaceFrame, histories_of_run, volume_interval
 from accelsurf.viewer.core.nearest_object import distance_of, nearest_object, place_of
 from accelsurf.viewer.core.saving import repeating
+
+if TYPE_CHECKING:
+    from accelsurf.measure.intervals import Interval
 
 #: Voxels around an object that a frame has.
 AROUND = 2
@@ -47,6 +51,9 @@ class Corrections:
         self._boxes: dict[int, Box | None] = {}
         self._before: list[dict[int, Box | None]] = []
         self._last_step = 0
+        #: The step after which the volume's interval was measured, and that.
+        self._measured_at: StepRecord | None = None
+        self._interval: Interval | None = None
 
     @property
     def wanted(self) -> tuple[Correction, ...]:
@@ -187,7 +194,12 @@ class Corrections:
         if self._refiner is not None:
             return self._frame(run, self._refiner), tuple(tuple(each.history) for each in self._refiner.surfaces)
         records = [step.record for step in run.current()]
-        return Frame.of_run(run, records, max_voxels), histories_of_run(run, records)
+        frame = Frame.of_run(run, records, max_voxels)
+        if run.stop is not None and not run.has_ids:
+            if self._measured_at != records[0]:  # once, not for each picture
+                self._measured_at, self._interval = records[0], volume_interval(result_of(run))
+            frame = dataclasses.replace(frame, volume_interval=self._interval)
+        return frame, histories_of_run(run, records)
 
     def _frame(self, run: Run, refiner: Refiner) -> Frame:
         """Return what is drawn: of each object a copy of the box in which it is."""
@@ -205,7 +217,9 @@ class Corrections:
             )
         clicks = on_image(refiner.clicks, prepared.first, prepared.volumes[0].geometry.shape)
         marks = () if clicks is None else marks_of(clicks.clicks, run.geometry.spacing)
-        return Frame(tuple(surfaces), marks, corrected_at=self._last_step if refiner.config.refine else None)
+        if refiner.config.refine:
+            return Frame(tuple(surfaces), marks, corrected_at=self._last_step)
+        return Frame(tuple(surfaces), marks, volume_interval=self._interval)
 
 
 def _box_of_inside(inside: NDArray[np.bool_], corner: Corner) -> Box | None:

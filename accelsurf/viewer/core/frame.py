@@ -19,11 +19,15 @@ from accelsurf.output.pictures.preview_content import ClickMark, marks_of
 if TYPE_CHECKING:
     from accelsurf.flows import Flow
     from accelsurf.levelset import LevelSet
+    from accelsurf.measure.intervals import Interval
     from accelsurf.run.result import Result, SegmentedObject
     from accelsurf.run.run import Run
 
 #: What the surface can be coloured by; ``plain`` is one colour.
 COLORS = ("plain", "speed", "force", "density")
+#: Intervals are measured in images of at most so many voxels, where that takes some tenths of a second: of larger ones
+#: they are in the report alone.
+MAX_MEASURED = 1 << 21
 
 Floats = NDArray[np.float64]
 Index = tuple[int, int, int]
@@ -257,6 +261,8 @@ class Frame:
         Frame and time of a sequence, in place of the step; empty of a run.
     corrected_at : int or None
         The step with which the run ended, after which the surfaces were corrected; None where they were not.
+    volume_interval : Interval or None
+        Of the volume of one object, mm3, once its run has ended and before it is corrected.
     """
 
     surfaces: tuple[SurfaceFrame, ...]
@@ -265,6 +271,7 @@ class Frame:
     paths: tuple[Floats, ...] = ()
     said: str = ""
     corrected_at: int | None = None
+    volume_interval: Interval | None = None
 
     @classmethod
     def of(
@@ -332,7 +339,8 @@ class Frame:
         """The frame of the final state of a run that has ended."""
         level = pyramid.levels(result.geometry.shape, result.geometry.spacing, 1)[0]
         clicks = () if result.clicks is None else marks_of(result.clicks.clicks, result.geometry.spacing)
-        return cls(tuple(SurfaceFrame.of_result(segmented, level) for segmented in result.objects), clicks)
+        surfaces = tuple(SurfaceFrame.of_result(segmented, level) for segmented in result.objects)
+        return cls(surfaces, clicks, volume_interval=volume_interval(result))
 
     @property
     def step(self) -> int:
@@ -364,6 +372,12 @@ class Frame:
         parts = [surface.overlap(labels) for surface in self.surfaces]
         total = sum(voxels_of for _, voxels_of in parts) + voxels
         return 2.0 * sum(common for common, _ in parts) / total if total else 1.0
+
+
+def volume_interval(result: Result) -> Interval | None:
+    """Return the interval of the volume of a result, mm3; None for several objects, and for a large image."""
+    intervals = result.intervals if result.image.size <= MAX_MEASURED else None
+    return None if intervals is None else intervals.volume_mm3
 
 
 def histories_of_run(run: Run, present: Sequence[StepRecord] = ()) -> tuple[tuple[StepRecord, ...], ...]:

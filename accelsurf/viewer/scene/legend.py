@@ -99,12 +99,17 @@ MIN_ML = 100.0
 
 
 def caption(frame: Frame, geometry: Geometry, unit: str = "mm") -> list[str]:
-    """Return step and level, or frame and time, and the volume (of one slice the area), in the file's unit."""
+    """Return step and level, or frame and time, and the volume (of one slice the area), in the file's unit.
+
+    The interval of the volume has a line, where it is known.
+    """
     step = frame.said or f"step {frame.step}" + (f", level {frame.level} (coarse grid)" if frame.level else "")
     step += ", corrected" if frame.corrected_at is not None else ""
     axis = geometry.slice_axis
     if axis is None:
-        return [step, f"volume {volume_line(frame.volume_mm3, unit)}"]
+        ends = [measure(in_unit(end, unit, 3)) for end in frame.volume_interval or ()]
+        lines = [step, f"volume {volume_line(frame.volume_mm3, unit)}"]
+        return [*lines, f"95 %: {' to '.join(ends)} {unit}3"] if ends else lines
     return [step, f"area {measure(in_unit(frame.volume_mm3 / geometry.spacing[axis], unit, 2))} {unit}2"]
 
 

@@ -1,0 +1,191 @@
+"""Images of other libraries as volumes: SimpleITK, nibabel, xarray; arrays of torch and dask.
+
+They are known by the module of their type: none of these libraries is imported for it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from accelsurf.errors import GeometryError, InputError
+from accelsurf.grid.geometry import Geometry
+from accelsurf.image.volume import Volume, array_on_grid
+from accelsurf.io.images import read
+from accelsurf.settings.registry import load
+from accelsurf.settings.wording import mm_of
+
+_RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0])
+_EXPECTED = "a path, an array, or an image of accelsurf, SimpleITK, nibabel or xarray"
+#: Distance of a coordinate from the even ones, in steps, that counts as rounding.
+_ROUNDING = 1e-3
+
+
+class ItkImage(Protocol):
+    """An image of SimpleITK, as far as types can say it."""
+
+    def GetSpacing(self) -> tuple[float, ...]:
+        """Return the size of a voxel (x, y, z)."""
+
+
+#: An image as the functions of ``accelsurf`` take it: a path, an array, or an image with its geometry.
+ImageLike = Volume | os.PathLike[str] | ArrayLike | ItkImage
+
+
+def as_volume(image: ImageLike, spacing: float | Sequence[float] | None = None, name: str = "the image") -> Volume:
+    """Return an image as a volume.
+
+    Parameters
+    ----------
+    image : Volume, path-like, array_like, or image of SimpleITK, nibabel or xarray
+        See `from_library`. An array is (z, y, x).
+    spacing : float or (hz, hy, hx), optional
+        mm, of an array; 1 by default.
+    name : str, optional
+        What messages call it.
+
+    Raises
+    ------
+    InputError
+        When it is none of these, or a spacing is given with an image that has its own; else as `accelsurf.read` and
+        `from_library`.
+    """
+    image = from_library(image, name)
+    if isinstance(image, (str, os.PathLike)):
+        image = read(image)
+    if isinstance(image, Volume):
+        if spacing is not None:
+            raise InputError("spacing given together with an image, which has its own", "leave spacing out")
+        return image
+    is_array = isinstance(image, (list, tuple)) or hasattr(image, "__array__") or hasattr(image, "__array_interface__")
+    several = hasattr(image, "data_vars")
+    if not is_array or several or hasattr(image, "GetSpacing"):
+        hint = "take a variable: dataset['NAME']" if several else "accelsurf.read(PATH) reads a file"
+        raise InputError(f"{name}: a {type(image).__name__} was given, expected {_EXPECTED}", hint)
+    return Volume.from_array(image, 1.0 if spacing is None else spacing)
+
+
+def array_of(image: ImageLike, geometry: Geometry, name: str) -> NDArray[Any]:
+    """Return the values of an image that lies on a grid, as `accelsurf.image.volume.array_on_grid`; a path is read.
+
+    Parameters
+    ----------
+    image : image
+        As of `as_volume`.
+    geometry : Geometry
+        The grid.
+    name : str
+        What messages call it.
+
+    Raises
+    ------
+    GeometryError
+        When it lies on another grid; InputError as `as_volume`.
+    """
+    value = from_library(image, name)
+    return array_on_grid(read(value) if isinstance(value, (str, os.PathLike)) else value, geometry, name)
+
+
+def from_library(value: Any, name: str = "the image") -> Any:
+    """Return an image of another library as a volume, an array of torch or dask as one of numpy, and others unchanged.
+
+    Parameters
+    ----------
+    value : object
+        SimpleITK: 2D is one slice. nibabel: by ``affine``, from RAS to LPS. xarray: the dimensions z, y, x in any
+        order, others in theirs; evenly spaced coordinates in mm, or in the unit of their attribute ``units``, LPS; the
+        attribute ``direction`` as ITK writes it. An xarray without coordinates is an array.
+    name : str, optional
+        What messages call it.
+
+    Raises
+    ------
+    InputError
+        When it has several values per voxel, or further axes; GeometryError when its grid is none of perpendicular axes
+        and even steps.
+
+    Examples
+    --------
+    >>> import nibabel
+    >>> affine = np.array([[-2.0, 0, 0, 7], [0, -1, 0, 8], [0, 0, 3, 9], [0, 0, 0, 1]])
+    >>> from_library(nibabel.Nifti1Image(np.zeros((4, 5, 6), np.int16), affine))
+    Volume(int16 array, Geometry(shape=(6, 5, 4), spacing=(3.0, 1.0, 2.0), origin=(-7.0, -8.0, 9.0)))
+    """
+    kinds = [kind.__module__.partition(".")[0] for kind in type(value).__mro__]
+    library = next((kind for kind in kinds if kind in ("SimpleITK", "nibabel", "xarray", "torch", "dask")), None)
+    if library == "SimpleITK" and hasattr(value, "GetSpacing"):
+        return load("accelsurf.io.itk:volume_of")(value)
+    if library == "nibabel" and hasattr(value, "affine"):
+        return _of_nibabel(value)
+    if library == "xarray" and hasattr(value, "dims") and not hasattr(value, "data_vars"):
+        return _of_xarray(value, name)
+    if library == "torch" and hasattr(value, "detach"):
+        tensor = value.detach().cpu()
+        return (tensor.float() if str(tensor.dtype) == "torch.bfloat16" else tensor).numpy()
+    if library == "dask" and hasattr(value, "__array__"):
+        return np.asarray(value)
+    return value
+
+
+def _of_nibabel(image: Any) -> Volume:
+    """Return an image of nibabel, whose arrays are (x, y, z) and whose world is RAS, as a volume."""
+    array = np.asanyarray(image.dataobj)
+    while array.ndim > 3 and array.shape[-1] == 1:
+        array = array[..., 0]
+    units = getattr(image.header, "get_xyzt_units", lambda: ("mm",))()[0]
+    affine = np.asarray(image.affine, np.float64) * (mm_of(units) or 1.0)
+    matrix = _RAS_TO_LPS @ affine[:3, :3]
+    steps = np.linalg.norm(matrix, axis=0)
+    if not np.isfinite(affine).all() or not steps.all():
+        raise GeometryError("the image: its affine is no transform", "correct it: image.affine")
+    origin = (_RAS_TO_LPS @ affine[:3, 3]).tolist()
+    return Volume.from_array(array.T, steps[::-1].tolist(), origin, matrix / steps)
+
+
+def _of_xarray(image: Any, name: str) -> Volume | NDArray[Any]:
+    """Return a DataArray as a volume, or without coordinates as an array."""
+    named = [dim for dim in image.dims if str(dim).lower() in ("z", "y", "x")]
+    if named:
+        image = image.squeeze([dim for dim in image.dims if dim not in named and image.sizes[dim] == 1], drop=True)
+        if extra := [str(dim) for dim in image.dims if dim not in named]:
+            raise InputError(
+                f"{name}: dimensions {', '.join(map(str, image.dims))} were given, z, y, x expected",
+                f"take one place of {extra[0]}: image.isel({extra[0]}=0)",
+            )
+        image = image.transpose(*sorted(named, key=lambda dim: "zyx".index(str(dim).lower())))
+    array = np.asarray(image.values)
+    if not any(dim in image.coords for dim in image.dims):
+        return array
+    axes = [_axis(image.coords[dim], name) if dim in image.coords else (0.0, 1.0) for dim in image.dims]
+    axes = [(0.0, 1.0)] * (3 - len(axes)) + axes
+    steps = np.array([step for _, step in axes])
+    direction, given = np.eye(3), np.asarray(image.attrs.get("direction", np.eye(len(image.dims))), np.float64)
+    direction[: len(given), : len(given)] = np.flip(given)
+    origin = [first for first, _ in axes][::-1]
+    return Volume.from_array(array, np.abs(steps).tolist(), origin, direction * np.sign(steps[::-1]))
+
+
+def _axis(coordinate: Any, name: str) -> tuple[float, float]:
+    """Return the first place and the step, mm, of a coordinate of an xarray.
+
+    Raises
+    ------
+    GeometryError
+        When its places are no numbers in even steps, or its unit is no length.
+    """
+    unit = str(coordinate.attrs.get("units", "mm"))
+    places = np.asarray(coordinate.values)
+    where = f"{name}: coordinate {coordinate.name}"
+    if not mm_of(unit) or places.dtype.kind not in "iuf":
+        raise GeometryError(f"{where}: {unit if not mm_of(unit) else places.dtype} given, lengths expected")
+    places = places.astype(np.float64) * mm_of(unit)
+    first, last = float(places[0]), float(places[-1])
+    step = (last - first) / (len(places) - 1) if len(places) > 1 else 1.0
+    even = first + step * np.arange(len(places))
+    if step == 0 or not np.abs(places - even).max() <= _ROUNDING * abs(step):
+        raise GeometryError(f"{where}: its places are not evenly spaced", "resample it: image.interp")
+    return first, step
