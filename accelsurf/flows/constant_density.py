@@ -96,6 +96,12 @@ class ConstantDensity(Accelerated):
             noisy = self.beta.copy()
         clipped = clip_speed(self.beta, voxel_rates(surface, front, self.beta), dt, limits.cfl)
         energy_rates = self._energy_rates(now.area, (before, smoothed, kicked, noisy, self.beta))
+        if diffusion > 0:
+            # The surface came here by the speed before diffusion, the transport term has the one after: its work is
+            # less than what the change of the area took, and diffusion has taken so much less.
+            missing = np.float32(0.5 * dm) * (before - smoothed) * kicked * np.where(front, now.curvature, np.float32(0.0))
+            share = self._kinetic(now.area, missing, before) + self._kinetic(now.area, missing, self.beta)
+            energy_rates = energy_rates._replace(smoothing=energy_rates.smoothing + share / clock.weight())
         energy_rates = energy_rates._replace(mass=self.rho * float(now.area.sum()))
         front_speed = percentile(self.beta, limits.percentile, front)
         surface.extend_outwards(self.beta, front)
