@@ -86,8 +86,8 @@ class ConstantDensity(Accelerated):
                 diffuse(surface, front, self.beta, diffusion * dm)
                 smoothed = self.beta.copy()
         kick = np.float32(impulse / self.rho) * np.asarray(now.force, np.float32)
-        bend = 0.0 if clock.at_rest else dm
-        surface.workers.parallel(motion.kick, surface.size, self.beta, kick, now.curvature, front, (damping, bend))
+        rates = damping, 0.0 if clock.at_rest else dm
+        surface.workers.parallel(motion.kick, surface.size, self.beta, kick, now.curvature, front, rates)
         # Copies: the speeds are clipped in place.
         kicked = noisy = self.beta.copy()
         noise = self._noise_now(now, dm, 1)
@@ -99,7 +99,8 @@ class ConstantDensity(Accelerated):
         if diffusion > 0:
             # The surface came here by the speed before diffusion, the transport term has the one after: its work is
             # less than what the change of the area took, and diffusion has taken so much less.
-            missing = np.float32(0.5 * dm) * (before - smoothed) * kicked * np.where(front, now.curvature, np.float32(0.0))
+            bend = np.float32(0.5 * dm) * np.where(front, now.curvature, np.float32(0.0))
+            missing = bend * kicked * (before - smoothed)
             share = self._kinetic(now.area, missing, before) + self._kinetic(now.area, missing, self.beta)
             energy_rates = energy_rates._replace(smoothing=energy_rates.smoothing + share / clock.weight())
         energy_rates = energy_rates._replace(mass=self.rho * float(now.area.sum()))

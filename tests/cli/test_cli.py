@@ -113,7 +113,7 @@ def test_trace_has_a_row_for_each_step(done):
     assert [int(row["step"]) for row in rows] == list(range(document["stop"]["steps"] + 1))
     assert float(rows[0]["potential"]) == document["energy"]["first"]
     assert float(rows[-1]["potential"]) == document["energy"]["last"]
-    assert max(float(row["kinetic"]) for row in rows) > 0
+    assert all(float(row["kinetic"]) >= 0 for row in rows) and float(rows[-1]["friction_work"]) > 0
 
 
 @pytest.mark.sampled(2)
