@@ -55,7 +55,7 @@ _SHORT_STEPS, SLOW = ("flowable-mass", "region-mass", "sobolev"), 0.4
 PATIENCE = 3
 #: Noise on the grid where the run begins, in contrasts between start and rest, from which on descent may be trapped and
 #: the steps of momentum are worth it.
-NOISY = 0.5
+NOISY = 0.3
 
 
 def choose_levels(

@@ -41,7 +41,7 @@ def test_noise_decides_under_means_of_regions(noise: float, flow: str) -> None:
 
 
 def test_a_coarse_grid_has_less_noise() -> None:
-    image = ball(0.8, 64)
+    image = ball(0.6, 64)
     assert chosen(image, start="ball:32,32,32,14vox", levels=1)[0] == "constant-density"
     assert chosen(image, start="ball:32,32,32,14vox", levels=2)[0] == "gradient"
 
