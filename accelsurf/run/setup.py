@@ -300,8 +300,10 @@ class FlowChoice(NamedTuple):
     why: str
 
     def applied(self, config: RunConfig) -> RunConfig:
-        """The settings with this flow, where they leave it open."""
-        return config.model_copy(update={"flow": self.flow}) if config.flow == AUTO else config
+        """The settings with this flow, where they leave it open; with momentum, where an edit gave a setting of it."""
+        if config.flow != AUTO:
+            return config
+        return config.model_copy(update={"flow": MOMENTUM if _given_of_momentum(config) else self.flow})
 
 
 def choose_flow(
@@ -324,7 +326,7 @@ def choose_flow(
     has_name : bool
         Whether the energy is one with a name.
     """
-    wanted = [key for key in _only_of_momentum() if _is_given(config, key)]
+    wanted = _given_of_momentum(config)
     if wanted:
         return FlowChoice(MOMENTUM, f"momentum, as {wanted[0]} was given, which descent does not have")
     if not has_name:
@@ -337,7 +339,7 @@ def choose_flow(
         return FlowChoice(DESCENT, "descent, as under bounds of brightness momentum may leak through thin walls")
     if names != {"chan-vese"}:
         return FlowChoice(MOMENTUM, f"momentum, as under {config.energy} descent rests too soon or takes more steps")
-    if config.smoothness > 0.0 or any(term.name == "area" or "area" in term.settings for term in terms):
+    if config.smoothness > 0.0 or any(term.name == "area" or term.settings.get("area") for term in terms):
         return FlowChoice(MOMENTUM, "momentum, as with a weight of the area descent makes short steps")
     ratio = _noise_in_contrasts(prepared, starts) / math.sqrt(math.prod(coarsest.factors))
     said = f"the noise is {ratio:.2g} of the contrast where the run begins"
@@ -346,12 +348,10 @@ def choose_flow(
     return FlowChoice(DESCENT, f"descent, as {said}, and momentum may leak through thin walls")
 
 
-def _only_of_momentum() -> list[str]:
-    return [key for key in FLOWS[MOMENTUM].uses if key not in FLOWS[DESCENT].uses]
-
-
-def _is_given(config: RunConfig, key: str) -> bool:
-    return getattr(config, key) != default_of(key) or any(key in edit.settings for edit in config.edit)
+def _given_of_momentum(config: RunConfig) -> list[str]:
+    """Settings that only momentum has, of those that were changed from their defaults."""
+    keys = (key for key in FLOWS[MOMENTUM].uses if key not in FLOWS[DESCENT].uses)
+    return [key for key in keys if getattr(config, key) != default_of(key)]
 
 
 def _noise_in_contrasts(prepared: PreprocessedInput, starts: Sequence[ObjectStart]) -> float:

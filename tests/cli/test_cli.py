@@ -181,7 +181,7 @@ def test_options_beat_the_file_which_beats_the_defaults(tmp_path, capsys):
     words = ("segment", "--config", tmp_path / "run.toml", "--dump-config")
     assert run(*words, "--flow", "constant-density", "--no-save-sdf") == 0
     config = RunConfig(**tomllib.loads(capsys.readouterr().out))
-    assert config == RunConfig(cfl=0.25)
+    assert config == RunConfig(cfl=0.25, flow="constant-density")
     assert run(*words) == 0
     assert RunConfig(**tomllib.loads(capsys.readouterr().out)) == RunConfig(cfl=0.25, flow="gradient", save_sdf=True)
 

@@ -58,7 +58,6 @@ def test_energy_and_settings_decide_before_noise() -> None:
     assert chosen(clean, inside="ball:12,12,12,3vox", start="clicks", energy="seeded")[0] == "constant-density"
     found, why = chosen(clean, k=3.0)
     assert found == "constant-density" and "k was given" in why
-    assert chosen(clean, edit=["step=4 lam=2"])[0] == "constant-density"
     assert chosen(clean, diffusion=0.5)[0] == "gradient"
 
 
@@ -77,11 +76,11 @@ def test_it_is_the_same_run_as_with_that_flow() -> None:
     assert found.psi.tobytes() == segment(image, **START, flow=found.resolved_settings["flow"]).psi.tobytes()
 
 
-def test_an_edit_does_not_choose_again() -> None:
-    """A run that began with descent goes on with it, whatever the surface has become."""
-    result = segment(ball(0.0), **START, edit=["step=3 balance=1.1"])
-    rows = result.history
+def test_an_edit_does_not_choose_again_but_for_a_setting_of_momentum() -> None:
+    rows = segment(ball(0.0), **START, edit=["step=3 balance=1.1"]).history
     assert len(rows) > 5 and all(row.kinetic == 0.0 for row in rows)
+    rows = segment(ball(0.0), **START, edit=["step=3 lam=2"]).history
+    assert rows[2].kinetic == 0.0 and any(row.kinetic > 0.0 for row in rows[3:])
 
 
 def test_corrections_go_on_with_the_flow_of_the_run() -> None:
